@@ -1,0 +1,85 @@
+# make demo    recover albedos and a texture from pictures (the two tutorials at a small size)
+# make test    the test suite
+# make build   only the virtual environment and the native modules
+# make lint, make format, make sanitize, make clean, make distclean
+#
+# Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
+#
+# Variables (make test TORCH=torch==2.9.0):
+#   PYTHON        the Python that .venv is made from              (python3, at least 3.10)
+#   TORCH         the torch requirement                           (torch==2.13.0)
+#   PIP_OPTIONS   further options of `pip install` for torch and everything else, for example
+#                 PIP_OPTIONS="--extra-index-url https://download.pytorch.org/whl/cpu" TORCH="torch==2.13.0+cpu"
+#   CONSTRAINTS   the file of pinned versions; empty takes the newest (constraints.txt)
+#   PYTEST_ARGS   what `make test` hands to pytest                (-q tests)
+
+PYTHON ?= python3
+TORCH ?= torch==2.13.0
+PIP_OPTIONS ?=
+CONSTRAINTS ?= constraints.txt
+PYTEST_ARGS ?= -q tests
+VENV ?= .venv
+
+PY := $(VENV)/bin/python
+PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
+BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
+
+.PHONY: demo test build lint format sanitize native-test clean distclean
+.DEFAULT_GOAL := build
+
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
+	  { echo "torchrender: $(PYTHON) is not a Python of version 3.10 or newer; name one with: make PYTHON=/path/to/python3"; exit 1; }
+	@test -x $(PY) || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
+	  echo "torchrender: $(PYTHON) cannot make virtual environments; install the module with: sudo apt install python3-venv (Debian, Ubuntu)"; exit 1; }
+	@touch $@
+
+# The small build requirements first, so that a missing compiler is known before torch is downloaded.
+$(VENV)/.tools: $(VENV)/.created setup.py
+	@$(PIP) $(BUILD_REQUIREMENTS)
+	@$(PY) setup.py -q check_tools
+	@touch $@
+
+$(VENV)/.installed: $(VENV)/.tools pyproject.toml $(CONSTRAINTS)
+	@echo "torchrender: installing $(TORCH) and the other dependencies into $(VENV)"
+	@$(PIP) "$(TORCH)"
+	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[dev]"
+	@touch $@
+
+# Ninja decides what is to be compiled; with nothing to do this takes a fraction of a second.
+build: $(VENV)/.installed
+	@$(PY) setup.py -q build_ext --inplace
+
+demo: build
+	$(PY) tutorials/cornell_box.py --demo
+	$(PY) tutorials/textured_monkey.py --demo
+
+test: build
+	$(PY) -m pytest $(PYTEST_ARGS)
+
+CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
+
+lint: $(VENV)/.installed
+	$(PY) -m ruff check .
+	$(PY) -m ruff format --check .
+	@$(VENV)/bin/clang-format --dry-run -Werror $(CXX_FILES)
+
+format: $(VENV)/.installed
+	$(PY) -m ruff check --fix .
+	$(PY) -m ruff format .
+	$(VENV)/bin/clang-format -i $(CXX_FILES)
+
+# The C++ test program: the renderer without Python. Embree's library comes from the embreex wheel.
+EMBREE = $(shell $(PY) -c "import importlib.util as u, pathlib as p; print(next(p.Path(u.find_spec('embreex').origin).parent.parent.glob('embreex.libs/libembree4*')))")
+
+native-test: $(VENV)/.installed
+	@program=$$($(PY) setup.py -q native_tests) && "$$program" "$(EMBREE)"
+
+sanitize: $(VENV)/.installed
+	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
+
+clean:
+	rm -rf build dist *.egg-info torchrender/_core_*.so .pytest_cache .ruff_cache $(VENV)/.tools $(VENV)/.installed
+
+distclean: clean
+	rm -rf $(VENV) output

@@ -1,0 +1,345 @@
+"""Builds the native modules of torchrender: the same C++ sources once per instruction set.
+
+Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``, ``_core_avx512``;
+``_core_scalar`` on processors other than x86-64), with its own objects and hidden symbols, because templates compiled
+with different flags into one library would be merged by the linker, and AVX-512 code could end up in the baseline.
+``torchrender.backends`` imports the best module that the processor can run.
+
+Ninja drives the compiler: only what changed is compiled again, in parallel. Nothing of torch is needed here.
+
+Commands
+    python setup.py build_ext --inplace     the modules, next to the Python sources (what ``make build`` runs)
+    python setup.py native_tests            the C++ test program (``--sanitize``: with address and undefined-behaviour
+                                            sanitizers), printed as a path
+    python setup.py check_tools             only says whether everything that a build needs is there
+
+Environment
+    CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++") and further flags
+    MAX_JOBS                   number of compilers at once (default: number of processors)
+    TORCHRENDER_BUILD_ISA      comma-separated subset of the instruction sets, to build less while developing
+    TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
+"""
+
+from __future__ import annotations
+
+import contextlib
+import filecmp
+import importlib.util
+import os
+import platform
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+from setuptools import Command, Extension, setup
+from setuptools.command.build_ext import build_ext
+
+ROOT = Path(__file__).resolve().parent
+CSRC = ROOT / "csrc"
+
+# The levels x86-64-v2, -v3 and -v4 flag by flag: compilers older than GCC 11 or clang 12 do not know the names.
+V2_FLAGS = ["-msse4.2", "-mpopcnt", "-mcx16", "-msahf"]
+AVX2_FLAGS = [*V2_FLAGS, "-mavx2", "-mfma", "-mf16c", "-mbmi", "-mbmi2", "-mlzcnt", "-mmovbe"]
+AVX512_FLAGS = [
+    *AVX2_FLAGS,
+    *["-mavx512f", "-mavx512bw", "-mavx512cd", "-mavx512dq", "-mavx512vl", "-mprefer-vector-width=512"],
+]
+IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
+ISA_FLAGS = {"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {"scalar": []}
+
+SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
+
+
+def fail(sentence: str) -> None:
+    """Stop the build with one sentence instead of a traceback."""
+    raise SystemExit(f"torchrender: {sentence}")
+
+
+def selected_isas() -> list[str]:
+    """The instruction sets to build, best last; all of them unless TORCHRENDER_BUILD_ISA says otherwise."""
+    wanted = [name.strip() for name in os.environ.get("TORCHRENDER_BUILD_ISA", "").split(",") if name.strip()]
+    unknown = [name for name in wanted if name not in ISA_FLAGS]
+    if unknown:
+        fail(f"TORCHRENDER_BUILD_ISA names {unknown[0]!r}; this processor has {', '.join(ISA_FLAGS)}.")
+    return [name for name in ISA_FLAGS if not wanted or name in wanted]
+
+
+# --- tools -----------------------------------------------------------------------------------------------------------
+
+
+def find_compiler() -> list[str]:
+    """The C++ compiler as a command line, checked by compiling one C++17 line for each instruction set to be built."""
+    candidates = [os.environ["CXX"]] if os.environ.get("CXX") else ["g++", "clang++", "c++"]
+    command = next((shlex.split(c) for c in candidates if shutil.which(shlex.split(c)[0])), None)
+    hint = "sudo apt install g++ (Debian, Ubuntu) or sudo dnf install gcc-c++ (Fedora)"
+    if command is None:
+        fail(f"there is no C++ compiler (looked for {', '.join(candidates)}); install one with: {hint}.")
+    probe = "#include <optional>\nint main() { if constexpr (true) return std::optional<int>(0).value(); }\n"
+    for isa in selected_isas():
+        done = subprocess.run(
+            [*command, "-std=c++17", *ISA_FLAGS[isa], "-fsyntax-only", "-x", "c++", "-"],
+            input=probe,
+            capture_output=True,
+            text=True,
+        )
+        if done.returncode != 0:
+            reason = (done.stderr.strip().splitlines() or ["no message"])[0]
+            fail(f"{shlex.join(command)} cannot compile C++17 for {isa} ({reason}); a newer compiler helps: {hint}.")
+    return command
+
+
+def python_include() -> str:
+    """The directory of Python.h."""
+    include = sysconfig.get_paths()["include"]
+    if not os.path.exists(os.path.join(include, "Python.h")):
+        version = f"{sys.version_info.major}.{sys.version_info.minor}"
+        fail(
+            f"the headers of Python {version} are missing ({include}/Python.h); install them with: "
+            f"sudo apt install python{version}-dev (Debian, Ubuntu) or sudo dnf install python3-devel (Fedora)."
+        )
+    return include
+
+
+def package_include(package: str) -> str:
+    """The ``include`` directory inside an installed build requirement, found without importing the package."""
+    spec = importlib.util.find_spec(package)
+    for place in (spec.submodule_search_locations or []) if spec else []:
+        if os.path.isdir(os.path.join(place, "include")):
+            return os.path.join(place, "include")
+    fail(f"the headers of {package} are missing; install them with: {sys.executable} -m pip install {package}.")
+    raise AssertionError  # not reached
+
+
+def find_ninja() -> list[str]:
+    """Ninja as a command line: the wheel of the build requirements, else a program of that name."""
+    if importlib.util.find_spec("ninja"):
+        return [sys.executable, "-m", "ninja"]
+    found = shutil.which("ninja")
+    if not found:
+        fail(f"ninja is missing; install it with: {sys.executable} -m pip install ninja.")
+    return [str(found)]
+
+
+# --- the build description -------------------------------------------------------------------------------------------
+
+
+def library_sources() -> list[Path]:
+    """Everything but the bindings, the device kernels and the tests: needs neither Python nor CUDA."""
+    skip = {"bindings", "cuda", "tests"}
+    return sorted(p for p in CSRC.rglob("*.cpp") if p.relative_to(CSRC).parts[0] not in skip)
+
+
+def binding_sources() -> list[Path]:
+    return sorted((CSRC / "bindings").rglob("*.cpp"))
+
+
+def compile_flags(isa: str, sanitize: bool) -> list[str]:
+    # No fast-math: NaN and infinity keep their meaning. errno and floating-point traps are used nowhere, and giving
+    # them up lets the compiler vectorise square roots and selections.
+    flags = ["-std=c++17", "-fPIC", "-fvisibility=hidden", "-fvisibility-inlines-hidden", "-pthread"]
+    flags += ["-fno-math-errno", "-fno-trapping-math", "-Wall", "-Wextra", f"-I{CSRC}"]
+    # -isystem: warnings of other people's headers are not ours to fix.
+    flags += ["-isystem", package_include("drjit")]
+    flags += ["-O1", *SANITIZE_FLAGS] if sanitize else ["-O3", "-DNDEBUG", "-g0"]
+    flags += [*ISA_FLAGS[isa], f"-DTR_ISA={isa}", f'-DTR_ISA_NAME="{isa}"']
+    if isa == "avx512":
+        # GCC 12 warns about its own intrinsics' deliberately undefined registers (GCC bug 105593).
+        flags += ["-Wno-uninitialized"]
+    return flags + shlex.split(os.environ.get("CXXFLAGS", ""))
+
+
+def escape(text: str) -> str:
+    return text.replace("$", "$$").replace(" ", "$ ").replace(":", "$:")
+
+
+class Ninja:
+    """Collects build edges, writes ``build.ninja`` and runs it."""
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.compiler = find_compiler()
+        cxx = shlex.join(self.compiler).replace("$", "$$")
+        self.lines = [
+            "ninja_required_version = 1.5",
+            "rule compile",
+            f"  command = {cxx} -MMD -MF $out.d $flags -c $in -o $out",
+            "  depfile = $out.d",
+            "  deps = gcc",
+            "  description = compile $what",
+            "rule link",
+            f"  command = {cxx} $in -o $out $flags",
+            "  description = link $what",
+        ]
+        self.targets: list[Path] = []
+
+    def _edge(self, rule: str, target: Path, inputs: list[Path], flags: list[str], implicit: list[Path]) -> None:
+        line = f"build {escape(str(target))}: {rule} " + " ".join(escape(str(p)) for p in inputs)
+        if implicit:
+            line += " | " + " ".join(escape(str(p)) for p in implicit)
+        what = f"{target.parent.name}/{target.name}" if rule == "link" else str(target.relative_to(self.directory))[:-2]
+        self.lines += [line, f"  flags = {shlex.join(flags).replace('$', '$$')}", f"  what = {what}"]
+
+    def objects(self, sources: list[Path], folder: str, flags: list[str]) -> list[Path]:
+        """Compile ``sources`` with ``flags`` into objects under ``folder``; returns the objects' paths."""
+        made = []
+        for source in sources:
+            target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
+            self._edge("compile", target, [source], flags, [])
+            made.append(target)
+        return made
+
+    def link(self, target: Path, objects: list[Path], flags: list[str], implicit: list[Path] | None = None) -> None:
+        self._edge("link", target, objects, flags + shlex.split(os.environ.get("LDFLAGS", "")), implicit or [])
+        self.targets.append(target)
+
+    def run(self) -> None:
+        self.directory.mkdir(parents=True, exist_ok=True)
+        script = self.directory / "build.ninja"
+        text = "\n".join(self.lines) + "\n"
+        with locked(self.directory / "lock"):
+            if not script.exists() or script.read_text() != text:
+                script.write_text(text)
+            jobs = os.environ.get("MAX_JOBS", "") or str(os.cpu_count() or 1)
+            command = [*find_ninja(), "-f", script.name, "-j", jobs]
+            # Progress goes to the error stream: standard output is for what a command is asked to print.
+            if subprocess.run(command, cwd=self.directory, stdout=sys.stderr).returncode != 0:
+                fail("the native modules could not be compiled; the compiler's messages stand above.")
+
+
+@contextlib.contextmanager
+def locked(path: Path) -> Iterator[None]:
+    """Two builds in one checkout wait for each other."""
+    with open(path, "w") as handle:
+        try:
+            import fcntl
+        except ImportError:  # not on this operating system: builds are then simply not run side by side
+            yield
+            return
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+
+
+def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str, Path]:
+    """Compile and link one module per instruction set; returns their paths by instruction set."""
+    if not binding_sources():
+        fail(f"there are no native sources under {CSRC}; the checkout or source archive is incomplete.")
+    ninja = Ninja(directory)
+    # Only the module's initialiser is visible. Without this, and with GCC's "unique" symbols, the dynamic linker may
+    # let one module run a template instance (of the standard library, say) that was compiled for another's processor.
+    exports = directory / "exports.map"
+    directory.mkdir(parents=True, exist_ok=True)
+    exports_text = "{ global: PyInit_*; local: *; };\n"
+    if not exports.exists() or exports.read_text() != exports_text:
+        exports.write_text(exports_text)
+    python_flags = ["-isystem", python_include(), "-isystem", package_include("pybind11")]
+    is_mac = sys.platform == "darwin"
+    products = {}
+    for isa in isas:
+        flags = compile_flags(isa, sanitize)
+        if not is_mac and "clang" not in os.path.basename(ninja.compiler[-1]):
+            flags.append("-fno-gnu-unique")
+        objects = ninja.objects(library_sources(), isa, flags)
+        objects += ninja.objects(binding_sources(), isa, [*flags, *python_flags, f"-DTR_MODULE_NAME=_core_{isa}"])
+        link = ["-bundle", "-undefined", "dynamic_lookup"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
+        link += SANITIZE_FLAGS if sanitize else (["-Wl,-x"] if is_mac else ["-Wl,-s"])
+        products[isa] = directory / f"_core_{isa}{sysconfig.get_config_var('EXT_SUFFIX')}"
+        ninja.link(products[isa], objects, [*link, "-pthread", "-ldl"], [] if is_mac else [exports])
+    ninja.run()
+    return products
+
+
+def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
+    """Compile the renderer and csrc/tests, without Python, into one test program; returns its path."""
+    sources = sorted((CSRC / "tests").rglob("*.cpp"))
+    if not sources:
+        fail(f"there are no native tests under {CSRC / 'tests'}.")
+    ninja = Ninja(directory)
+    objects = ninja.objects(library_sources() + sources, isa, compile_flags(isa, sanitize))
+    program = directory / f"native_tests_{isa}"
+    ninja.link(program, objects, [*(SANITIZE_FLAGS if sanitize else []), "-pthread", "-ldl"])
+    ninja.run()
+    return program
+
+
+# --- setuptools ------------------------------------------------------------------------------------------------------
+
+
+def replace_file(source: Path, target: Path) -> None:
+    """Copy by renaming: a program that has the old module loaded keeps running on the old file."""
+    if target.exists() and filecmp.cmp(source, target, shallow=False):
+        return
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f"{target.name}.{os.getpid()}.new")
+    shutil.copyfile(source, temporary)
+    os.chmod(temporary, 0o755)
+    os.replace(temporary, target)
+
+
+class BuildModules(build_ext):
+    """build_ext through Ninja. In a checkout objects are kept in build/native, else in setuptools' build folder."""
+
+    def run(self) -> None:
+        if sys.platform == "win32":
+            fail("Windows is not supported yet; the Windows Subsystem for Linux is.")
+        sanitize = os.environ.get("TORCHRENDER_SANITIZE", "") not in ("", "0")
+        base = ROOT / "build" / "native" if self.inplace else Path(self.build_temp).resolve()
+        directory = base / (sysconfig.get_config_var("SOABI") + ("-sanitize" if sanitize else ""))
+        products = build_modules(directory, selected_isas(), sanitize)
+        for extension in self.extensions:
+            product = products[extension.name.rsplit("_", 1)[1]]
+            replace_file(product, Path(self.get_ext_fullpath(extension.name)))
+
+
+class NativeTests(Command):
+    """Build the C++ test program and print its path."""
+
+    description = "build the C++ test program"
+    user_options: ClassVar = [
+        ("sanitize", None, "with address and undefined-behaviour sanitizers"),
+        ("isa=", None, "instruction set (default: the lowest that is built)"),
+    ]
+    boolean_options: ClassVar = ["sanitize"]
+
+    def initialize_options(self) -> None:
+        self.sanitize = False
+        self.isa = None
+
+    def finalize_options(self) -> None:
+        self.isa = self.isa or selected_isas()[0]
+        if self.isa not in ISA_FLAGS:
+            fail(f"--isa is {self.isa!r}; this processor has {', '.join(ISA_FLAGS)}.")
+
+    def run(self) -> None:
+        directory = ROOT / "build" / "native" / ("tests-sanitize" if self.sanitize else "tests") / self.isa
+        print(build_native_tests(directory, self.isa, bool(self.sanitize)))
+
+
+class CheckTools(Command):
+    """Say in one sentence what a build lacks, before anything large is downloaded."""
+
+    description = "check that compiler, Python headers and build requirements are there"
+    user_options: ClassVar = []
+
+    def initialize_options(self) -> None:
+        pass
+
+    def finalize_options(self) -> None:
+        pass
+
+    def run(self) -> None:
+        find_compiler()
+        python_include()
+        package_include("pybind11")
+        package_include("drjit")
+        find_ninja()
+
+
+setup(
+    ext_modules=[Extension(f"torchrender._core_{isa}", sources=[]) for isa in selected_isas()],
+    cmdclass={"build_ext": BuildModules, "native_tests": NativeTests, "check_tools": CheckTools},
+)
