@@ -24,7 +24,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
 
-.PHONY: demo test build lint format sanitize native-test clean distclean
+.PHONY: demo test build lint format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 $(VENV)/.created:
@@ -77,6 +77,13 @@ native-test: $(VENV)/.installed
 
 sanitize: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
+
+# Compiles the renderer's core for CUDA and stops there: that it compiles is what is checked.
+NVCC ?= nvcc
+CUDA_ARCH ?= sm_80
+cuda:
+	@mkdir -p build/cuda
+	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Icsrc -c csrc/cuda/instantiate.cu -o build/cuda/instantiate.o
 
 clean:
 	rm -rf build dist *.egg-info torchrender/_core_*.so .pytest_cache .ruff_cache $(VENV)/.tools $(VENV)/.installed

@@ -51,6 +51,7 @@ AVX512_FLAGS = [
 ]
 IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 ISA_FLAGS = {"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {"scalar": []}
+PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
 
@@ -146,7 +147,7 @@ def compile_flags(isa: str, sanitize: bool) -> list[str]:
     # -isystem: warnings of other people's headers are not ours to fix.
     flags += ["-isystem", package_include("drjit")]
     flags += ["-O1", *SANITIZE_FLAGS] if sanitize else ["-O3", "-DNDEBUG", "-g0"]
-    flags += [*ISA_FLAGS[isa], f"-DTR_ISA={isa}", f'-DTR_ISA_NAME="{isa}"']
+    flags += [*ISA_FLAGS[isa], f"-DTR_ISA={isa}", f'-DTR_ISA_NAME="{isa}"', f"-DTR_PACKET_WIDTH={PACKET_WIDTH[isa]}"]
     if isa == "avx512":
         # GCC 12 warns about its own intrinsics' deliberately undefined registers (GCC bug 105593).
         flags += ["-Wno-uninitialized"]
