@@ -1,0 +1,123 @@
+"""Pictures for people: the sRGB curve, tone mapping and display."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import torch
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+
+def linear_to_srgb(linear: torch.Tensor) -> torch.Tensor:
+    """Encode linear values with the sRGB curve (IEC 61966-2-1), entry by entry.
+
+    Args:
+        linear: tensor of any shape. Values above 1 follow the curve on; negative values stay on its linear part.
+
+    Returns:
+        Tensor of the same shape, differentiable everywhere (also at 0 and below).
+    """
+    # The power is only evaluated where it is used: its derivative at 0 is infinite and would turn 0 * inf into NaN.
+    safe = linear.clamp(min=0.0031308)
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * safe ** (1 / 2.4) - 0.055)
+
+
+def srgb_to_linear(encoded: torch.Tensor) -> torch.Tensor:
+    """Decode sRGB values in [0, 1] to linear ones, entry by entry; the inverse of :func:`linear_to_srgb`."""
+    safe = encoded.clamp(min=0.04045)
+    return torch.where(encoded <= 0.04045, encoded / 12.92, ((safe + 0.055) / 1.055) ** 2.4)
+
+
+def tonemap(image: torch.Tensor, exposure: float | torch.Tensor = 0.0, *, clip: bool = True) -> torch.Tensor:
+    """Turn linear radiance into display values: exposure, sRGB curve, and clipping to [0, 1].
+
+    Args:
+        image: linear radiance, channels last. With four channels the last one is alpha, which is only clipped.
+        exposure: in stops (powers of two); a float, or a scalar tensor, which may require a gradient.
+        clip: clip to [0, 1]. Clipped entries have no gradient; with ``clip=False`` every entry has one.
+
+    Returns:
+        Tensor of the image's shape and dtype, differentiable in ``image`` and ``exposure``.
+
+    Raises:
+        TypeError: if the image is not a floating-point tensor.
+    """
+    if not isinstance(image, torch.Tensor) or not image.is_floating_point():
+        raise TypeError(f"image: expected a floating-point tensor, got {_describe(image)}")
+    gain = torch.exp2(torch.as_tensor(exposure, dtype=image.dtype, device=image.device))
+    if image.dim() >= 3 and image.shape[-1] == 4:
+        out = torch.cat([linear_to_srgb(image[..., :3] * gain), image[..., 3:]], dim=-1)
+    else:
+        out = linear_to_srgb(image * gain)
+    return out.clamp(0.0, 1.0) if clip else out
+
+
+def to_bytes(image: torch.Tensor) -> torch.Tensor:
+    """Round display values in [0, 1] to ``uint8``; what is not a number becomes 0."""
+    return (torch.nan_to_num(image.detach(), nan=0.0).clamp(0, 1) * 255 + 0.5).to(torch.uint8).cpu()
+
+
+def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) -> Image | None:
+    """Show linear images, several of them side by side.
+
+    Args:
+        image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4; or a sequence of them of one height.
+        exposure: in stops.
+
+    Returns:
+        In a notebook the picture is displayed below the cell and ``None`` is returned; elsewhere a ``PIL.Image``,
+        which has ``save`` and ``show``.
+
+    Raises:
+        TypeError, ValueError: if an image has another shape or dtype.
+    """
+    from PIL import Image as PILImage
+
+    images = [image] if isinstance(image, torch.Tensor) else list(image)
+    if not images:
+        raise ValueError("image: expected an image or a non-empty sequence of images, got an empty sequence")
+    tiles = []
+    for tile in images:
+        if not isinstance(tile, torch.Tensor) or tile.dim() not in (2, 3):
+            raise TypeError(f"image: expected tensors of shape (H, W, C) or (H, W), got {_describe(tile)}")
+        tile = tile.unsqueeze(-1) if tile.dim() == 2 else tile
+        if tile.shape[-1] not in (1, 3, 4):
+            raise ValueError(f"image: expected 1, 3 or 4 channels, got shape {tuple(tile.shape)}")
+        tile = to_bytes(tonemap(tile.detach().float(), exposure))
+        tiles.append(tile.expand(*tile.shape[:2], 3) if tile.shape[-1] == 1 else tile)
+    if any(tile.shape[-1] == 4 for tile in tiles):
+        tiles = [_with_alpha(tile) for tile in tiles]
+    if len({tile.shape[0] for tile in tiles}) > 1:
+        raise ValueError(f"image: expected images of one height, got heights {[tile.shape[0] for tile in tiles]}")
+    picture = PILImage.fromarray(torch.cat(tiles, dim=1).contiguous().numpy())
+    if in_notebook():
+        from IPython.display import display
+
+        display(picture)
+        return None
+    return picture
+
+
+def in_notebook() -> bool:
+    """Whether the code runs in a Jupyter kernel."""
+    import sys
+
+    if "IPython" not in sys.modules:
+        return False
+    shell = sys.modules["IPython"].get_ipython()
+    return shell is not None and type(shell).__name__ == "ZMQInteractiveShell"
+
+
+def _with_alpha(tile: torch.Tensor) -> torch.Tensor:
+    if tile.shape[-1] == 4:
+        return tile
+    return torch.cat([tile, torch.full_like(tile[..., :1], 255)], dim=-1)
+
+
+def _describe(value: object) -> str:
+    if isinstance(value, torch.Tensor):
+        return f"a tensor of dtype {value.dtype} and shape {tuple(value.shape)}"
+    return type(value).__name__

@@ -1,0 +1,214 @@
+"""``read_image`` and ``write_image``: linear float tensors from and to picture files."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from ..image import linear_to_srgb, srgb_to_linear
+from . import exr, hdr, pfm, png16
+from ._files import existing_file, writable_file
+
+_LAYER_SUFFIXES = {1: ("",), 2: (".X", ".Y"), 3: (".R", ".G", ".B"), 4: (".R", ".G", ".B", ".A")}
+_DEFAULT_NAMES = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
+
+
+def read_image(path: str | os.PathLike, *, raw: bool = False, channels: Sequence[str] | None = None) -> torch.Tensor:
+    """Read a picture as linear values. The content, not the ending, says which format it is.
+
+    Args:
+        path: an EXR, Radiance HDR, PFM, PNG (8 or 16 bit) or JPEG file.
+        raw: do not decode the sRGB curve of PNG and JPEG files: for normals, roughness and other data. Their values
+            are then the stored integers over 255 or 65535. The floating-point formats are linear anyway.
+        channels: names of the channels of an EXR file, such as ``("depth.Z",)``; by default R, G, B and, where there
+            is one, A; or the luminance Y.
+
+    Returns:
+        float32 tensor (H, W, C), top row first, C = 1, 3 or 4 (EXR with ``channels``: their number). Alpha is never
+        decoded. Grey with alpha becomes four channels.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is of an unknown kind, truncated or damaged, or lacks a channel.
+    """
+    path = existing_file(path)
+    with path.open("rb") as file:
+        head = file.read(32)
+    if head.startswith(exr.MAGIC):
+        stored = exr.read_exr(path)
+        names = exr.colour_channels(path, list(stored)) if channels is None else list(channels)
+        missing = [name for name in names if name not in stored]
+        if missing or not names:
+            raise ValueError(f"{path}: channels: expected names among {sorted(stored)}, got {names}")
+        return torch.from_numpy(np.stack([stored[name] for name in names], axis=-1))
+    if channels is not None:
+        raise ValueError(f"{path}: channels: only EXR files have named channels")
+    if head.startswith(b"#?"):
+        return torch.from_numpy(np.ascontiguousarray(hdr.read_hdr(path)))
+    if head[:2] in (b"PF", b"Pf"):
+        return torch.from_numpy(pfm.read_pfm(path))
+    return _read_integers(path, head, raw)
+
+
+def read_channels(path: str | os.PathLike) -> dict[str, torch.Tensor]:
+    """All channels of an EXR file by name, each float32 (H, W).
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not an EXR file, or is truncated or damaged.
+    """
+    path = existing_file(path)
+    with path.open("rb") as file:
+        if file.read(4) != exr.MAGIC:
+            raise ValueError(f"{path}: not an OpenEXR file")
+    return {name: torch.from_numpy(pixels) for name, pixels in exr.read_exr(path).items()}
+
+
+def write_image(
+    path: str | os.PathLike,
+    image: torch.Tensor | np.ndarray | Mapping[str, torch.Tensor],
+    *,
+    channels: Sequence[str] | None = None,
+    half: bool = False,
+    bits: int = 8,
+    raw: bool = False,
+    quality: int = 95,
+) -> None:
+    """Write a picture of linear values; the ending of the name says in which format.
+
+    Args:
+        path: ``.exr``, ``.hdr``, ``.pfm``, ``.png``, ``.jpg`` or ``.jpeg``, in an existing folder.
+        image: (H, W, C) or (H, W), floating point, top row first. C is 1, 3 or 4 for PNG, 1 or 3 for JPEG and PFM,
+            3 for HDR; any number for EXR with ``channels``. For EXR also a mapping from layer names to such images of
+            one size: ``{"": rgb, "depth": z, "normal": n}`` is stored as R, G, B, depth, normal.R, normal.G, normal.B.
+        channels: EXR: the name of each channel; by default Y, or R, G, B, or R, G, B, A.
+        half: EXR: 16-bit floats, which end at 65504 (larger values become infinite), instead of 32-bit ones.
+        bits: PNG: 8 or 16 bits per channel.
+        raw: PNG, JPEG: store the values as they are, without the sRGB curve. They are clipped to [0, 1] in any case.
+        quality: JPEG: 1 to 100.
+
+    Raises:
+        FileNotFoundError: if there is no such folder.
+        TypeError, ValueError: if the image or the format is not one of those above.
+    """
+    path = writable_file(path)
+    ending = path.suffix.lower()
+    if ending not in (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg"):
+        raise ValueError(f"{path}: unknown image format {ending!r}; expected .exr, .hdr, .pfm, .png, .jpg or .jpeg")
+    if ending == ".exr":
+        exr.write_exr(path, _named_channels(path, image, channels), half)
+        return
+    if channels is not None or isinstance(image, Mapping):
+        raise ValueError(f"{path}: only EXR files have named channels")
+    pixels = _pixels("image", image)
+    if ending == ".hdr":
+        hdr.write_hdr(path, pixels)
+    elif ending == ".pfm":
+        pfm.write_pfm(path, pixels)
+    else:
+        _write_integers(path, pixels, ending, bits, raw, quality)
+
+
+def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
+    """The image as a float32 array (H, W, C)."""
+    tensor = torch.as_tensor(image) if isinstance(image, (torch.Tensor, np.ndarray)) else None
+    if tensor is None or not tensor.is_floating_point():
+        got = f"dtype {tensor.dtype}" if tensor is not None else type(image).__name__
+        raise TypeError(f"{what}: expected a floating-point tensor (H, W, C), got {got}")
+    if tensor.dim() not in (2, 3) or 0 in tensor.shape:
+        raise ValueError(f"{what}: expected shape (H, W, C) or (H, W) without zeros, got {tuple(tensor.shape)}")
+    tensor = tensor.unsqueeze(-1) if tensor.dim() == 2 else tensor
+    return np.ascontiguousarray(tensor.detach().cpu().float().numpy())
+
+
+def _named_channels(path: Path, image, channels: Sequence[str] | None) -> dict[str, np.ndarray]:
+    """Channel name -> (H, W), from an image or from a mapping of layers."""
+    if isinstance(image, Mapping):
+        if channels is not None:
+            raise ValueError("channels: expected None with a mapping of layers, whose keys are the names")
+        result: dict[str, np.ndarray] = {}
+        for layer, values in image.items():
+            pixels = _pixels(f"image[{layer!r}]", values)
+            count = pixels.shape[-1]
+            table = _LAYER_SUFFIXES if layer else _DEFAULT_NAMES
+            if count not in table:
+                raise ValueError(f"image[{layer!r}]: expected {sorted(table)} channels, got {count}")
+            result |= {f"{layer}{suffix}": pixels[..., i] for i, suffix in enumerate(table[count])}
+        if len({pixels.shape for pixels in result.values()}) != 1:
+            sizes = {name: pixels.shape for name, pixels in result.items()}
+            raise ValueError(f"image: expected at least one layer, all of one size, got {sizes}")
+        return result
+    pixels = _pixels("image", image)
+    count = pixels.shape[-1]
+    if channels is None and count not in _DEFAULT_NAMES:
+        raise ValueError(f"{path}: {count} channels need names: pass channels=(...)")
+    names = _DEFAULT_NAMES[count] if channels is None else tuple(channels)
+    if len(names) != count or len(set(names)) != count or not all(isinstance(name, str) and name for name in names):
+        raise ValueError(f"channels: expected {count} different names, got {names}")
+    return {name: pixels[..., i] for i, name in enumerate(names)}
+
+
+def _read_integers(path: Path, head: bytes, raw: bool) -> torch.Tensor:
+    """PNG and JPEG."""
+    interlaced = len(head) > 28 and head[28] != 0
+    if png16.bit_depth(head) == 16 and not interlaced:
+        values = torch.from_numpy(png16.read_png16(path).astype(np.float32) / np.float32(65535))
+    else:
+        values = torch.from_numpy(_read_with_pillow(path).astype(np.float32) / np.float32(255))
+    if values.shape[-1] == 2:
+        values = torch.cat([values[..., :1].expand(-1, -1, 3), values[..., 1:]], dim=-1)
+    if raw:
+        return values.contiguous()
+    if values.shape[-1] == 4:
+        return torch.cat([srgb_to_linear(values[..., :3]), values[..., 3:]], dim=-1)
+    return srgb_to_linear(values)
+
+
+def _read_with_pillow(path: Path) -> np.ndarray:
+    """uint8 (H, W, C), C = 1, 2, 3 or 4."""
+    from PIL import Image, UnidentifiedImageError
+
+    try:
+        with Image.open(path, formats=("PNG", "JPEG")) as picture:
+            if picture.mode == "P":
+                picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
+            elif picture.mode in ("1", "CMYK", "YCbCr"):
+                picture = picture.convert("L" if picture.mode == "1" else "RGB")
+            elif picture.mode not in ("L", "LA", "RGB", "RGBA"):
+                raise ValueError(f"{path}: pictures of mode {picture.mode!r} are not supported")
+            pixels = np.asarray(picture)
+    except UnidentifiedImageError:
+        known = "EXR, Radiance HDR, PFM, PNG or JPEG"
+        raise ValueError(f"{path}: not a picture that can be read: expected {known}") from None
+    except (OSError, SyntaxError, EOFError) as error:
+        raise ValueError(f"{path}: the picture is truncated or damaged ({error})") from None
+    return pixels[..., None] if pixels.ndim == 2 else pixels
+
+
+def _write_integers(path: Path, pixels: np.ndarray, ending: str, bits: int, raw: bool, quality: int) -> None:
+    """PNG and JPEG, with the sRGB curve on all channels but alpha."""
+    allowed = (1, 3, 4) if ending == ".png" else (1, 3)
+    count = pixels.shape[-1]
+    if count not in allowed:
+        raise ValueError(f"{path}: expected {allowed} channels for {ending}, got {count}")
+    if bits not in ((8, 16) if ending == ".png" else (8,)):
+        raise ValueError(f"bits: expected 8, or 16 for a PNG file, got {bits!r} for {ending}")
+    if not 1 <= quality <= 100:
+        raise ValueError(f"quality: expected 1 to 100, got {quality!r}")
+    values = torch.from_numpy(np.nan_to_num(pixels, nan=0.0)).double().clamp(0, 1)
+    if not raw:
+        colours = 3 if count == 4 else count
+        values = torch.cat([linear_to_srgb(values[..., :colours]), values[..., colours:]], dim=-1).clamp(0, 1)
+    stored = (values * (2**bits - 1) + 0.5).floor().numpy()
+    if bits == 16:
+        png16.write_png16(path, stored.astype(np.uint16))
+        return
+    from PIL import Image
+
+    stored = stored.astype(np.uint8)
+    picture = Image.fromarray(stored[..., 0] if count == 1 else stored)
+    picture.save(path, quality=quality) if ending != ".png" else picture.save(path)

@@ -1,0 +1,35 @@
+"""A progress bar that appears only where somebody is watching."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from typing import Any
+
+from .image import in_notebook
+
+
+def watched() -> bool:
+    """Whether standard error is a terminal, or the code runs in a notebook."""
+    stream = sys.stderr
+    return in_notebook() or bool(stream is not None and hasattr(stream, "isatty") and stream.isatty())
+
+
+def progress(iterable: Iterable | None = None, *, total: int | None = None, desc: str | None = None, **kwargs: Any):
+    """Wrap an iterable in a tqdm bar where a terminal or notebook is watching, and in a silent one elsewhere.
+
+    Args:
+        iterable: what to loop over; ``None`` for a bar that is advanced by ``update``.
+        total: number of steps, where ``len(iterable)`` does not say it.
+        desc: text in front of the bar.
+        **kwargs: further arguments of ``tqdm.tqdm``; ``disable=True`` or ``False`` decides by hand.
+
+    Returns:
+        A ``tqdm`` object: iterate over it, call ``set_postfix``, ``set_description`` or ``update``.
+    """
+    if in_notebook():
+        from tqdm.auto import tqdm
+    else:
+        from tqdm import tqdm
+    kwargs.setdefault("disable", not watched())
+    return tqdm(iterable, total=total, desc=desc, **kwargs)
