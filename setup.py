@@ -16,7 +16,8 @@ Commands
 Environment
     CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++") and further flags
     MAX_JOBS                   number of compilers at once (default: number of processors)
-    TORCHRENDER_BUILD_ISA      comma-separated subset of the instruction sets, to build less while developing
+    TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less while developing
+                               (scalar is what processors other than x86-64 get, and can be built anywhere)
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
 
@@ -50,7 +51,8 @@ AVX512_FLAGS = [
     *["-mavx512f", "-mavx512bw", "-mavx512cd", "-mavx512dq", "-mavx512vl", "-mprefer-vector-width=512"],
 ]
 IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
-ISA_FLAGS = {"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {"scalar": []}
+ISA_FLAGS = {"scalar": []} | ({"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {})
+DEFAULT_ISAS = ["v2", "avx2", "avx512"] if IS_X86 else ["scalar"]
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
@@ -62,12 +64,12 @@ def fail(sentence: str) -> None:
 
 
 def selected_isas() -> list[str]:
-    """The instruction sets to build, best last; all of them unless TORCHRENDER_BUILD_ISA says otherwise."""
+    """The instruction sets to build, best last: DEFAULT_ISAS unless TORCHRENDER_BUILD_ISA says otherwise."""
     wanted = [name.strip() for name in os.environ.get("TORCHRENDER_BUILD_ISA", "").split(",") if name.strip()]
     unknown = [name for name in wanted if name not in ISA_FLAGS]
     if unknown:
         fail(f"TORCHRENDER_BUILD_ISA names {unknown[0]!r}; this processor has {', '.join(ISA_FLAGS)}.")
-    return [name for name in ISA_FLAGS if not wanted or name in wanted]
+    return [name for name in ISA_FLAGS if name in (wanted or DEFAULT_ISAS)]
 
 
 # --- tools -----------------------------------------------------------------------------------------------------------
