@@ -1,0 +1,58 @@
+"""Brings scene files of Mitsuba 0.x (written before version 2.0) to today's names, in place.
+
+Facts: Mitsuba 2's documentation, "Scene format": property names changed from camelCase to under_scores, and the
+texture parameters uscale, vscale, uoffset and voffset became a `to_uv` transform.
+"""
+
+from __future__ import annotations
+
+import re
+
+from .xml_tree import Element
+
+_UV = ("uscale", "vscale", "uoffset", "voffset")
+_NAMED = ("integer", "float", "boolean", "string", "point", "vector", "rgb", "spectrum", "srgb", "transform", "texture")
+
+
+def snake_case(name: str) -> str:
+    """``toWorld`` -> ``to_world``, ``intIOR`` -> ``int_ior``, ``rrDepth`` -> ``rr_depth``."""
+    name = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", name)
+    return re.sub(r"([A-Z]+)([A-Z][a-z])", r"\1_\2", name).lower()
+
+
+def upgrade(element: Element) -> None:
+    """Rewrite `element` and everything in it."""
+    if element.tag == "lookAt":
+        element.tag = "lookat"
+    if "name" in element.attributes and (element.tag in _NAMED or element.tag == "ref"):
+        element.attributes["name"] = snake_case(element.attributes["name"])
+    if element.tag == "texture":
+        _upgrade_uv(element)
+    if element.tag == "spectrum" and _is_triple(element.attributes.get("value", "")):
+        element.tag = "rgb"
+    for child in element.children:
+        upgrade(child)
+
+
+def _is_triple(text: str) -> bool:
+    return ":" not in text and len(text.replace(",", " ").split()) == 3
+
+
+def _upgrade_uv(texture: Element) -> None:
+    given = {c.attributes.get("name"): c for c in texture.children if c.tag == "float"}
+    given = {name: child for name, child in given.items() if name in _UV}
+    if not given:
+        return
+    texture.children = [c for c in texture.children if not any(c is used for used in given.values())]
+    value = {name: child.attributes.get("value", "") for name, child in given.items()}
+    first = next(iter(given.values()))
+
+    def step(tag: str, x: str, y: str) -> Element:
+        return Element(tag, {"x": x, "y": y}, first.file, first.line)
+
+    transform = Element("transform", {"name": "to_uv"}, first.file, first.line)
+    transform.children = [
+        step("scale", value.get("uscale", "1"), value.get("vscale", "1")),
+        step("translate", value.get("uoffset", "0"), value.get("voffset", "0")),
+    ]
+    texture.children.append(transform)
