@@ -146,6 +146,8 @@ def compile_flags(isa: str, sanitize: bool) -> list[str]:
     # them up lets the compiler vectorise square roots and selections.
     flags = ["-std=c++17", "-fPIC", "-fvisibility=hidden", "-fvisibility-inlines-hidden", "-pthread"]
     flags += ["-fno-math-errno", "-fno-trapping-math", "-Wall", "-Wextra", f"-I{CSRC}"]
+    # Dr.Jit's packets read single lanes through pointers of another type; without this, optimised code reads garbage.
+    flags += ["-fno-strict-aliasing"]
     # -isystem: warnings of other people's headers are not ours to fix.
     flags += ["-isystem", package_include("drjit")]
     flags += ["-O1", *SANITIZE_FLAGS] if sanitize else ["-O3", "-DNDEBUG", "-g0"]
