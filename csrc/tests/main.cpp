@@ -1,0 +1,31 @@
+// Native tests: the renderer without Python, for sanitizers and debuggers.
+//
+//     native_tests PATH_OF_EMBREE [WORD]      runs the cases whose name contains WORD
+#include <cstring>
+#include <exception>
+
+#include "harness.h"
+
+int main(int argc, char **argv) {
+    using namespace tr::testing;
+    if (argc < 2) {
+        std::fprintf(stderr, "usage: %s PATH_OF_EMBREE_LIBRARY [WORD]\n", argv[0]);
+        return 2;
+    }
+    embree_path() = argv[1];
+    int passed = 0, failed = 0;
+    for (const Case &one : cases()) {
+        if (argc > 2 && !std::strstr(one.name, argv[2])) continue;
+        failures() = 0;
+        try {
+            one.run();
+        } catch (const std::exception &error) {
+            report("", 0, std::string("unexpected exception: ") + error.what());
+        }
+        if (failures()) std::printf("FAILED %s: %d checks\n", one.name, failures());
+        ++(failures() ? failed : passed);
+        std::fflush(stdout);
+    }
+    std::printf("%d passed, %d failed\n", passed, failed);
+    return failed || !passed;
+}
