@@ -59,7 +59,7 @@ def quads(corners) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (4 n, 3) and faces (2 n, 3) of n separate quadrilaterals."""
     vertices = np.asarray(corners, float).reshape(-1, 3)
     first = np.arange(0, len(vertices), 4)[:, None]
-    faces = np.stack([first + [0, 1, 2], first + [0, 2, 3]], axis=1).reshape(-1, 3)
+    faces = (first[:, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     return vertices, faces
 
 

@@ -1,0 +1,124 @@
+"""Render the scenes of `tests/reference_scenes.py` with Mitsuba 3.9.1 into `tests/data/references.npz`.
+
+Run in Mitsuba's own environment (needs mitsuba and numpy only):
+
+    mitsuba-env/bin/python bench/make_references.py [scene ...]
+
+Stored per scene: `NAME.mean`, `NAME.var`: block means of the image and the variance of that mean over independent
+runs; `NAME.grad.PARAMETER`, `NAME.gradvar.PARAMETER`: derivative of mean(image * weight) by each entry, likewise, and
+`NAME.gradsum.PARAMETER`: the sum over all entries and its variance. Environment maps are stored without padding.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+import reference_scenes as rs  # noqa: E402
+
+RUNS = 16
+SPP, GRADIENT_SPP = 1024, 512
+
+
+def to_mitsuba(value, key: str = ""):
+    """The dictionary with NumPy arrays replaced by Mitsuba's types."""
+    if isinstance(value, dict):
+        value = {name: to_mitsuba(entry, name) for name, entry in value.items()}
+        if value.get("type") == "envmap":
+            value["bitmap"] = mi.Bitmap(np.ascontiguousarray(value.pop("data")))
+        elif value.get("type") == "bitmap":
+            value["data"] = mi.TensorXf(value["data"])
+        return value
+    if key == "to_world":
+        return mi.ScalarTransform4f(value)
+    if key == "to_uv":
+        return mi.ScalarTransform3f(value)
+    return value
+
+
+def unpadded(gradient: np.ndarray) -> np.ndarray:
+    """Gradient of an environment map without its two wrap-around columns (H, W + 2, 3) -> (H, W, 3)."""
+    inner = gradient[:, 1:-1].copy()
+    inner[:, -1] += gradient[:, 0]
+    inner[:, 0] += gradient[:, -1]
+    return inner
+
+
+def blocks(image: np.ndarray) -> np.ndarray:
+    """Means over BLOCK x BLOCK pixels of (H, W, C)."""
+    height, width, channels = image.shape
+    return image.reshape(height // rs.BLOCK, rs.BLOCK, width // rs.BLOCK, rs.BLOCK, channels).mean((1, 3))
+
+
+def mean_and_variance(samples: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean over independent runs, and the variance of that mean."""
+    stack = np.stack(samples).astype(np.float64)
+    return stack.mean(0), stack.var(0, ddof=1) / len(stack)
+
+
+def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np.ndarray]:
+    params = mi.traverse(scene)
+    for name in description.gradients:
+        value = type(params[name])(dr.detach(params[name]))
+        dr.enable_grad(value)
+        params[name] = value
+    params.update()
+    image = mi.render(
+        scene, params, integrator=integrator, spp=16, spp_grad=GRADIENT_SPP, seed=seed, seed_grad=seed + 10_000
+    )
+    dr.backward(dr.mean(image * weight, axis=None))
+    result = {}
+    for name in description.gradients:
+        gradient = np.array(dr.grad(params[name]), dtype=np.float64)
+        if gradient.ndim < 3:  # colours come as (3, 1), single numbers as (1,)
+            gradient = gradient.ravel()
+        is_environment = name.endswith(".data") and "reflectance" not in name and "radiance" not in name
+        result[name] = unpadded(gradient) if is_environment else gradient
+    return result
+
+
+def make(name: str) -> dict[str, np.ndarray]:
+    description = rs.SCENES[name]()
+    scene = mi.load_dict(to_mitsuba(description.scene), optimize=False)
+    images = [blocks(np.array(mi.render(scene, spp=SPP, seed=run + 1))[..., :3]) for run in range(RUNS)]
+    mean, variance = mean_and_variance(images)
+    result = {f"{name}.mean": mean, f"{name}.var": variance}
+    settings = {key: value for key, value in description.scene["integrator"].items() if key != "type"}
+    if description.gradients:
+        integrator = mi.load_dict({"type": "prb", **settings})
+        weight = mi.TensorXf(rs.weight().astype(np.float32))
+        runs = [gradients(scene, description, integrator, weight, 1000 + run) for run in range(RUNS)]
+        for parameter in description.gradients:
+            mean, variance = mean_and_variance([run[parameter] for run in runs])
+            result[f"{name}.grad.{parameter}"], result[f"{name}.gradvar.{parameter}"] = mean, variance
+            total = mean_and_variance([run[parameter].sum() for run in runs])
+            result[f"{name}.gradsum.{parameter}"] = np.array(total)
+    return result
+
+
+def main() -> None:
+    mi.set_variant("llvm_ad_rgb")
+    target = rs.DATA / "references.npz"
+    rs.write_twisted_mesh(rs.DATA / "twisted.ply")
+    stored = dict(np.load(target)) if target.exists() else {}
+    for name in sys.argv[1:] or rs.SCENES:
+        stored = {key: value for key, value in stored.items() if not key.startswith(f"{name}.")}
+        made = make(name)
+        stored.update({key: value.astype(np.float32) for key, value in made.items()})
+        mean, variance = made[f"{name}.mean"], made[f"{name}.var"]
+        print(
+            f"{name}: mean {mean.mean():.4f}, mean relative error {np.sqrt(variance).mean() / mean.mean():.2e}",
+            flush=True,
+        )
+        np.savez_compressed(target, **stored)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,417 @@
+"""Small scenes, one for each group of models, as plain dictionaries of numbers and arrays.
+
+`bench/make_references.py` renders them with Mitsuba 3.9.1 into `tests/data/references.npz`; `test_references.py` renders
+them with torchrender and compares. This module needs NumPy alone, so that both environments can import it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+DATA = Path(__file__).resolve().parent / "data"
+SIZE = 48  # pixels along either side of the film
+BLOCK = 4  # pixels along either side of the blocks over which references are averaged
+
+
+@dataclass(frozen=True)
+class ReferenceScene:
+    """A scene in `load_dict` format and the parameters whose derivative of mean(image * weight) is compared."""
+
+    scene: dict
+    gradients: tuple[str, ...] = ()
+
+
+def translate(x: float, y: float, z: float) -> np.ndarray:
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
+
+
+def scale(x: float, y: float | None = None, z: float | None = None) -> np.ndarray:
+    return np.diag([x, x if y is None else y, x if z is None else z, 1.0])
+
+
+def rotate(axis: str, degrees: float) -> np.ndarray:
+    """Rotation about a coordinate axis, counter-clockwise seen against the axis."""
+    i = "xyz".index(axis)
+    j, k = (i + 1) % 3, (i + 2) % 3
+    cos, sin = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    matrix = np.eye(4)
+    matrix[j, j] = matrix[k, k] = cos
+    matrix[k, j], matrix[j, k] = sin, -sin
+    return matrix
+
+
+def look_at(origin, target, up=(0.0, 1.0, 0.0)) -> np.ndarray:
+    origin, target = np.asarray(origin, float), np.asarray(target, float)
+    forward = (target - origin) / np.linalg.norm(target - origin)
+    left = np.cross(up, forward)
+    left /= np.linalg.norm(left)
+    matrix = np.eye(4)
+    matrix[:3] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+    return matrix
+
+
+def weight(height: int = SIZE, width: int = SIZE, channels: int = 3) -> np.ndarray:
+    """The smooth weight of the scalar mean(image * weight), (H, W, C); the stored comparison scenes use it, too."""
+    x, y = 2 * np.pi * np.arange(width) / width, 2 * np.pi * np.arange(height) / height
+    pattern = 1 + 0.5 * np.sin(x)[None, :] * np.cos(y)[:, None]
+    return pattern[..., None] * np.array([1.0, 0.8, 0.6])[:channels]
+
+
+def _rgb(*values: float) -> dict:
+    return {"type": "rgb", "value": list(values)}
+
+
+def _camera(origin=(0.0, 1.0, 5.0), target=(0.0, 0.0, 0.0), fov=40.0, film: dict | None = None, **more) -> dict:
+    film = {"rfilter": {"type": "box"}, **(film or {})}
+    return {
+        "type": "perspective",
+        "fov": fov,
+        "to_world": look_at(origin, target),
+        "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE, "component_format": "float32", **film},
+        "sampler": {"type": "independent"},
+        **more,
+    }
+
+
+def _scene(integrator: dict, sensor: dict, **objects) -> dict:
+    return {"type": "scene", "integrator": integrator, "sensor": sensor, **objects}
+
+
+def _noise(seed: int, height: int, width: int, low: float, high: float, channels: int = 3) -> np.ndarray:
+    return np.random.default_rng(seed).uniform(low, high, (height, width, channels)).astype(np.float32)
+
+
+def _bitmap(seed: int, height: int, width: int, low: float = 0.1, high: float = 0.9, **more) -> dict:
+    return {"type": "bitmap", "data": _noise(seed, height, width, low, high), "raw": True, **more}
+
+
+def _diffuse(reflectance) -> dict:
+    return {"type": "diffuse", "reflectance": reflectance}
+
+
+PATH5 = {"type": "path", "max_depth": 5, "rr_depth": 100}
+FLOOR = translate(0, -1, 0) @ rotate("x", -90) @ scale(3)
+LAMP = translate(0.3, 2.5, 0.5) @ rotate("x", 90) @ scale(0.6)
+TO_UV = np.array([[2.0, 0.5, 0.2], [-0.4, 3.0, 0.1], [0.0, 0.0, 1.0]])
+
+
+def _lamp(radiance) -> dict:
+    return {"type": "rectangle", "to_world": LAMP, "emitter": {"type": "area", "radiance": radiance}}
+
+
+def _floor(reflectance) -> dict:
+    return {"type": "rectangle", "to_world": FLOOR, "bsdf": _diffuse(reflectance)}
+
+
+def _shapes() -> ReferenceScene:
+    """Every analytic shape, with textures on their own coordinates, lit by a point and a constant light."""
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={
+                "type": "sphere",
+                "center": [-1.1, -0.2, 0.3],
+                "radius": 0.7,
+                "bsdf": _diffuse(_bitmap(1, 8, 16)),
+            },
+            box={
+                "type": "cube",
+                "to_world": translate(1.0, -0.4, -0.2) @ rotate("y", 30) @ scale(0.5, 0.6, 0.5),
+                "bsdf": _diffuse(_bitmap(2, 4, 4)),
+            },
+            plate={
+                "type": "disk",
+                "to_world": translate(0.1, 0.5, -1.0) @ scale(0.9, 0.6, 1.0),
+                "bsdf": _diffuse(_bitmap(3, 6, 6)),
+            },
+            floor=_floor({"type": "checkerboard", "color0": 0.7, "color1": _rgb(0.2, 0.1, 0.3), "to_uv": TO_UV}),
+            bulb={"type": "point", "position": [1.0, 3.0, 3.0], "intensity": _rgb(9.0, 8.0, 6.0)},
+            sky={"type": "constant", "radiance": _rgb(0.4, 0.5, 0.6)},
+        ),
+        (
+            "ball.bsdf.reflectance.data",
+            "box.bsdf.reflectance.data",
+            "plate.bsdf.reflectance.data",
+            "floor.bsdf.reflectance.color1.value",
+            "bulb.intensity.value",
+            "sky.radiance.value",
+        ),
+    )
+
+
+def _bitmaps() -> ReferenceScene:
+    """Bitmap filters and wrap modes with a texture transformation, on five squares facing the camera."""
+    modes = [("bilinear", "repeat"), ("bilinear", "mirror"), ("bilinear", "clamp"), ("nearest", "mirror")]
+    objects = {}
+    for i, (filter_type, wrap_mode) in enumerate(modes):
+        objects[f"square{i}"] = {
+            "type": "rectangle",
+            "to_world": translate(-0.9 + 1.8 * (i % 2), -0.9 + 1.8 * (i // 2), 0.0) @ scale(0.85),
+            "bsdf": _diffuse(_bitmap(10 + i, 4, 5, filter_type=filter_type, wrap_mode=wrap_mode, to_uv=TO_UV)),
+        }
+    sky = {"type": "constant", "radiance": 1.0}
+    names = tuple(f"square{i}.bsdf.reflectance.data" for i in range(4))
+    return ReferenceScene(
+        _scene({"type": "path", "max_depth": 2}, _camera((0, 0, 5)), **objects, sky=sky), (*names, "sky.radiance.value")
+    )
+
+
+def _dielectric() -> ReferenceScene:
+    """A glass ball and a tinted glass slab above a floor under a constant sky."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 8, "rr_depth": 100},
+            _camera(),
+            ball={"type": "sphere", "center": [-0.6, -0.1, 0.2], "radius": 0.8, "bsdf": {"type": "dielectric"}},
+            slab={
+                "type": "cube",
+                "to_world": translate(1.1, -0.3, 0.0) @ rotate("y", 20) @ scale(0.4, 0.6, 0.1),
+                "bsdf": {
+                    "type": "dielectric",
+                    "int_ior": "water",
+                    "ext_ior": 1.0,
+                    "specular_reflectance": _rgb(0.9, 0.8, 0.7),
+                    "specular_transmittance": _rgb(0.5, 0.9, 0.7),
+                },
+            },
+            floor=_floor(_bitmap(4, 8, 8)),
+            sky={"type": "constant", "radiance": _rgb(0.6, 0.8, 1.0)},
+        ),
+        ("floor.bsdf.reflectance.data", "sky.radiance.value"),
+    )
+
+
+def _conductor() -> ReferenceScene:
+    """A golden ball and a tinted mirror, one-sided and two-sided, in a rotated environment map."""
+    gold = {"type": "conductor", "eta": _rgb(0.143, 0.375, 1.442), "k": _rgb(3.983, 2.386, 1.603)}
+    tinted = {"type": "conductor", "specular_reflectance": _rgb(0.9, 0.6, 0.3)}
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={"type": "sphere", "center": [-0.7, -0.2, 0.2], "radius": 0.8, "bsdf": gold},
+            mirror={
+                "type": "rectangle",
+                "to_world": translate(0.9, -0.1, -0.2) @ rotate("y", 160) @ scale(0.8),
+                "bsdf": {"type": "twosided", "bsdf": tinted},
+            },
+            floor=_floor(0.5),
+            sky={
+                "type": "envmap",
+                "data": _noise(5, 8, 16, 0.1, 1.5),
+                "to_world": rotate("y", 40) @ rotate("x", 25),
+                "scale": 0.8,
+            },
+        ),
+        ("sky.data", "floor.bsdf.reflectance.value"),
+    )
+
+
+def _environment() -> ReferenceScene:
+    """Diffuse ball and floor under an environment map with a bright spot: emitter sampling of the map."""
+    data = _noise(6, 16, 32, 0.05, 0.4)
+    data[3:5, 6:8] = 30.0
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={"type": "sphere", "radius": 0.9, "bsdf": _diffuse(_rgb(0.8, 0.5, 0.2))},
+            floor=_floor(_rgb(0.3, 0.5, 0.4)),
+            sky={"type": "envmap", "data": data, "to_world": rotate("y", -70)},
+        ),
+        ("sky.data", "ball.bsdf.reflectance.value", "floor.bsdf.reflectance.value"),
+    )
+
+
+def _area() -> ReferenceScene:
+    """Textured area light, a spherical light and a light on a cube; a two-sided sheet of two colours."""
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            lamp=_lamp(_bitmap(7, 4, 4, 1.0, 12.0)),
+            bulb={
+                "type": "sphere",
+                "center": [-1.4, 0.6, 0.4],
+                "radius": 0.25,
+                "emitter": {"type": "area", "radiance": _rgb(3.0, 5.0, 2.0)},
+            },
+            block={
+                "type": "cube",
+                "to_world": translate(1.3, -0.7, 0.6) @ rotate("y", 25) @ scale(0.2),
+                "emitter": {"type": "area", "radiance": _rgb(2.0, 1.0, 4.0)},
+            },
+            sheet={
+                "type": "rectangle",
+                "to_world": translate(0.0, -0.2, -0.4) @ rotate("y", 75) @ scale(0.7),
+                "bsdf": {
+                    "type": "twosided",
+                    "front": _diffuse(_rgb(0.8, 0.2, 0.2)),
+                    "rear": _diffuse(_rgb(0.2, 0.2, 0.8)),
+                },
+            },
+            floor=_floor(0.6),
+        ),
+        (
+            "lamp.emitter.radiance.data",
+            "bulb.emitter.radiance.value",
+            "block.emitter.radiance.value",
+            "sheet.bsdf.brdf_0.reflectance.value",
+            "sheet.bsdf.brdf_1.reflectance.value",
+            "floor.bsdf.reflectance.value",
+        ),
+    )
+
+
+def _hidden_and_null() -> ReferenceScene:
+    """Hidden emitters, a `null` surface before half of the view, Russian roulette from the second bounce."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": -1, "rr_depth": 2, "hide_emitters": True},
+            _camera(),
+            lamp={
+                "type": "rectangle",
+                "to_world": translate(-0.9, 0.2, 1.0) @ rotate("y", 180) @ scale(0.6),
+                "emitter": {"type": "area", "radiance": _rgb(6.0, 5.0, 4.0)},
+            },
+            curtain={
+                "type": "rectangle",
+                "to_world": translate(1.0, 0.0, 1.2) @ scale(0.8),
+                "bsdf": {"type": "null"},
+            },
+            wall={"type": "rectangle", "to_world": translate(0, 0, -1.5) @ scale(3), "bsdf": _diffuse(0.7)},
+            floor=_floor(_rgb(0.6, 0.7, 0.8)),
+            sky={"type": "constant", "radiance": 0.3},
+        ),
+        ("lamp.emitter.radiance.value", "wall.bsdf.reflectance.value", "floor.bsdf.reflectance.value"),
+    )
+
+
+def _direct() -> ReferenceScene:
+    """The direct-illumination integrator with different numbers of emitter and BSDF samples."""
+    return ReferenceScene(
+        _scene(
+            {"type": "direct", "emitter_samples": 2, "bsdf_samples": 1},
+            _camera(),
+            lamp=_lamp(_rgb(8.0, 7.0, 5.0)),
+            ball={"type": "sphere", "radius": 0.8, "bsdf": _diffuse(_rgb(0.7, 0.5, 0.3))},
+            floor=_floor(0.6),
+            sky={"type": "constant", "radiance": 0.2},
+        )
+    )
+
+
+def _film() -> ReferenceScene:
+    """Gaussian filter, off-centre principal point, field of view along y and a crop window without a border."""
+    film = {
+        "width": 96,
+        "height": 64,
+        "crop_offset_x": 20,
+        "crop_offset_y": 10,
+        "crop_width": SIZE,
+        "crop_height": SIZE,
+        "rfilter": {"type": "gaussian"},
+    }
+    sensor = _camera(
+        film=film, fov_axis="y", principal_point_offset_x=0.06, principal_point_offset_y=-0.04, far_clip=6.5
+    )
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 2},
+            sensor,
+            ball={"type": "sphere", "radius": 0.9, "bsdf": _diffuse(_bitmap(8, 8, 16))},
+            floor=_floor(_bitmap(9, 8, 8)),
+            sky={"type": "constant", "radiance": 1.0},
+        ),
+        ("ball.bsdf.reflectance.data", "floor.bsdf.reflectance.data"),
+    )
+
+
+def _mesh() -> ReferenceScene:
+    """A PLY mesh with smooth normals, vertex and face colours, and one without normals; a tent filter of radius 1.5."""
+    twisted = str(DATA / "twisted.ply")
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(film={"rfilter": {"type": "tent", "radius": 1.5}}),
+            left={
+                "type": "ply",
+                "filename": twisted,
+                "to_world": translate(-1.0, -0.1, 0.0) @ rotate("y", 20),
+                "bsdf": _diffuse({"type": "mesh_attribute", "name": "vertex_color"}),
+            },
+            right={
+                "type": "ply",
+                "filename": twisted,
+                "face_normals": True,
+                "to_world": translate(1.0, -0.1, 0.0) @ rotate("y", -40),
+                "bsdf": {
+                    "type": "twosided",
+                    "bsdf": _diffuse({"type": "mesh_attribute", "name": "face_color", "scale": 0.8}),
+                },
+            },
+            floor=_floor(0.5),
+            lamp=_lamp(_rgb(8.0, 8.0, 8.0)),
+            sky={"type": "constant", "radiance": 0.2},
+        ),
+        ("left.vertex_color", "right.face_color"),
+    )
+
+
+SCENES = {
+    "shapes": _shapes,
+    "bitmaps": _bitmaps,
+    "dielectric": _dielectric,
+    "conductor": _conductor,
+    "environment": _environment,
+    "area": _area,
+    "hidden_and_null": _hidden_and_null,
+    "direct": _direct,
+    "film": _film,
+    "mesh": _mesh,
+}
+
+
+def twisted_mesh(rows: int = 8, columns: int = 12):
+    """A twisted, bulging tube: vertices, normals, vertex colours (V, 3), faces (F, 3), face colours (F, 3)."""
+    vertices, faces = [], []
+    for j in range(rows + 1):
+        for i in range(columns):
+            height = 2 * j / rows - 1
+            angle = 2 * np.pi * i / columns + 0.8 * height
+            radius = 0.6 + 0.15 * np.cos(3 * height) + 0.1 * np.cos(2 * angle)
+            vertices.append((radius * np.cos(angle), 0.8 * height, radius * np.sin(angle)))
+    for j in range(rows):
+        for i in range(columns):
+            a, b = j * columns + i, j * columns + (i + 1) % columns
+            c, d = a + columns, b + columns
+            faces += [(a, c, b), (b, c, d)]
+    vertices, faces = np.array(vertices), np.array(faces)
+    corners = vertices[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices)
+    for k in range(3):
+        np.add.at(normals, faces[:, k], cross)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    rng = np.random.default_rng(20)
+    return vertices, normals, rng.uniform(0.1, 0.9, vertices.shape), faces, rng.uniform(0.1, 0.9, faces.shape)
+
+
+def write_twisted_mesh(path: Path) -> None:
+    """Write `twisted_mesh()` as a binary PLY whose colours Mitsuba and torchrender read as mesh attributes."""
+    vertices, normals, colours, faces, face_colours = twisted_mesh()
+    rows = np.concatenate([vertices, normals, colours], axis=1).astype("<f4")
+    corners = np.empty(len(faces), dtype=[("n", "u1"), ("i", "<i4", 3), ("c", "<f4", 3)])
+    corners["n"], corners["i"], corners["c"] = 3, faces, face_colours
+    vertex_names = ["x", "y", "z", "nx", "ny", "nz", "color_0", "color_1", "color_2"]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}"]
+    header += [f"property float {name}" for name in vertex_names]
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += [f"property float color_{i}" for i in range(3)] + ["end_header", ""]
+    path.write_bytes("\n".join(header).encode() + rows.tobytes() + corners.tobytes())
