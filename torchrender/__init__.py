@@ -1,0 +1,95 @@
+"""torchrender: a differentiable path tracer as a PyTorch layer.
+
+``scene = tr.load_dict({...})``, ``image = tr.render(scene, spp=64, seed=0)``; the image is a tensor with a gradient.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any
+
+from . import backends, integrators
+from .autograd import reattach
+from .backends import show_config
+from .errors import NotDifferentiableError, RenderError
+from .integrators import DirectIllumination, Integrator, PathTracer
+from .loaders.dict import from_trimesh, load_dict, load_file, variants
+from .progress import progress
+from .render import Renderer, render
+from .scene import Scene
+from .scene.camera import PerspectiveCamera
+from .scene.emitters import EnvironmentMap, PointLight
+from .scene.film import Film, ReconstructionFilter, Sampler
+from .scene.materials import Conductor, Dielectric, TwoSided
+from .scene.shapes import Cube, Disk, Mesh, Rectangle, Sphere
+from .scene.textures import Bitmap, Checkerboard, MeshAttribute
+from .transform import Transform
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bitmap",
+    "Checkerboard",
+    "Conductor",
+    "Cube",
+    "Dielectric",
+    "DirectIllumination",
+    "Disk",
+    "EnvironmentMap",
+    "Film",
+    "Integrator",
+    "Mesh",
+    "MeshAttribute",
+    "NotDifferentiableError",
+    "PathTracer",
+    "PerspectiveCamera",
+    "PointLight",
+    "ReconstructionFilter",
+    "Rectangle",
+    "RenderError",
+    "Renderer",
+    "Sampler",
+    "Scene",
+    "Sphere",
+    "Transform",
+    "TwoSided",
+    "backends",
+    "from_trimesh",
+    "integrators",
+    "load_dict",
+    "load_file",
+    "progress",
+    "reattach",
+    "render",
+    "show_config",
+    "variants",
+]
+
+# Imported when first used, so that importing this package stays fast: module -> names that it gives.
+_LAZY_MODULES = ("constraints", "io", "optim", "testing")
+_LAZY_NAMES = {"tonemap": "image", "show": "image", "ray_intersect": "queries", "ray_occluded": "queries"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _LAZY_MODULES:
+        return importlib.import_module(f".{name}", __name__)
+    if name in _LAZY_NAMES:
+        value = getattr(importlib.import_module(f".{_LAZY_NAMES[name]}", __name__), name)
+        globals()[name] = value
+        return value
+    if name[:1].isupper() and not name.startswith("_"):
+        # Classes generated from the native declaration: tr.Diffuse, tr.AreaLight, ...
+        from .scene import registry
+
+        known = registry.public_classes()
+        if name in known:
+            value = registry.plugin_class(*known[name])
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'torchrender' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    from .scene import registry
+
+    return sorted({*globals(), *_LAZY_MODULES, *_LAZY_NAMES, *registry.public_classes()})

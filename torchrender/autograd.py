@@ -1,0 +1,240 @@
+"""The boundary to autograd: one `torch.autograd.Function` with forward, reverse mode and forward mode.
+
+Nothing of a path is kept between forward and backward: the derivative is estimated from samples of its own, keyed by
+`seed_grad`, so what is saved are the parameters, whose version counters let torch notice edits in between.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch.autograd import Function
+
+from .errors import NotDifferentiableError, RenderError
+from .scene.native import NativeScene
+
+MASK = (1 << 64) - 1
+SECOND = "a rendering has first derivatives only: differentiating its gradient again is not possible"
+
+
+def mix(seed: int, stream: int) -> int:
+    """A 64-bit hash of a seed and a stream number (splitmix64's finaliser)."""
+    x = (seed + 0x9E3779B97F4A7C15 * (stream + 1)) & MASK
+    x = ((x ^ (x >> 30)) * 0xBF58476D1CE4E5B9) & MASK
+    x = ((x ^ (x >> 27)) * 0x94D049BB133111EB) & MASK
+    return x ^ (x >> 31)
+
+
+@dataclass
+class RenderCall:
+    """Everything of one rendering of one sensor that is no tensor."""
+
+    native: NativeScene
+    config: dict[str, Any]  # what primal and derivative rendering share
+    size: tuple[int, int]
+    spp: int
+    seed: int
+    spp_grad: int
+    seed_grad: int
+    passes: int
+    nan: str
+    alpha: bool
+    statistics: dict[str, Any]
+    refusals: list[tuple[str, str]]  # name of each parameter, and why it has no derivative
+
+    def configs(self, derivative: bool) -> list[dict[str, Any]]:
+        """The core's settings of each pass."""
+        seed, spp = (self.seed_grad, self.spp_grad) if derivative else (self.seed, self.spp)
+        threads = torch.get_num_threads()
+        return [
+            {**self.config, "spp": spp, "seed": seed if i == 0 else mix(seed, i), "threads": threads}
+            for i in range(self.passes)
+        ]
+
+    def finish(self, kind: str, all_stats: list[dict[str, Any]]) -> None:
+        """Keep the statistics; speak once of samples that were not finite."""
+        total = dict(all_stats[0])
+        for stats in all_stats[1:]:
+            for key, value in stats.items():
+                if isinstance(value, (int, float)) and key != "lanes":
+                    total[key] += value
+        self.statistics[kind] = total
+        count = int(total.get("nonfinite", 0))
+        if count:
+            where = next((s["nonfinite_where"] for s in all_stats if s.get("nonfinite")), "")
+            text = f"{count} samples were not finite" + (f", first at {where}" if where else "")
+            if self.nan == "raise":
+                raise RenderError(text)
+            warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=2)
+
+    def shape(self) -> tuple[int, int, int]:
+        return (*self.size, self.native.channels)
+
+
+def _passes(configs: list[dict[str, Any]]) -> Any:
+    if len(configs) < 2:
+        return configs
+    from .progress import progress
+
+    return progress(configs, desc="passes", leave=False)
+
+
+class RenderFunction(Function):
+    """``image[, alpha] = RenderFunction.apply(call, *parameters)``."""
+
+    @staticmethod
+    def forward(call: RenderCall, *params: torch.Tensor) -> Any:
+        dtype = call.native.dtype
+        image = torch.empty(call.shape(), dtype=dtype)
+        alpha = torch.empty(call.size, dtype=dtype) if call.alpha else None
+        configs = call.configs(derivative=False)
+        all_stats = []
+        total_image, total_alpha = image, alpha
+        for i, config in enumerate(_passes(configs)):
+            if i == 1:
+                image, alpha = torch.empty_like(image), None if alpha is None else torch.empty_like(alpha)
+            out = {"image": image.data_ptr(), "alpha": 0 if alpha is None else alpha.data_ptr()}
+            all_stats.append(call.native.call("render", list(params), config, out))
+            if i:
+                total_image += image
+                if total_alpha is not None:
+                    total_alpha += alpha
+        if call.passes > 1:
+            total_image /= call.passes
+            if total_alpha is not None:
+                total_alpha /= call.passes
+        call.finish("render", all_stats)
+        return total_image if total_alpha is None else (total_image, total_alpha)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        call, *params = inputs
+        ctx.call = call
+        ctx.save_for_backward(*params)
+        ctx.save_for_forward(*params)
+        ctx.set_materialize_grads(False)
+        if call.alpha:
+            # Coverage does not depend on what has derivatives: colours, textures, lights.
+            ctx.mark_non_differentiable(output[1])
+
+    @staticmethod
+    def backward(ctx: Any, grad_image: torch.Tensor | None, *_: Any) -> Any:
+        params = ctx.saved_tensors
+        needed = ctx.needs_input_grad[1:]
+        if grad_image is None or not any(needed):
+            return (None,) * (1 + len(params))
+        return (None, *RenderVjpFunction.apply(ctx.call, needed, grad_image, *params))
+
+    @staticmethod
+    def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
+        call = ctx.call
+        params = ctx.saved_tensors
+        for given, (name, reason) in zip(tangents, call.refusals, strict=True):
+            if given is not None and reason:
+                refuse(name, reason)
+        tangent = RenderJvpFunction.apply(call, *params, *tangents)
+        return (tangent, None) if call.alpha else tangent
+
+
+class _Derivative(Function):
+    """A derivative as a function of its own: `torch.func` unwraps its tensors, and a second one is refused in words."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(SECOND)
+
+    @staticmethod
+    def jvp(ctx: Any, *tangents: Any) -> Any:
+        raise NotDifferentiableError(SECOND)
+
+
+class RenderJvpFunction(_Derivative):
+    """``tangent = RenderJvpFunction.apply(call, *parameters, *tangents)``."""
+
+    @staticmethod
+    def forward(call: RenderCall, *tensors: torch.Tensor | None) -> torch.Tensor:
+        dtype = call.native.dtype
+        count = len(tensors) // 2
+        params, tangents = list(tensors[:count]), tensors[count:]
+        dense = [
+            None if t is None else t.detach().to(dtype=dtype).expand(p.shape).contiguous()
+            for t, p in zip(tangents, params, strict=True)
+        ]
+        addresses = [0 if t is None else t.data_ptr() for t in dense]
+        total = out = torch.empty(call.shape(), dtype=dtype)
+        all_stats = []
+        for i, config in enumerate(_passes(call.configs(derivative=True))):
+            if i == 1:
+                out = torch.empty_like(out)
+            all_stats.append(call.native.call("render_jvp", params, config, addresses, out.data_ptr()))
+            if i:
+                total += out
+        if call.passes > 1:
+            total /= call.passes
+        call.finish("jvp", all_stats)
+        return total
+
+
+class RenderVjpFunction(_Derivative):
+    """``gradients = RenderVjpFunction.apply(call, needed, adjoint, *parameters)``."""
+
+    @staticmethod
+    def forward(call: RenderCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *params: torch.Tensor) -> Any:
+        adjoint = adjoint.detach().to(dtype=call.native.dtype).contiguous()
+        if call.passes > 1:
+            adjoint = adjoint / call.passes
+        grads = [torch.zeros_like(p) if n else None for p, n in zip(params, needed, strict=True)]
+        addresses = [0 if g is None else g.data_ptr() for g in grads]
+        all_stats = []
+        for config in _passes(call.configs(derivative=True)):
+            all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
+        call.finish("vjp", all_stats)
+        return tuple(grads)
+
+
+def refuse(name: str, reason: str) -> None:
+    """NotDifferentiableError for a parameter of this name."""
+    raise NotDifferentiableError(
+        f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
+        "switch its requires_grad off"
+    )
+
+
+class _Reattach(Function):
+    @staticmethod
+    def forward(value: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
+        return value.clone()
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: Any, grad: torch.Tensor) -> Any:
+        return None, grad
+
+    @staticmethod
+    def jvp(ctx: Any, value_t: torch.Tensor, derivative_t: torch.Tensor) -> torch.Tensor:
+        return derivative_t.clone()
+
+
+def reattach(value: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:
+    """`value` with the derivative of `derivative`: numbers of the one, gradients of the other, of equal shape.
+
+    For example a denoised or a converged image with the gradient of a noisy one.
+    """
+    for name, tensor in (("value", value), ("derivative", derivative)):
+        if not isinstance(tensor, torch.Tensor):
+            raise TypeError(f"reattach: {name}: expected a tensor, got {type(tensor).__name__}")
+    if value.shape != derivative.shape:
+        raise ValueError(
+            f"reattach: value has shape {tuple(value.shape)}, but derivative has {tuple(derivative.shape)}"
+        )
+    return _Reattach.apply(value.detach().to(derivative.dtype), derivative)

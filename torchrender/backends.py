@@ -1,0 +1,206 @@
+"""Which compiled cores exist, which one runs, and where Embree comes from.
+
+The same C++ sources are compiled once per instruction set into modules of their own; the best one that this
+processor supports is imported when it is first needed. Environment variables: ``TORCHRENDER_ISA`` forces one of
+``scalar``, ``v2``, ``avx2``, ``avx512``; ``TORCHRENDER_EMBREE`` is the path of another Embree 4 library.
+"""
+
+from __future__ import annotations
+
+import glob
+import importlib
+import importlib.machinery
+import importlib.util
+import os
+import platform
+import sys
+import threading
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+PREFERENCE = ("avx512", "avx2", "v2", "scalar")
+"""Instruction sets, best first."""
+
+_lock = threading.RLock()
+_core: ModuleType | None = None
+_core_isa = ""
+_embree: dict[str, Any] | None = None
+_embree_path: str | None = None
+
+
+def compiled() -> list[str]:
+    """Instruction sets that this installation has a compiled core for, best first."""
+    folder = Path(__file__).parent
+    found = []
+    for isa in PREFERENCE:
+        if any((folder / f"_core_{isa}{suffix}").exists() for suffix in importlib.machinery.EXTENSION_SUFFIXES):
+            found.append(isa)
+    return found
+
+
+def _supported(present: list[str]) -> dict[str, bool]:
+    """Which of the compiled instruction sets this processor has."""
+    baseline = "v2" if "v2" in present else None
+    if baseline is not None:
+        flags = dict(importlib.import_module(f"torchrender._core_{baseline}").cpu_supports())
+    else:
+        import torch
+
+        level = torch.backends.cpu.get_cpu_capability()
+        flags = {"v2": True, "avx2": level in ("AVX2", "AVX512"), "avx512": level == "AVX512"}
+    flags["scalar"] = True
+    return {isa: bool(flags.get(isa, False)) for isa in present}
+
+
+def status() -> dict[str, str]:
+    """For each instruction set a word or two: ``"used"``, ``"available"``, or why it is not used.
+
+    Loads the native core if that has not happened yet.
+    """
+    present = compiled()
+    supported = _supported(present) if present else {}
+    try:
+        core()
+    except ImportError:
+        pass
+    report = {}
+    for isa in PREFERENCE:
+        if isa == _core_isa:
+            forced = os.environ.get("TORCHRENDER_ISA") == isa
+            report[isa] = "used" + (", forced by TORCHRENDER_ISA" if forced else "")
+        elif isa not in present:
+            report[isa] = "not compiled"
+        elif not supported[isa]:
+            report[isa] = "compiled, but this processor does not support it"
+        else:
+            report[isa] = f"available, but {_core_isa} is preferred"
+    return report
+
+
+def _choose() -> str:
+    present = compiled()
+    if not present:
+        raise ImportError(
+            "torchrender has no compiled core: build it with 'pip install .' (or 'make build') in its source folder"
+        )
+    forced = os.environ.get("TORCHRENDER_ISA", "").strip()
+    supported = _supported(present)
+    if forced:
+        if forced not in PREFERENCE:
+            raise ImportError(f"TORCHRENDER_ISA: expected one of {', '.join(PREFERENCE)}, got {forced!r}")
+        if forced not in present:
+            raise ImportError(f"TORCHRENDER_ISA={forced}: not compiled here; there are: {', '.join(present)}")
+        if not supported[forced]:
+            raise ImportError(f"TORCHRENDER_ISA={forced}: this processor does not support it")
+        return forced
+    for isa in present:
+        if supported[isa]:
+            return isa
+    raise ImportError(f"none of the compiled cores ({', '.join(present)}) runs on this processor: rebuild torchrender")
+
+
+def core() -> ModuleType:
+    """The native module in use, without Embree loaded; ImportError says in one sentence what is missing."""
+    global _core, _core_isa
+    if _core is None:
+        with _lock:
+            if _core is None:
+                isa = _choose()
+                _core = importlib.import_module(f"torchrender._core_{isa}")
+                _core_isa = isa
+    return _core
+
+
+def ready() -> ModuleType:
+    """The native module in use with Embree loaded and tested: what building a scene needs."""
+    module = core()
+    if _embree is None:
+        with _lock:
+            if _embree is None:
+                _load_embree(find_embree())
+    return module
+
+
+def isa() -> str:
+    """The instruction set in use."""
+    core()
+    return _core_isa
+
+
+def find_embree() -> str:
+    """Path of the Embree 4 library that is used: the one given, else the one that the embreex wheel brings."""
+    given = _embree_path or os.environ.get("TORCHRENDER_EMBREE", "").strip()
+    if given:
+        if not Path(given).exists():
+            raise FileNotFoundError(f"Embree: no such file: {given}")
+        return given
+    spec = importlib.util.find_spec("embreex")
+    if spec is None or not spec.submodule_search_locations:
+        raise ImportError("Embree is missing: install it with 'pip install embreex', or set TORCHRENDER_EMBREE")
+    package = Path(next(iter(spec.submodule_search_locations)))
+    names = {"win32": "embree4*.dll", "darwin": "libembree4*.dylib"}.get(sys.platform, "libembree4*.so*")
+    for folder in (package.parent / "embreex.libs", package / ".dylibs", package.parent / "embreex.dylibs", package):
+        found = sorted(glob.glob(str(folder / names)))
+        if found:
+            return found[0]
+    raise ImportError(
+        f"the embreex package in {package} brings no Embree 4 library: 'pip install --upgrade embreex>=4.4', "
+        "or set TORCHRENDER_EMBREE to the path of one"
+    )
+
+
+def use_embree(path: str | os.PathLike[str]) -> None:
+    """Use the Embree 4 library at `path`; has to come before the first scene is rendered."""
+    global _embree_path
+    path = os.fspath(path)
+    if not Path(path).exists():
+        raise FileNotFoundError(f"use_embree: no such file: {path}")
+    with _lock:
+        if _embree is not None:
+            if os.path.realpath(_embree["path"]) == os.path.realpath(path):
+                return
+            raise RuntimeError(f"use_embree: {_embree['path']} is already loaded; call this before the first scene")
+        _load_embree(path)
+        _embree_path = path
+
+
+def _load_embree(path: str) -> None:
+    global _embree
+    try:
+        _embree = dict(core().load_embree(path))
+    except RuntimeError as error:
+        raise ImportError(f"Embree at {path} cannot be used: {error}") from error
+
+
+def embree() -> dict[str, Any]:
+    """Version and path of the Embree library in use: ``{"version": "4.4.0", "path": ...}``."""
+    ready()
+    assert _embree is not None
+    return dict(_embree)
+
+
+def show_config() -> str:
+    """Print, and return, what a bug report needs: versions, processor, threads, cores and Embree."""
+    import torch
+
+    from . import __version__
+
+    lines = [
+        f"torchrender {__version__}",
+        f"python      {platform.python_version()} on {platform.platform()}",
+        f"torch       {torch.__version__}, {torch.get_num_threads()} threads",
+        f"processor   {platform.machine()}, torch capability {torch.backends.cpu.get_cpu_capability()}",
+    ]
+    for name, state in status().items():
+        lines.append(f"core {name:<7}{state}")
+    try:
+        info = dict(core().info())
+        lines.append("compiled    " + ", ".join(f"{k} {v}" for k, v in info.items()))
+        found = embree()
+        lines.append(f"embree      {found['version']} at {found['path']}")
+    except (ImportError, OSError) as error:
+        lines.append(f"problem     {error}")
+    text = "\n".join(lines)
+    print(text)
+    return text

@@ -1,0 +1,39 @@
+"""Exceptions of this package, and the wording that all argument checks share."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class NotDifferentiableError(RuntimeError):
+    """A derivative was asked for that the renderer does not have.
+
+    Raised before any work, so that a missing derivative is never a silent zero.
+    """
+
+
+class RenderError(RuntimeError):
+    """A rendering failed: non-finite samples with ``nan="raise"``, or a broken native library."""
+
+
+def nearest(word: str, known: Iterable[str]) -> str:
+    """A clause naming the known words nearest to `word`, or listing all of them when none is near."""
+    names = sorted(set(known))
+    if not names:
+        return "none is accepted here"
+    close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
+    if close:
+        return "did you mean " + " or ".join(repr(c) for c in close) + "?"
+    return "known here: " + ", ".join(names)
+
+
+def describe(value: object) -> str:
+    """What came, for an error message: type, and shape and dtype where there are any."""
+    shape = getattr(value, "shape", None)
+    if shape is not None and hasattr(value, "dtype"):
+        return f"a {type(value).__name__} of shape {tuple(shape)} and dtype {value.dtype}"
+    text = repr(value)
+    if len(text) > 60:
+        text = text[:57] + "..."
+    return f"{text} ({type(value).__name__})"

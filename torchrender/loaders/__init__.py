@@ -1,0 +1,1 @@
+"""From descriptions to scenes: nested dicts, Mitsuba XML, geometry files."""

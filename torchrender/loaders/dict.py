@@ -1,0 +1,133 @@
+"""Scenes from nested dicts, and from files by way of them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from ..errors import describe, nearest
+from ..scene import registry
+from ..scene.context import Context
+from ..scene.scene import VARIANTS, Scene
+
+DTYPES = (torch.float32, torch.float64)
+POSSIBLE_VARIANTS = tuple(f"{c}{p}" for c in ("mono", "rgb", "spectral") for p in ("", "_polarized"))
+
+
+def variants() -> list[str]:
+    """The colour variants that this build has, for ``load_dict(..., variant=...)``."""
+    from .. import backends
+
+    found = {str(v["color"]) for v in backends.core().variants()}
+    return [v for v in POSSIBLE_VARIANTS if v in found]
+
+
+def _settings(function: str, variant: Any, dtype: Any, device: Any) -> torch.device:
+    if variant not in VARIANTS:
+        if variant in POSSIBLE_VARIANTS:
+            raise ValueError(
+                f"{function}: variant {variant!r} is not supported by this build; it has: {', '.join(VARIANTS)}"
+            )
+        raise ValueError(f"{function}: unknown variant {variant!r}; {nearest(str(variant), VARIANTS)}")
+    if dtype not in DTYPES:
+        raise ValueError(f"{function}: dtype: expected torch.float32 or torch.float64, got {dtype!r}")
+    try:
+        made = torch.device(device)
+    except (RuntimeError, TypeError):
+        raise ValueError(f"{function}: device: expected 'cpu', got {describe(device)}") from None
+    if made.type != "cpu":
+        raise ValueError(f"{function}: device: this build renders on the CPU, got {str(made)!r}")
+    return made
+
+
+def load_dict(
+    description: Mapping[str, Any],
+    *,
+    variant: str = "rgb",
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+    _folder: Path | None = None,
+) -> Any:
+    """A scene, or a single object, from a nested dict in the format that Mitsuba 3 documents.
+
+    Args:
+        description: ``{"type": "scene", "id": {"type": ..., ...}, ...}``. Values may be numbers, lists, arrays, tensors,
+            dicts, references ``{"type": "ref", "id": NAME}`` and built objects such as `tr.Mesh`.
+        variant: colour mode, one of `variants()`.
+        dtype: `torch.float32` or `torch.float64`, of all parameters and of the rendering.
+        device: ``"cpu"``.
+
+    Raises:
+        ValueError: naming the place in the scene, the word that is wrong, and the nearest known ones.
+    """
+    made_device = _settings("load_dict", variant, dtype, device)
+    if not isinstance(description, Mapping):
+        raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}")
+    kind = description.get("type")
+    if kind is None:
+        raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
+    if kind == "scene":
+        objects = {k: v for k, v in description.items() if k not in ("type", "id")}
+        return Scene(objects, variant, dtype, made_device, _folder)
+    ctx = Context(variant, dtype, made_device, (str(kind),), _folder)
+    from ..integrators import TYPES, from_dict
+
+    if kind in TYPES:
+        return from_dict(dict(description), str(kind))
+    if kind == "hdrfilm":
+        from ..scene.film import film_from
+
+        return film_from(description, ctx)
+    return registry.build(description, ctx)
+
+
+def load_file(
+    path: str | os.PathLike[str],
+    *,
+    variant: str = "rgb",
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+    **parameters: Any,
+) -> Scene:
+    """A scene from a file: Mitsuba XML, or geometry that trimesh reads (glTF/GLB, OBJ, PLY, STL).
+
+    Args:
+        path: the file.
+        variant, dtype, device: as for `load_dict`.
+        parameters: values for the ``$parameters`` of an XML file.
+    """
+    _settings("load_file", variant, dtype, device)
+    file = Path(path)
+    if not file.exists():
+        raise FileNotFoundError(f"load_file: no such file: {file}")
+    if file.is_dir():
+        raise ValueError(f"load_file: {file} is a folder")
+    if file.suffix.lower() == ".xml":
+        from . import xml
+
+        description = xml.parse(file, **parameters)
+    else:
+        if parameters:
+            raise TypeError(f"load_file: {file.name} takes no parameters, got {', '.join(parameters)}")
+        from . import geometry
+
+        description = geometry.load_scene(file)
+    return load_dict(description, variant=variant, dtype=dtype, device=device, _folder=file.resolve().parent)
+
+
+def from_trimesh(
+    geometry: Any,
+    *,
+    variant: str = "rgb",
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+) -> Scene:
+    """A scene from a `trimesh.Trimesh` or `trimesh.Scene`: meshes with their materials, a camera and a light."""
+    from . import geometry as loader
+
+    _settings("from_trimesh", variant, dtype, device)
+    return load_dict(loader.from_trimesh(geometry), variant=variant, dtype=dtype, device=device)

@@ -1,0 +1,304 @@
+"""Rendering: `render` and `Renderer`, the layer that a PyTorch program calls."""
+
+from __future__ import annotations
+
+import math
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+
+from .autograd import MASK, RenderCall, RenderFunction, mix, refuse
+from .errors import describe, nearest
+from .integrators import Integrator, PathTracer
+from .scene.camera import PerspectiveCamera
+from .scene.context import Context
+from .scene.film import Film, check_crop
+from .scene.gather import gather, substitute
+from .scene.packing import Layout
+from .scene.scene import Scene, default_sample_count
+
+OUTPUTS = ("rgb", "alpha")
+LATER_OUTPUTS = ("depth", "position", "shading_normal", "uv", "albedo", "shape_id", "variance")
+LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
+# What tells the derivative's seed from the image's.
+GRADIENT_STREAM = 0x67726164
+
+
+def render(
+    scene: Scene,
+    *,
+    sensor: int | PerspectiveCamera | Sequence[int | PerspectiveCamera] = 0,
+    integrator: Integrator | None = None,
+    spp: int | None = None,
+    seed: int | torch.Generator | None = None,
+    spp_grad: int | None = None,
+    seed_grad: int | None = None,
+    passes: int = 1,
+    params: Mapping[str, torch.Tensor] | None = None,
+    outputs: Sequence[str] | None = None,
+    crop: Sequence[int] | None = None,
+    pixels: torch.Tensor | None = None,
+    layout: str = "hwc",
+    correlated: bool = False,
+    nan: str = "drop",
+) -> Any:
+    """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
+
+    Args:
+        scene: what to render.
+        sensor: index of a camera of the scene, a camera object, or a list of them, whose films have one size.
+        integrator: how; None takes the scene's own, else ``PathTracer()``.
+        spp: samples a pixel; None takes the camera's own number, else 16.
+        seed: an integer, a `torch.Generator`, or None, which draws from torch's default generator. The same seed gives
+            the same image.
+        spp_grad: samples a pixel of the derivative; None takes `spp`.
+        seed_grad: seed of the derivative; None takes a hash of `seed`, so that image and derivative are independent.
+        passes: number of independent passes, each of `spp` and `spp_grad`, that are averaged in constant memory.
+        params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
+        outputs: names of what is wanted; a named tuple of tensors comes back. Here: ``"rgb"``, ``"alpha"`` (H, W).
+        crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
+        pixels: not supported by this version.
+        layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch dimension to the first two.
+        correlated: allow `seed_grad` equal to `seed`: gradients of nonlinear losses are then biased.
+        nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
+
+    Raises:
+        TypeError, ValueError: before any work, naming the argument, what was expected and what came.
+        NotDifferentiableError: a parameter requires a gradient that does not exist.
+    """
+    if not isinstance(scene, Scene):
+        raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
+    integrator_config = _integrator(scene, integrator)
+    names = _outputs(outputs)
+    if pixels is not None:
+        raise ValueError("render: pixels: not supported by this version; crop=(y0, x0, height, width) is")
+    if layout not in LAYOUTS:
+        raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
+    if nan not in ("drop", "raise"):
+        raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+    passes = _count("passes", passes)
+    packed = scene.layout()
+    cameras, batched = _cameras(scene, packed, sensor)
+    first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
+    tensors = gather(scene, packed, params)
+    images, alphas = [], []
+    for index, camera in cameras:
+        film = camera.film
+        samples = default_sample_count(camera) if spp is None else _count("spp", spp)
+        window, size, config = _film_config(film, crop)
+        used = tensors
+        if index == len(packed.sensors) - 1:
+            used = substitute(scene, packed, tensors, camera)
+        native = scene.native(packed, [tuple(t.shape) for t in used])
+        call = RenderCall(
+            native=native,
+            config={
+                **integrator_config,
+                **config,
+                "sensor": index,
+                "crop": window,
+                "packet": True,
+                "sample_offset": 0,
+            },
+            size=size,
+            spp=samples,
+            seed=first_seed,
+            spp_grad=samples if spp_grad is None else _count("spp_grad", spp_grad),
+            seed_grad=gradient_seed,
+            passes=passes,
+            nan=nan,
+            alpha="alpha" in names,
+            statistics=scene.statistics,
+            refusals=packed.refusals(),
+        )
+        _check_derivatives(call, used)
+        result = RenderFunction.apply(call, *used)
+        image, alpha = result if call.alpha else (result, None)
+        images.append(image)
+        alphas.append(alpha)
+    found = {
+        "rgb": _arrange(images, batched, layout, channels=True),
+        "alpha": _arrange(alphas, batched, layout, channels=False) if "alpha" in names else None,
+    }
+    if outputs is None:
+        return found["rgb"]
+    return namedtuple("Outputs", names)(*(found[n] for n in names))
+
+
+def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:
+    want_batch = batched or layout.startswith("b")
+    image = torch.stack(images) if want_batch else images[0]
+    if channels and layout.endswith("chw"):
+        image = image.movedim(-1, -3)
+    return image
+
+
+def _integrator(scene: Scene, integrator: Any) -> dict[str, Any]:
+    if integrator is None:
+        integrator = scene.integrator or PathTracer()
+    elif isinstance(integrator, (Mapping, str)):
+        from .integrators import DOCUMENTED, TYPES, from_dict
+
+        given = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
+        kind = given.get("type")
+        if kind not in TYPES:
+            if kind in DOCUMENTED:
+                raise ValueError(
+                    f"render: integrator: {kind!r} is not supported by this version; supported are: {', '.join(TYPES)}"
+                )
+            raise ValueError(f"render: integrator: unknown type {kind!r}; {nearest(str(kind), TYPES)}")
+        integrator = from_dict(given, "render: integrator")
+    if not isinstance(integrator, Integrator):
+        raise TypeError(f"render: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
+    return integrator.config()
+
+
+def _outputs(outputs: Any) -> tuple[str, ...]:
+    if outputs is None:
+        return ("rgb",)
+    if isinstance(outputs, str) or not isinstance(outputs, Sequence) or not outputs:
+        raise TypeError(f"render: outputs: expected a sequence of names such as ('rgb', 'alpha'), got {outputs!r}")
+    for name in outputs:
+        if name in LATER_OUTPUTS:
+            raise ValueError(
+                f"render: outputs: {name!r} is not supported by this version; supported are: {', '.join(OUTPUTS)}"
+            )
+        if name not in OUTPUTS:
+            raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
+    if len(set(outputs)) != len(outputs):
+        raise ValueError(f"render: outputs: a name comes twice in {tuple(outputs)!r}")
+    return tuple(outputs)
+
+
+def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 30) -> int:
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"render: {name}: expected an integer, got {describe(value)}")
+    value = value.__index__()
+    if not minimum <= value <= maximum:
+        raise ValueError(f"render: {name}: expected a number from {minimum} to {maximum}, got {value}")
+    return value
+
+
+def _seed(name: str, value: Any) -> int:
+    if isinstance(value, torch.Generator):
+        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value))
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
+    value = value.__index__()
+    if not 0 <= value <= MASK:
+        raise ValueError(f"render: {name}: expected a number from 0 to 2**64 - 1, got {value}")
+    return value
+
+
+def _seeds(seed: Any, seed_grad: Any, correlated: Any) -> tuple[int, int]:
+    if not isinstance(correlated, bool):
+        raise TypeError(f"render: correlated: expected True or False, got {describe(correlated)}")
+    first = int(torch.randint(0, (1 << 63) - 1, (1,))) if seed is None else _seed("seed", seed)
+    if correlated:
+        if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
+            raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")
+        return first, first
+    if seed_grad is None:
+        return first, mix(first, GRADIENT_STREAM)
+    second = _seed("seed_grad", seed_grad)
+    if second == first:
+        raise ValueError(
+            f"render: seed_grad: equal to seed ({first}), which makes gradients of nonlinear losses biased; "
+            "give another one, or correlated=True if that is meant"
+        )
+    return first, second
+
+
+def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int, PerspectiveCamera]], bool]:
+    """Pairs of index and camera; the last index of the packed sensors stands for cameras outside of the scene."""
+    batched = isinstance(sensor, Sequence) and not isinstance(sensor, str)
+    chosen = list(sensor) if batched else [sensor]
+    if not chosen:
+        raise ValueError("render: sensor: an empty list")
+    own = packed.sensors[:-1]
+    found: list[tuple[int, PerspectiveCamera]] = []
+    for item in chosen:
+        if isinstance(item, PerspectiveCamera):
+            index = next((i for i, camera in enumerate(own) if camera is item), len(own))
+            found.append((index, item))
+            continue
+        if isinstance(item, bool) or not hasattr(item, "__index__"):
+            raise TypeError(f"render: sensor: expected an index or a camera, got {describe(item)}")
+        index = item.__index__()
+        if not own:
+            raise ValueError(
+                "render: sensor: the scene has no camera; pass one, such as PerspectiveCamera.look_at(...)"
+            )
+        if not -len(own) <= index < len(own):
+            raise ValueError(f"render: sensor: index {index}, but the scene has {len(own)} cameras")
+        found.append((index % len(own), own[index]))
+    sizes = {camera.film.window[2:] for _, camera in found}
+    if len(sizes) > 1:
+        raise ValueError(f"render: sensor: films of one size are needed in a list, got {sorted(sizes)} (rows, columns)")
+    return found, batched
+
+
+def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tuple[int, int], dict[str, Any]]:
+    """What is rendered, its size, and the film's settings for the core."""
+    film.check(Context(path=("film",)))
+    y0, x0, height, width = film.window
+    rendered = film.window
+    sampled = film.window
+    if film.sample_border:
+        reach = {"box": 0.5, "tent": film.filter.radius, "gaussian": 4 * film.filter.stddev}[film.filter.type]
+        margin = max(0, math.ceil(reach - 0.5))
+        sampled = (y0 - margin, x0 - margin, height + 2 * margin, width + 2 * margin)
+    if crop is not None:
+        top, left, rows, columns = check_crop(crop, (height, width), Context(path=("render",)))
+        rendered = (y0 + top, x0 + left, rows, columns)
+    config = {
+        "film_size": (film.height, film.width),
+        "window": sampled,
+        "border": crop is not None or film.sample_border,
+        "filter": film.filter.type,
+        "filter_param": film.filter.parameter,
+    }
+    return rendered, rendered[2:], config
+
+
+def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:
+    if not torch.is_grad_enabled():
+        return
+    for tensor, (name, reason) in zip(tensors, call.refusals, strict=True):
+        if reason and tensor.requires_grad:
+            refuse(name, reason)
+
+
+class Renderer(nn.Module):
+    """A scene and how to render it, as a layer: calling it is `render` with these settings as defaults.
+
+    Args:
+        scene: a `Scene`; its parameters are this module's.
+        settings: keyword arguments of `render`, each of which a call may override.
+    """
+
+    def __init__(self, scene: Scene, **settings: Any) -> None:
+        super().__init__()
+        if not isinstance(scene, Scene):
+            raise TypeError(f"Renderer: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
+        accepted = tuple(k for k in render.__kwdefaults__ if k != "params")
+        for name in settings:
+            if name not in accepted:
+                raise TypeError(f"Renderer: unknown argument {name!r}; {nearest(name, accepted)}")
+        self.scene = scene
+        self.settings = settings
+        if settings.get("integrator") is not None:
+            _integrator(scene, settings["integrator"])
+        for name in ("spp", "spp_grad", "passes"):
+            if settings.get(name) is not None:
+                _count(name, settings[name])
+
+    def forward(self, **overrides: Any) -> Any:
+        """Render; keyword arguments are those of `render`."""
+        return render(self.scene, **{**self.settings, **overrides})
+
+    def extra_repr(self) -> str:
+        return ", ".join(f"{k}={v!r}" for k, v in self.settings.items())

@@ -1,0 +1,240 @@
+"""The perspective camera, from a scene dict or from what people have: OpenCV and OpenGL matrices."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import torch
+
+from ..errors import describe
+from ..transform import Transform, as_matrix
+from . import values
+from .context import Context
+from .film import Film, ReconstructionFilter, Sampler, film_from, sampler_from
+from .plugin import Plugin
+from .registry import register
+
+FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
+# The diagonal of the 36 mm x 24 mm frame that focal lengths refer to.
+FRAME_DIAGONAL = math.hypot(36.0, 24.0)
+
+
+def x_fov_of(fov: float, axis: str, aspect: float) -> float:
+    """Horizontal field of view in degrees from one along another `axis`; `aspect` is width / height."""
+    if axis == "smaller":
+        axis = "y" if aspect > 1 else "x"
+    elif axis == "larger":
+        axis = "x" if aspect > 1 else "y"
+    if axis == "x":
+        return fov
+    half = math.tan(math.radians(fov) / 2)
+    half *= aspect if axis == "y" else aspect / math.hypot(1.0, aspect)
+    return math.degrees(2 * math.atan(half))
+
+
+@register
+class PerspectiveCamera(Plugin):
+    """A pinhole camera that looks along its +z axis, +y up, +x to the left.
+
+    Args:
+        to_world: 4x4 matrix, camera to world, without scaling.
+        fov: field of view in degrees along `fov_axis` (``x``, ``y``, ``diagonal``, ``smaller``, ``larger``).
+        focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
+        near_clip, far_clip: planes in front of the camera between which surfaces are seen.
+        principal_point_offset_x, principal_point_offset_y: fractions of the film's width and height by which the
+            image moves right and down.
+        film, sampler: dicts or objects.
+    """
+
+    category, type = "sensor", "perspective"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (0, 0.0), "shutter_close": (0, 0.0)}
+    unsupported: ClassVar[tuple[str, ...]] = ("srf",)
+
+    film: Film
+    sampler: Sampler | None
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        mine = ["fov", "fov_axis", "focal_length", "film", "sampler"]
+        return [*mine, *super().parameter_names()]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        film, sampler = Film(), None
+        for name in list(properties):
+            value = properties[name]
+            kind = value.get("type") if isinstance(value, Mapping) else None
+            if name == "film" or isinstance(value, Film) or (kind or "").endswith("film"):
+                film = film_from(properties.pop(name), ctx.at(name))
+            elif name == "sampler" or isinstance(value, Sampler) or kind in ("independent",):
+                sampler = sampler_from(properties.pop(name), ctx.at(name))
+        self.__dict__["film"] = film
+        self.__dict__["sampler"] = sampler
+        aspect = film.width / film.height
+        axis = properties.pop("fov_axis", "x")
+        values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
+        ways = [n for n in ("fov", "focal_length", "x_fov") if n in properties]
+        if len(ways) > 1:
+            ctx.error(f"perspective: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
+        if "fov" in properties:
+            fov = _angle(properties.pop("fov"), ctx.at("fov"))
+            properties["x_fov"] = x_fov_of(fov, axis, aspect)
+        elif "x_fov" in properties:
+            _angle(properties["x_fov"], ctx.at("x_fov"))
+        else:
+            millimetres = _millimetres(properties.pop("focal_length", "50mm"), ctx.at("focal_length"))
+            diagonal = math.degrees(2 * math.atan(FRAME_DIAGONAL / (2 * millimetres)))
+            properties["x_fov"] = x_fov_of(diagonal, "diagonal", aspect)
+        if "to_world" in properties:
+            matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
+            gram = matrix[:3, :3].T @ matrix[:3, :3]
+            if float((gram - torch.eye(3, dtype=torch.float64)).abs().max()) > 1e-3:
+                ctx.at("to_world").error("a camera's matrix may turn and move, but not scale or shear")
+        near = float(values.number(properties.get("near_clip", 1e-2), ctx.at("near_clip")))
+        far = float(values.number(properties.get("far_clip", 1e4), ctx.at("far_clip")))
+        if not 0 < near < far:
+            ctx.error(f"perspective: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
+        return properties
+
+    def extra_repr(self) -> str:
+        film = self.film
+        crop = f", crop={film.crop}" if film.crop is not None else ""
+        count = f", {self.sampler.sample_count} samples a pixel" if self.sampler is not None else ""
+        return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
+
+    # ------------------------------------------------------------------------------------------- constructors
+    @classmethod
+    def look_at(
+        cls,
+        origin: Any,
+        target: Any,
+        up: Any = (0.0, 1.0, 0.0),
+        *,
+        fov: float = 40.0,
+        size: Sequence[int] = (256, 256),
+        fov_axis: str = "x",
+        filter: str | ReconstructionFilter = "gaussian",
+        **properties: Any,
+    ) -> PerspectiveCamera:
+        """A camera at `origin` that looks at `target`.
+
+        Args:
+            origin, target, up: (3,) in world space.
+            fov: field of view in degrees along `fov_axis`.
+            size: of the film (H, W).
+            filter: name of a reconstruction filter, or one.
+            properties: others that the class takes.
+        """
+        matrix = Transform.look_at(origin, target, up).matrix
+        film = _film(size, filter)
+        return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, **properties)
+
+    @classmethod
+    def from_opencv(
+        cls,
+        K: Any,
+        R: Any,
+        t: Any,
+        size: Sequence[int],
+        *,
+        filter: str | ReconstructionFilter = "gaussian",
+        **properties: Any,
+    ) -> PerspectiveCamera:
+        """A camera in OpenCV's convention: x_camera = R x_world + t, looking along +z with +y down.
+
+        Args:
+            K: (3, 3) intrinsics in pixels; square pixels and no skew are required. Pixel centres lie at +0.5.
+            R: (3, 3) rotation, world to camera.
+            t: (3,) translation.
+            size: of the film (H, W).
+        """
+        ctx = Context(path=("PerspectiveCamera", "from_opencv"))
+        height, width = _size(size, ctx)
+        intrinsics = as_matrix(K, 3, "PerspectiveCamera.from_opencv: K")
+        rotation = as_matrix(R, 3, "PerspectiveCamera.from_opencv: R")
+        offset = values.vector(t, ctx.at("t")).double()
+        fx, fy, skew = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 1]
+        if not (float(fx) > 0 and abs(float(fx - fy)) <= 1e-3 * float(fx) and abs(float(skew)) <= 1e-3 * float(fx)):
+            ctx.at("K").error(f"needs fx = fy > 0 and no skew, got fx={fx:.6g}, fy={fy:.6g}, skew={skew:.6g}")
+        # Our +x is left and +y up: both are turned around with respect to OpenCV's.
+        flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
+        to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
+        made = cls(
+            to_world=to_world,
+            x_fov=torch.rad2deg(2 * torch.atan(width / (2 * fx))),
+            principal_point_offset_x=intrinsics[0, 2] / width - 0.5,
+            principal_point_offset_y=intrinsics[1, 2] / height - 0.5,
+            film=_film((height, width), filter),
+            **properties,
+        )
+        return made
+
+    @classmethod
+    def from_opengl(
+        cls,
+        camera_to_world: Any,
+        fov: Any,
+        size: Sequence[int],
+        *,
+        fov_axis: str = "x",
+        filter: str | ReconstructionFilter = "gaussian",
+        **properties: Any,
+    ) -> PerspectiveCamera:
+        """A camera in OpenGL's, Blender's and NeRF's convention: looking along -z with +y up and +x right.
+
+        Args:
+            camera_to_world: (4, 4) or (3, 4).
+            fov: field of view in degrees along `fov_axis`.
+            size: of the film (H, W).
+        """
+        ctx = Context(path=("PerspectiveCamera", "from_opengl"))
+        height, width = _size(size, ctx)
+        matrix = camera_to_world if isinstance(camera_to_world, (torch.Tensor, Transform)) else None
+        if matrix is None:
+            matrix = values.floating(camera_to_world, Context(dtype=torch.float64, path=ctx.path))
+        if isinstance(matrix, torch.Tensor) and matrix.shape == (3, 4):
+            matrix = torch.cat([matrix.double(), torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
+        matrix = as_matrix(matrix, 4, "PerspectiveCamera.from_opengl: camera_to_world")
+        flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
+        film = _film((height, width), filter)
+        return cls(to_world=matrix @ flip, fov=fov, fov_axis=fov_axis, film=film, **properties)
+
+
+def _rigid(linear: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
+    top = torch.cat([linear, offset[:, None]], dim=1)
+    return torch.cat([top, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
+
+
+def _size(size: Any, ctx: Context) -> tuple[int, int]:
+    try:
+        height, width = size
+    except (TypeError, ValueError):
+        ctx.at("size").error(f"expected (height, width), got {describe(size)}")
+    return values.integer(height, ctx.at("size"), 1), values.integer(width, ctx.at("size"), 1)
+
+
+def _film(size: Any, filter: str | ReconstructionFilter) -> Film:
+    height, width = _size(size, Context(path=("PerspectiveCamera",)))
+    return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
+
+
+def _angle(value: Any, ctx: Context) -> float:
+    angle = float(values.number(value, ctx))
+    if not 0 < angle < 180:
+        ctx.error(f"expected an angle between 0 and 180 degrees, got {angle:g}")
+    return angle
+
+
+def _millimetres(value: Any, ctx: Context) -> float:
+    if isinstance(value, str):
+        text = value.strip()
+        try:
+            length = float(text[:-2] if text.endswith("mm") else text)
+        except ValueError:
+            ctx.error(f"expected a length like '50mm', got {value!r}")
+    else:
+        length = float(values.number(value, ctx))
+    if not 0 < length < float("inf"):
+        ctx.error(f"expected a positive length, got {length:g}")
+    return length

@@ -1,0 +1,70 @@
+"""The native core's declaration of its models, as Python objects.
+
+The core says once which models exist and which fields they have; classes, packing, names and checks are made from that.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+from .. import backends
+
+CHILD_KINDS = ("bsdf", "emitter", "shape", "medium")
+TENSOR_KINDS = ("spectrum", "float", "point", "vector", "transform", "transform2", "tensor")
+
+
+@dataclass(frozen=True)
+class Field:
+    """One declared field of a model; see the native registry for the meaning of `kind`."""
+
+    name: str
+    kind: str
+    default: float | None
+    min: float | None
+    max: float | None
+    derivative: str
+    doc: str
+
+    @property
+    def differentiable(self) -> bool:
+        return self.derivative not in ("none", "")
+
+
+@dataclass(frozen=True)
+class Model:
+    """One declared model: a category, a type name, and its fields in packing order."""
+
+    category: str
+    type: str
+    doc: str
+    fields: tuple[Field, ...]
+
+
+@lru_cache(maxsize=1)
+def models() -> dict[tuple[str, str], Model]:
+    """All models of the native core, by (category, type), in the core's order."""
+    found = {}
+    for entry in backends.core().models():
+        fields = tuple(
+            Field(
+                name=f["name"],
+                kind=f["kind"],
+                default=f.get("default"),
+                min=f.get("min"),
+                max=f.get("max"),
+                derivative=f.get("derivative") or "none",
+                doc=f.get("doc", ""),
+            )
+            for f in entry["fields"]
+        )
+        found[entry["category"], entry["type"]] = Model(entry["category"], entry["type"], entry.get("doc", ""), fields)
+    return found
+
+
+def categories() -> dict[str, list[str]]:
+    """Type names by category, in the core's order."""
+    found: dict[str, list[str]] = {}
+    for category, kind in models():
+        found.setdefault(category, []).append(kind)
+    return found

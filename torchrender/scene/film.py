@@ -1,0 +1,188 @@
+"""Film, reconstruction filter and sampler: the static half of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from ..errors import describe, nearest
+from . import values
+from .context import Context
+from .registry import DOCUMENTED
+
+FILTERS = ("box", "tent", "gaussian")
+
+
+@dataclass
+class ReconstructionFilter:
+    """How a sample spreads over pixels: ``"box"``, ``"tent"`` (`radius` in pixels), ``"gaussian"`` (`stddev`)."""
+
+    type: str = "gaussian"
+    radius: float = 1.0
+    stddev: float = 0.5
+
+    def __post_init__(self) -> None:
+        ctx = Context(path=("ReconstructionFilter",))
+        values.choice(self.type, FILTERS, ctx.at("type"))
+        for name in ("radius", "stddev"):
+            value = float(values.number(getattr(self, name), ctx.at(name)))
+            if not 0 < value <= 16:
+                ctx.at(name).error(f"expected a number of pixels in (0, 16], got {value:g}")
+            setattr(self, name, value)
+
+    @property
+    def parameter(self) -> float:
+        return self.stddev if self.type == "gaussian" else self.radius
+
+
+@dataclass
+class Film:
+    """Size of the image in pixels, the part of it that is rendered, and the reconstruction filter.
+
+    Attributes:
+        width, height: of the whole film.
+        crop: rows and columns that are rendered as (y0, x0, height, width); None is everything.
+        sample_border: draw samples also outside of the crop window, so that its edge pixels see whole filters.
+        filter: the reconstruction filter.
+        formats: what the dict said about file formats; kept, but rendering does not depend on it.
+    """
+
+    width: int = 768
+    height: int = 576
+    crop: tuple[int, int, int, int] | None = None
+    sample_border: bool = False
+    filter: ReconstructionFilter = field(default_factory=ReconstructionFilter)
+    formats: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.check(Context(path=("Film",)))
+
+    def check(self, ctx: Context) -> None:
+        """ValueError unless the sizes make sense."""
+        self.width = values.integer(self.width, ctx.at("width"), 1)
+        self.height = values.integer(self.height, ctx.at("height"), 1)
+        if self.width > 1 << 16 or self.height > 1 << 16:
+            ctx.error(f"a film has at most 65536 rows and columns, got {self.height} x {self.width}")
+        if self.crop is not None:
+            check_crop(self.crop, (self.height, self.width), ctx)
+
+    @property
+    def window(self) -> tuple[int, int, int, int]:
+        """What is rendered: (y0, x0, height, width)."""
+        return self.crop if self.crop is not None else (0, 0, self.height, self.width)
+
+
+def check_crop(crop: Any, size: tuple[int, int], ctx: Context) -> tuple[int, int, int, int]:
+    """`crop` as (y0, x0, h, w) inside a film of `size` (H, W)."""
+    try:
+        y0, x0, h, w = (values.integer(v, ctx.at("crop")) for v in crop)
+    except (TypeError, ValueError) as error:
+        if isinstance(error, ValueError) and "crop" in str(error):
+            raise
+        ctx.error(f"crop: expected (y0, x0, height, width), got {describe(crop)}")
+    if y0 < 0 or x0 < 0 or h < 1 or w < 1 or y0 + h > size[0] or x0 + w > size[1]:
+        ctx.error(f"crop: {(y0, x0, h, w)} is not inside a film of {size[0]} rows and {size[1]} columns")
+    return y0, x0, h, w
+
+
+@dataclass
+class Sampler:
+    """Independent samples, `sample_count` a pixel unless a rendering asks for another number."""
+
+    sample_count: int = 16
+
+    def __post_init__(self) -> None:
+        self.sample_count = values.integer(self.sample_count, Context(path=("Sampler", "sample_count")), 1)
+
+
+def _checked(value: Mapping[str, Any], category: str, known: tuple[str, ...], ctx: Context) -> str:
+    kind = value.get("type")
+    if kind not in known:
+        if kind in DOCUMENTED[category]:
+            ctx.error(
+                f"the {category} {kind!r} is not supported by this version of torchrender; "
+                f"supported are: {', '.join(known)}"
+            )
+        ctx.error(f"unknown {category} type {kind!r}; {nearest(str(kind), known)}")
+    return str(kind)
+
+
+def filter_from(value: Any, ctx: Context) -> ReconstructionFilter:
+    """A reconstruction filter from its dict or an object."""
+    if isinstance(value, ReconstructionFilter):
+        return value
+    if not isinstance(value, Mapping):
+        ctx.error(f"expected a reconstruction filter, got {describe(value)}")
+    kind = _checked(value, "rfilter", FILTERS, ctx)
+    accepted = {"box": (), "tent": ("radius",), "gaussian": ("stddev",)}[kind]
+    given = {k: v for k, v in value.items() if k not in ("type", "id")}
+    for name in given:
+        if name not in accepted:
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
+    with ctx.located():
+        return ReconstructionFilter(kind, **{k: float(values.number(v, ctx.at(k))) for k, v in given.items()})
+
+
+_FILM_NAMES = (
+    "width height file_format pixel_format component_format crop_offset_x crop_offset_y crop_width crop_height "
+    "sample_border compensate rfilter"
+).split()
+_FORMATS = {
+    "file_format": ("openexr", "exr", "rgbe", "pfm"),
+    "pixel_format": ("rgb", "rgba", "luminance", "luminance_alpha", "xyz", "xyza"),
+    "component_format": ("float16", "float32", "uint32"),
+}
+
+
+def film_from(value: Any, ctx: Context) -> Film:
+    """A film from its dict (`hdrfilm`) or an object."""
+    if isinstance(value, Film):
+        return value
+    if not isinstance(value, Mapping):
+        ctx.error(f"expected a film, got {describe(value)}")
+    _checked(value, "film", ("hdrfilm",), ctx)
+    film = Film()
+    crop: dict[str, int] = {}
+    for name, content in value.items():
+        if name in ("type", "id"):
+            continue
+        at = ctx.at(str(name))
+        if name in ("width", "height"):
+            setattr(film, name, values.integer(content, at, 1))
+        elif name.startswith("crop_") and name in _FILM_NAMES:
+            crop[name] = values.integer(content, at, 0)
+        elif name == "sample_border":
+            film.sample_border = values.boolean(content, at)
+        elif name == "compensate":
+            values.boolean(content, at)  # how sums are rounded while accumulating; here they always are exact enough
+        elif name in _FORMATS:
+            values.choice(content, _FORMATS[name], at)
+            film.formats[name] = content
+        elif isinstance(content, (Mapping, ReconstructionFilter)):
+            film.filter = filter_from(content, at)
+        else:
+            ctx.error(f"hdrfilm has no parameter {name!r}; {nearest(str(name), _FILM_NAMES)}")
+    if crop:
+        x, y = crop.get("crop_offset_x", 0), crop.get("crop_offset_y", 0)
+        film.crop = (y, x, crop.get("crop_height", film.height), crop.get("crop_width", film.width))
+    film.check(ctx)
+    if film.crop == (0, 0, film.height, film.width):
+        film.crop = None
+    return film
+
+
+def sampler_from(value: Any, ctx: Context) -> Sampler:
+    """A sampler from its dict (`independent`) or an object."""
+    if isinstance(value, Sampler):
+        return value
+    if not isinstance(value, Mapping):
+        ctx.error(f"expected a sampler, got {describe(value)}")
+    _checked(value, "sampler", ("independent",), ctx)
+    accepted = ("sample_count", "seed")
+    for name in value:
+        if name not in (*accepted, "type", "id"):
+            ctx.error(f"independent has no parameter {name!r}; {nearest(str(name), accepted)}")
+    if "seed" in value and values.integer(value["seed"], ctx.at("seed")) != 0:
+        ctx.at("seed").error("the seed is an argument of render() here, not of the scene")
+    return Sampler(values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1))

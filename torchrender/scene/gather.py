@@ -1,0 +1,64 @@
+"""This call's tensors, one for each slot of a packed scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import torch
+
+from ..errors import describe, nearest
+from .packing import Layout
+from .plugin import Plugin
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None) -> list[torch.Tensor]:
+    """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name."""
+    replaced: dict[int, torch.Tensor] = {}
+    if params:
+        if not isinstance(params, Mapping):
+            raise TypeError(f"render: params: expected a mapping from names to tensors, got {describe(params)}")
+        for name, tensor in params.items():
+            index = layout.by_name.get(name)
+            if index is None:
+                raise ValueError(
+                    f"render: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"
+                )
+            if not isinstance(tensor, torch.Tensor):
+                raise TypeError(f"render: params: {name}: expected a tensor, got {describe(tensor)}")
+            if not tensor.is_floating_point():
+                raise TypeError(f"render: params: {name}: expected floating-point numbers, got {describe(tensor)}")
+            layout.slots[index].check_shape(tensor, scene.channels, f"render: params: {name}")
+            replaced[index] = tensor
+    tensors = []
+    for i, slot in enumerate(layout.slots):
+        tensors.append(_dense(scene, slot.name, replaced[i] if i in replaced else slot.tensor()))
+    for mesh in layout.smooth_meshes:
+        positions = layout.slot_of[id(mesh), "vertex_positions"]
+        normals = layout.slot_of.get((id(mesh), "vertex_normals"))
+        if normals is None or normals in replaced:
+            continue
+        if positions in replaced:
+            tensors[normals] = _dense(scene, "normals", mesh.normals_from_positions(tensors[positions]))
+        else:
+            mesh.refresh_normals()
+    return tensors
+
+
+def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin) -> list[torch.Tensor]:
+    """`tensors` with those of a `camera` that is no part of the scene."""
+    changed = list(tensors)
+    for attribute, index in layout.camera_slots(layout.sensors[-1]).items():
+        changed[index] = _dense(scene, f"camera.{attribute}", getattr(camera, attribute))
+    return changed
+
+
+def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
+    if tensor.device.type != "cpu":
+        raise ValueError(f"{name}: lies on {tensor.device}; this version renders on the CPU")
+    if tensor.dtype != scene.dtype:
+        tensor = tensor.to(scene.dtype)
+    return tensor if tensor.is_contiguous() else tensor.contiguous()

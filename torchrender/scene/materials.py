@@ -1,0 +1,151 @@
+"""BSDFs that need more than their declaration: indices of refraction by name, conductors."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..errors import nearest
+from . import values
+from .context import Context
+from .plugin import Plugin
+from .registry import register
+
+# Indices of refraction at 589.29 nm, from the usual tables.
+REFRACTIVE_INDICES = {
+    "vacuum": 1.0,
+    "helium": 1.000036,
+    "hydrogen": 1.000132,
+    "air": 1.000277,
+    "carbon dioxide": 1.00045,
+    "water": 1.3330,
+    "acetone": 1.36,
+    "ethanol": 1.361,
+    "carbon tetrachloride": 1.461,
+    "glycerol": 1.4729,
+    "benzene": 1.501,
+    "silicone oil": 1.52045,
+    "bromine": 1.661,
+    "water ice": 1.31,
+    "fused quartz": 1.458,
+    "pyrex": 1.470,
+    "acrylic glass": 1.49,
+    "polypropylene": 1.49,
+    "bk7": 1.5046,
+    "sodium chloride": 1.544,
+    "amber": 1.55,
+    "pet": 1.5750,
+    "diamond": 2.419,
+}
+
+
+# Metals as red, green, blue averages of their measured eta and k.
+METALS = {
+    "Ag": ((0.155276, 0.116728, 0.138388), (4.82835, 3.12222, 2.1469)),
+    "Al": ((1.6575, 0.880405, 0.521244), (9.22381, 6.2695, 4.837)),
+    "Au": ((0.143036, 0.375307, 1.44205), (3.983, 2.38556, 1.60336)),
+    "Cr": ((4.36967, 2.91651, 1.6549), (5.20655, 4.23131, 3.7547)),
+    "Cu": ((0.201005, 0.92375, 1.10222), (3.91326, 2.45305, 2.14209)),
+    "W": ((4.37082, 3.30025, 2.99841), (3.50064, 2.60487, 2.27323)),
+}
+
+
+def refractive_index(value: Any, ctx: Context) -> float:
+    """An index of refraction given as a number or as the name of a material."""
+    if isinstance(value, str):
+        name = value.strip().lower().replace("_", " ")
+        if name not in REFRACTIVE_INDICES:
+            ctx.error(f"unknown material {value!r}; {nearest(name, REFRACTIVE_INDICES)}")
+        return REFRACTIVE_INDICES[name]
+    index = float(values.number(value, ctx))
+    if not 0 < index < float("inf"):
+        ctx.error(f"an index of refraction is positive, got {index:g}")
+    return index
+
+
+@register
+class Dielectric(Plugin):
+    """Smooth dielectric interface.
+
+    Args:
+        int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two.
+        specular_reflectance, specular_transmittance: factors for tinting (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "dielectric"
+    optional = frozenset({"specular_reflectance", "specular_transmittance"})
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["int_ior", "ext_ior", *super().parameter_names()]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        given = [n for n in ("int_ior", "ext_ior") if n in properties]
+        if given and "eta" in properties:
+            ctx.error(f"dielectric: give eta, or {' and '.join(given)}, but not both")
+        if "eta" not in properties:
+            inside = refractive_index(properties.pop("int_ior", "bk7"), ctx.at("int_ior"))
+            outside = refractive_index(properties.pop("ext_ior", "air"), ctx.at("ext_ior"))
+            properties["eta"] = inside / outside
+        return properties
+
+
+@register
+class Conductor(Plugin):
+    """Smooth conductor, one-sided.
+
+    Args:
+        eta, k: real and imaginary part of the index of refraction (textures or colours).
+        material: ``"none"`` is a perfect mirror, the default; or a metal: Ag, Al, Au, Cr, Cu, W.
+        specular_reflectance: factor (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "conductor"
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["material", *super().parameter_names()]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        material = properties.pop("material", "none")
+        if material != "none":
+            if "eta" in properties or "k" in properties:
+                ctx.error("conductor: give material, or eta and k, but not both")
+            if material not in METALS:
+                ctx.at("material").error(
+                    f"the conductor {material!r} is not known by name here; give eta and k, or one of: none, "
+                    + ", ".join(METALS)
+                )
+            properties["eta"], properties["k"] = METALS[material]
+        # Without eta and k this is a perfect mirror: eta 0, k 1.
+        properties.setdefault("eta", 0.0)
+        properties.setdefault("k", 1.0)
+        return properties
+
+
+TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "mask")
+
+
+@register
+class TwoSided(Plugin):
+    """Reflection from both sides of a surface.
+
+    Args:
+        brdf_0: the front's BSDF, and the back's if there is no second. Nested BSDFs may have any name.
+        brdf_1: the back's BSDF.
+    """
+
+    category, type = "bsdf", "twosided"
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        if self._modules.get("brdf_0") is None and not self._references:
+            ctx.error("twosided: a nested BSDF is missing")
+
+    def check(self, ctx: Context) -> None:
+        super().check(ctx)
+        for name in ("brdf_0", "brdf_1"):
+            child = self._modules.get(name)
+            if child is not None and (child.type in TRANSMITTING or child.type == "twosided"):
+                ctx.at(name).error(f"a {child.type} cannot be made two-sided: only one-sided reflection can")

@@ -1,0 +1,66 @@
+"""A native scene: the compiled core's copy of a packed scene, and what it was last given."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import torch
+
+from .. import backends
+from .packing import Layout
+
+
+class NativeScene:
+    """One built scene of the core. Immutable in structure: another structure gets another object.
+
+    The core reads parameters where they lie; this class tells it which ones changed since the last call.
+    """
+
+    def __init__(self, layout: Layout, color: str, dtype: torch.dtype, shapes: list[tuple[int, ...]]) -> None:
+        self.layout = layout
+        self.index_key = layout.index_key()
+        self.dtype = dtype
+        self.shapes = shapes
+        self.channels = 1 if color == "mono" else 3
+        self.lock = threading.Lock()
+        self.handle = backends.ready().Scene(color=color, dtype=str(dtype).removeprefix("torch."))
+        self.names = [slot.name for slot in layout.slots]
+        self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
+        indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
+        self.handle.build(layout.objects, shapes, indices)
+
+    def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
+        """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
+
+        ValueError names a parameter that is not finite.
+        """
+        with self.lock:
+            dirty = self._dirty(params)
+            addresses = [t.data_ptr() for t in params]
+            try:
+                if function == "render":
+                    return self.handle.render(args[0], addresses, dirty, *args[1:])
+                if function == "render_vjp":
+                    return self.handle.render_vjp(args[0], addresses, dirty, *args[1:])
+                if function == "render_jvp":
+                    return self.handle.render_jvp(args[0], addresses, dirty, *args[1:])
+                return getattr(self.handle, function)(*args, addresses, dirty)
+            except BaseException:
+                # How far the core came is unknown: everything counts as changed next time.
+                self._seen = [None] * len(self._seen)
+                raise
+
+    def _dirty(self, params: list[torch.Tensor]) -> list[bool]:
+        dirty = []
+        for i, tensor in enumerate(params):
+            version = -1 if tensor.is_inference() else tensor._version
+            seen = self._seen[i]
+            # The alias that is kept holds the storage, so that an equal address means the same memory.
+            same = seen is not None and version >= 0 and seen[1] == version and seen[0].data_ptr() == tensor.data_ptr()
+            if not same:
+                if not bool(torch.isfinite(tensor.detach().sum())) and not bool(torch.isfinite(tensor.detach()).all()):
+                    raise ValueError(f"{self.names[i]}: has values that are not finite")
+                self._seen[i] = (tensor.detach(), version)
+            dirty.append(not same)
+        return dirty

@@ -1,0 +1,200 @@
+"""From the module tree to the flat description that the native core takes.
+
+Every distinct parameter of a scene gets one slot in a flat list, every object a row of integers in its category's
+table: slots, indices of other objects, static numbers, in the order in which the core declares its fields.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import torch
+from torch import nn
+
+from .declaration import TENSOR_KINDS, models
+from .plugin import Plugin
+from .shapes import Mesh
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+@dataclass
+class Slot:
+    """One parameter of the flat list."""
+
+    module: nn.Module
+    attribute: str
+    name: str
+    kind: str
+    refusal: str = ""  # why there is no derivative, or empty
+
+    def tensor(self) -> torch.Tensor:
+        found = self.module._parameters.get(self.attribute)
+        return found if found is not None else getattr(self.module, self.attribute)
+
+    def check_shape(self, tensor: torch.Tensor, channels: int, what: str) -> None:
+        """ValueError unless `tensor` can take this parameter's place."""
+        shape = tuple(tensor.shape)
+        fixed = {"float": [()], "point": [(3,)], "vector": [(3,)], "transform": [(4, 4)], "transform2": [(3, 3)]}
+        if self.kind == "spectrum":
+            fixed["spectrum"] = [(), (channels,)]
+        if self.kind in fixed:
+            if shape not in fixed[self.kind]:
+                expected = " or ".join(str(s) for s in fixed[self.kind])
+                raise ValueError(f"{what}: expected shape {expected}, got {shape}")
+            return
+        current = tuple(self.tensor().shape)
+        if len(current) == 3:  # texels: any size
+            if len(shape) != 3 or shape[2] not in (1, channels) or 0 in shape:
+                raise ValueError(f"{what}: expected shape (H, W, C) with C = 1 or {channels}, got {shape}")
+        elif shape != current:
+            raise ValueError(f"{what}: expected shape {current}, got {shape}")
+
+
+@dataclass
+class Layout:
+    """What a native scene is built from. Layouts with equal objects and indices need only one native scene."""
+
+    slots: list[Slot] = field(default_factory=list)
+    objects: dict[str, list[tuple[str, list[int], str]]] = field(default_factory=dict)
+    index_tensors: list[torch.Tensor] = field(default_factory=list)
+    slot_of: dict[tuple[int, str], int] = field(default_factory=dict)
+    by_name: dict[str, int] = field(default_factory=dict)
+    sensors: list[Plugin] = field(default_factory=list)
+    smooth_meshes: list[Mesh] = field(default_factory=list)  # those whose normals follow from their positions
+
+    def index_key(self) -> list[tuple[int, int, int]]:
+        """Tells whether the index arrays are still those that a native scene was built with."""
+        return [(t.data_ptr(), t.shape[0], 0 if t.is_inference() else t._version) for t in self.index_tensors]
+
+    def refusals(self) -> list[tuple[str, str]]:
+        """For each slot its name and why it has no derivative, or an empty string."""
+        return [(slot.name, slot.refusal) for slot in self.slots]
+
+    def camera_slots(self, camera: Plugin) -> dict[str, int]:
+        """Slots of the fields of `camera`, which is among the packed sensors."""
+        return {a: i for (m, a), i in self.slot_of.items() if m == id(camera)}
+
+
+class _Packer:
+    def __init__(self) -> None:
+        self.layout = Layout(objects={category: [] for category, _ in models()})
+        self.index: dict[int, int] = {}  # id of a module -> its row
+        self.attribute_names: dict[str, int] = {}
+
+    def slot(self, module: nn.Module, attribute: str, name: str, kind: str, refusal: str) -> int:
+        key = (id(module), attribute)
+        found = self.layout.slot_of.get(key)
+        if found is None:
+            found = len(self.layout.slots)
+            self.layout.slots.append(Slot(module, attribute, name, kind, refusal))
+            self.layout.slot_of[key] = found
+        elif refusal and not self.layout.slots[found].refusal:
+            self.layout.slots[found].refusal = refusal
+        self.layout.by_name.setdefault(name, found)
+        return found
+
+    def attribute_id(self, name: str) -> int:
+        return self.attribute_names.setdefault(name, len(self.attribute_names))
+
+    def add(self, plugin: Plugin, name: str, refusal: str = "") -> int:
+        """Row of `plugin` in its category's table; objects that are used twice are packed once."""
+        # A light belongs to its shape natively, so one that several shapes share becomes a row for each.
+        shared = plugin.category != "emitter"
+        if shared and id(plugin) in self.index:
+            self._alias(plugin, name, refusal)
+            return self.index[id(plugin)]
+        numbers = [self._number(plugin, n, f, f"{name}.{n}", refusal) for n, f in plugin.fields().items()]
+        rows = self.layout.objects[plugin.category]
+        row = len(rows)
+        rows.append((plugin.model().type, numbers, name))
+        self.index[id(plugin)] = row
+        if isinstance(plugin, Mesh):
+            self._mesh(plugin, name, row)
+        return row
+
+    def _alias(self, plugin: Plugin, name: str, refusal: str) -> None:
+        """Further names of parameters that are already packed."""
+        for field_name, declared in plugin.fields().items():
+            reason = refusal or _refusal(declared.derivative)
+            if plugin._leaf(declared):
+                if (id(plugin), field_name) in self.layout.slot_of:
+                    self.slot(plugin, field_name, f"{name}.{field_name}", declared.kind, reason)
+            else:
+                child = plugin._modules.get(field_name)
+                if isinstance(child, Plugin):
+                    self._alias(child, f"{name}.{field_name}", reason if declared.kind != "bsdf" else refusal)
+
+    def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, refusal: str) -> int:
+        kind = declared.kind
+        reason = refusal or _refusal(declared.derivative)
+        if kind == "int":
+            if plugin.type == "mesh_attribute" and field_name == "name":
+                return self.attribute_id(plugin.__dict__["name"])
+            return plugin.encode(field_name)
+        if kind == "indices":
+            self.layout.index_tensors.append(getattr(plugin, field_name))
+            return len(self.layout.index_tensors) - 1
+        if kind in TENSOR_KINDS and plugin._leaf(declared):
+            if isinstance(plugin, Mesh) and field_name == "vertex_normals" and plugin.face_normals:
+                return -1
+            if plugin._parameters.get(field_name) is None and getattr(plugin, field_name, None) is None:
+                return -1
+            return self.slot(plugin, field_name, name, kind, reason)
+        child = plugin._modules.get(field_name)
+        if child is None:
+            return -1
+        if kind == "spectrum":
+            return self.slot(child, "value", f"{name}.value", kind, reason)
+        return self.add(child, name, reason if kind == "texture" else refusal)
+
+    def _mesh(self, mesh: Mesh, name: str, row: int) -> None:
+        if mesh.computed_normals and not mesh.face_normals:
+            self.layout.smooth_meshes.append(mesh)
+        declared = models()["attribute", "attribute"]
+        for attribute in mesh.attribute_names:
+            data = next(f for f in declared.fields if f.kind == "tensor")
+            numbers = []
+            for f in declared.fields:
+                if f.kind == "shape":
+                    numbers.append(row)
+                elif f.kind == "tensor":
+                    reason = _refusal(data.derivative)
+                    numbers.append(self.slot(mesh, attribute, f"{name}.{attribute}", "tensor", reason))
+                elif f.name == "per_face":
+                    numbers.append(int(attribute.startswith("face_")))
+                else:
+                    numbers.append(self.attribute_id(attribute))
+            self.layout.objects["attribute"].append(("attribute", numbers, f"{name}.{attribute}"))
+
+
+def _refusal(derivative: str) -> str:
+    """Why a field of this kind of derivative is refused, or empty."""
+    if not derivative.startswith("none"):
+        return ""
+    return derivative.partition(":")[2].strip() or "its derivative is not implemented"
+
+
+# Objects that others refer to come first, so that a parameter goes by the id of the object that owns it.
+ORDER = ("texture", "medium", "bsdf", "emitter", "shape", "sensor")
+
+
+def top_level(scene: Scene) -> Iterator[tuple[str, Plugin]]:
+    """The scene's own objects with their ids, in packing order."""
+    found = [(n, m) for n, m in scene._modules.items() if isinstance(m, Plugin)]
+    return iter(sorted(found, key=lambda item: ORDER.index(item[1].category)))
+
+
+def pack(scene: Scene, free_camera: Plugin) -> Layout:
+    """The layout of `scene`, with one more sensor that stands for cameras that are no part of it."""
+    packer = _Packer()
+    for name, plugin in top_level(scene):
+        packer.add(plugin, name)
+        if plugin.category == "sensor":
+            packer.layout.sensors.append(plugin)
+    packer.add(free_camera, "camera")
+    packer.layout.sensors.append(free_camera)
+    return packer.layout

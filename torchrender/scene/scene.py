@@ -1,0 +1,341 @@
+"""The scene as a module: objects by id, parameters by dotted name."""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+
+from ..errors import NotDifferentiableError, describe, nearest
+from ..integrators import TYPES as INTEGRATORS
+from ..integrators import Integrator
+from ..integrators import from_dict as integrator_from
+from . import registry
+from .camera import PerspectiveCamera
+from .context import Context, Reference
+from .film import Film, Sampler
+from .native import NativeScene
+from .packing import ORDER, Layout, pack
+from .plugin import Plugin, child_of, structure_changed, structure_epoch
+
+VARIANTS = ("mono", "rgb")
+
+
+class Scene(nn.Module):
+    """A scene: shapes, materials, lights and cameras by id; every continuous quantity is a parameter.
+
+    Made by `load_dict` and `load_file`. Objects are attributes and items: ``scene.red``, ``scene["red"]``; they are
+    added, replaced and removed by ``scene["id"] = dict or object`` and ``del scene["id"]``. Parameters do not require
+    gradients until they are told to.
+    """
+
+    def __init__(
+        self,
+        objects: Mapping[str, Any],
+        variant: str = "rgb",
+        dtype: torch.dtype = torch.float32,
+        device: str | torch.device = "cpu",
+        folder: Path | None = None,
+    ) -> None:
+        super().__init__()
+        self._variant = variant
+        self._dtype = dtype
+        self._device = torch.device(device)
+        self._native: NativeScene | None = None
+        self._epoch = -1
+        self._layout: Layout | None = None
+        self.statistics: dict[str, Any] = {}
+        ctx = self._context(folder)
+        self.__dict__["_free_camera"] = PerspectiveCamera(film=Film(1, 1), _context=ctx.at("camera"))
+        for name, value in objects.items():
+            self._put(name, value, ctx, resolve=False)
+        self._resolve(ctx)
+
+    # -------------------------------------------------------------------------------------------------- settings
+    @property
+    def variant(self) -> str:
+        """Colour mode: ``"rgb"`` or ``"mono"``."""
+        return self._variant
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Precision of all parameters and of the rendering."""
+        return self._dtype
+
+    @property
+    def device(self) -> torch.device:
+        return self._device
+
+    @property
+    def channels(self) -> int:
+        """Number of colour channels: 3 in rgb, 1 in mono."""
+        return 1 if self._variant == "mono" else 3
+
+    @property
+    def sensors(self) -> list[PerspectiveCamera]:
+        """The cameras, in the order of the scene."""
+        return [m for m in self._modules.values() if isinstance(m, Plugin) and m.category == "sensor"]
+
+    @property
+    def integrator(self) -> Integrator | None:
+        """The scene's own integrator, or None."""
+        return next((m for m in self._modules.values() if isinstance(m, Integrator)), None)
+
+    @property
+    def film(self) -> Film | None:
+        """The first camera's film, or None."""
+        sensors = self.sensors
+        return sensors[0].film if sensors else None
+
+    def _context(self, folder: Path | None = None) -> Context:
+        return Context(self._variant, self._dtype, self._device, (), folder)
+
+    # --------------------------------------------------------------------------------------------------- objects
+    def _put(self, name: str, value: Any, ctx: Context, resolve: bool = True) -> None:
+        if not isinstance(name, str) or not name or "." in name:
+            ctx.error(f"an id is a string without dots, got {describe(name)}")
+        ctx = ctx.at(name)
+        if isinstance(value, Mapping):
+            kind = value.get("type")
+            identifier = value.get("id")
+            if isinstance(identifier, str) and kind != "ref" and "." not in identifier and identifier:
+                name = identifier
+            if kind in INTEGRATORS:
+                value = integrator_from(dict(value), ctx.where)
+            elif kind in ("independent", "hdrfilm"):
+                ctx.error(f"a {kind} belongs into a sensor")
+            elif isinstance(kind, str) and kind not in registry.scene_types() and _is_documented_integrator(kind):
+                ctx.error(
+                    f"the integrator {kind!r} is not supported by this version of torchrender; "
+                    f"supported are: {', '.join(INTEGRATORS)}"
+                )
+        if not isinstance(value, Integrator):
+            value = child_of(value, None, ctx)
+            if isinstance(value, Reference):
+                ctx.error("a reference at the top level of a scene has nothing to belong to")
+        name = self._safe(name, value)
+        previous = self._modules.get(name)
+        if previous is not None and not resolve:
+            ctx.error(f"two objects have the id {name!r}")
+        if previous is not None and isinstance(previous, Plugin) and isinstance(value, Plugin):
+            self._replace_references(previous, value)
+        if isinstance(value, Integrator):  # there is one
+            for other in [n for n, m in self._modules.items() if isinstance(m, Integrator)]:
+                del self._modules[other]
+        self._modules[name] = value
+        if resolve:
+            self._resolve(self._context())
+        structure_changed()
+
+    def _safe(self, name: str, value: Any) -> str:
+        """`name`, with a trailing underscore where a module already has an attribute of that name."""
+        if isinstance(value, Integrator):
+            return name
+        taken = hasattr(Scene, name) or name in self.__dict__
+        return name + "_" if taken and name not in self._modules else name
+
+    def _replace_references(self, old: Plugin, new: Plugin) -> None:
+        """Objects that use `old` use `new` from now on, where the category allows it."""
+        for module in self.modules():
+            for child_name, child in module._modules.items():
+                if child is old and module is not self and new.category == old.category:
+                    module._modules[child_name] = new
+
+    def _resolve(self, ctx: Context) -> None:
+        by_id: dict[str, Plugin] = {}
+        for module in self.modules():
+            identifier = module.__dict__.get("id")
+            if isinstance(module, Plugin) and identifier is not None:
+                by_id.setdefault(identifier, module)
+        for name, module in self._modules.items():
+            if isinstance(module, Plugin):
+                by_id[name] = module
+
+        def lookup(identifier: str, where: Context) -> Plugin:
+            found = by_id.get(identifier) or by_id.get(identifier + "_")
+            if found is None:
+                where.error(f"there is no object with the id {identifier!r}; {nearest(identifier, by_id)}")
+            return found
+
+        for name, module in list(self._modules.items()):
+            if isinstance(module, Plugin):
+                _resolve_tree(module, lookup, ctx.at(name), set())
+        self._sort()
+
+    def _sort(self) -> None:
+        """Objects that others refer to first: a shared parameter's name is then that of its owner."""
+        rank = {category: i for i, category in enumerate(ORDER)}
+        items = sorted(self._modules.items(), key=lambda kv: rank.get(getattr(kv[1], "category", ""), len(rank)))
+        self._modules.clear()
+        self._modules.update(items)
+
+    def __getitem__(self, name: str) -> nn.Module:
+        found = self._modules.get(name) or self._modules.get(f"{name}_")
+        if found is None:
+            raise KeyError(f"the scene has no object {name!r}; {nearest(str(name), self._modules)}")
+        return found
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        name = f"{name}_" if f"{name}_" in self._modules and name not in self._modules else name
+        self._put(name, value, self._context())
+
+    def __delitem__(self, name: str) -> None:
+        key = name if name in self._modules else f"{name}_"
+        if key not in self._modules:
+            raise KeyError(f"the scene has no object {name!r}; {nearest(str(name), self._modules)}")
+        del self._modules[key]
+        structure_changed()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._modules or f"{name}_" in self._modules
+
+    def __iter__(self) -> Any:
+        return iter(list(self._modules))
+
+    def __len__(self) -> int:
+        return len(self._modules)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in self.__dict__.get("_modules", {}) and not isinstance(getattr(type(self), name, None), property):
+            self[name] = value
+        elif isinstance(value, (Plugin, Integrator)) and "_modules" in self.__dict__:
+            self[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        super().__delattr__(name)
+        structure_changed()
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return super().__getattr__(name)
+        except AttributeError:
+            modules = self.__dict__.get("_modules", {})
+            raise AttributeError(f"the scene has no object {name!r}; {nearest(name, modules)}") from None
+
+    # ------------------------------------------------------------------------------------------------ parameters
+    def get_parameter(self, target: str) -> nn.Parameter:
+        """The parameter of this dotted name; AttributeError names the nearest ones."""
+        try:
+            return super().get_parameter(target)
+        except AttributeError:
+            known = [name for name, _ in self.named_parameters(remove_duplicate=False)]
+            raise AttributeError(f"the scene has no parameter {target!r}; {nearest(target, known)}") from None
+
+    def train_only(self, *patterns: str) -> list[nn.Parameter]:
+        """Let exactly the parameters that match one of the glob `patterns` require gradients, and return them.
+
+        ``scene.train_only("*.reflectance.*")``; called without patterns nothing requires gradients any more. Of the
+        parameters that a pattern matches, those that have derivatives are chosen: a bitmap's ``data``, not its ``to_uv``.
+
+        Raises:
+            ValueError: a pattern matches nothing.
+            NotDifferentiableError: nothing that a pattern matches has a derivative.
+        """
+        if len(patterns) == 1 and not isinstance(patterns[0], str):
+            patterns = tuple(patterns[0])
+        names: dict[str, nn.Parameter] = dict(self.named_parameters(remove_duplicate=False))
+        layout = self.layout()
+        refusals = {n: layout.slots[i].refusal for n, i in layout.by_name.items()}
+        chosen: dict[int, nn.Parameter] = {}
+        for pattern in patterns:
+            if not isinstance(pattern, str):
+                raise TypeError(f"train_only: expected glob patterns, got {describe(pattern)}")
+            found = [n for n in names if fnmatch.fnmatchcase(n, pattern)]
+            if not found:
+                raise ValueError(f"train_only: no parameter matches {pattern!r}; {nearest(pattern, names)}")
+            usable = [n for n in found if not refusals.get(n)]
+            if not usable:
+                raise NotDifferentiableError(
+                    f"train_only: {pattern!r} matches only parameters without a derivative: {', '.join(found)} "
+                    f"({refusals[found[0]]})"
+                )
+            chosen.update((id(names[n]), names[n]) for n in usable)
+        for parameter in names.values():
+            parameter.requires_grad_(id(parameter) in chosen)
+        return list(chosen.values())
+
+    def bounding_box(self) -> torch.Tensor:
+        """Smallest axis-aligned box around all shapes: (2, 3), lower and upper corner; ValueError without shapes."""
+        boxes = [m.bounds() for m in self._modules.values() if isinstance(m, Plugin) and m.category == "shape"]
+        if not boxes:
+            raise ValueError("bounding_box: the scene has no shapes")
+        stacked = torch.stack(boxes)
+        return torch.stack([stacked[:, 0].amin(0), stacked[:, 1].amax(0)])
+
+    # ---------------------------------------------------------------------------------------------------- module
+    def forward(self, **kwargs: Any) -> Any:
+        """``scene(...)`` is ``render(scene, ...)``."""
+        from ..render import render
+
+        return render(self, **kwargs)
+
+    def _apply(self, fn: Any, recurse: bool = True) -> Scene:
+        super()._apply(fn, recurse)
+        for name in ("_free_camera",):
+            self.__dict__[name]._apply(fn)
+        probe = next((p for p in self.__dict__["_free_camera"].parameters()), None)
+        if probe is not None:
+            self._dtype, self._device = probe.dtype, probe.device
+        structure_changed()
+        return self
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The native scene is a cache: copies and files go without, and make their own when they render.
+        return {**self.__dict__, "_native": None, "_layout": None, "_epoch": -1, "statistics": {}}
+
+    def __repr__(self) -> str:
+        from .summary import summarise
+
+        return summarise(self)
+
+    # ---------------------------------------------------------------------------------------------------- packing
+    def layout(self) -> Layout:
+        """The packed structure, made anew only if some scene object changed since."""
+        epoch = structure_epoch()
+        if self._layout is None or self._epoch != epoch:
+            self._layout = pack(self, self.__dict__["_free_camera"])
+            self._epoch = epoch
+        return self._layout
+
+    def native(self, layout: Layout, shapes: list[tuple[int, ...]]) -> NativeScene:
+        """The native scene for this structure and these shapes of parameters, built if there is none yet."""
+        native = self._native
+        if (
+            native is not None
+            and native.dtype == self._dtype
+            and native.shapes == shapes
+            and (native.layout is layout or native.layout.objects == layout.objects)
+            and native.index_key == layout.index_key()
+        ):
+            return native
+        native = NativeScene(layout, self._variant, self._dtype, shapes)
+        self._native = native
+        return native
+
+
+def _resolve_tree(module: Plugin, lookup: Any, ctx: Context, path: set[int]) -> None:
+    if id(module) in path:
+        ctx.error("refers to itself")
+    path = path | {id(module)}
+    module.resolve(lookup, ctx)
+    for name, child in module._modules.items():
+        if isinstance(child, Plugin):
+            _resolve_tree(child, lookup, ctx.at(name), path)
+
+
+def _is_documented_integrator(kind: str) -> bool:
+    from ..integrators import DOCUMENTED
+
+    return kind in DOCUMENTED
+
+
+def default_sample_count(camera: PerspectiveCamera) -> int:
+    """Samples a pixel when nothing is said: the camera's own number, else 16."""
+    sampler: Sampler | None = camera.sampler
+    return 16 if sampler is None else sampler.sample_count

@@ -1,0 +1,47 @@
+"""``print(scene)``: objects, and each parameter with shape, dtype, range and which derivatives it has."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import torch
+
+from .packing import pack, top_level
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+
+def summarise(scene: Scene) -> str:
+    """A readable summary of `scene`."""
+    lines = [f"Scene, variant {scene.variant}, {str(scene.dtype).removeprefix('torch.')}, {scene.device}"]
+    for name, plugin in top_level(scene):
+        extra = plugin.extra_repr()
+        lines.append(f"  {name}: {plugin.category} {plugin.type}" + (f" ({extra})" if extra else ""))
+    integrator = scene.integrator
+    if integrator is not None:
+        lines.append(f"  integrator: {integrator!r}")
+    rows = []
+    for slot in pack(scene, scene._free_camera).slots:
+        if slot.name.startswith("camera.") and slot.module is scene._free_camera:
+            continue
+        tensor = slot.tensor().detach()
+        shape = "x".join(str(n) for n in tensor.shape) or "number"
+        derivative = "no derivative" if slot.refusal else "forward, reverse"
+        if slot.tensor().requires_grad:
+            derivative += ", requires grad"
+        rows.append((slot.name, shape, str(tensor.dtype).removeprefix("torch."), _range(tensor), derivative))
+    if rows:
+        widths = [max(len(row[i]) for row in rows) for i in range(4)]
+        lines.append("  parameters:")
+        for row in rows:
+            cells = [cell.ljust(width) for cell, width in zip(row[:4], widths, strict=True)]
+            lines.append("    " + "  ".join([*cells, row[4]]))
+    return "\n".join(lines)
+
+
+def _range(tensor: torch.Tensor) -> str:
+    if tensor.numel() == 0:
+        return "empty"
+    low, high = (float(x) for x in torch.aminmax(tensor))
+    return f"{low:.4g}" if low == high else f"[{low:.4g}, {high:.4g}]"

@@ -1,0 +1,129 @@
+"""Textures that need more than their declaration: bitmaps from files and arrays, mesh attributes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, ClassVar
+
+import torch
+
+from ..errors import describe
+from . import values
+from .context import Context
+from .declaration import Field
+from .plugin import Plugin
+from .registry import register
+
+
+def load_texels(properties: dict[str, Any], ctx: Context, raw: bool) -> Any:
+    """Take the texels that `filename`, `bitmap` or `data` give out of `properties`."""
+    given = [n for n in ("filename", "bitmap", "data") if properties.get(n) is not None]
+    if len(given) != 1:
+        ctx.error(f"give one of filename, bitmap and data; got {' and '.join(given) or 'none'}")
+    name = given[0]
+    content = properties.pop(name)
+    if name == "filename":
+        from .. import io
+
+        path = ctx.at(name).file(content)
+        with ctx.at(name).located():
+            return io.read_image(path, raw=raw)
+    if name == "bitmap" and not hasattr(content, "shape"):
+        import numpy
+
+        content = numpy.asarray(content)
+    dtype = str(getattr(content, "dtype", ""))
+    if dtype.endswith(("uint8", "uint16")):
+        # Integers are encoded images, as a file would hold them.
+        scale = 255.0 if dtype.endswith("uint8") else 65535.0
+        content = torch.as_tensor(values._plain(content)).to(torch.float32) / scale
+        if not raw:
+            content = _srgb_to_linear(content)
+    return content
+
+
+def _srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
+    return torch.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
+
+
+@register
+class Bitmap(Plugin):
+    """An image as a texture. Row 0 is at v = 0, texel centres lie at half integers.
+
+    Args:
+        filename: image file; colours of 8 and 16 bit files are decoded from sRGB unless `raw`.
+        data: texels (H, W, C), C = 1 or 3, or (H, W); floating-point values are taken as they are (linear).
+        bitmap: an image object or array, in place of the two.
+        raw: do not decode sRGB.
+        filter_type: ``"bilinear"`` or ``"nearest"``.
+        wrap_mode: ``"repeat"``, ``"mirror"`` or ``"clamp"``.
+        to_uv: 3x3 or 4x4 matrix applied to texture coordinates before the look-up.
+    """
+
+    category, type = "texture", "bitmap"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "format": ("variant", "auto")}
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["filename", "bitmap", "raw", *super().parameter_names()]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        raw = values.boolean(properties.pop("raw", False), ctx.at("raw"))
+        self._check_names({k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
+        texels = load_texels(properties, ctx, raw)
+        return {**properties, "data": texels}
+
+    def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
+        return values.image(value, ctx)
+
+
+@register
+class MeshAttribute(Plugin):
+    """Colours stored on a mesh: ``vertex_*`` interpolated over triangles, ``face_*`` constant on each.
+
+    Args:
+        name: the attribute's name, beginning with ``vertex_`` or ``face_``.
+        scale: a factor.
+    """
+
+    category, type = "texture", "mesh_attribute"
+
+    @classmethod
+    def fields(cls) -> dict[str, Field]:
+        # The name is an integer natively; a scene numbers the names that it uses.
+        return {("name" if f.name == "name_id" else f.name): f for f in cls.model().fields}
+
+    def _encode_check(self, name: str, value: Any, ctx: Context) -> Any:
+        if name != "name":
+            return super()._encode_check(name, value, ctx)
+        if not isinstance(value, str) or not value.startswith(("vertex_", "face_")):
+            ctx.error(f"expected a name beginning with 'vertex_' or 'face_', got {describe(value)}")
+        return value
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        if not isinstance(self.__dict__.get("name"), str):
+            ctx.error("mesh_attribute: 'name' is missing")
+
+    def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
+        return iter(())
+
+
+@register
+class Checkerboard(Plugin):
+    """Two textures in alternating squares of half a unit of texture coordinates.
+
+    Args:
+        color0: where u and v are in the same half of their unit interval (texture), default 0.4.
+        color1: elsewhere (texture), default 0.2.
+        to_uv: 3x3 or 4x4 matrix applied to texture coordinates before the look-up.
+    """
+
+    category, type = "texture", "checkerboard"
+
+    def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
+        for name in ("color0", "color1"):
+            child = self._modules.get(name)
+            if child is not None:
+                for leaf, tensor in child.texels():
+                    yield f"{name}.{leaf}", tensor

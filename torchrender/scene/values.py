@@ -1,0 +1,185 @@
+"""From what people write in a scene to tensors: numbers, colours, spectra, points, arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import torch
+
+from ..errors import describe, nearest
+from ..transform import Transform, _plain, as_matrix
+from .context import LUMINANCE, Context
+
+SPECTRUM_TYPES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant")
+DOCUMENTED_SPECTRA = ("blackbody", "d65", "irregular", "regular")
+
+
+def floating(value: Any, ctx: Context) -> torch.Tensor:
+    """`value` as a dense floating-point tensor of the context's dtype. Tensors keep their gradient."""
+    if isinstance(value, torch.Tensor):
+        tensor = value
+    elif isinstance(value, Transform):
+        tensor = value.matrix
+    else:
+        given = getattr(value, "dtype", None)
+        if isinstance(value, (str, bytes, Mapping)) or value is None:
+            ctx.error(f"expected numbers, got {describe(value)}")
+        try:
+            tensor = torch.as_tensor(_plain(value), dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):
+            ctx.error(f"expected numbers, got {describe(value)}")
+        if ctx.dtype is None and str(given) not in ("float64",):
+            tensor = tensor.to(torch.get_default_dtype())
+    if tensor.layout is not torch.strided:
+        ctx.error(f"expected a dense tensor, got layout {tensor.layout}")
+    if tensor.is_complex():
+        ctx.error(f"expected real numbers, got {describe(value)}")
+    if ctx.dtype is not None:
+        target = ctx.dtype
+    elif tensor.dtype in (torch.float32, torch.float64):
+        target = tensor.dtype
+    else:
+        target = torch.get_default_dtype()
+    return tensor.to(dtype=target, device=ctx.device)
+
+
+def number(value: Any, ctx: Context) -> torch.Tensor:
+    """A single number, as a tensor of shape ()."""
+    tensor = floating(value, ctx)
+    if tensor.numel() != 1:
+        ctx.error(f"expected a number, got {describe(value)}")
+    return tensor.reshape(())
+
+
+def vector(value: Any, ctx: Context) -> torch.Tensor:
+    """Three numbers, as a tensor of shape (3,)."""
+    tensor = floating(value, ctx)
+    if tensor.numel() != 3:
+        ctx.error(f"expected three numbers, got {describe(value)}")
+    return tensor.reshape(3)
+
+
+def matrix(value: Any, size: int, ctx: Context) -> torch.Tensor:
+    """A (size, size) matrix."""
+    with ctx.located():
+        made = as_matrix(value, size, "transform")
+    return made.to(dtype=ctx.dtype or _dtype_of(value), device=ctx.device)
+
+
+def _dtype_of(value: Any) -> torch.dtype:
+    return value.dtype if isinstance(value, torch.Tensor) and value.is_floating_point() else torch.get_default_dtype()
+
+
+def luminance(color: torch.Tensor) -> torch.Tensor:
+    """Rec. 709 luminance of (..., 3) as (..., 1)."""
+    return (color * color.new_tensor(LUMINANCE)).sum(-1, keepdim=True)
+
+
+def to_channels(color: torch.Tensor, ctx: Context) -> torch.Tensor:
+    """Image or colour (..., C) with the channels of the context: luminance in mono, alpha dropped."""
+    if color.shape[-1] in (2, 4):
+        color = color[..., :-1]
+    if ctx.color == "mono" and color.shape[-1] == 3:
+        color = luminance(color)
+    return color
+
+
+def is_spectrum(value: Any) -> bool:
+    """Whether `value` is a dict that describes a constant colour."""
+    return isinstance(value, Mapping) and value.get("type") in SPECTRUM_TYPES + DOCUMENTED_SPECTRA
+
+
+def spectrum(value: Any, ctx: Context) -> torch.Tensor:
+    """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel."""
+    if isinstance(value, Mapping):
+        return _spectrum_from_dict(value, ctx)
+    tensor = floating(value, ctx)
+    if tensor.ndim == 0:
+        return tensor
+    if tensor.ndim != 1 or tensor.shape[0] not in (1, 3):
+        ctx.error(f"expected a number or a colour of three numbers, got {describe(value)}")
+    if tensor.shape[0] == 3:
+        return to_channels(tensor, ctx)
+    return tensor if ctx.color == "mono" else tensor.reshape(())
+
+
+def _spectrum_from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    kind = value.get("type")
+    if kind in DOCUMENTED_SPECTRA:
+        ctx.error(f"spectra of type {kind!r} are not supported in the variant {ctx.color or 'rgb'!r}: give rgb values")
+    if kind not in SPECTRUM_TYPES:
+        ctx.error(f"unknown spectrum {kind!r}; {nearest(str(kind), SPECTRUM_TYPES)}")
+    key = "color" if kind == "srgb" and "color" in value else "value"
+    accepted = ("type", "id", key)
+    for name in value:
+        if name not in accepted:
+            if kind == "uniform" and name in ("wavelength_min", "wavelength_max"):
+                ctx.error(f"{name} is not supported: a uniform spectrum here extends over all wavelengths")
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
+    if key not in value:
+        if kind == "uniform":
+            return number(1.0, ctx)
+        ctx.error(f"{kind}: {key!r} is missing")
+    content = value[key]
+    if kind in ("rgb", "srgb"):
+        if isinstance(content, str):
+            content = _numbers(content, ctx)
+        tensor = floating(content, ctx)
+        if tensor.numel() == 1:
+            tensor = tensor.reshape(1).expand(3)
+        if tensor.shape != (3,):
+            ctx.error(f"rgb: expected three numbers, got {describe(content)}")
+        return to_channels(tensor, ctx)
+    if isinstance(content, Sequence) and len(content) and isinstance(content[0], (Sequence, Mapping)):
+        ctx.error(f"{kind}: tabulated spectra are not supported in the variant {ctx.color or 'rgb'!r}: give rgb values")
+    if isinstance(content, str):
+        content = _numbers(content, ctx)
+    if kind == "rawconstant":
+        return spectrum(content, ctx)
+    return number(content, ctx)
+
+
+def _numbers(text: str, ctx: Context) -> list[float]:
+    try:
+        return [float(word) for word in text.replace(",", " ").split()]
+    except ValueError:
+        ctx.error(f"expected numbers, got {text!r}")
+
+
+def image(value: Any, ctx: Context) -> torch.Tensor:
+    """Texels (H, W, C), C = 1 or 3, contiguous; (H, W) counts as one channel, alpha is dropped, mono has luminance."""
+    tensor = floating(value, ctx)
+    if tensor.ndim == 2:
+        tensor = tensor[..., None]
+    if tensor.ndim != 3 or tensor.shape[-1] not in (1, 2, 3, 4) or 0 in tensor.shape:
+        ctx.error(f"expected texels of shape (H, W, C) with 1 to 4 channels and H, W > 0, got {describe(value)}")
+    return to_channels(tensor, ctx).contiguous()
+
+
+def integer(value: Any, ctx: Context, minimum: int | None = None) -> int:
+    """An integer; booleans are refused."""
+    if isinstance(value, bool) or not (
+        hasattr(value, "__index__") or (isinstance(value, float) and value.is_integer())
+    ):
+        ctx.error(f"expected an integer, got {describe(value)}")
+    result = int(value)
+    if minimum is not None and result < minimum:
+        ctx.error(f"expected at least {minimum}, got {result}")
+    return result
+
+
+def boolean(value: Any, ctx: Context) -> bool:
+    """True or False, nothing that merely could be read as one."""
+    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+        return bool(value)
+    ctx.error(f"expected True or False, got {describe(value)}")
+
+
+def choice(value: Any, options: Sequence[str], ctx: Context) -> int:
+    """Position of the word `value` among `options`."""
+    if not isinstance(value, str):
+        ctx.error(f"expected one of {', '.join(options)}, got {describe(value)}")
+    if value not in options:
+        ctx.error(f"unknown word {value!r}; {nearest(value, options)}")
+    return options.index(value)

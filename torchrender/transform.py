@@ -1,0 +1,175 @@
+"""Affine transforms of three-dimensional space as 4x4 matrices.
+
+A `Transform` acts on column vectors: ``(A @ B)`` applies `B` first. Angles are degrees, lengths are scene units.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import torch
+
+from .errors import describe
+
+
+class _Chainable:
+    """A constructor of transforms that works on the class and, chained, on an instance.
+
+    ``Transform.translate([0, 1, 0])`` is a new transform, ``T.translate([0, 1, 0])`` is ``T @ Transform.translate(...)``.
+    """
+
+    def __init__(self, function: Callable[..., torch.Tensor]) -> None:
+        self.function = function
+        self.__doc__ = function.__doc__
+
+    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:
+        def make(*args: Any, **kwargs: Any) -> Transform:
+            made = owner(self.function(*args, **kwargs))
+            return made if instance is None else instance @ made
+
+        make.__doc__ = self.__doc__
+        make.__name__ = self.function.__name__
+        return make
+
+
+def _vector(value: Any, name: str, broadcast: bool = False) -> torch.Tensor:
+    tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(value, dtype=torch.float64)
+    tensor = tensor.to(torch.float64)
+    if broadcast and tensor.ndim == 0:
+        tensor = tensor.expand(3)
+    if tensor.shape != (3,):
+        raise ValueError(f"{name}: expected three numbers, got {describe(value)}")
+    return tensor
+
+
+class Transform:
+    """A 4x4 matrix in float64, row-major, acting on column vectors.
+
+    Args:
+        matrix: (4, 4) array-like: torch, NumPy, nested lists or another `Transform`; identity if omitted. A tensor
+            that carries gradients keeps them.
+    """
+
+    def __init__(self, matrix: Any = None) -> None:
+        self.matrix = torch.eye(4, dtype=torch.float64) if matrix is None else as_matrix(matrix, 4, "Transform")
+
+    def __matmul__(self, other: Any) -> Transform:
+        return Transform(self.matrix @ as_matrix(other, 4, "Transform @"))
+
+    def __repr__(self) -> str:
+        rows = ", ".join("[" + ", ".join(f"{x:.6g}" for x in row) + "]" for row in self.matrix.tolist())
+        return f"Transform([{rows}])"
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        array = self.matrix.detach().numpy()
+        return array if dtype is None else array.astype(dtype)
+
+    def inverse(self) -> Transform:
+        """The inverse transform; ValueError if the matrix is singular."""
+        matrix, info = torch.linalg.inv_ex(self.matrix)
+        if int(info) != 0:
+            raise ValueError("Transform.inverse: the matrix is singular")
+        return Transform(matrix)
+
+    def transform_points(self, points: Any) -> torch.Tensor:
+        """Images of `points` (..., 3), divided by the homogeneous coordinate."""
+        points = torch.as_tensor(points).to(torch.float64)
+        out = points @ self.matrix[:3, :3].T + self.matrix[:3, 3]
+        w = points @ self.matrix[3, :3] + self.matrix[3, 3]
+        return out / w[..., None]
+
+    def transform_normals(self, normals: Any) -> torch.Tensor:
+        """Images of the normals (..., 3), by the inverse transpose, normalised."""
+        normals = torch.as_tensor(normals).to(torch.float64)
+        out = normals @ torch.linalg.inv(self.matrix[:3, :3])
+        return torch.nn.functional.normalize(out, dim=-1)
+
+    @_Chainable
+    def translate(offset: Any) -> torch.Tensor:  # noqa: N805
+        """Translation by `offset` (3,)."""
+        offset = _vector(offset, "Transform.translate")
+        top = torch.cat([torch.eye(3, dtype=torch.float64), offset[:, None]], dim=1)
+        return torch.cat([top, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
+
+    @_Chainable
+    def scale(factor: Any) -> torch.Tensor:  # noqa: N805
+        """Scaling by one number or by three."""
+        factor = _vector(factor, "Transform.scale", broadcast=True)
+        return torch.diag(torch.cat([factor, torch.ones(1, dtype=torch.float64)]))
+
+    @_Chainable
+    def rotate(axis: Any, angle: float) -> torch.Tensor:  # noqa: N805
+        """Rotation about `axis` (3,), any length, by `angle` degrees, counter-clockwise seen from the axis' tip."""
+        axis = _vector(axis, "Transform.rotate: axis")
+        length = torch.linalg.vector_norm(axis)
+        if not float(length) > 0:
+            raise ValueError("Transform.rotate: the axis has no length")
+        x, y, z = axis / length
+        radians = torch.as_tensor(angle, dtype=torch.float64) * (math.pi / 180)
+        zero = torch.zeros((), dtype=torch.float64)
+        # Rodrigues' formula: R = I + sin(a) K + (1 - cos(a)) K^2
+        cross = torch.stack([torch.stack([zero, -z, y]), torch.stack([z, zero, -x]), torch.stack([-y, x, zero])])
+        rotation = torch.eye(3, dtype=torch.float64) + torch.sin(radians) * cross
+        rotation = rotation + (1 - torch.cos(radians)) * (cross @ cross)
+        return _homogeneous(rotation, torch.zeros(3, dtype=torch.float64))
+
+    @_Chainable
+    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> torch.Tensor:  # noqa: N805
+        """Camera to world: the camera stands at `origin`, looks along +z at `target`, its +y is nearest to `up`."""
+        origin = _vector(origin, "Transform.look_at: origin")
+        target = _vector(target, "Transform.look_at: target")
+        up = _vector(up, "Transform.look_at: up")
+        forward = target - origin
+        if not float(torch.linalg.vector_norm(forward)) > 0:
+            raise ValueError("Transform.look_at: origin and target are the same point")
+        forward = forward / torch.linalg.vector_norm(forward)
+        left = torch.linalg.cross(up, forward)
+        if not float(torch.linalg.vector_norm(left)) > 1e-12:
+            raise ValueError("Transform.look_at: up is parallel to the viewing direction")
+        left = left / torch.linalg.vector_norm(left)
+        return _homogeneous(torch.stack([left, torch.linalg.cross(forward, left), forward], dim=1), origin)
+
+
+def _homogeneous(linear: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
+    top = torch.cat([linear, offset[:, None]], dim=1)
+    return torch.cat([top, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
+
+
+def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
+    """`value` as a finite (size, size) tensor in float64, keeping its gradient.
+
+    Accepts a `Transform`, tensors, arrays, nested sequences and flat sequences of size*size numbers. With ``size=3``
+    (texture coordinates) a 4x4 matrix is accepted too: rows and columns 0, 1 and 3 hold the planar affine map.
+    """
+    if isinstance(value, Transform):
+        matrix = value.matrix
+    elif isinstance(value, torch.Tensor):
+        matrix = value.to(torch.float64)
+    else:
+        inner = getattr(value, "matrix", value)  # objects of other libraries that wrap a matrix
+        try:
+            matrix = torch.as_tensor(_plain(inner), dtype=torch.float64)
+        except (TypeError, ValueError, RuntimeError):
+            raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}") from None
+    if matrix.ndim == 1 and matrix.numel() in (9, 16):
+        matrix = matrix.reshape(3, 3) if matrix.numel() == 9 else matrix.reshape(4, 4)
+    if size == 3 and matrix.shape == (4, 4):
+        keep = torch.tensor([0, 1, 3])
+        matrix = matrix[keep][:, keep]
+    if matrix.shape != (size, size):
+        raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}")
+    if not bool(torch.isfinite(matrix.detach()).all()):
+        raise ValueError(f"{name}: the matrix has entries that are not finite")
+    return matrix
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [_plain(v) for v in value]
+    if hasattr(value, "__array__"):
+        import numpy
+
+        return numpy.array(value, dtype="float64")  # a copy: torch warns about read-only arrays
+    return value
