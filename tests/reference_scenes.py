@@ -1,7 +1,7 @@
 """Small scenes, one for each group of models, as plain dictionaries of numbers and arrays.
 
-`bench/make_references.py` renders them with Mitsuba 3.9.1 into `tests/data/references.npz`; `test_references.py` renders
-them with torchrender and compares. This module needs NumPy alone, so that both environments can import it.
+`bench/make_references.py` renders them with Mitsuba 3.9.1 into `tests/data/references.npz`, `test_references.py`
+renders them with torchrender and compares. This module needs NumPy alone, so that both environments can import it.
 """
 
 from __future__ import annotations

@@ -1,0 +1,154 @@
+"""Images and gradients against references made by another renderer, by z-test.
+
+`data/references.npz` holds small scenes, one for each group of models (see `reference_scenes.py`); `data/comparison.npz`
+the Cornell box and the textured sphere of the benchmark. Both store means and the variances of these means.
+
+The statistic is z = (ours - theirs) / sqrt(our variance + their variance) per entry, where our variance comes from
+independent runs. It is Student distributed with at least RUNS - 1 degrees of freedom; the limits below are passed by
+chance with a probability of less than 1e-3 per test, and the seeds are fixed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import reference_scenes
+import torch
+
+import torchrender as tr
+
+DATA = Path(__file__).resolve().parent / "data"
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+RUNS = 24
+# Largest |z| of up to 3072 entries, mean of z squared (entries are correlated between channels), |z| of one sum.
+MAX_Z, MAX_MEAN_SQUARE, MAX_SUM_Z = 6.5, 1.5, 4.5
+
+
+@pytest.fixture(scope="module")
+def references() -> dict[str, np.ndarray]:
+    return dict(np.load(DATA / "references.npz"))
+
+
+@pytest.fixture(scope="module")
+def comparison() -> dict[str, np.ndarray]:
+    return dict(np.load(DATA / "comparison.npz"))
+
+
+def check(what: str, runs: list[np.ndarray], mean: np.ndarray, variance: np.ndarray, share: float, systematic=1e-5):
+    """z-test of the mean of `runs` against a stored mean and variance.
+
+    Args:
+        share: samples of the reference over samples of all runs. Where an entry is hit rarely, the variance over our
+            few runs may be far too small by chance; it is taken to be at least half of what the reference predicts.
+        systematic: relative deviation of known origin (rounding) that is allowed on top of the noise.
+    """
+    ours = np.stack(runs).astype(np.float64).reshape(len(runs), -1)
+    mean, variance = mean.astype(np.float64).ravel(), variance.astype(np.float64).ravel()
+    assert np.isfinite(ours).all(), f"{what}: values that are not finite"
+    spread = ours.var(0, ddof=1) / len(runs)
+    total = np.maximum(spread, 0.5 * share * variance) + variance
+    scale = np.abs(mean).max()
+    total = total + (systematic * np.abs(mean)) ** 2 + (1e-7 * scale) ** 2
+    z = (ours.mean(0) - mean) / np.sqrt(total)
+    worst = np.abs(z).argmax()
+    text = f"{what}: entry {worst}: ours {ours.mean(0)[worst]:.6g}, reference {mean[worst]:.6g}, z = {z[worst]:.1f}"
+    assert np.abs(z).max() < MAX_Z, text
+    assert (z**2).mean() < (MAX_MEAN_SQUARE if z.size > 100 else MAX_SUM_Z**2), f"{what}: mean z² {(z**2).mean():.2f}"
+
+
+def check_sum(what: str, runs: list[np.ndarray], stored: np.ndarray, share: float) -> None:
+    """The sum over all entries; these share paths, so the variance of the sum is stored for itself."""
+    sums = np.array([run.astype(np.float64).sum() for run in runs])
+    mean, variance = map(float, stored)
+    total = max(sums.var(ddof=1) / len(sums), 0.5 * share * variance) + variance + (1e-5 * mean) ** 2
+    z = (sums.mean() - mean) / np.sqrt(total)
+    assert abs(z) < MAX_SUM_Z, f"{what}: sum of all entries {sums.mean():.6g}, reference {mean:.6g}, z = {z:.1f}"
+
+
+def blocks(image: torch.Tensor, size: int) -> np.ndarray:
+    """Means over size x size pixels of (H, W, C)."""
+    height, width, channels = image.shape
+    view = image.detach().double().reshape(height // size, size, width // size, size, channels)
+    return view.mean((1, 3)).numpy()
+
+
+def gradient_runs(scene: tr.Scene, names: list[str], spp: int) -> dict[str, list[np.ndarray]]:
+    """Gradients of mean(image * weight) by each of `names`, RUNS times."""
+    parameters = scene.train_only(*names)
+    runs: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    for run in range(RUNS):
+        image = tr.render(scene, spp=1, spp_grad=spp, seed=5000 + run)
+        weight = torch.from_numpy(reference_scenes.weight(*image.shape)).to(image.dtype)
+        gradients = torch.autograd.grad((image * weight).mean(), parameters)
+        for name, gradient in zip(names, gradients, strict=True):
+            runs[name].append(gradient.double().numpy())
+    return runs
+
+
+@pytest.mark.parametrize("name", list(reference_scenes.SCENES))
+def test_image(name: str, references: dict[str, np.ndarray]) -> None:
+    scene = tr.load_dict(reference_scenes.SCENES[name]().scene)
+    with torch.no_grad():
+        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+    share = 16 * 1024 / (RUNS * 64)
+    # The reference's Gaussian filter is a polynomial fit, which deviates by up to 4e-4 of the peak.
+    systematic = 5e-4 if name == "film" else 1e-5
+    check(name, runs, references[f"{name}.mean"], references[f"{name}.var"], share, systematic)
+
+
+WITH_GRADIENTS = [name for name, make in reference_scenes.SCENES.items() if make().gradients]
+
+
+@pytest.mark.parametrize("name", WITH_GRADIENTS)
+def test_gradient(name: str, references: dict[str, np.ndarray]) -> None:
+    description = reference_scenes.SCENES[name]()
+    runs = gradient_runs(tr.load_dict(description.scene), list(description.gradients), spp=64)
+    share = 16 * 512 / (RUNS * 64)
+    systematic = 5e-4 if name == "film" else 1e-5
+    for parameter, mine in runs.items():
+        mean, variance = references[f"{name}.grad.{parameter}"], references[f"{name}.gradvar.{parameter}"]
+        check(f"{name}, {parameter}", mine, mean, variance, share, systematic)
+        check_sum(f"{name}, {parameter}", mine, references[f"{name}.gradsum.{parameter}"], share)
+
+
+COMPARISON = {
+    "cornell_box": ("cornell_box.xml", {}),
+    "textured_sphere": ("textured_sphere.xml", {"texture": "textures/blocks_32.exr"}),
+}
+
+
+@pytest.mark.parametrize("name", list(COMPARISON))
+def test_comparison_image(name: str, comparison: dict[str, np.ndarray]) -> None:
+    file, arguments = COMPARISON[name]
+    scene = tr.load_file(SCENES / file, **arguments)
+    with torch.no_grad():
+        runs = [blocks(tr.render(scene, spp=16, seed=run), 8) for run in range(RUNS)]
+    check(name, runs, comparison[f"{name}.mean"], comparison[f"{name}.var"], 4096 / (RUNS * 16))
+
+
+@pytest.mark.parametrize("name", list(COMPARISON))
+def test_comparison_gradient(name: str, comparison: dict[str, np.ndarray]) -> None:
+    file, arguments = COMPARISON[name]
+    scene = tr.load_file(SCENES / file, **arguments)
+    names = [key.split(".", 2)[2] for key in comparison if key.startswith(f"{name}.grad.")]
+    runs = gradient_runs(scene, names, spp=16)
+    share = 2048 / (RUNS * 16)
+    for parameter, mine in runs.items():
+        mean, variance = comparison[f"{name}.grad.{parameter}"], comparison[f"{name}.gradvar.{parameter}"]
+        check(f"{name}, {parameter}", mine, mean, variance, share)
+        check_sum(f"{name}, {parameter}", mine, comparison[f"{name}.gradsum.{parameter}"], share)
+
+
+def test_the_test_notices_a_small_error(references: dict[str, np.ndarray]) -> None:
+    """An image that is wrong by 2 % fails, as does one whose rows are upside down."""
+    scene = tr.load_dict(reference_scenes.SCENES["shapes"]().scene)
+    with torch.no_grad():
+        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+    mean, variance = references["shapes.mean"], references["shapes.var"]
+    share = 16 * 1024 / (RUNS * 64)
+    with pytest.raises(AssertionError):
+        check("brighter", [1.02 * run for run in runs], mean, variance, share)
+    with pytest.raises(AssertionError):
+        check("upside down", [run[::-1] for run in runs], mean, variance, share)
