@@ -61,7 +61,7 @@ def render(
         outputs: names of what is wanted; a named tuple of tensors comes back. Here: ``"rgb"``, ``"alpha"`` (H, W).
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: not supported by this version.
-        layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch dimension to the first two.
+        layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two.
         correlated: allow `seed_grad` equal to `seed`: gradients of nonlinear losses are then biased.
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
 

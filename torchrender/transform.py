@@ -17,7 +17,7 @@ from .errors import describe
 class _Chainable:
     """A constructor of transforms that works on the class and, chained, on an instance.
 
-    ``Transform.translate([0, 1, 0])`` is a new transform, ``T.translate([0, 1, 0])`` is ``T @ Transform.translate(...)``.
+    ``Transform.translate([0, 1, 0])`` is a new transform, ``T.translate([0, 1, 0])`` is ``T @`` that.
     """
 
     def __init__(self, function: Callable[..., torch.Tensor]) -> None:
@@ -87,20 +87,20 @@ class Transform:
         return torch.nn.functional.normalize(out, dim=-1)
 
     @_Chainable
-    def translate(offset: Any) -> torch.Tensor:  # noqa: N805
+    def translate(offset: Any) -> torch.Tensor:
         """Translation by `offset` (3,)."""
         offset = _vector(offset, "Transform.translate")
         top = torch.cat([torch.eye(3, dtype=torch.float64), offset[:, None]], dim=1)
         return torch.cat([top, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
 
     @_Chainable
-    def scale(factor: Any) -> torch.Tensor:  # noqa: N805
+    def scale(factor: Any) -> torch.Tensor:
         """Scaling by one number or by three."""
         factor = _vector(factor, "Transform.scale", broadcast=True)
         return torch.diag(torch.cat([factor, torch.ones(1, dtype=torch.float64)]))
 
     @_Chainable
-    def rotate(axis: Any, angle: float) -> torch.Tensor:  # noqa: N805
+    def rotate(axis: Any, angle: float) -> torch.Tensor:
         """Rotation about `axis` (3,), any length, by `angle` degrees, counter-clockwise seen from the axis' tip."""
         axis = _vector(axis, "Transform.rotate: axis")
         length = torch.linalg.vector_norm(axis)
@@ -116,7 +116,7 @@ class Transform:
         return _homogeneous(rotation, torch.zeros(3, dtype=torch.float64))
 
     @_Chainable
-    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> torch.Tensor:  # noqa: N805
+    def look_at(origin: Any, target: Any, up: Any = (0.0, 1.0, 0.0)) -> torch.Tensor:
         """Camera to world: the camera stands at `origin`, looks along +z at `target`, its +y is nearest to `up`."""
         origin = _vector(origin, "Transform.look_at: origin")
         target = _vector(target, "Transform.look_at: target")

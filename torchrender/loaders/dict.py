@@ -55,8 +55,8 @@ def load_dict(
     """A scene, or a single object, from a nested dict in the format that Mitsuba 3 documents.
 
     Args:
-        description: ``{"type": "scene", "id": {"type": ..., ...}, ...}``. Values may be numbers, lists, arrays, tensors,
-            dicts, references ``{"type": "ref", "id": NAME}`` and built objects such as `tr.Mesh`.
+        description: ``{"type": "scene", "id": {"type": ..., ...}, ...}``. Values may be numbers, lists, arrays,
+            tensors, dicts, references ``{"type": "ref", "id": NAME}`` and built objects such as `tr.Mesh`.
         variant: colour mode, one of `variants()`.
         dtype: `torch.float32` or `torch.float64`, of all parameters and of the rendering.
         device: ``"cpu"``.

@@ -5,6 +5,7 @@ The core says once which models exist and which fields they have; classes, packi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -41,6 +42,11 @@ class Model:
     fields: tuple[Field, ...]
 
 
+def _number(value: float | None) -> float | None:
+    """The core writes "none" as NaN."""
+    return None if value is None or math.isnan(value) else float(value)
+
+
 @lru_cache(maxsize=1)
 def models() -> dict[tuple[str, str], Model]:
     """All models of the native core, by (category, type), in the core's order."""
@@ -50,9 +56,9 @@ def models() -> dict[tuple[str, str], Model]:
             Field(
                 name=f["name"],
                 kind=f["kind"],
-                default=f.get("default"),
-                min=f.get("min"),
-                max=f.get("max"),
+                default=_number(f.get("default")),
+                min=_number(f.get("min")),
+                max=_number(f.get("max")),
                 derivative=f.get("derivative") or "none",
                 doc=f.get("doc", ""),
             )

@@ -196,5 +196,8 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
         if plugin.category == "sensor":
             packer.layout.sensors.append(plugin)
     packer.add(free_camera, "camera")
-    packer.layout.sensors.append(free_camera)
-    return packer.layout
+    layout = packer.layout
+    layout.sensors.append(free_camera)
+    # It is no part of the scene, so nothing of it can be asked for by name.
+    layout.by_name = {n: i for n, i in layout.by_name.items() if layout.slots[i].module is not free_camera}
+    return layout

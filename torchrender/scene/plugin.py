@@ -1,7 +1,7 @@
 """The one module class behind every BSDF, texture, emitter, shape and sensor.
 
-A `Plugin` is generated from the native declaration of its model: continuous fields are parameters (tensors), static ones
-plain attributes, nested models child modules. What a model needs beyond that (other names for a field, values read
+A `Plugin` is generated from the native declaration of its model: continuous fields are parameters (tensors), static
+ones plain attributes, nested models child modules. What a model needs beyond that (other names for a field, values read
 from a file) is a subclass that overrides `Plugin.prepare`.
 """
 
@@ -330,7 +330,7 @@ class Plugin(nn.Module):
         try:
             return super().__getattr__(name)
         except AttributeError:
-            known = [n for n in (*self._parameters, *self._modules, *self._buffers)]
+            known = [*self._parameters, *self._modules, *self._buffers]
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}; {nearest(name, known)}") from None
 
     def __setitem__(self, name: str, value: Any) -> None:

@@ -39,8 +39,8 @@ DOCUMENTED: dict[str, tuple[str, ...]] = {
         "area constant directional directionalarea envmap point projector spot sunsky timed_sunsky volumelight".split()
     ),
     "shape": tuple(
-        "bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply rectangle sdfgrid "
-        "serialized shapegroup sphere".split()
+        "bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply rectangle "
+        "sdfgrid serialized shapegroup sphere".split()
     ),
     "texture": ("bitmap", "checkerboard", "mesh_attribute", "volume"),
     "sensor": tuple("batch distant irradiancemeter orthographic perspective radiancemeter thinlens".split()),

@@ -231,7 +231,7 @@ class Scene(nn.Module):
         """Let exactly the parameters that match one of the glob `patterns` require gradients, and return them.
 
         ``scene.train_only("*.reflectance.*")``; called without patterns nothing requires gradients any more. Of the
-        parameters that a pattern matches, those that have derivatives are chosen: a bitmap's ``data``, not its ``to_uv``.
+        parameters that a pattern matches, those that have derivatives are chosen: a bitmap's ``data``, not ``to_uv``.
 
         Raises:
             ValueError: a pattern matches nothing.
