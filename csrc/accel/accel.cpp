@@ -1,0 +1,275 @@
+#include "accel.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstring>
+#include <limits>
+#include <map>
+#include <stdexcept>
+#include <vector>
+
+#include "embree_library.h"
+#include "quadric.h"
+
+namespace tr {
+
+namespace {
+
+std::atomic<int> requested_width{0};
+
+// The width of this build's packets, so that an instruction set can be tested by itself; the plain build takes what
+// the processor has.
+int default_width(int widest) {
+#if defined(TR_PACKET_WIDTH) && TR_PACKET_WIDTH > 1
+    return std::min(TR_PACKET_WIDTH, widest);
+#else
+    return widest;
+#endif
+}
+
+struct Mesh {
+    rtc::Geometry geometry = nullptr;
+    float *positions = nullptr;  // Embree's buffers
+    uint32_t *faces = nullptr;
+    size_t n_vertices = 0, n_faces = 0;
+};
+
+// Loads W rays, or as many as are left, and decides which take part. Returns false if none does.
+template <int W>
+bool load_rays(const RayBatch &rays, size_t begin, size_t n, rtc::Ray<W> &ray, int *valid) {
+    size_t count = std::min<size_t>(W, n - begin);
+    if (count < W) std::memset(&ray, 0, sizeof(ray));
+    auto load = [&](float *to, const float *from) {
+        if (count == W)
+            std::memcpy(to, from + begin, W * sizeof(float));
+        else
+            std::memcpy(to, from + begin, count * sizeof(float));
+    };
+    load(ray.org_x, rays.o[0]);
+    load(ray.org_y, rays.o[1]);
+    load(ray.org_z, rays.o[2]);
+    load(ray.dir_x, rays.d[0]);
+    load(ray.dir_y, rays.d[1]);
+    load(ray.dir_z, rays.d[2]);
+    load(ray.tfar, rays.tmax);
+    int any = 0;
+    for (int i = 0; i < W; ++i) {
+        float d2 = ray.dir_x[i] * ray.dir_x[i] + ray.dir_y[i] * ray.dir_y[i] + ray.dir_z[i] * ray.dir_z[i];
+        float o = ray.org_x[i] + ray.org_y[i] + ray.org_z[i];
+        // an origin that is not finite makes o - o NaN
+        int ok = int(d2 > 0) & int(d2 <= std::numeric_limits<float>::max()) & int(o - o == 0) & int(ray.tfar[i] >= 0);
+        valid[i] = -ok;
+        any |= ok;
+        ray.tnear[i] = ray.time[i] = 0;
+        ray.mask[i] = 0xffffffffu;
+        ray.id[i] = ray.flags[i] = 0;
+    }
+    return any != 0;
+}
+
+template <int W>
+void intersect_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays, const HitBatch &hits, size_t n,
+                     bool coherent) {
+    rtc::QueryArguments arguments;
+    arguments.flags = coherent ? rtc::QueryCoherent : rtc::QueryIncoherent;
+    alignas(64) int valid[W];
+    rtc::RayHit<W> q;
+    for (size_t begin = 0; begin < n; begin += W) {
+        bool any = load_rays<W>(rays, begin, n, q.ray, valid);
+        for (int i = 0; i < W; ++i) {
+            q.hit.geometry[i] = q.hit.instance[i] = rtc::InvalidGeometry;
+            q.hit.primitive[i] = 0;
+            q.hit.u[i] = q.hit.v[i] = 0;
+        }
+        if (any) api.intersect<W>(valid, scene, q, arguments);
+        size_t bytes = std::min<size_t>(W, n - begin) * 4;
+        std::memcpy(hits.shape + begin, q.hit.geometry, bytes);
+        std::memcpy(hits.primitive + begin, q.hit.primitive, bytes);
+        std::memcpy(hits.t + begin, q.ray.tfar, bytes);
+        std::memcpy(hits.b1 + begin, q.hit.u, bytes);
+        std::memcpy(hits.b2 + begin, q.hit.v, bytes);
+    }
+}
+
+template <int W>
+void occluded_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays, uint8_t *hit, size_t n) {
+    rtc::QueryArguments arguments;
+    alignas(64) int valid[W];
+    rtc::Ray<W> ray;
+    for (size_t begin = 0; begin < n; begin += W) {
+        if (load_rays<W>(rays, begin, n, ray, valid)) api.occluded<W>(valid, scene, ray, arguments);
+        size_t count = std::min<size_t>(W, n - begin);
+        for (size_t i = 0; i < count; ++i) hit[begin + i] = uint8_t(valid[i] != 0 && ray.tfar[i] < 0);
+    }
+}
+
+}  // namespace
+
+struct Accel::Impl {
+    std::shared_ptr<const EmbreeDevice> device = embree_device();
+    pid_t process = getpid();
+    rtc::Scene scene = nullptr;
+    int width = 0;
+    bool built = false;
+    std::map<uint32_t, Mesh> meshes;
+    std::map<uint32_t, std::pair<rtc::Geometry, std::unique_ptr<Quadric>>> quadrics;
+
+    const rtc::Api &api() const { return device->api; }
+
+    Impl() { open(); }
+
+    void open() {
+        scene = api().NewScene(device->handle);
+        api().SetSceneBuildQuality(scene, rtc::BuildHigh);
+        device->check("while making a scene");
+        int asked = requested_width;
+        width = asked ? std::min(asked, device->widest_query) : default_width(device->widest_query);
+    }
+
+    void close() {
+        for (auto &[shape, mesh] : meshes) api().ReleaseGeometry(mesh.geometry);
+        for (auto &[shape, quadric] : quadrics) api().ReleaseGeometry(quadric.first);
+        if (scene) api().ReleaseScene(scene);
+        scene = nullptr;
+    }
+
+    // After a fork queries go on working, but the parent's device has lost its threads and cannot build: geometry that
+    // is to be changed moves to a device of this process. What the parent made is left where it is.
+    void ensure_process() {
+        if (process == getpid()) return;
+        auto old_meshes = std::move(meshes);
+        auto old_quadrics = std::move(quadrics);
+        new std::shared_ptr<const EmbreeDevice>(std::move(device));
+        meshes.clear();
+        quadrics.clear();
+        device = embree_device();
+        process = getpid();
+        built = false;
+        open();
+        for (auto &[shape, mesh] : old_meshes)
+            set_mesh(shape, mesh.positions, mesh.n_vertices, mesh.faces, mesh.n_faces);
+        for (auto &[shape, quadric] : old_quadrics) set_quadric(*quadric.second);
+    }
+
+    void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces) {
+        Mesh &mesh = meshes[shape];
+        if (mesh.geometry && (mesh.n_vertices != n_vertices || mesh.n_faces != n_faces))
+            throw std::runtime_error("Accel::set_mesh: the number of vertices or faces has changed");
+        if (!mesh.geometry) {
+            mesh.geometry = api().NewGeometry(device->handle, rtc::GeometryTriangle);
+            mesh.n_vertices = n_vertices;
+            mesh.n_faces = n_faces;
+            mesh.positions = static_cast<float *>(
+                api().SetNewGeometryBuffer(mesh.geometry, rtc::BufferVertex, 0, rtc::FormatFloat3, 12, n_vertices));
+            mesh.faces = static_cast<uint32_t *>(
+                api().SetNewGeometryBuffer(mesh.geometry, rtc::BufferIndex, 0, rtc::FormatUInt3, 12, n_faces));
+            device->check("while making a mesh");
+            if (!mesh.positions || !mesh.faces) throw std::runtime_error("Embree has no memory for a mesh");
+            api().AttachGeometryByID(scene, mesh.geometry, shape);
+        } else {
+            api().UpdateGeometryBuffer(mesh.geometry, rtc::BufferVertex, 0);
+            api().UpdateGeometryBuffer(mesh.geometry, rtc::BufferIndex, 0);
+        }
+        std::memcpy(mesh.positions, positions, n_vertices * 12);
+        std::memcpy(mesh.faces, faces, n_faces * 12);
+        api().CommitGeometry(mesh.geometry);
+        device->check("while setting a mesh");
+    }
+
+    void set_quadric(const Quadric &values) {
+        auto &[geometry, quadric] = quadrics[values.shape];
+        if (!quadric) quadric = std::make_unique<Quadric>();
+        *quadric = values;  // its address is what Embree's callbacks get
+        if (!geometry) {
+            geometry = api().NewGeometry(device->handle, rtc::GeometryUser);
+            api().SetGeometryUserPrimitiveCount(geometry, 1);
+            api().SetGeometryUserData(geometry, quadric.get());
+            api().SetGeometryBoundsFunction(geometry, Quadric::on_bounds, quadric.get());
+            api().SetGeometryIntersectFunction(geometry, Quadric::on_intersect);
+            api().SetGeometryOccludedFunction(geometry, Quadric::on_occluded);
+            api().AttachGeometryByID(scene, geometry, values.shape);
+        }
+        api().CommitGeometry(geometry);
+        device->check("while setting a sphere or disk");
+    }
+
+    ~Impl() {
+        if (process == getpid()) close();
+    }
+};
+
+Accel::Accel() : impl_(std::make_unique<Impl>()) {}
+Accel::~Accel() = default;
+Accel::Accel(Accel &&) noexcept = default;
+Accel &Accel::operator=(Accel &&) noexcept = default;
+
+void Accel::set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces) {
+    impl_->ensure_process();
+    impl_->set_mesh(shape, positions, n_vertices, faces, n_faces);
+}
+
+void Accel::set_quadric(uint32_t shape, int kind, const float to_world[12], const float to_object[12]) {
+    impl_->ensure_process();
+    Quadric q;
+    q.sphere = kind == 1;
+    q.shape = shape;
+    std::copy(to_world, to_world + 12, q.to_world);
+    std::copy(to_object, to_object + 12, q.to_object);
+    impl_->set_quadric(q);
+}
+
+void Accel::commit() {
+    Impl &impl = *impl_;
+    impl.ensure_process();
+    if (impl.built) impl.api().SetSceneBuildQuality(impl.scene, rtc::BuildMedium);
+    impl.api().CommitScene(impl.scene);
+    impl.device->check("while building the acceleration structure");
+    impl.built = true;
+}
+
+void Accel::bounds(float out[6]) const {
+    rtc::Bounds box;
+    impl_->api().GetSceneBounds(impl_->scene, &box);
+    for (int i = 0; i < 3; ++i) {
+        out[i] = box.lower[i];
+        out[3 + i] = box.upper[i];
+    }
+}
+
+void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
+    const rtc::Api &api = impl_->api();
+    switch (impl_->width) {
+        case 16:
+            return intersect_width<16>(api, impl_->scene, rays, hits, n, coherent);
+        case 8:
+            return intersect_width<8>(api, impl_->scene, rays, hits, n, coherent);
+        case 4:
+            return intersect_width<4>(api, impl_->scene, rays, hits, n, coherent);
+        default:
+            return intersect_width<1>(api, impl_->scene, rays, hits, n, coherent);
+    }
+}
+
+void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+    const rtc::Api &api = impl_->api();
+    switch (impl_->width) {
+        case 16:
+            return occluded_width<16>(api, impl_->scene, rays, hit, n);
+        case 8:
+            return occluded_width<8>(api, impl_->scene, rays, hit, n);
+        case 4:
+            return occluded_width<4>(api, impl_->scene, rays, hit, n);
+        default:
+            return occluded_width<1>(api, impl_->scene, rays, hit, n);
+    }
+}
+
+void Accel::set_query_width(int width) {
+    if (width != 0 && width != 1 && width != 4 && width != 8 && width != 16)
+        throw std::invalid_argument("query width: expected 0, 1, 4, 8 or 16, got " + std::to_string(width));
+    requested_width = width;
+}
+
+}  // namespace tr

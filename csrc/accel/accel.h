@@ -1,0 +1,58 @@
+// Closest hits and occlusion of batches of rays, through Embree. Geometry is identified by the index of its shape.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+
+namespace tr {
+
+// Rays as a structure of arrays. They begin at distance 0 and end at tmax (infinity is fine). Rays with tmax < 0, with
+// a non-finite number or without a direction hit nothing; directions need not be normalised, t counts in their length.
+struct RayBatch {
+    const float *o[3], *d[3], *tmax;
+};
+
+// Hits of a batch. The distance of a miss is the ray's tmax.
+struct HitBatch {
+    uint32_t *shape, *primitive;  // shape = Accel::Miss: nothing was hit
+    float *t, *b1, *b2;           // weights of a triangle's second and third vertex; 0 on spheres and disks
+};
+
+class Accel {
+public:
+    static constexpr uint32_t Miss = 0xffffffffu;
+
+    // Needs a loaded library (load_embree); std::runtime_error otherwise, and from everything that changes geometry.
+    Accel();
+    ~Accel();
+    Accel(Accel &&) noexcept;
+    Accel &operator=(Accel &&) noexcept;
+
+    // Copies a mesh: positions (n_vertices, 3), faces (n_faces, 3) counted from this mesh's first vertex. A
+    // shape may be set again, with the same numbers of vertices and faces.
+    void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces);
+    // The unit sphere (kind 1) or the unit disk in z = 0 (kind 2, see ShapeKind); matrices of 3 rows of 4.
+    void set_quadric(uint32_t shape, int kind, const float to_world[12], const float to_object[12]);
+    // Makes the changes visible to queries. The first build is the best one; later ones are meant to be fast.
+    void commit();
+
+    // Lower corner, upper corner; (inf, -inf) without geometry.
+    void bounds(float out[6]) const;
+
+    // Any number of rays, from any number of threads. `coherent`: neighbouring rays are similar, as from a camera.
+    // hits.t may be the rays' own tmax.
+    void intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const;
+    // hit[i] = 1 if anything lies between the ray's ends, else 0.
+    void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const;
+
+    // Rays a query: 1, 4, 8 or 16, at most what the processor has; 0 gives the default back. For measurements; affects
+    // scenes that are made afterwards.
+    static void set_query_width(int width);
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace tr
