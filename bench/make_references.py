@@ -65,10 +65,11 @@ def mean_and_variance(samples: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 
 def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np.ndarray]:
     params = mi.traverse(scene)
+    leaves = {}
     for name in description.gradients:
         value = type(params[name])(dr.detach(params[name]))
         dr.enable_grad(value)
-        params[name] = value
+        params[name] = leaves[name] = value
     params.update()
     image = mi.render(
         scene, params, integrator=integrator, spp=16, spp_grad=GRADIENT_SPP, seed=seed, seed_grad=seed + 10_000
@@ -76,7 +77,8 @@ def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np
     dr.backward(dr.mean(image * weight, axis=None))
     result = {}
     for name in description.gradients:
-        gradient = np.array(dr.grad(params[name]), dtype=np.float64)
+        # Of what was put in: an environment map keeps a copy with wrap-around columns of its own.
+        gradient = np.array(dr.grad(leaves[name]), dtype=np.float64)
         if gradient.ndim < 3:  # colours come as (3, 1), single numbers as (1,)
             gradient = gradient.ravel()
         is_environment = name.endswith(".data") and "reflectance" not in name and "radiance" not in name

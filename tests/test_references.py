@@ -1,7 +1,7 @@
 """Images and gradients against references made by another renderer, by z-test.
 
-`data/references.npz` holds small scenes, one for each group of models (see `reference_scenes.py`); `data/comparison.npz`
-the Cornell box and the textured sphere of the benchmark. Both store means and the variances of these means.
+`data/references.npz` holds small scenes, one for each group of models (see `reference_scenes.py`),
+`data/comparison.npz` the Cornell box and the textured sphere of the benchmark; means and the variances of the means.
 
 The statistic is z = (ours - theirs) / sqrt(our variance + their variance) per entry, where our variance comes from
 independent runs. It is Student distributed with at least RUNS - 1 degrees of freedom; the limits below are passed by
