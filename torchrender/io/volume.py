@@ -100,7 +100,7 @@ def _read_vol(path: Path) -> torch.Tensor:
 def _read_npy(path: Path) -> torch.Tensor:
     try:
         values = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
+    except Exception as error:  # NumPy's parser of the header raises whatever its text makes it stumble over
         raise ValueError(f"{path}: the .npy file is truncated or damaged ({error})") from None
     if values.ndim not in (3, 4) or values.size == 0 or values.dtype.kind not in "fiu":
         got = f"{values.dtype} of shape {values.shape}"
