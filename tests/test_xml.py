@@ -181,6 +181,7 @@ def test_mistakes_are_named(body, message):
         ('<scene><shape type="sphere"/></scene>', "'version' is missing"),
         ('<scene version="9"/>', "expected a version"),
         ("", "not well-formed"),
+        ('<?xml version="1.0" encoding="utf-H"?><scene version="3.0.0"/>', "unknown encoding: utf-H"),
         ('<html version="1"/>', "expected a scene"),
         ('<!DOCTYPE s [<!ENTITY a "aa"><!ENTITY b "&a;&a;">]><scene version="3.0.0">&b;</scene>', "DOCTYPE s"),
         ('<!DOCTYPE s SYSTEM "file:///etc/hosts"><scene version="3.0.0"/>', "DOCTYPE s"),

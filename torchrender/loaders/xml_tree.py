@@ -72,6 +72,8 @@ def read_tree(content: bytes, file: str) -> Element:
     parser.StartDoctypeDeclHandler = doctype
     try:
         parser.Parse(content, True)
+    except LookupError as error:
+        raise ValueError(f"{file}, line 1: not well-formed XML: {error}") from None
     except xml.parsers.expat.ExpatError as error:
         inside = f", <{stack[-1].tag}>" if stack else ""
         reason = xml.parsers.expat.ErrorString(error.code)
