@@ -1,0 +1,54 @@
+#include "distribution.h"
+
+#include <algorithm>
+
+namespace tr {
+
+template <class S>
+double build_cdf(const double *weights, size_t n, S *cdf) {
+    double total = 0;
+    for (size_t i = 0; i < n; ++i) total += weights[i];
+    double sum = 0;
+    for (size_t i = 0; i < n; ++i) {
+        sum += total > 0 ? weights[i] : 1;
+        cdf[i] = S(std::min(1.0, sum / (total > 0 ? total : double(n))));
+    }
+    if (n > 0) cdf[n - 1] = S(1);
+    return total;
+}
+
+template <class S>
+void EnvironmentTables<S>::build(const TensorView<S> &data) {
+    const int height = data.shape[0], channels = data.shape[2];
+    columns = data.shape[1];
+    rows = std::max(height - 1, 1);
+    std::vector<double> importance(size_t(height) * size_t(columns));
+    for (size_t i = 0; i < importance.size(); ++i) {
+        const S *texel = data.data + i * size_t(channels);
+        double y = channels == 3 ? 0.2126 * double(texel[0]) + 0.7152 * double(texel[1]) + 0.0722 * double(texel[2])
+                                 : double(texel[0]);
+        importance[i] = std::max(y, 0.0);
+    }
+    auto at = [&](int row, int column) {
+        return importance[size_t(std::min(row, height - 1)) * size_t(columns) + size_t(column % columns)];
+    };
+    bool black = std::all_of(importance.begin(), importance.end(), [](double y) { return y == 0; });
+    marginal.resize(size_t(rows));
+    conditional.resize(size_t(rows) * size_t(columns));
+    std::vector<double> cells(static_cast<size_t>(columns)), row_weights(static_cast<size_t>(rows));
+    for (int i = 0; i < rows; ++i) {
+        double sine = std::sin((i + 0.5) / rows * Pi);
+        for (int j = 0; j < columns; ++j)
+            cells[size_t(j)] = black ? 1 : 0.25 * (at(i, j) + at(i, j + 1) + at(i + 1, j) + at(i + 1, j + 1));
+        row_weights[size_t(i)] =
+            sine * build_cdf(cells.data(), cells.size(), conditional.data() + size_t(i) * size_t(columns));
+    }
+    build_cdf(row_weights.data(), row_weights.size(), marginal.data());
+}
+
+template double build_cdf(const double *, size_t, float *);
+template double build_cdf(const double *, size_t, double *);
+template struct EnvironmentTables<float>;
+template struct EnvironmentTables<double>;
+
+}  // namespace tr

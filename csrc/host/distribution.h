@@ -1,0 +1,27 @@
+// Discrete distributions as cumulative tables, summed in double precision.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include "../core/scene.h"
+
+namespace tr {
+
+// cdf[i] = (w[0] + ... + w[i]) / total, the last exactly 1; uniform if all weights are 0. Weights are finite and not
+// negative. Returns the total.
+template <class S>
+double build_cdf(const double *weights, size_t n, S *cdf);
+
+// Tables of EnvironmentMap: a cell between each two neighbouring columns (cyclically) and rows of texels, weighted by
+// the mean luminance of its corners and the sine of the polar angle at its centre.
+template <class S>
+struct EnvironmentTables {
+    int columns = 0, rows = 0;
+    std::vector<S> marginal;     // of rows
+    std::vector<S> conditional;  // of the columns in each row
+
+    void build(const TensorView<S> &data);
+};
+
+}  // namespace tr

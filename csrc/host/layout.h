@@ -1,0 +1,69 @@
+// From the description that Python gives to what follows from its structure alone: records, where the small parameters
+// are stored, faces. Everything is checked here, before anything is built; values are not looked at.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "../core/scene.h"
+
+namespace tr {
+
+struct SceneObject {
+    std::string type;
+    std::vector<int64_t> ints;  // one a declared field: a slot, an index, or the number itself; -1: not given
+    std::string path;           // its name in messages
+};
+using SceneObjects = std::map<std::string, std::vector<SceneObject>>;  // by category
+
+struct IndexArray {
+    const int32_t *data;  // (rows, 3)
+    int64_t rows;
+};
+
+// A small parameter in the block of constants. `count` numbers of the parameter are stored as `stored` numbers at
+// `offset`: a colour of shape () as a number a channel, a (4, 4) matrix as its first 3 rows, others as they are.
+struct ConstantEntry {
+    int slot, offset, stored, count;
+};
+
+// Where a parameter is used, for messages: "scene.path: field 'name'".
+struct ParameterUse {
+    int slot;
+    std::string where;
+};
+
+struct MeshSource {
+    int shape, vertices, normals, texcoords;  // slots or -1; a rectangle has none
+    int first_vertex, n_vertices;
+};
+
+struct SceneLayout {
+    int channels = 3;
+    std::map<std::string, std::vector<Record>> records;
+    std::map<std::string, std::vector<std::string>> paths;
+
+    std::vector<double> constants;  // defaults; what slots fill in is 0
+    std::vector<ConstantEntry> entries;
+    std::vector<std::string> entry_where;               // an entry's ParameterUse::where
+    std::vector<ParameterUse> tensors;                  // large tensors in use
+    std::vector<std::array<int32_t, 3>> tensor_shapes;  // of every slot
+    std::vector<int64_t> slot_sizes;
+
+    std::vector<ShapeInfo> shapes;  // flags as given, without what a mirroring transformation adds
+    std::vector<MeshSource> meshes;
+    std::vector<uint32_t> faces;  // indices into the vertices of all meshes
+    std::vector<AttributeInfo> attributes;
+    int n_vertices = 0, n_cdf_faces = 0;
+    bool has_normals = false, has_texcoords = false;
+    int environment = -1;
+};
+
+// std::invalid_argument: "scene.path: field 'x': expected ..., got ...".
+SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
+                    const std::vector<IndexArray> &index_arrays, int channels);
+
+}  // namespace tr

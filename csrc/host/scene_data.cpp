@@ -1,0 +1,169 @@
+#include "scene_data.h"
+
+#include <algorithm>
+
+#include "../core/registry.h"
+#include "models.h"
+
+namespace tr {
+
+template <class S>
+void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
+                         const std::vector<IndexArray> &index_arrays, int channels) {
+    SceneLayout layout = lay_out(objects, param_shapes, index_arrays, channels);
+    accel_ = std::make_unique<Accel>();
+    layout_ = std::move(layout);
+    all_dirty_ = true;
+    size_t n_vertices = size_t(layout_.n_vertices), n_shapes = layout_.shapes.size();
+    shapes_ = layout_.shapes;
+    positions_.assign(n_vertices * 3, S(0));
+    normals_.assign(layout_.has_normals ? n_vertices * 3 : 0, S(0));
+    texcoords_.assign(layout_.has_texcoords ? n_vertices * 2 : 0, S(0));
+    matrices_.assign(n_shapes * 24, S(0));
+    areas_.assign(n_shapes, S(0));
+    area_cdf_.assign(size_t(layout_.n_cdf_faces), S(0));
+    environment_ = {};
+    tensors_.resize(layout_.slot_sizes.size());
+    for (size_t i = 0; i < tensors_.size(); ++i) {
+        tensors_[i].data = nullptr;
+        std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors_[i].shape);
+    }
+    constants_.assign(layout_.constants.begin(), layout_.constants.end());
+    refresh_view();
+}
+
+template <class S>
+void SceneData<S>::update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty) {
+    if (!accel_) throw std::invalid_argument("scene: update before build");
+    if (params.size() != n_params() || dirty.size() != n_params())
+        bad_value("scene: update", std::to_string(n_params()) + " parameters", std::to_string(params.size()));
+    for (size_t i = 0; i < params.size(); ++i)
+        if (!params[i] && layout_.slot_sizes[i] > 0) bad_value("parameter " + std::to_string(i), "an address", "null");
+
+    // until the end is reached nothing counts as up to date
+    std::vector<uint8_t> changed = all_dirty_ ? std::vector<uint8_t>(params.size(), 1) : dirty;
+    bool first = all_dirty_;
+    all_dirty_ = true;
+    for (const ParameterUse &use : layout_.tensors)
+        if (changed[size_t(use.slot)])
+            require_finite(params[size_t(use.slot)], layout_.slot_sizes[size_t(use.slot)], use.where);
+    std::vector<S> old = constants_;
+    read_constants(params);
+    update_shapes(params, changed, old, first);
+    update_environment(changed);
+    update_emitters();
+    refresh_view();
+    all_dirty_ = false;
+}
+
+template <class S>
+void SceneData<S>::read_constants(const std::vector<const S *> &params) {
+    for (size_t i = 0; i < layout_.entries.size(); ++i) {
+        const ConstantEntry &e = layout_.entries[i];
+        const S *from = params[size_t(e.slot)];
+        const std::string &where = layout_.entry_where[i];
+        require_finite(from, e.count, where);
+        if (e.count == 16 && (from[12] != 0 || from[13] != 0 || from[14] != 0 || from[15] != 1))
+            bad_value(where, "an affine matrix, whose last row is 0 0 0 1", "another last row");
+    }
+    fill_values(params, constants_, tensors_);
+    for (size_t i = 0; i < constants_.size(); ++i) constants_[i] += S(layout_.constants[i]);
+}
+
+template <class S>
+void SceneData<S>::fill_values(const std::vector<const S *> &tangents, std::vector<S> &constants,
+                               std::vector<TensorView<S>> &tensors) const {
+    constants.assign(layout_.constants.size(), S(0));
+    for (const ConstantEntry &e : layout_.entries) {
+        const S *from = tangents[size_t(e.slot)];
+        if (!from) continue;
+        for (int i = 0; i < e.stored; ++i) constants[size_t(e.offset + i)] = from[e.count == 1 ? 0 : i];
+    }
+    tensors.resize(layout_.slot_sizes.size());
+    for (size_t i = 0; i < tensors.size(); ++i) {
+        tensors[i].data = tangents[i];
+        std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors[i].shape);
+    }
+}
+
+template <class S>
+void SceneData<S>::update_environment(const std::vector<uint8_t> &dirty) {
+    if (layout_.environment < 0) return;
+    const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];
+    Affine to_world{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
+    if (record.kind == int32_t(EmitterKind::EnvironmentMap)) {
+        std::copy_n(&constants_[size_t(record.field[EnvironmentMap::ToWorld])], 12, to_world.m);
+        int slot = record.field[EnvironmentMap::Data];
+        if (dirty[size_t(slot)]) environment_.build(tensors_[size_t(slot)]);
+    }
+    Affine to_local = to_world.inverse(path("emitter", layout_.environment) + ": field 'to_world'");
+    std::copy_n(to_world.m, 12, env_to_world_);
+    std::copy_n(to_local.m, 12, env_to_local_);
+}
+
+template <class S>
+void SceneData<S>::update_emitters() {
+    const std::vector<Record> &records = layout_.records.at("emitter");
+    std::vector<double> weights;
+    for (size_t i = 0; i < records.size(); ++i) {
+        const Model *model = nullptr;
+        for (const ModelEntry &entry : all_models())
+            if (std::string("emitter") == entry.model->category && entry.kind == records[i].kind) model = entry.model;
+        for (int f = 0; f < model->n_fields; ++f)
+            if (std::string("sampling_weight") == model->fields[f].name)
+                weights.push_back(double(constants_[size_t(records[i].field[f])]));
+        if (!(weights.back() >= 0))
+            bad_value(path("emitter", int(i)) + ": field 'sampling_weight'", "a number that is not negative",
+                      std::to_string(weights.back()));
+    }
+    emitter_cdf_.resize(weights.size());
+    emitter_pmf_.resize(weights.size());
+    if (weights.empty()) return;
+    double total = build_cdf(weights.data(), weights.size(), emitter_cdf_.data());
+    if (!(total > 0))
+        bad_value(path("emitter", 0) + ": field 'sampling_weight'", "an emitter with a positive weight",
+                  "0 for all of them");
+    for (size_t i = 0; i < weights.size(); ++i) emitter_pmf_[i] = S(weights[i] / total);
+}
+
+template <class S>
+void SceneData<S>::bounds(S out[6]) const {
+    float box[6];
+    accel_->bounds(box);
+    std::copy_n(box, 6, out);
+}
+
+template <class S>
+void SceneData<S>::refresh_view() {
+    auto records = [&](const char *category) { return layout_.records.at(category).data(); };
+    auto count = [&](const char *category) { return int32_t(layout_.records.at(category).size()); };
+    view_.values = {constants_.data(), tensors_.data()};
+    view_.textures = records("texture"), view_.n_textures = count("texture");
+    view_.bsdfs = records("bsdf"), view_.n_bsdfs = count("bsdf");
+    view_.emitters = records("emitter"), view_.n_emitters = count("emitter");
+    view_.sensors = records("sensor"), view_.n_sensors = count("sensor");
+    view_.positions = positions_.data();
+    view_.normals = normals_.data();
+    view_.texcoords = texcoords_.data();
+    view_.faces = layout_.faces.data();
+    view_.shapes = shapes_.data();
+    view_.shape_matrices = matrices_.data();
+    view_.shape_areas = areas_.data();
+    view_.area_cdf = area_cdf_.data();
+    view_.attributes = layout_.attributes.data();
+    view_.n_shapes = int32_t(shapes_.size());
+    view_.emitter_cdf = emitter_cdf_.data();
+    view_.emitter_pmf = emitter_pmf_.data();
+    view_.environment = layout_.environment;
+    view_.env_marginal = environment_.marginal.data();
+    view_.env_conditional = environment_.conditional.data();
+    view_.env_to_local = env_to_local_;
+    view_.env_to_world = env_to_world_;
+    view_.env_columns = environment_.columns;
+    view_.env_rows = environment_.rows;
+}
+
+template class SceneData<float>;
+template class SceneData<double>;
+
+}  // namespace tr

@@ -1,0 +1,83 @@
+// A scene on the host: built from the description that Python gives, brought up to date with the tensors of each call,
+// seen by the renderer as a SceneView.
+#pragma once
+
+#include <memory>
+#include <vector>
+
+#include "../accel/accel.h"
+#include "../core/scene.h"
+#include "distribution.h"
+#include "layout.h"
+#include "values.h"
+
+namespace tr {
+
+// S: the type of all parameters, float or double. Not thread safe; while nobody calls build or update, view() and
+// accel() may be used from any thread.
+template <class S>
+class SceneData {
+public:
+    using Object = SceneObject;
+    using Objects = SceneObjects;
+
+    // Structure: which objects there are, the shapes of all parameters, the faces (copied). Throws
+    // std::invalid_argument with "scene.path: field 'x': expected ..., got ..." before anything has changed;
+    // std::runtime_error without Embree.
+    void build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
+               const std::vector<IndexArray> &index_arrays, int channels);
+
+    // Values: `params` has an address for every parameter (they stay in use until the next call), dirty[i] != 0 says
+    // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,
+    // and so does the first after a call that failed. std::invalid_argument for values that cannot be rendered.
+    void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
+
+    const SceneView<S> &view() const { return view_; }
+    const Accel &accel() const { return *accel_; }
+    void bounds(S out[6]) const;  // lower corner, upper corner; (inf, -inf) without shapes
+
+    // For derivatives: where the small parameters are in the block of constants. A parameter that is used twice has
+    // two entries.
+    const std::vector<ConstantEntry> &constant_entries() const { return layout_.entries; }
+    size_t n_constants() const { return layout_.constants.size(); }
+    size_t n_params() const { return layout_.slot_sizes.size(); }
+
+    // Tangents in the layout of Values: null addresses become zeros, or a TensorView without data.
+    void fill_values(const std::vector<const S *> &tangents, std::vector<S> &constants,
+                     std::vector<TensorView<S>> &tensors) const;
+
+    const SceneLayout &layout() const { return layout_; }
+    // The name of an object: category "shape", "bsdf", ... and its index.
+    const std::string &path(const char *category, int index) const {
+        return layout_.paths.at(category).at(size_t(index));
+    }
+
+private:
+    SceneLayout layout_;
+    SceneView<S> view_{};
+    std::unique_ptr<Accel> accel_;
+    bool all_dirty_ = true;
+
+    std::vector<S> constants_;
+    std::vector<TensorView<S>> tensors_;
+    std::vector<S> positions_, normals_, texcoords_;
+    std::vector<ShapeInfo> shapes_;
+    std::vector<S> matrices_, areas_, area_cdf_;
+    std::vector<S> emitter_cdf_, emitter_pmf_;
+    EnvironmentTables<S> environment_;
+    S env_to_local_[12]{}, env_to_world_[12]{};
+
+    void read_constants(const std::vector<const S *> &params);
+    void update_shapes(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
+                       const std::vector<S> &old, bool first);
+    bool update_mesh(const MeshSource &mesh, const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
+    void update_rectangle(const MeshSource &mesh);
+    void update_quadric(int shape);
+    Affine set_matrices(int shape);
+    void set_mesh(const MeshSource &mesh);
+    void update_environment(const std::vector<uint8_t> &dirty);
+    void update_emitters();
+    void refresh_view();
+};
+
+}  // namespace tr

@@ -1,0 +1,177 @@
+// The geometry of a scene: the renderer's tables, areas of lights, and what Embree gets.
+#include <algorithm>
+
+#include "../core/registry.h"
+#include "scene_data.h"
+
+namespace tr {
+
+namespace {
+
+constexpr double LargestCoordinate = 1e18;  // its square is still finite in single precision
+
+// corners of the rectangle, counterclockwise seen from +z
+constexpr double Corner[4][2] = {{-1, -1}, {1, -1}, {1, 1}, {-1, 1}};
+
+}  // namespace
+
+// `old`: the constants before this update; `first`: they do not count.
+template <class S>
+void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
+                                 const std::vector<S> &old, bool first) {
+    const std::vector<Record> &records = layout_.records.at("shape");
+    auto changed = [&](int32_t offset, int n) {
+        return first || !std::equal(&constants_[size_t(offset)], &constants_[size_t(offset)] + n, &old[size_t(offset)]);
+    };
+    bool rebuild = first;
+    for (const MeshSource &mesh : layout_.meshes) {
+        if (mesh.vertices >= 0) {
+            rebuild |= update_mesh(mesh, params, dirty);
+        } else if (changed(records[size_t(mesh.shape)].field[PlanarFields::ToWorld], 12)) {
+            update_rectangle(mesh);
+            rebuild = true;
+        }
+    }
+    for (int i = 0; i < int(shapes_.size()); ++i) {
+        const int32_t *field = records[size_t(i)].field;
+        bool moved = false;
+        if (shapes_[size_t(i)].kind == int32_t(ShapeKind::Sphere))
+            moved = changed(field[SphereModel::ToWorld], 12) || changed(field[SphereModel::Center], 3) ||
+                    changed(field[SphereModel::Radius], 1);
+        if (shapes_[size_t(i)].kind == int32_t(ShapeKind::Disk)) moved = changed(field[PlanarFields::ToWorld], 12);
+        if (!moved) continue;
+        update_quadric(i);
+        rebuild = true;
+    }
+    if (rebuild) accel_->commit();
+}
+
+template <class S>
+bool SceneData<S>::update_mesh(const MeshSource &mesh, const std::vector<const S *> &params,
+                               const std::vector<uint8_t> &dirty) {
+    auto copy = [&](int slot, int columns, std::vector<S> &to) {
+        if (slot >= 0 && dirty[size_t(slot)])
+            std::copy_n(params[size_t(slot)], size_t(mesh.n_vertices) * size_t(columns),
+                        &to[size_t(mesh.first_vertex) * size_t(columns)]);
+    };
+    copy(mesh.normals, 3, normals_);
+    copy(mesh.texcoords, 2, texcoords_);
+    if (!dirty[size_t(mesh.vertices)]) return false;
+    const S *from = params[size_t(mesh.vertices)];
+    for (size_t i = 0; i < size_t(mesh.n_vertices) * 3; ++i)
+        if (!(std::abs(from[i]) <= S(LargestCoordinate)))
+            bad_value(path("shape", mesh.shape) + ": field 'vertices'", "coordinates up to 1e18",
+                      std::to_string(from[i]));
+    copy(mesh.vertices, 3, positions_);
+    set_mesh(mesh);
+    return true;
+}
+
+// Area, its distribution over the faces of a light, and Embree's copy of a mesh whose positions are in place.
+template <class S>
+void SceneData<S>::set_mesh(const MeshSource &mesh) {
+    const ShapeInfo &info = shapes_[size_t(mesh.shape)];
+    size_t n_faces = size_t(info.n_faces);
+    const uint32_t *global = &layout_.faces[size_t(info.face_offset) * 3];
+    std::vector<uint32_t> faces(n_faces * 3);
+    for (size_t i = 0; i < faces.size(); ++i) faces[i] = global[i] - uint32_t(mesh.first_vertex);
+    const S *p = &positions_[size_t(mesh.first_vertex) * 3];
+
+    if (info.emitter >= 0) {
+        std::vector<double> areas(n_faces);
+        for (size_t f = 0; f < n_faces; ++f) {
+            double e1[3], e2[3];
+            for (size_t k = 0; k < 3; ++k) {
+                e1[k] = double(p[faces[3 * f + 1] * 3 + k]) - double(p[faces[3 * f] * 3 + k]);
+                e2[k] = double(p[faces[3 * f + 2] * 3 + k]) - double(p[faces[3 * f] * 3 + k]);
+            }
+            areas[f] = 0.5 * std::hypot(e1[1] * e2[2] - e1[2] * e2[1], e1[2] * e2[0] - e1[0] * e2[2],
+                                        e1[0] * e2[1] - e1[1] * e2[0]);
+        }
+        double total = build_cdf(areas.data(), n_faces, &area_cdf_[size_t(info.cdf_offset)]);
+        if (!(total > 0))
+            bad_value(path("shape", mesh.shape), "an emitting mesh with a positive area", "only degenerate faces");
+        areas_[size_t(mesh.shape)] = S(total);
+    }
+    if constexpr (sizeof(S) == 4) {
+        accel_->set_mesh(uint32_t(mesh.shape), p, size_t(mesh.n_vertices), faces.data(), n_faces);
+    } else {
+        std::vector<float> single(p, p + size_t(mesh.n_vertices) * 3);
+        accel_->set_mesh(uint32_t(mesh.shape), single.data(), size_t(mesh.n_vertices), faces.data(), n_faces);
+    }
+}
+
+// The map from the unit shape to the world, and its inverse, into the table.
+template <class S>
+Affine SceneData<S>::set_matrices(int shape) {
+    const int32_t *field = layout_.records.at("shape")[size_t(shape)].field;
+    Affine to_world;
+    std::copy_n(&constants_[size_t(field[0])], 12, to_world.m);
+    std::string where = path("shape", shape) + ": field 'to_world'";
+    if (shapes_[size_t(shape)].kind == int32_t(ShapeKind::Sphere)) {
+        const S *center = &constants_[size_t(field[SphereModel::Center])];
+        double radius = double(constants_[size_t(field[SphereModel::Radius])]);
+        if (!(radius > 0))
+            bad_value(path("shape", shape) + ": field 'radius'", "a positive number", std::to_string(radius));
+        double l = to_world.column_norm(0), tolerance = 1e-3 * l * l;
+        for (int j = 0; j < 3; ++j)
+            if (!(std::abs(to_world.column_dot(j, j) - l * l) <= tolerance) ||
+                !(std::abs(to_world.column_dot(j, (j + 1) % 3)) <= tolerance))
+                bad_value(where, "a rotation, translation and uniform scale",
+                          "a matrix that makes an ellipsoid of the sphere");
+        for (int i = 0; i < 3; ++i) {
+            double *row = to_world.m + 4 * i;
+            row[3] += row[0] * double(center[0]) + row[1] * double(center[1]) + row[2] * double(center[2]);
+            for (int j = 0; j < 3; ++j) row[j] *= radius;
+        }
+    }
+    for (double x : to_world.m)
+        if (!(std::abs(x) <= LargestCoordinate)) bad_value(where, "coordinates up to 1e18", std::to_string(x));
+    Affine to_object = to_world.inverse(where);
+    std::copy_n(to_world.m, 12, &matrices_[size_t(shape) * 24]);
+    std::copy_n(to_object.m, 12, &matrices_[size_t(shape) * 24 + 12]);
+    return to_world;
+}
+
+template <class S>
+void SceneData<S>::update_rectangle(const MeshSource &mesh) {
+    Affine to_world = set_matrices(mesh.shape);
+    const double *m = to_world.m;
+    for (size_t i = 0; i < 4; ++i) {
+        size_t vertex = size_t(mesh.first_vertex) + i;
+        for (size_t k = 0; k < 3; ++k)
+            positions_[vertex * 3 + k] = S(m[4 * k] * Corner[i][0] + m[4 * k + 1] * Corner[i][1] + m[4 * k + 3]);
+        for (size_t k = 0; k < 2; ++k) texcoords_[vertex * 2 + k] = S((Corner[i][k] + 1) / 2);
+    }
+    // mirroring turns the faces round, but not the normal that is transformed with the shape
+    ShapeInfo &info = shapes_[size_t(mesh.shape)];
+    info.flags = layout_.shapes[size_t(mesh.shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
+    set_mesh(mesh);
+}
+
+template <class S>
+void SceneData<S>::update_quadric(int shape) {
+    Affine to_world = set_matrices(shape);
+    ShapeInfo &info = shapes_[size_t(shape)];
+    bool sphere = info.kind == int32_t(ShapeKind::Sphere);
+    if (sphere) {
+        // a mirrored sphere faces inwards, as in Mitsuba
+        info.flags = layout_.shapes[size_t(shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
+        double radius = to_world.column_norm(0);
+        areas_[size_t(shape)] = S(4 * Pi * radius * radius);
+    } else {
+        double xx = to_world.column_dot(0, 0), yy = to_world.column_dot(1, 1), xy = to_world.column_dot(0, 1);
+        areas_[size_t(shape)] = S(Pi * std::sqrt(xx * yy - xy * xy));
+    }
+    float single[24];
+    std::copy_n(&matrices_[size_t(shape) * 24], 24, single);
+    accel_->set_quadric(uint32_t(shape), info.kind, single, single + 12);
+}
+
+// the other functions of this file are called from it only
+template void SceneData<float>::update_shapes(const std::vector<const float *> &, const std::vector<uint8_t> &,
+                                              const std::vector<float> &, bool);
+template void SceneData<double>::update_shapes(const std::vector<const double *> &, const std::vector<uint8_t> &,
+                                               const std::vector<double> &, bool);
+
+}  // namespace tr
