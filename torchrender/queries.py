@@ -12,8 +12,9 @@ from .scene.gather import gather
 from .scene.scene import Scene
 
 Hits = namedtuple("Hits", "t position normal shading_normal uv barycentric shape_id prim_id valid")
-Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`, `normal`
-(geometric), `shading_normal` (N, 3); `uv`, `barycentric` (N, 2); `shape_id`, `prim_id` (N,) int32, -1 at a miss; `valid`."""
+Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`,
+`normal` (geometric), `shading_normal` (N, 3); `uv`, `barycentric` (N, 2); `shape_id` (position among the scene's
+shapes) and `prim_id` (N,) int32, -1 at a miss; `valid` (N,) bool."""
 
 
 def ray_intersect(scene: Scene, origins: Any, directions: Any, tmax: Any = None) -> Hits:
@@ -72,7 +73,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
             raise ValueError(f"{function}: {name}: expected shape (N, 3), got {describe(tensor)}")
         if tensor.requires_grad and torch.is_grad_enabled():
             raise NotDifferentiableError(
-                f"{function}: {name}: derivatives of queries are not supported by this version"
+                f"{function}: {name}: queries have no derivatives in this version"
             )
         made.append(tensor.detach().to(scene.dtype).contiguous())
     if made[0].shape != made[1].shape:

@@ -200,7 +200,7 @@ class Plugin(nn.Module):
         ctx.error(f"{self.type}: more than {len(names)} nested objects of category {child.category}")
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
-        """Replace references by the objects that `lookup` finds."""
+        """Replace references by the objects that `lookup` finds; `check` is left to the caller."""
         pending, self.__dict__["_references"] = self._references, []
         for name, reference in pending:
             target = lookup(reference.id, ctx.at(name or "ref"))
@@ -213,7 +213,6 @@ class Plugin(nn.Module):
                     ctx.at(name).error(f"expected a {category}, but {reference.id!r} is a {target.category}")
                 self._modules[name] = target
         if pending:
-            self.check(ctx)
             structure_changed()
 
     # ------------------------------------------------------------------------------------------------ conversion
@@ -296,7 +295,17 @@ class Plugin(nn.Module):
             ctx.error("a tensor that is the result of a computation is passed with render(..., params={name: tensor})")
         else:
             kept = self._parameters.get(name)
+            stores = (self._parameters, self._modules, self._buffers, self.__dict__)
+            before = [(store, store[name]) for store in stores if name in store]
             self._install(name, field, value, ctx)
+            try:
+                self.check(Context(path=(type(self).__name__,)))
+            except ValueError:
+                for store in stores:
+                    store.pop(name, None)
+                for store, previous in before:
+                    store[name] = previous
+                raise
             new = self._parameters.get(name)
             if kept is not None and new is not None and not isinstance(value, nn.Parameter):
                 new.requires_grad_(kept.requires_grad)

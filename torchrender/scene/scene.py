@@ -121,14 +121,21 @@ class Scene(nn.Module):
         previous = self._modules.get(name)
         if previous is not None and not resolve:
             ctx.error(f"two objects have the id {name!r}")
-        if previous is not None and isinstance(previous, Plugin) and isinstance(value, Plugin):
-            self._replace_references(previous, value)
         if isinstance(value, Integrator):  # there is one
             for other in [n for n, m in self._modules.items() if isinstance(m, Integrator)]:
                 del self._modules[other]
         self._modules[name] = value
         if resolve:
-            self._resolve(self._context())
+            try:
+                self._resolve(self._context())
+            except ValueError:
+                del self._modules[name]
+                if previous is not None:
+                    self._modules[name] = previous
+                self._sort()
+                raise
+        if isinstance(previous, Plugin) and isinstance(value, Plugin):
+            self._replace_references(previous, value)
         structure_changed()
 
     def _safe(self, name: str, value: Any) -> str:
@@ -161,9 +168,17 @@ class Scene(nn.Module):
                 where.error(f"there is no object with the id {identifier!r}; {nearest(identifier, by_id)}")
             return found
 
-        for name, module in list(self._modules.items()):
+        pending: dict[int, tuple[Plugin, Context]] = {}
+        for name, module in self._modules.items():
             if isinstance(module, Plugin):
-                _resolve_tree(module, lookup, ctx.at(name), set())
+                _collect_references(module, ctx.at(name), pending)
+        for module, where in pending.values():
+            module.resolve(lookup, where)
+        for name, module in self._modules.items():
+            if isinstance(module, Plugin):
+                _refuse_circles(module, ctx.at(name), set())
+        for module, where in pending.values():
+            module.check(where)
         self._sort()
 
     def _sort(self) -> None:
@@ -319,14 +334,21 @@ class Scene(nn.Module):
         return native
 
 
-def _resolve_tree(module: Plugin, lookup: Any, ctx: Context, path: set[int]) -> None:
-    if id(module) in path:
-        ctx.error("refers to itself")
-    path = path | {id(module)}
-    module.resolve(lookup, ctx)
+def _collect_references(module: Plugin, ctx: Context, found: dict[int, tuple[Plugin, Context]]) -> None:
+    """All objects below `module` that hold references, with their places."""
+    if module._references:
+        found.setdefault(id(module), (module, ctx))
     for name, child in module._modules.items():
         if isinstance(child, Plugin):
-            _resolve_tree(child, lookup, ctx.at(name), path)
+            _collect_references(child, ctx.at(name), found)
+
+
+def _refuse_circles(module: Plugin, ctx: Context, above: set[int]) -> None:
+    if id(module) in above:
+        ctx.error("refers to itself")
+    for name, child in module._modules.items():
+        if isinstance(child, Plugin):
+            _refuse_circles(child, ctx.at(name), above | {id(module)})
 
 
 def _is_documented_integrator(kind: str) -> bool:

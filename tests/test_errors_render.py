@@ -1,0 +1,161 @@
+"""Wrong arguments of `render` and of the queries: refused before any work, naming the argument."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+import torchrender as tr
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return tr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 6}},
+            "wide": {"type": "perspective", "film": {"type": "hdrfilm", "width": 9, "height": 6}},
+            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
+            "wall": {
+                "type": "rectangle",
+                "to_world": tr.Transform.translate([0, 0, 4]),
+                "bsdf": {"type": "ref", "id": "red"},
+            },
+            "tex": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)},
+            "sky": {"type": "constant"},
+        }
+    )
+
+
+CASES = [
+    ({"spp": 0}, ValueError, "spp: expected a number from 1"),
+    ({"spp": 2.5}, TypeError, "spp: expected an integer"),
+    ({"spp": True}, TypeError, "spp: expected an integer"),
+    ({"spp_grad": 0}, ValueError, "spp_grad"),
+    ({"passes": 0}, ValueError, "passes"),
+    ({"seed": -1}, ValueError, "seed: expected a number from 0"),
+    ({"seed": "x"}, TypeError, "seed: expected an integer, a torch.Generator or None"),
+    ({"seed": 1.5}, TypeError, "seed: expected an integer"),
+    ({"seed": 5, "seed_grad": 5}, ValueError, "seed_grad: equal to seed.*biased.*correlated=True"),
+    ({"seed": 5, "seed_grad": 6, "correlated": True}, ValueError, "correlated=True uses the samples of `seed`"),
+    ({"correlated": 1}, TypeError, "correlated: expected True or False"),
+    ({"layout": "cwh"}, ValueError, "layout: expected one of hwc"),
+    ({"nan": "ignore"}, ValueError, "nan: expected 'drop' or 'raise'"),
+    ({"sensor": 2}, ValueError, "sensor: index 2, but the scene has 2 cameras"),
+    ({"sensor": "sensor"}, TypeError, "sensor: expected an index or a camera"),
+    ({"sensor": []}, ValueError, "sensor: an empty list"),
+    ({"sensor": [0, 1]}, ValueError, "films of one size"),
+    ({"integrator": 3}, TypeError, "integrator: expected an integrator"),
+    ({"integrator": "pth"}, ValueError, "integrator: unknown type 'pth'; did you mean 'path'"),
+    ({"integrator": "volpath"}, ValueError, "'volpath' is not supported"),
+    ({"outputs": "rgb"}, TypeError, "outputs: expected a sequence"),
+    ({"outputs": ("rgb", "depth")}, ValueError, "'depth' is not supported by this version.*rgb, alpha"),
+    ({"outputs": ("alpa",)}, ValueError, "unknown name 'alpa'; did you mean 'alpha'"),
+    ({"outputs": ("rgb", "rgb")}, ValueError, "twice"),
+    ({"pixels": torch.zeros(1, 2, dtype=torch.int64)}, ValueError, "pixels: not supported"),
+    ({"crop": (0, 0, 7, 8)}, ValueError, "crop: .* is not inside a film of 6 rows and 8 columns"),
+    ({"crop": (0, 0, 0, 8)}, ValueError, "is not inside"),
+    ({"crop": (0, 0)}, ValueError, r"crop: expected \(y0, x0, height, width\)"),
+    ({"crop": 3}, ValueError, r"crop: expected \(y0, x0, height, width\)"),
+    ({"params": {"red.reflectance.valu": torch.zeros(3)}}, ValueError, "no parameter 'red.reflectance.valu'; .*value"),
+    ({"params": {"red.reflectance.value": [0, 0, 0]}}, TypeError, "red.reflectance.value: expected a tensor"),
+    ({"params": {"red.reflectance.value": torch.zeros(3, dtype=torch.int64)}}, TypeError, "floating-point"),
+    ({"params": {"red.reflectance.value": torch.zeros(4)}}, ValueError, r"expected shape \(\) or \(3,\), got \(4,\)"),
+    ({"params": {"tex.data": torch.zeros(4, 4)}}, ValueError, r"expected shape \(H, W, C\)"),
+    ({"params": {"wall.to_world": torch.eye(3)}}, ValueError, r"expected shape \(4, 4\), got \(3, 3\)"),
+    (
+        {"params": {"red.reflectance.value": torch.full((3,), float("nan"))}},
+        ValueError,
+        "red.reflectance.value: .*finite",
+    ),
+    ({"params": [torch.zeros(3)]}, TypeError, "params: expected a mapping"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "error", "message"), CASES)
+def test_arguments(scene, arguments, error, message):
+    with pytest.raises(error, match=message):
+        tr.render(scene, **arguments)
+
+
+def test_what_is_no_scene(scene):
+    with pytest.raises(TypeError, match="scene: expected a Scene"):
+        tr.render({"type": "scene"})
+    with pytest.raises(TypeError, match="scene: expected a Scene"):
+        tr.Renderer(None)
+    with pytest.raises(TypeError, match=r"unknown argument 'sp'; .*'spp'"):
+        tr.Renderer(scene, sp=3)
+
+
+def test_a_scene_without_cameras():
+    with pytest.raises(ValueError, match="the scene has no camera"):
+        tr.render(tr.load_dict({"type": "scene", "sky": {"type": "constant"}}))
+
+
+def test_parameters_that_became_non_finite(scene):
+    value = scene.red.reflectance.value
+    kept = value.detach().clone()
+    with torch.no_grad():
+        value[1] = float("inf")
+    with pytest.raises(ValueError, match=r"red\.reflectance\.value: has values that are not finite"):
+        tr.render(scene, spp=1)
+    with torch.no_grad():
+        value.copy_(kept)
+    assert bool(torch.isfinite(tr.render(scene, spp=1)).all())
+
+
+def test_slightly_out_of_range_is_no_error_while_optimising(scene):
+    image = tr.render(scene, spp=1, params={"red.reflectance.value": torch.tensor([1.01, -0.01, 0.5])})
+    assert bool(torch.isfinite(image).all())
+
+
+@pytest.mark.parametrize("name", ["wall.to_world", "sensor.x_fov", "tex.to_uv", "sky.sampling_weight"])
+def test_missing_derivatives_are_refused(scene, name):
+    parameter = scene.get_parameter(name)
+    parameter.requires_grad_()
+    try:
+        with pytest.raises(tr.NotDifferentiableError, match=name):
+            tr.render(scene, spp=1)
+        with torch.no_grad():
+            tr.render(scene, spp=1)
+    finally:
+        parameter.requires_grad_(False)
+    tangent = torch.ones_like(parameter.detach())
+    with torch.autograd.forward_ad.dual_level():
+        dual = torch.autograd.forward_ad.make_dual(parameter.detach(), tangent)
+        with pytest.raises(tr.NotDifferentiableError, match=name):
+            tr.render(scene, spp=1, params={name: dual})
+
+
+def test_cameras_that_require_gradients(scene):
+    t = torch.tensor([0.0, 0.0, 4.0], requires_grad=True)
+    camera = tr.PerspectiveCamera.from_opencv([[50, 0, 16], [0, 50, 16], [0, 0, 1]], torch.eye(3), t, (32, 32))
+    with pytest.raises(tr.NotDifferentiableError, match=r"camera\.to_world"):
+        tr.render(scene, sensor=camera, spp=1)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((torch.zeros(3), torch.zeros(3)), r"origins: expected shape \(N, 3\)"),
+        ((torch.zeros(2, 3), torch.ones(3, 3)), "origins have shape"),
+        ((torch.zeros(2, 3), torch.ones(2, 3), torch.ones(3)), "tmax: expected a number or shape"),
+        ((torch.zeros(2, 3), torch.ones(2, 3), float("nan")), "tmax: has values that are not numbers"),
+    ],
+)
+def test_queries(scene, arguments, message):
+    for function in (tr.ray_intersect, tr.ray_occluded):
+        with pytest.raises(ValueError, match=message):
+            function(scene, *arguments)
+
+
+def test_queries_of_what_is_no_scene():
+    with pytest.raises(TypeError, match="scene: expected a Scene"):
+        tr.ray_intersect(None, torch.zeros(1, 3), torch.ones(1, 3))
+
+
+def test_reattach():
+    with pytest.raises(ValueError, match="value has shape"):
+        tr.reattach(torch.zeros(2), torch.zeros(3))
+    with pytest.raises(TypeError, match="expected a tensor"):
+        tr.reattach(0.0, torch.zeros(3))
