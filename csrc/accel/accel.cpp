@@ -141,7 +141,7 @@ struct Accel::Impl {
         if (process == getpid()) return;
         auto old_meshes = std::move(meshes);
         auto old_quadrics = std::move(quadrics);
-        new std::shared_ptr<const EmbreeDevice>(std::move(device));
+        leave_to_parent(std::move(device), scene);
         meshes.clear();
         quadrics.clear();
         device = embree_device();
@@ -196,7 +196,10 @@ struct Accel::Impl {
     }
 
     ~Impl() {
-        if (process == getpid()) close();
+        if (process == getpid())
+            close();
+        else
+            leave_to_parent(std::move(device), scene);
     }
 };
 

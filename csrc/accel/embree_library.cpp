@@ -7,6 +7,8 @@
 #include <cstring>
 #include <map>
 #include <stdexcept>
+#include <utility>
+#include <vector>
 
 namespace tr {
 
@@ -28,6 +30,7 @@ struct Libraries {
     std::mutex mutex;
     std::map<std::string, std::unique_ptr<Library>> loaded;
     Library *used = nullptr;
+    std::vector<std::pair<std::shared_ptr<const EmbreeDevice>, const void *>> left;
 };
 
 Libraries &libraries() {
@@ -183,12 +186,17 @@ std::shared_ptr<const EmbreeDevice> embree_device() {
     if (!all.used) throw std::runtime_error("Embree is not loaded; call torchrender.backends.embree() first");
     Library &library = *all.used;
     if (library.process != getpid()) {
-        // The parent's device waits for threads that do not exist here: never release it.
-        new std::shared_ptr<const EmbreeDevice>(library.device);
+        all.left.emplace_back(library.device, nullptr);
         library.device = std::make_shared<EmbreeDevice>(library.api, "threads=1");
         library.process = getpid();
     }
     return library.device;
+}
+
+void leave_to_parent(std::shared_ptr<const EmbreeDevice> device, const void *made_with_it) {
+    Libraries &all = libraries();
+    std::lock_guard<std::mutex> lock(all.mutex);
+    all.left.emplace_back(std::move(device), made_with_it);
 }
 
 }  // namespace tr

@@ -42,4 +42,8 @@ private:
 
 std::shared_ptr<const EmbreeDevice> embree_device();
 
+// For a child process: keeps a device of the parent, and something made with it, for ever. Releasing it would wait for
+// threads that do not exist here.
+void leave_to_parent(std::shared_ptr<const EmbreeDevice> device, const void *made_with_it);
+
 }  // namespace tr
