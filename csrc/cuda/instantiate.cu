@@ -1,0 +1,117 @@
+// The renderer's core compiled for a CUDA device, with Float = float: every stage of the path tracer as a kernel over
+// paths. Nothing launches these kernels yet (that needs ray queries on the device and a scheduler); compiling them is
+// what keeps the core free of everything that a device cannot do. `make cuda` does that.
+#include "core/bsdf/diffuse.h"
+#include "core/integrator/path.h"
+
+namespace tr {
+
+using S = float;
+
+// A path between two kernels.
+struct PathState {
+    Vec3<float> origin, direction;
+    Origin<float> from;
+    uint32_t pixel, sample;
+    int32_t depth;
+};
+
+// What a ray query found: t < 0 at a miss.
+struct Hit {
+    SurfacePoint<float> at;
+    float t;
+};
+
+__device__ inline uint32_t thread_index() { return blockIdx.x * blockDim.x + threadIdx.x; }
+
+__global__ void start_paths(SceneView<S> scene, PathConfig config, uint32_t n, uint32_t width, uint32_t height,
+                            PathState *paths) {
+    uint32_t i = thread_index();
+    if (i >= n) return;
+    uint32_t pixel = i % (width * height), sample = i / (width * height);
+    Random4<float> u = random4<float>(config.seed, config.sensor, pixel, sample, 0);
+    float length;
+    Ray<float> ray = Perspective::ray(scene, scene.sensors[config.sensor], float(pixel % width) + u.u[0],
+                                      float(pixel / width) + u.u[1], S(width), S(height), length);
+    paths[i] = {ray.o, ray.d, {ray.o, 0.f}, pixel, sample, 0};
+}
+
+template <int C>
+__global__ void emission(SceneView<S> scene, PathConfig config, uint32_t n, const PathState *paths, const Hit *hits,
+                         S *radiance) {
+    uint32_t i = thread_index();
+    if (i >= n) return;
+    const PathState &path = paths[i];
+    Emission<float, C> found;
+    found.radiance = uniform_color<C>(0.f);
+    if (hits[i].t < 0) {
+        if (scene.environment >= 0)
+            found = environment_emission<C>(scene, config, path.direction, path.from, true, path.depth == 1);
+    } else {
+        Ray<float> ray{path.origin, path.direction};
+        Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
+        float cos_i = -dot(ray.d, si.frame.n);
+        found = surface_emission<C>(scene, config, si, cos_i, path.from, true, path.depth == 1);
+    }
+    for (int c = 0; c < C; ++c) radiance[i * C + c] = found.radiance[c];
+}
+
+template <int C>
+__global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n, PathState *paths, const Hit *hits,
+                              Scattering<float, C> *out) {
+    uint32_t i = thread_index();
+    if (i >= n || hits[i].t < 0) return;
+    PathState &path = paths[i];
+    Ray<float> ray{path.origin, path.direction};
+    Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
+    Vec3<float> wi = si.frame.to_local(-ray.d);
+    int32_t bsdf = shape_info<float>(scene.shapes, &ShapeInfo::bsdf, si.at.shape, true);
+    Leaf<float> leaf = resolve_bsdf<float>(scene, bsdf, wi.z < 0, true);
+    wi.z = leaf.mirrored ? -wi.z : wi.z;
+    uint32_t block = BlocksPerScattering * uint32_t(path.depth);
+    Random4<float> ue = random4<float>(config.seed, config.sensor, path.pixel, path.sample, EmitterBlock + block);
+    Random4<float> ub = random4<float>(config.seed, config.sensor, path.pixel, path.sample, BsdfBlock + block);
+    dispatch(Bsdfs{}, scene.bsdfs[leaf.bsdf].kind, [&](auto model) {
+        out[i] = scatter<decltype(model), C>(scene, config, si, wi, leaf, 0, path.depth, ue, ub, true);
+    });
+    Vec3<float> wo = out[i].sample.wo;
+    wo.z = leaf.mirrored ? -wo.z : wo.z;
+    path.origin = si.p;
+    path.direction = si.frame.to_world(wo);
+    path.from = {si.p, out[i].sample.delta ? 0.f : out[i].sample.pdf};
+    ++path.depth;
+}
+
+// The derivative of a BSDF's value in each of its parameters, by dual numbers.
+template <class Model, int C>
+__device__ void differentiate(const SceneView<S> &scene, int32_t bsdf, const SurfacePoint<float> &at,
+                              const Vec3<float> &wi, const Vec3<float> &wo, S *out) {
+    if constexpr (ParamCount<Model>::All > 0) {
+        auto params = seed_params<Model, C, float>(load_params<Model, C>(scene, bsdf, at, true));
+        auto value = Model::template eval<C>(params, wi, wo, 0);
+        for (int c = 0; c < C; ++c)
+            for (int k = 0; k < ParamCount<Model>::All; ++k) out[c * ParamCount<Model>::All + k] = value[c].d[k];
+    }
+}
+
+template <int C>
+__global__ void differentiate_bsdfs(SceneView<S> scene, uint32_t n, const int32_t *bsdfs, const SurfacePoint<float> *at,
+                                    const Vec3<float> *wi, const Vec3<float> *wo, S *out, uint32_t stride) {
+    uint32_t i = thread_index();
+    if (i >= n) return;
+    dispatch(Bsdfs{}, scene.bsdfs[bsdfs[i]].kind, [&](auto model) {
+        differentiate<decltype(model), C>(scene, bsdfs[i], at[i], wi[i], wo[i], out + i * stride);
+    });
+}
+
+#define TR_INSTANTIATE(C)                                                                                          \
+    template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *); \
+    template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,        \
+                                              Scattering<float, C> *);                                             \
+    template __global__ void differentiate_bsdfs<C>(SceneView<S>, uint32_t, const int32_t *,                       \
+                                                    const SurfacePoint<float> *, const Vec3<float> *,              \
+                                                    const Vec3<float> *, S *, uint32_t);
+TR_INSTANTIATE(1)
+TR_INSTANTIATE(3)
+
+}  // namespace tr
