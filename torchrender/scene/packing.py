@@ -105,7 +105,7 @@ class _Packer:
         # A light belongs to its shape natively, so one that several shapes share becomes a row for each.
         shared = plugin.category != "emitter"
         if shared and id(plugin) in self.index:
-            self._alias(plugin, name, refusal)
+            self.alias(plugin, name, refusal)
             return self.index[id(plugin)]
         numbers = [self._number(plugin, n, f, f"{name}.{n}", refusal) for n, f in plugin.fields().items()]
         rows = self.layout.objects[plugin.category]
@@ -116,7 +116,7 @@ class _Packer:
             self._mesh(plugin, name, row)
         return row
 
-    def _alias(self, plugin: Plugin, name: str, refusal: str) -> None:
+    def alias(self, plugin: Plugin, name: str, refusal: str) -> None:
         """Further names of parameters that are already packed."""
         for field_name, declared in plugin.fields().items():
             reason = refusal or _refusal(declared.derivative)
@@ -126,7 +126,7 @@ class _Packer:
             else:
                 child = plugin._modules.get(field_name)
                 if isinstance(child, Plugin):
-                    self._alias(child, f"{name}.{field_name}", reason if declared.kind != "bsdf" else refusal)
+                    self.alias(child, f"{name}.{field_name}", reason if declared.kind != "bsdf" else refusal)
 
     def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, refusal: str) -> int:
         kind = declared.kind
@@ -191,10 +191,16 @@ def top_level(scene: Scene) -> Iterator[tuple[str, Plugin]]:
 def pack(scene: Scene, free_camera: Plugin) -> Layout:
     """The layout of `scene`, with one more sensor that stands for cameras that are no part of it."""
     packer = _Packer()
+    lights = []
     for name, plugin in top_level(scene):
+        if plugin.type == "area":  # has its row where a shape refers to it
+            lights.append((name, plugin))
+            continue
         packer.add(plugin, name)
         if plugin.category == "sensor":
             packer.layout.sensors.append(plugin)
+    for name, plugin in lights:
+        packer.alias(plugin, name, "")
     packer.add(free_camera, "camera")
     layout = packer.layout
     layout.sensors.append(free_camera)
