@@ -88,8 +88,8 @@ class RenderFunction(Function):
     @staticmethod
     def forward(call: RenderCall, *params: torch.Tensor) -> Any:
         dtype = call.native.dtype
-        image = torch.empty(call.shape(), dtype=dtype)
-        alpha = torch.empty(call.size, dtype=dtype) if call.alpha else None
+        image = torch.empty(call.shape(), dtype=dtype, device="cpu")
+        alpha = torch.empty(call.size, dtype=dtype, device="cpu") if call.alpha else None
         configs = call.configs(derivative=False)
         all_stats = []
         total_image, total_alpha = image, alpha
@@ -168,7 +168,7 @@ class RenderJvpFunction(_Derivative):
             for t, p in zip(tangents, params, strict=True)
         ]
         addresses = [0 if t is None else t.data_ptr() for t in dense]
-        total = out = torch.empty(call.shape(), dtype=dtype)
+        total = out = torch.empty(call.shape(), dtype=dtype, device="cpu")
         all_stats = []
         for i, config in enumerate(_passes(call.configs(derivative=True))):
             if i == 1:
