@@ -21,7 +21,8 @@ from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import Film, ReconstructionFilter, Sampler
 from .scene.materials import Conductor, Dielectric, TwoSided
-from .scene.shapes import Cube, Disk, Mesh, Rectangle, Sphere
+from .scene.mesh import Cube, Mesh
+from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
 from .transform import Transform
 

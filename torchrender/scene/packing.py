@@ -14,8 +14,8 @@ import torch
 from torch import nn
 
 from .declaration import TENSOR_KINDS, models
+from .mesh import Mesh
 from .plugin import Plugin
-from .shapes import Mesh
 
 if TYPE_CHECKING:
     from .scene import Scene

@@ -1,0 +1,318 @@
+"""Triangle meshes: from arrays, from files, and the cube."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import torch
+
+from ..errors import describe, nearest
+from . import values
+from .context import Context
+from .declaration import Field
+from .plugin import Plugin, structure_changed
+from .registry import builder, register
+from .shapes import SILHOUETTE, Shape
+
+
+@register
+class Mesh(Shape):
+    """A triangle mesh in world space.
+
+    Args:
+        vertices: (V, 3) positions.
+        faces: (F, 3) integer indices.
+        vertex_normals: (V, 3) for smooth shading; without them every triangle is flat.
+        vertex_texcoords: (V, 2).
+        face_normals: shade flat although there are vertex normals.
+        flip_normals: turn normals around.
+        bsdf, emitter: material and area light.
+        to_world: 4x4 matrix applied once, when the mesh is made.
+        attributes: colours by name, ``vertex_*`` (V, C) or ``face_*`` (F, C), for `mesh_attribute` textures.
+    """
+
+    type = "mesh"
+    renames: ClassVar[dict[str, str]] = {
+        "vertices": "vertex_positions",
+        "normals": "vertex_normals",
+        "texcoords": "vertex_texcoords",
+    }
+    optional = frozenset({"vertex_normals", "vertex_texcoords"})
+
+    def __init__(
+        self,
+        vertices: Any = None,
+        faces: Any = None,
+        vertex_normals: Any = None,
+        vertex_texcoords: Any = None,
+        face_normals: bool = False,
+        bsdf: Any = None,
+        emitter: Any = None,
+        to_world: Any = None,
+        **properties: Any,
+    ) -> None:
+        named = {
+            "vertices": vertices,
+            "faces": faces,
+            "vertex_normals": vertex_normals,
+            "vertex_texcoords": vertex_texcoords,
+            "bsdf": bsdf,
+            "emitter": emitter,
+            "to_world": to_world,
+        }
+        given = {k: v for k, v in named.items() if v is not None}
+        super().__init__(face_normals=face_normals, **given, **properties)
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        mine = ["vertices", "faces", "vertex_normals", "vertex_texcoords", "face_normals", "flip_normals"]
+        return [*mine, "to_world", "attributes", "bsdf", "emitter"]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        positions = properties.pop("vertices", properties.pop("vertex_positions", None))
+        if positions is None or "faces" not in properties:
+            ctx.error("a mesh needs vertices (V, 3) and faces (F, 3)")
+        positions = _rows(positions, 3, ctx.at("vertices"))
+        if not bool(torch.isfinite(positions.detach()).all()):
+            ctx.at("vertices").error("has values that are not finite")
+        if positions.shape[0] == 0:
+            ctx.at("vertices").error("the mesh is empty: it has no vertices")
+        faces = faces_of(properties.pop("faces"), positions.shape[0], ctx.at("faces"))
+        normals = properties.pop("vertex_normals", None)
+        texcoords = properties.pop("vertex_texcoords", None)
+        if normals is not None:
+            normals = _rows(normals, 3, ctx.at("vertex_normals"), positions.shape[0])
+        if texcoords is not None:
+            texcoords = _rows(texcoords, 2, ctx.at("vertex_texcoords"), positions.shape[0])
+        to_world = properties.pop("to_world", None)
+        if to_world is not None:
+            # In double precision, so that the same dict gives the same mesh whatever the scene's own is.
+            double = Context(ctx.color, torch.float64, ctx.device, ctx.path, ctx.folder)
+            matrix = values.matrix(to_world, 4, double.at("to_world"))
+            moved = positions.to(torch.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+            positions = moved.to(positions.dtype)
+            if normals is not None:
+                inverse, info = torch.linalg.inv_ex(matrix[:3, :3])
+                if int(info) != 0:
+                    ctx.at("to_world").error("the matrix is singular")
+                turned = normals.to(torch.float64) @ inverse
+                normals = torch.nn.functional.normalize(turned, dim=1).to(normals.dtype)
+        properties = {**properties, "vertex_positions": positions, "faces": faces}
+        if normals is not None:
+            properties["vertex_normals"] = normals
+        if texcoords is not None:
+            properties["vertex_texcoords"] = texcoords
+        self._attributes_given = properties.pop("attributes", None) or {}
+        return properties
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        self.__dict__.setdefault("attribute_names", [])
+        self.__dict__.setdefault("computed_normals", False)
+        for name, data in self.__dict__.pop("_attributes_given", {}).items():
+            self._add_attribute(name, data, ctx.at(name))
+
+    def add_attribute(self, name: str, data: Any) -> None:
+        """Give the mesh colours: `data` (V, C) for a name beginning with ``vertex_``, (F, C) for ``face_``."""
+        self._add_attribute(name, data, Context(self._color, self._dtype(), path=(type(self).__name__, name)))
+        structure_changed()
+
+    def _add_attribute(self, name: str, data: Any, ctx: Context) -> None:
+        if not isinstance(name, str) or not name.startswith(("vertex_", "face_")) or name in self.fields():
+            ctx.error(f"an attribute's name begins with 'vertex_' or 'face_', got {name!r}")
+        if "." in name:
+            ctx.error(f"an attribute's name has no dots, got {name!r}")
+        rows = self.vertex_positions.shape[0] if name.startswith("vertex_") else self.faces.shape[0]
+        tensor = values.floating(data, ctx)
+        if tensor.ndim == 1:
+            tensor = tensor[:, None]
+        if tensor.ndim != 2 or tensor.shape[0] != rows or tensor.shape[1] not in (1, 3, 4):
+            ctx.error(f"expected an array of shape ({rows}, 1) or ({rows}, 3), got {describe(data)}")
+        if not bool(torch.isfinite(tensor.detach()).all()):
+            ctx.error("has values that are not finite")
+        self._install_tensor(name, data, values.to_channels(tensor, ctx))
+        if name not in self.attribute_names:
+            self.attribute_names.append(name)
+
+    def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
+        width = 2 if field.name == "texcoords" else 3
+        known = self._parameters.get("vertex_positions")
+        rows = None if field.name == "vertices" or known is None else known.shape[0]
+        return _rows(value, width, ctx, rows)
+
+    def _install(self, name: str, field: Field, value: Any, ctx: Context) -> None:
+        if field.kind == "indices":
+            value = faces_of(value, self.vertex_positions.shape[0], ctx)
+            self._buffers[name] = value
+            return
+        if name == "vertex_normals" and self.__dict__.get("_built", False):
+            self.__dict__["computed_normals"] = False
+        super()._install(name, field, value, ctx)
+
+    def normals_from_positions(self, positions: torch.Tensor) -> torch.Tensor:
+        """Vertex normals (V, 3) of the mesh with other `positions`, weighted by the angles at each corner."""
+        return vertex_normals(positions, self.faces)
+
+    def refresh_normals(self) -> None:
+        """Bring computed normals up to date after an edit of the positions."""
+        positions, normals = self.vertex_positions, self.vertex_normals
+        stamp = (positions.data_ptr(), -1 if positions.is_inference() else positions._version, positions.dtype)
+        if self.__dict__.get("_normals_stamp") == stamp and stamp[1] >= 0:
+            return
+        if self.__dict__.get("_normals_stamp") is not None:
+            with torch.no_grad():
+                normals.copy_(self.normals_from_positions(positions))
+        self.__dict__["_normals_stamp"] = stamp
+
+    def bounds(self) -> torch.Tensor:
+        positions = self.vertex_positions.detach()
+        return torch.stack([positions.amin(0), positions.amax(0)])
+
+    def extra_repr(self) -> str:
+        return f"{self.vertex_positions.shape[0]} vertices, {self.faces.shape[0]} faces, " + super().extra_repr()
+
+
+def _rows(value: Any, width: int, ctx: Context, rows: int | None = None) -> torch.Tensor:
+    tensor = values.floating(value, ctx)
+    if tensor.ndim != 2 or tensor.shape[1] != width or (rows is not None and tensor.shape[0] != rows):
+        ctx.error(f"expected an array of shape ({'V' if rows is None else rows}, {width}), got {describe(value)}")
+    return tensor.contiguous()
+
+
+def faces_of(value: Any, n_vertices: int, ctx: Context) -> torch.Tensor:
+    """Indices (F, 3) as contiguous int32, checked against the number of vertices."""
+    try:
+        tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(_integers(value))
+    except (TypeError, ValueError, RuntimeError):
+        ctx.error(f"expected integer indices of shape (F, 3), got {describe(value)}")
+    if tensor.is_floating_point() or tensor.is_complex() or tensor.dtype == torch.bool:
+        ctx.error(f"expected integer indices, got {describe(value)}")
+    if tensor.ndim != 2 or tensor.shape[1] != 3:
+        ctx.error(f"expected indices of shape (F, 3), got {describe(value)}")
+    if tensor.shape[0] == 0:
+        ctx.error("the mesh is empty: it has no faces")
+    tensor = tensor.to(torch.int64)
+    low, high = int(tensor.min()), int(tensor.max())
+    if low < 0 or high >= n_vertices:
+        row = int(((tensor < 0) | (tensor >= n_vertices)).any(1).nonzero()[0])
+        ctx.error(f"face {row} has the index {low if low < 0 else high}, but there are {n_vertices} vertices")
+    return tensor.to(torch.int32).contiguous()
+
+
+def _integers(value: Any) -> Any:
+    import numpy
+
+    array = numpy.asarray(value)
+    return array.astype("int64") if array.dtype.kind in "iu" else numpy.array(array)
+
+
+def vertex_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """Normals (V, 3) of a mesh: face normals averaged with the corners' angles as weights (Thurmer, Wuthrich 1998).
+
+    Vertices without a face, or where the average vanishes, get (1, 0, 0), so that nothing divides by zero.
+    """
+    corners = positions[faces.long()]
+    face = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    face = torch.nn.functional.normalize(face, dim=1, eps=1e-30)
+    total = torch.zeros_like(positions)
+    for i in range(3):
+        a = torch.nn.functional.normalize(corners[:, (i + 1) % 3] - corners[:, i], dim=1, eps=1e-30)
+        b = torch.nn.functional.normalize(corners[:, (i + 2) % 3] - corners[:, i], dim=1, eps=1e-30)
+        # 2 atan2(|a - b|, |a + b|) is the angle, exact for small and for flat ones
+        angle = 2 * torch.atan2(torch.linalg.vector_norm(a - b, dim=1), torch.linalg.vector_norm(a + b, dim=1))
+        total = total.index_add(0, faces[:, i].long(), face * angle[:, None])
+    length = torch.linalg.vector_norm(total, dim=1, keepdim=True)
+    fallback = torch.zeros_like(total)
+    fallback[:, 0] = 1
+    return torch.where(length > 0, total / length.clamp_min(1e-30), fallback)
+
+
+def _faces_of_cube() -> tuple[list[list[float]], list[list[float]], list[list[float]], list[list[int]]]:
+    # Each side: normal, then four corners in an order whose triangles (0, 1, 2), (3, 0, 2) face outside.
+    sides: list[tuple[list[int], list[list[int]]]] = [
+        ([0, -1, 0], [[1, -1, -1], [1, -1, 1], [-1, -1, 1], [-1, -1, -1]]),
+        ([0, 1, 0], [[1, 1, -1], [-1, 1, -1], [-1, 1, 1], [1, 1, 1]]),
+        ([1, 0, 0], [[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]]),
+        ([0, 0, 1], [[1, -1, 1], [1, 1, 1], [-1, 1, 1], [-1, -1, 1]]),
+        ([-1, 0, 0], [[-1, -1, 1], [-1, 1, 1], [-1, 1, -1], [-1, -1, -1]]),
+        ([0, 0, -1], [[1, 1, -1], [1, -1, -1], [-1, -1, -1], [-1, 1, -1]]),
+    ]
+    vertices = [[float(x) for x in corner] for _, corners in sides for corner in corners]
+    normals = [[float(x) for x in normal] for normal, _ in sides for _ in range(4)]
+    texcoords = [[0.0, 1.0], [1.0, 1.0], [1.0, 0.0], [0.0, 0.0]] * 6
+    faces = [[4 * s + i for i in triangle] for s in range(6) for triangle in ((0, 1, 2), (3, 0, 2))]
+    return vertices, normals, texcoords, faces
+
+
+class Cube(Mesh):
+    """The cube [-1, 1]^3 under `to_world`, a mesh of 24 vertices.
+
+    Args:
+        to_world: 4x4 matrix.
+        flip_normals: normals point inside.
+        bsdf, emitter: material and area light.
+    """
+
+    def __init__(self, **properties: Any) -> None:
+        for name in ("vertices", "faces", "vertex_normals", "vertex_texcoords", "face_normals"):
+            if name in properties:
+                ctx = properties.get("_context") or Context(path=("Cube",))
+                ctx.error(f"cube has no parameter {name!r}; {nearest(name, self.parameter_names())}")
+        vertices, normals, texcoords, faces = _faces_of_cube()
+        super().__init__(
+            vertices=vertices, faces=faces, vertex_normals=normals, vertex_texcoords=texcoords, **properties
+        )
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["to_world", "flip_normals", "bsdf", "emitter", "attributes"]
+
+
+@builder("cube", "shape")
+def _cube(properties: dict[str, Any], ctx: Context) -> Plugin:
+    return Cube(**properties, _context=ctx)
+
+
+def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plugin:
+    from ..loaders import geometry
+
+    names = ["filename", "face_normals", "flip_tex_coords", "flip_normals", "to_world", "bsdf", "emitter"]
+    for name, value in properties.items():
+        nested = isinstance(value, Plugin) or (isinstance(value, Mapping) and "type" in value)
+        if name not in names and name not in SILHOUETTE and not nested:
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, names)}")
+    if "filename" not in properties:
+        ctx.error(f"{kind}: 'filename' is missing")
+    path = ctx.at("filename").file(properties.pop("filename"))
+    face_normals = values.boolean(properties.get("face_normals", False), ctx.at("face_normals"))
+    flip = properties.pop("flip_tex_coords", kind == "obj")
+    flip = values.boolean(flip, ctx.at("flip_tex_coords"))
+    with ctx.at("filename").located():
+        loaded = geometry.load_mesh(path, face_normals=face_normals, flip_tex_coords=flip)
+    vertices = values.floating(loaded["vertices"], ctx.at("filename"))
+    mesh = Mesh(
+        vertices=vertices,
+        faces=loaded["faces"],
+        vertex_normals=None if face_normals else loaded.get("vertex_normals"),
+        vertex_texcoords=loaded.get("vertex_texcoords"),
+        attributes=loaded.get("attributes"),
+        _context=ctx,
+        **properties,
+    )
+    if loaded.get("vertex_normals") is None and not face_normals:
+        # A file without normals is shaded smooth, with normals that follow the positions from now on.
+        mesh.__dict__["computed_normals"] = True
+        mesh._install_tensor("vertex_normals", None, mesh.normals_from_positions(mesh.vertex_positions.detach()))
+        mesh.refresh_normals()
+    return mesh
+
+
+@builder("ply", "shape")
+def _ply(properties: dict[str, Any], ctx: Context) -> Plugin:
+    return _mesh_from_file("ply", properties, ctx)
+
+
+@builder("obj", "shape")
+def _obj(properties: dict[str, Any], ctx: Context) -> Plugin:
+    return _mesh_from_file("obj", properties, ctx)
