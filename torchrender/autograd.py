@@ -79,7 +79,7 @@ def _passes(configs: list[dict[str, Any]]) -> Any:
         return configs
     from .progress import progress
 
-    return progress(configs, desc="passes", leave=False)
+    return progress(configs, desc="passes", leave=False, delay=1.0)
 
 
 class RenderFunction(Function):

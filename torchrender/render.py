@@ -13,6 +13,7 @@ from torch import nn
 from .autograd import MASK, RenderCall, RenderFunction, mix, refuse
 from .errors import describe, nearest
 from .integrators import Integrator, PathTracer
+from .progress import progress
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
 from .scene.film import Film, check_crop
@@ -85,7 +86,7 @@ def render(
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
     tensors = gather(scene, packed, params)
     images, alphas = [], []
-    for index, camera in cameras:
+    for index, camera in _views(cameras):
         film = camera.film
         samples = default_sample_count(camera) if spp is None else _count("spp", spp)
         window, size, config = _film_config(film, crop)
@@ -126,6 +127,11 @@ def render(
     if outputs is None:
         return found["rgb"]
     return namedtuple("Outputs", names)(*(found[n] for n in names))
+
+
+def _views(cameras: list[Any]) -> Any:
+    """The views, with a progress bar if there are several and they take long."""
+    return cameras if len(cameras) < 2 else progress(cameras, desc="views", leave=False, delay=1.0)
 
 
 def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:

@@ -49,7 +49,12 @@ class PerspectiveCamera(Plugin):
     """
 
     category, type = "sensor", "perspective"
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (0, 0.0), "shutter_close": (0, 0.0)}
+    # A pinhole is in focus everywhere; scenes written for lenses say a distance nevertheless.
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {
+        "shutter_open": (0, 0.0),
+        "shutter_close": (0, 0.0),
+        "focus_distance": (),
+    }
     unsupported: ClassVar[tuple[str, ...]] = ("srf",)
 
     film: Film
