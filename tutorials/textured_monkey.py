@@ -83,8 +83,8 @@ def run(
     spp: int = 16,
     iterations: int = 300,
     target_spp: int = 256,
-    rate: float = 0.04,
-    smoothness: float = 2e-3,
+    rate: float = 0.06,
+    smoothness: float = 5e-4,
 ) -> dict[str, float]:
     """The whole program; returns the PSNR of the texture in dB at the start and at the end.
 
@@ -127,10 +127,11 @@ def run(
         save(renderer(sensor=views[0], seed=1_000_001, spp=64), folder, "start")
         start_psnr = psnr(tr.optim.resample(texture, (texture_size, texture_size)), painted, mask)
 
-    optimiser = torch.optim.Adam([texture], lr=rate, betas=(0.9, 0.98))
+    optimiser = torch.optim.Adam([texture], lr=rate, betas=(0.9, 0.95))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations)
     levels = int(math.log2(texture_size // size)) + 1
-    grow_at = {round(iterations * 0.6 * level / (levels - 1)) for level in range(1, levels)}
+    # Most of the time goes to the coarse levels, where it averages most noise; the finest only needs the details.
+    grow_at = {round(iterations * 0.9 * level / (levels - 1)) for level in range(1, levels)}
     generator = torch.Generator().manual_seed(0)
     curves: dict[str, list[float]] = {"loss": []}
 
