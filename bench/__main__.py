@@ -9,12 +9,13 @@ from .rows import ROWS
 
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
-    commands = parser.add_subparsers(dest="command", required=True)
+    subparsers = parser.add_subparsers(dest="command", required=True)
     for name, text in (
         ("table2", "forward and backward time, warm, beside Mitsuba in alternating rounds"),
         ("startup", "import, loading, first gradient and peak memory, each in a fresh process"),
+        ("gradients", "whether both programs find the same gradients, and how noisy one estimate is"),
     ):
-        command = commands.add_parser(name, help=text, description=text)
+        command = subparsers.add_parser(name, help=text, description=text)
         command.add_argument("--mitsuba-python", help="interpreter of an environment with mitsuba==3.9.1")
         command.add_argument("--threads", type=int, default=2, help="threads of both programs (default 2)")
         command.add_argument("--resolution", type=int, default=256, help="pixels along a side (default 256)")
@@ -29,7 +30,8 @@ def main(argv: list[str] | None = None) -> None:
             parser.error(f"--{name}: expected at least 1, got {getattr(options, name)}")
     from . import table2  # after the arguments are checked: this imports torch
 
-    run = {"table2": table2.run_table2, "startup": table2.run_startup}[options.command]
+    commands = {"table2": table2.run_table2, "startup": table2.run_startup, "gradients": table2.run_gradients}
+    run = commands[options.command]
     table2.report(run(options), options.json)
 
 

@@ -4,6 +4,7 @@ Reads one JSON request a line from standard input and answers each with one JSON
 
     {"do": "load", "path": str, "arguments": {...}, "parameters": [...], "resolution": int, "spp": int}
     {"do": "step", "seed": int}      -> {"forward": seconds, "backward": seconds}
+    {"do": "gradient", "seed": int}  -> {"sums": [...], "seconds": float}   gradient of mean(image * weight), see below
     {"do": "memory"}                 -> {"peak": MiB, "start": MiB}
     {"do": "quit"}
 
@@ -24,6 +25,13 @@ def peak_memory() -> float:
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) / 1024
     raise RuntimeError("/proc/self/status has no VmHWM line")
+
+
+def weight_of(height: int, width: int, np):
+    """The weight of the scalar whose gradient is compared, (H, W, 3) float32; `np` is the numpy module."""
+    x, y = 2 * np.pi * np.arange(width) / width, 2 * np.pi * np.arange(height) / height
+    pattern = 1 + 0.5 * np.sin(x)[None, :] * np.cos(y)[:, None]
+    return (pattern[..., None] * np.array([1.0, 0.8, 0.6])).astype(np.float32)
 
 
 class Server:
@@ -79,6 +87,25 @@ class Server:
         mi, dr = self.mi, self.dr
         return mi.TensorXf(value.array if isinstance(value, mi.TensorXf) else dr.ravel(value))
 
+    def gradient(self, seed: int) -> dict:
+        """Sums over the entries of each parameter's gradient of mean(image * weight), a smooth weight."""
+        import numpy as np
+
+        mi, dr = self.mi, self.dr
+        for name in self.names:
+            dr.set_grad(self.params[name], 0)
+        width, height = self.scene.sensors()[0].film().size()
+        weight = mi.TensorXf(weight_of(height, width, np))
+        start = time.perf_counter()
+        seeds = {"seed": 2 * seed, "seed_grad": 2 * seed + 1}
+        image = mi.render(self.scene, self.params, integrator=self.integrator, spp=1, spp_grad=self.spp, **seeds)
+        dr.backward(dr.mean(image * weight, axis=None))
+        gradients = [dr.grad(self.params[name]) for name in self.names]
+        dr.eval(gradients)
+        dr.sync_thread()
+        seconds = time.perf_counter() - start
+        return {"sums": [float(np.array(g, dtype=np.float64).sum()) for g in gradients], "seconds": seconds}
+
     def memory(self) -> dict:
         return {"peak": peak_memory(), "start": self.start_memory}
 
@@ -97,7 +124,8 @@ def main() -> None:
         if action == "quit":
             break
         try:
-            answer = {"load": server.load, "step": server.step, "memory": server.memory}[action](**request)
+            actions = {"load": server.load, "step": server.step, "gradient": server.gradient, "memory": server.memory}
+            answer = actions[action](**request)
         except Exception as error:  # the caller reports it in the table
             answer = {"error": f"{type(error).__name__}: {error}"}
         print(json.dumps(answer), file=answers)

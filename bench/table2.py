@@ -1,32 +1,31 @@
-"""The comparison table: forward and backward time of five scenes, torchrender and Mitsuba in alternating rounds."""
+"""The tables: forward and backward time of five scenes in alternating rounds, fresh processes, and gradients."""
 
 from __future__ import annotations
 
 import argparse
-from statistics import median
+from statistics import fmean, median, pvariance
 
 import torch
 
 from . import processes
-from .mitsuba_peer import connect
+from .mitsuba_peer import Peer, connect
 from .ours import Ours
-from .rows import ROWS
+from .rows import ROWS, Row
 from .table import machine, markdown, save
 
 
-def measure_row(index: int, peer, options: argparse.Namespace) -> dict:
+def load_peer(peer: Peer, row: Row, options: argparse.Namespace) -> None:
+    """Let the peer load a row's scene."""
+    settings = {"resolution": options.resolution, "spp": options.spp}
+    peer.ask("load", path=row.path, arguments=row.arguments, parameters=list(row.parameters), **settings)
+
+
+def measure_row(index: int, peer: Peer | None, options: argparse.Namespace) -> dict:
     """Median seconds of row `index`; every round runs each program once, so that both see the same machine."""
     row = ROWS[index]
     ours = Ours(row, options.resolution, options.spp)
     if peer is not None:
-        peer.ask(
-            "load",
-            path=row.path,
-            arguments=row.arguments,
-            parameters=list(row.parameters),
-            resolution=options.resolution,
-            spp=options.spp,
-        )
+        load_peer(peer, row, options)
     mine, theirs = [], []
     for seed in range(options.warmup + options.rounds):
         mine.append(ours.step(seed))
@@ -63,6 +62,52 @@ def process_row(index: int, options: argparse.Namespace, with_peer: bool) -> dic
                 result[f"{prefix}{name.replace('_', ' ')} s"] = values[name]
             result[prefix + ("peak MiB" if prefix else "peak MiB above torch")] = round(values["memory"])
     return result
+
+
+GRADIENT_COLUMNS = ["scene", "parameter", "ours", "Mitsuba", "z", "our deviation", "Mitsuba deviation"]
+GRADIENT_COLUMNS += ["our seconds", "Mitsuba seconds", "efficiency ratio"]
+
+
+def gradient_rows(index: int, peer: Peer | None, options: argparse.Namespace) -> list[dict]:
+    """Do both programs find the same gradient, and how noisy is one estimate of it?
+
+    The scalar is mean(image * weight); compared are sums over the entries of each parameter. Efficiency is
+    1 / (variance x time).
+    """
+    row, ours = ROWS[index], Ours(ROWS[index], options.resolution, options.spp)
+    seeds = range(options.warmup + options.rounds)
+    runs = {"ours": [ours.gradient(seed) for seed in seeds][options.warmup :]}
+    if peer is not None:
+        load_peer(peer, row, options)
+        runs["Mitsuba"] = [peer.ask("gradient", seed=seed) for seed in seeds][options.warmup :]
+    rows = []
+    for i, parameter in enumerate(row.parameters):
+        result, variance = {"scene": row.name, "parameter": parameter}, {}
+        for who, samples in runs.items():
+            sums = [sample["sums"][i] for sample in samples]
+            prefix = "our" if who == "ours" else who
+            result[who], variance[who] = fmean(sums), max(pvariance(sums), 1e-300)
+            result[f"{prefix} deviation"] = variance[who] ** 0.5
+            result[f"{prefix} seconds"] = median(sample["seconds"] for sample in samples)
+        if peer is not None:
+            error = ((variance["ours"] + variance["Mitsuba"]) / max(options.rounds - 1, 1)) ** 0.5
+            result["z"] = (result["ours"] - result["Mitsuba"]) / error
+            cost = variance["Mitsuba"] * result["Mitsuba seconds"]
+            result["efficiency ratio"] = cost / (variance["ours"] * result["our seconds"])
+        rows.append(result)
+    return rows
+
+
+def run_gradients(options: argparse.Namespace) -> dict:
+    torch.set_num_threads(options.threads)
+    peer = connect(options.mitsuba_python, options.threads)
+    try:
+        rows = [entry for index in chosen(options) for entry in gradient_rows(index, peer, options)]
+    finally:
+        if peer is not None:
+            peer.close()
+    title = f"Gradients at {options.resolution}x{options.resolution}, {options.spp} spp, {options.rounds} runs of each"
+    return {"title": title, "columns": GRADIENT_COLUMNS, "rows": rows}
 
 
 def chosen(options: argparse.Namespace) -> list[int]:
