@@ -6,6 +6,8 @@ import pytest
 
 # Modules whose subject is Python alone, or which already start processes at several instruction sets.
 PYTHON_ONLY = {
+    "test_backends",
+    "test_bench",
     "test_constraints",
     "test_geometry_files",
     "test_io",
