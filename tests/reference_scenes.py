@@ -155,7 +155,7 @@ def _bitmaps() -> ReferenceScene:
             "to_world": translate(-0.9 + 1.8 * (i % 2), -0.9 + 1.8 * (i // 2), 0.0) @ scale(0.85),
             "bsdf": _diffuse(_bitmap(10 + i, 4, 5, filter_type=filter_type, wrap_mode=wrap_mode, to_uv=TO_UV)),
         }
-    sky = {"type": "constant", "radiance": 1.0}
+    sky = {"type": "constant", "radiance": _rgb(1.0, 1.0, 1.0)}
     names = tuple(f"square{i}.bsdf.reflectance.data" for i in range(4))
     return ReferenceScene(
         _scene({"type": "path", "max_depth": 2}, _camera((0, 0, 5)), **objects, sky=sky), (*names, "sky.radiance.value")

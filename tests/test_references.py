@@ -24,6 +24,9 @@ SCENES = Path(__file__).resolve().parent.parent / "scenes"
 RUNS = 24
 # Largest |z| of up to 3072 entries, mean of z squared (entries are correlated between channels), |z| of one sum.
 MAX_Z, MAX_MEAN_SQUARE, MAX_SUM_Z = 6.5, 1.5, 4.5
+# The references' gradients were summed in single precision: over the 8.4 million samples of a run of the comparison
+# scenes up to 0.2 % get lost (the same renderer with 4 or 16 samples a pixel finds what we find), less over fewer.
+ROUNDING, LESS_ROUNDING = 2e-3, 3e-4
 
 
 @pytest.fixture(scope="module")
@@ -58,11 +61,11 @@ def check(what: str, runs: list[np.ndarray], mean: np.ndarray, variance: np.ndar
     assert (z**2).mean() < (MAX_MEAN_SQUARE if z.size > 100 else MAX_SUM_Z**2), f"{what}: mean z² {(z**2).mean():.2f}"
 
 
-def check_sum(what: str, runs: list[np.ndarray], stored: np.ndarray, share: float) -> None:
+def check_sum(what: str, runs: list[np.ndarray], stored: np.ndarray, share: float, systematic: float) -> None:
     """The sum over all entries; these share paths, so the variance of the sum is stored for itself."""
     sums = np.array([run.astype(np.float64).sum() for run in runs])
     mean, variance = map(float, stored)
-    total = max(sums.var(ddof=1) / len(sums), 0.5 * share * variance) + variance + (1e-5 * mean) ** 2
+    total = max(sums.var(ddof=1) / len(sums), 0.5 * share * variance) + variance + (systematic * mean) ** 2
     z = (sums.mean() - mean) / np.sqrt(total)
     assert abs(z) < MAX_SUM_Z, f"{what}: sum of all entries {sums.mean():.6g}, reference {mean:.6g}, z = {z:.1f}"
 
@@ -106,11 +109,11 @@ def test_gradient(name: str, references: dict[str, np.ndarray]) -> None:
     description = reference_scenes.SCENES[name]()
     runs = gradient_runs(tr.load_dict(description.scene), list(description.gradients), spp=64)
     share = 16 * 512 / (RUNS * 64)
-    systematic = 5e-4 if name == "film" else 1e-5
+    systematic = 5e-4 if name == "film" else LESS_ROUNDING
     for parameter, mine in runs.items():
         mean, variance = references[f"{name}.grad.{parameter}"], references[f"{name}.gradvar.{parameter}"]
         check(f"{name}, {parameter}", mine, mean, variance, share, systematic)
-        check_sum(f"{name}, {parameter}", mine, references[f"{name}.gradsum.{parameter}"], share)
+        check_sum(f"{name}, {parameter}", mine, references[f"{name}.gradsum.{parameter}"], share, systematic)
 
 
 COMPARISON = {
@@ -137,8 +140,8 @@ def test_comparison_gradient(name: str, comparison: dict[str, np.ndarray]) -> No
     share = 2048 / (RUNS * 16)
     for parameter, mine in runs.items():
         mean, variance = comparison[f"{name}.grad.{parameter}"], comparison[f"{name}.gradvar.{parameter}"]
-        check(f"{name}, {parameter}", mine, mean, variance, share)
-        check_sum(f"{name}, {parameter}", mine, comparison[f"{name}.gradsum.{parameter}"], share)
+        check(f"{name}, {parameter}", mine, mean, variance, share, ROUNDING)
+        check_sum(f"{name}, {parameter}", mine, comparison[f"{name}.gradsum.{parameter}"], share, ROUNDING)
 
 
 def test_the_test_notices_a_small_error(references: dict[str, np.ndarray]) -> None:
