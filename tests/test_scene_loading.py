@@ -317,8 +317,8 @@ def test_opencv_opengl_and_look_at_agree():
         torch.testing.assert_close(camera.to_world.detach(), ours.to_world.detach(), atol=1e-5, rtol=0)
         assert float(camera.x_fov) == pytest.approx(fov, rel=1e-5)
         assert (camera.film.height, camera.film.width) == size
-    assert float(from_cv.principal_point_offset_x) == pytest.approx(3 / size[1], rel=1e-4)
-    assert float(from_cv.principal_point_offset_y) == pytest.approx(-2 / size[0], rel=1e-4)
+    assert float(from_cv.principal_point_offset_x) == pytest.approx(-3 / size[1], rel=1e-4)
+    assert float(from_cv.principal_point_offset_y) == pytest.approx(2 / size[0], rel=1e-4)
 
 
 def test_opencv_tensors_keep_their_gradient():

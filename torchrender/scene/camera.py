@@ -44,7 +44,7 @@ class PerspectiveCamera(Plugin):
         focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
         near_clip, far_clip: planes in front of the camera between which surfaces are seen.
         principal_point_offset_x, principal_point_offset_y: fractions of the film's width and height by which the
-            image moves right and down.
+            image moves left and up.
         film, sampler: dicts or objects.
     """
 
@@ -168,8 +168,8 @@ class PerspectiveCamera(Plugin):
         made = cls(
             to_world=to_world,
             x_fov=torch.rad2deg(2 * torch.atan(width / (2 * fx))),
-            principal_point_offset_x=intrinsics[0, 2] / width - 0.5,
-            principal_point_offset_y=intrinsics[1, 2] / height - 0.5,
+            principal_point_offset_x=0.5 - intrinsics[0, 2] / width,
+            principal_point_offset_y=0.5 - intrinsics[1, 2] / height,
             film=_film((height, width), filter),
             **properties,
         )

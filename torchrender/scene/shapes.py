@@ -17,7 +17,7 @@ SILHOUETTE: dict[str, tuple[Any, ...]] = {"silhouette_sampling_weight": ()}
 
 
 class Shape(Plugin):
-    """What all shapes share: a BSDF (diffuse 0.5 if none is given) and possibly an area light."""
+    """What all shapes share: a BSDF (if none is given diffuse 0.5, or 0 where it emits), and possibly an area light."""
 
     category = "shape"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = SILHOUETTE
@@ -26,12 +26,17 @@ class Shape(Plugin):
         super()._fill(ctx)
         # Unnamed references are resolved later; if one turns out to be a BSDF it takes the place of this default.
         if self._modules.get("bsdf") is None and not any(name in (None, "bsdf") for name, _ in self._references):
-            self._modules["bsdf"] = plugin_class("bsdf", "diffuse")(_context=ctx.at("bsdf"))
+            self._modules["bsdf"] = self._default_bsdf(ctx)
+
+    def _default_bsdf(self, ctx: Context) -> Plugin:
+        """Grey; black on a shape that emits, which then reflects nothing."""
+        reflectance = 0.5 if self._modules.get("emitter") is None else 0.0
+        return plugin_class("bsdf", "diffuse")(reflectance=reflectance, _context=ctx.at("bsdf"))
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
         super().resolve(lookup, ctx)
         if self._modules.get("bsdf") is None:
-            self._modules["bsdf"] = plugin_class("bsdf", "diffuse")(_context=ctx.at("bsdf"))
+            self._modules["bsdf"] = self._default_bsdf(ctx)
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
