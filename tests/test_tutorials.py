@@ -38,13 +38,12 @@ def test_cornell_box(tutorial, tmp_path, capsys):
 def test_textured_monkey(tutorial, tmp_path, capsys):
     result = tutorial("textured_monkey").run(
         tmp_path,
-        texture_size=64,
-        resolution=96,
-        view_count=6,
-        spp=8,
-        iterations=60,
+        texture_size=128,
+        resolution=112,
+        view_count=8,
+        spp=16,
+        iterations=80,
         target_spp=128,
-        rate=0.06,
     )
     assert 0.3 < result["seen"] < 0.95
     assert result["start"] < 18

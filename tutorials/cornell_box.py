@@ -100,10 +100,10 @@ def run(
             if iteration >= first_averaged:
                 for mean, albedo in zip(average, albedos, strict=True):
                     mean += albedo / (iterations - first_averaged)
-        error = max(float((p - truth[n]).abs().max()) for n, p in zip(names, albedos, strict=True))
-        curves["loss"].append(float(loss))
+        error = max(float((p.detach() - truth[n]).abs().max()) for n, p in zip(names, albedos, strict=True))
+        curves["loss"].append(loss.item())
         curves["largest albedo error"].append(error)
-        bar.set_postfix(loss=f"{float(loss):.3g}", error=f"{error:.4f}")
+        bar.set_postfix(loss=f"{loss.item():.3g}", error=f"{error:.4f}")
 
     with torch.no_grad():
         for albedo, mean in zip(albedos, average, strict=True):

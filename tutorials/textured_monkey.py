@@ -153,8 +153,8 @@ def run(
         schedule.step()
         with torch.no_grad():
             texture.clamp_(0.0, 1.0)
-        curves["loss"].append(float(loss))
-        bar.set_postfix(loss=f"{float(loss):.3g}", texture=f"{size}x{size}")
+        curves["loss"].append(loss.item())
+        bar.set_postfix(loss=f"{loss.item():.3g}", texture=f"{size}x{size}")
 
     with torch.no_grad():
         found = tr.optim.resample(texture.detach(), (texture_size, texture_size))
