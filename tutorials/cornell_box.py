@@ -77,7 +77,7 @@ def run(
     # too; the weights are constants, so the gradient stays unbiased.
     weight = 1 / (target + 0.1)
     # A short memory of Adam's second moment lets the steps follow the gradients while they shrink.
-    optimiser = torch.optim.Adam(albedos, lr=rate, betas=(0.9, 0.9))
+    optimiser = torch.optim.Adam(albedos, lr=rate, betas=(0.7, 0.9))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations)
     curves: dict[str, list[float]] = {"loss": [], "largest albedo error": []}
     # Every iterate still carries the noise of the last few gradients; the mean of the last third has less of it.
@@ -139,7 +139,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument("--resolution", type=int, default=256, help="pixels along a side (default 256)")
     parser.add_argument("--output", type=Path, default=Path("output/cornell_box"), help="folder for the pictures")
     options = parser.parse_args(argv)
-    iterations = options.iterations or (80 if options.demo else 150)
+    iterations = options.iterations or (60 if options.demo else 150)
     start = time.perf_counter()
     run(
         options.output,

@@ -62,7 +62,7 @@ def seen_texels(renderer: tr.Renderer, texture: torch.Tensor, views: list[int]) 
     weight = torch.zeros(texture.shape[:2])
     for view in views:
         value = texture.detach().clone().requires_grad_()
-        renderer(sensor=view, seed=2_000_000, spp=1, spp_grad=64, params={TEXTURE: value}).sum().backward()
+        renderer(sensor=view, seed=2_000_000, spp=1, spp_grad=32, params={TEXTURE: value}).sum().backward()
         weight += value.grad.sum(-1)
     lit = weight[weight > 0.01 * weight.max()]
     return weight > 0.1 * lit.median()
@@ -192,8 +192,8 @@ def main(argv: list[str] | None = None) -> None:
         options.output,
         resolution=options.resolution,
         spp=options.spp,
-        iterations=options.iterations or (70 if options.demo else 300),
-        target_spp=128 if options.demo else 256,
+        iterations=options.iterations or (50 if options.demo else 300),
+        target_spp=96 if options.demo else 256,
     )
     print(f"pictures are in {options.output}; {time.perf_counter() - start:.1f} s")
 
