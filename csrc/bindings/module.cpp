@@ -1,0 +1,145 @@
+// The Python module: what this build is, its models, and the scene. Tensors come as addresses; Python has checked
+// shape, type, device and contiguity.
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+
+#include <array>
+
+#include "accel/embree_library.h"
+#include "core/math/philox.h"
+#include "host/models.h"
+#include "scene.h"
+
+namespace py = pybind11;
+
+namespace tr {
+
+namespace {
+
+const char *kind_name(Kind kind) {
+    switch (kind) {
+        case Kind::Texture:
+            return "texture";
+        case Kind::Spectrum:
+            return "spectrum";
+        case Kind::Float:
+            return "float";
+        case Kind::Point:
+            return "point";
+        case Kind::Transform:
+            return "transform";
+        case Kind::Transform2:
+            return "transform2";
+        case Kind::Tensor:
+            return "tensor";
+        case Kind::Indices:
+            return "indices";
+        case Kind::Int:
+            return "int";
+        case Kind::Bsdf:
+            return "bsdf";
+        case Kind::Emitter:
+            return "emitter";
+        case Kind::Shape:
+            return "shape";
+    }
+    return "";
+}
+
+// None where there is no such number.
+py::object number(double x) { return std::isfinite(x) ? py::object(py::float_(x)) : py::object(py::none()); }
+
+py::list models() {
+    py::list all;
+    for (const ModelEntry &entry : all_models()) {
+        const Model &model = *entry.model;
+        py::list fields;
+        for (int i = 0; i < model.n_fields; ++i) {
+            const Field &f = model.fields[i];
+            py::dict d;
+            d["name"] = f.name;
+            d["kind"] = kind_name(f.kind);
+            d["default"] = number(f.fallback);
+            d["min"] = number(f.minimum);
+            d["max"] = number(f.maximum);
+            d["derivative"] = *f.derivative ? f.derivative : "none";
+            d["doc"] = f.doc;
+            fields.append(d);
+        }
+        py::dict d;
+        d["category"] = model.category;
+        d["type"] = model.type;
+        d["doc"] = model.doc;
+        d["fields"] = fields;
+        all.append(d);
+    }
+    return all;
+}
+
+py::list variants() {
+    py::list all;
+    for (const char *color : {"mono", "rgb"}) {
+        for (const char *dtype : {"float32", "float64"}) {
+            py::dict d;
+            d["color"] = color;
+            d["dtype"] = dtype;
+            d["packet"] = TR_HAS_PACKETS && std::string(dtype) == "float32";
+            all.append(d);
+        }
+    }
+    return all;
+}
+
+// Asked of the baseline module, which every processor can run.
+py::dict cpu_supports() {
+    py::dict d;
+#if defined(__x86_64__)
+    __builtin_cpu_init();
+    bool v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
+    bool avx2 = v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
+                __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
+    d["v2"] = v2;
+    d["avx2"] = avx2;
+    d["avx512"] = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+                  __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
+                  __builtin_cpu_supports("avx512vl");
+#else
+    d["v2"] = d["avx2"] = d["avx512"] = false;
+#endif
+    return d;
+}
+
+py::dict info() {
+    py::dict d;
+    d["isa"] = TR_ISA_NAME;
+    d["packet_width"] = TR_PACKET_WIDTH;
+    d["compiler"] = __VERSION__;
+    return d;
+}
+
+}  // namespace
+
+}  // namespace tr
+
+PYBIND11_MODULE(TR_MODULE_NAME, m) {
+    using namespace tr;
+    m.def("info", &info);
+    m.def("cpu_supports", &cpu_supports);
+    m.def("variants", &variants);
+    m.def("models", &models);
+    m.def("load_embree", [](const std::string &path) {
+        EmbreeInfo found = [&] {
+            py::gil_scoped_release release;
+            return load_embree(path);
+        }();
+        py::dict d;
+        d["version"] = found.version;
+        d["path"] = found.path;
+        return d;
+    });
+    m.def("philox", [](uint64_t seed, uint32_t sensor, uint32_t pixel, uint32_t sample, uint32_t block) {
+        Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
+        return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};
+    });
+    declare_scene(m);
+}

@@ -1,0 +1,414 @@
+#include "scene.h"
+
+#include <pybind11/stl.h>
+
+#include <chrono>
+#include <mutex>
+
+#include "cpu/render.h"
+#include "host/models.h"
+#include "host/scene_data.h"
+
+namespace py = pybind11;
+
+namespace tr {
+
+namespace {
+
+using Addresses = std::vector<uintptr_t>;
+
+struct Config {
+    PathConfig path;
+    Filter filter;
+    int height, width, threads;
+    Rect crop, window;
+    int64_t spp, sample_offset;
+    bool packets;
+};
+
+Rect rect(const py::handle &h) {
+    auto r = h.cast<std::array<int, 4>>();
+    return {r[0], r[1], r[0] + r[2], r[1] + r[3]};
+}
+
+Config read_config(const py::dict &d) {
+    Config c{};
+    c.path.max_depth = d["max_depth"].cast<int>();
+    c.path.rr_depth = d["rr_depth"].cast<int>();
+    c.path.hide_emitters = d["hide_emitters"].cast<bool>();
+    c.path.emitter_samples = d["emitter_samples"].cast<int>();
+    c.path.bsdf_samples = d["bsdf_samples"].cast<int>();
+    c.path.seed = d["seed"].cast<uint64_t>();
+    c.path.sensor = d["sensor"].cast<uint32_t>();
+    auto size = d["film_size"].cast<std::array<int, 2>>();
+    c.height = size[0], c.width = size[1];
+    c.crop = rect(d["crop"]);
+    c.window = d.contains("window") ? rect(d["window"]) : c.crop;
+    std::string filter = d["filter"].cast<std::string>();
+    c.filter.kind = filter == "box" ? FilterKind::Box : filter == "tent" ? FilterKind::Tent : FilterKind::Gaussian;
+    c.filter.parameter = d["filter_param"].cast<double>();
+    c.threads = std::max(1, d["threads"].cast<int>());
+    c.spp = d["spp"].cast<int64_t>();
+    c.sample_offset = d["sample_offset"].cast<int64_t>();
+    c.packets = d["packet"].cast<bool>();
+    return c;
+}
+
+// Asks Python, a few times a second, whether Ctrl-C was pressed. The error stays set in the thread's state.
+class Interruption {
+public:
+    bool operator()() {
+        auto now = std::chrono::steady_clock::now();
+        if (now - last_ < std::chrono::milliseconds(50)) return false;
+        last_ = now;
+        py::gil_scoped_acquire acquire;
+        return PyErr_CheckSignals() != 0;
+    }
+
+private:
+    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
+};
+
+py::dict to_dict(const RenderStats &s) {
+    if (s.interrupted) throw py::error_already_set();
+    py::dict d;
+    d["nonfinite"] = s.non_finite;
+    d["nonfinite_where"] = s.non_finite_where;
+    d["closest_rays"] = s.closest_rays;
+    d["shadow_rays"] = s.shadow_rays;
+    d["seconds"] = s.seconds;
+    d["seconds_trace"] = s.seconds_trace;
+    d["lanes"] = s.lane_slots ? double(s.lanes) / double(s.lane_slots) : 0.0;
+    return d;
+}
+
+class SceneBase {
+public:
+    virtual ~SceneBase() = default;
+    virtual void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
+                       const std::vector<IndexArray> &arrays) = 0;
+    virtual RenderStats render(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                               uintptr_t image, uintptr_t alpha) = 0;
+    virtual RenderStats reverse(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                                uintptr_t adjoint, const Addresses &gradients) = 0;
+    virtual RenderStats forward(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                                const Addresses &tangents, uintptr_t image) = 0;
+    virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const std::map<std::string, uintptr_t> &out,
+                           const Addresses &params, const std::vector<uint8_t> &dirty) = 0;
+    virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const Addresses &params,
+                          const std::vector<uint8_t> &dirty) = 0;
+    virtual std::array<double, 6> bounds() = 0;
+};
+
+// What depends on which parameters: a bsdf, an emitter is differentiated if a parameter within its reach is.
+class Dependence {
+public:
+    Dependence(const SceneLayout &layout, const std::vector<bool> &wanted) : layout_(layout), wanted_(wanted) {
+        for (const ConstantEntry &e : layout.entries)
+            if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
+    }
+
+    bool object(const char *category, size_t index) const {
+        const Record &record = layout_.records.at(category)[index];
+        const Model *model = nullptr;
+        for (const ModelEntry &entry : all_models())
+            if (std::string(category) == entry.model->category && entry.kind == record.kind) model = entry.model;
+        for (int f = 0; f < model->n_fields; ++f) {
+            int32_t x = record.field[f];
+            switch (model->fields[f].kind) {
+                case Kind::Texture:
+                    if (object("texture", size_t(x))) return true;
+                    break;
+                case Kind::Tensor:
+                    if (x >= 0 && wanted_[size_t(x)]) return true;
+                    break;
+                case Kind::Spectrum:
+                case Kind::Float:
+                case Kind::Point:
+                    if (std::find(offsets_.begin(), offsets_.end(), x) != offsets_.end()) return true;
+                    break;
+                default:
+                    break;
+            }
+        }
+        if (std::string(category) == "texture" && std::string(model->type) == "mesh_attribute")
+            for (const AttributeInfo &a : layout_.attributes)
+                if (a.name == record.field[0] && wanted_[size_t(a.tensor)]) return true;
+        return false;
+    }
+    bool point_position() const {
+        for (const Record &r : layout_.records.at("emitter"))
+            if (r.kind == int32_t(EmitterKind::Point) &&
+                std::find(offsets_.begin(), offsets_.end(), r.field[PointEmitter::Position]) != offsets_.end())
+                return true;
+        return false;
+    }
+
+private:
+    const SceneLayout &layout_;
+    const std::vector<bool> &wanted_;
+    std::vector<int32_t> offsets_;
+};
+
+template <class S, int C>
+class SceneOf final : public SceneBase {
+public:
+    void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
+               const std::vector<IndexArray> &arrays) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.build(objects, shapes, arrays, C);
+    }
+
+    RenderStats render(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t image,
+                       uintptr_t alpha) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        return render_primal<S, C>(call(c), c.packets, reinterpret_cast<S *>(image), reinterpret_cast<S *>(alpha));
+    }
+
+    RenderStats reverse(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t adjoint,
+                        const Addresses &gradients) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        DerivativeCall<S> d = derivative(gradients);
+        d.adjoint = reinterpret_cast<const S *>(adjoint);
+        d.gradients.assign(gradients.size(), nullptr);
+        for (const ParameterUse &use : data_.layout().tensors)
+            d.gradients[size_t(use.slot)] = reinterpret_cast<S *>(gradients[size_t(use.slot)]);
+        RenderStats stats = render_reverse<S, C>(call(c), c.packets, d);
+        for (const ConstantEntry &e : data_.constant_entries()) {
+            S *to = reinterpret_cast<S *>(gradients[size_t(e.slot)]);
+            if (!to) continue;
+            for (int i = 0; i < e.stored; ++i) to[e.count == 1 ? 0 : i] += S(d.constant_gradient[size_t(e.offset + i)]);
+        }
+        return stats;
+    }
+
+    RenderStats forward(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
+                        const Addresses &tangents, uintptr_t image) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        DerivativeCall<S> d = derivative(tangents);
+        std::vector<S> constants;
+        std::vector<TensorView<S>> tensors;
+        data_.fill_values(pointers(tangents), constants, tensors);
+        d.tangent = {constants.data(), tensors.data()};
+        return render_forward<S, C>(call(c), c.packets, d, reinterpret_cast<S *>(image));
+    }
+
+    void intersect(size_t n, const std::array<uintptr_t, 3> &in, const std::map<std::string, uintptr_t> &out,
+                   const Addresses &params, const std::vector<uint8_t> &dirty) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        Rays rays(n, in);
+        std::vector<uint32_t> shape(n), primitive(n);
+        std::vector<float> t(n), b1(n), b2(n);
+        data_.accel().intersect(rays.batch(), {shape.data(), primitive.data(), t.data(), b1.data(), b2.data()}, n,
+                                false);
+        auto column = [&](const char *name) { return reinterpret_cast<S *>(out.at(name)); };
+        S *to_t = column("t"), *to_p = column("position"), *to_n = column("normal"), *to_s = column("shading_normal");
+        S *to_uv = column("uv"), *to_b1 = column("b1"), *to_b2 = column("b2");
+        int32_t *to_shape = reinterpret_cast<int32_t *>(out.at("shape_id")),
+                *to_prim = reinterpret_cast<int32_t *>(out.at("prim_id"));
+        const S *o = reinterpret_cast<const S *>(in[0]), *d = reinterpret_cast<const S *>(in[1]);
+        for (size_t i = 0; i < n; ++i) {
+            bool hit = shape[i] != Accel::Miss;
+            Vec3<S> p{S(INFINITY), S(INFINITY), S(INFINITY)}, ng{0, 0, 0}, ns{0, 0, 0};
+            Vec2<S> uv{0, 0};
+            S distance = S(INFINITY), w1 = 0, w2 = 0;
+            if (hit) {
+                Ray<S> ray{{o[3 * i], o[3 * i + 1], o[3 * i + 2]}, {d[3 * i], d[3 * i + 1], d[3 * i + 2]}};
+                SurfacePoint<S> at{shape[i], primitive[i], S(b1[i]), S(b2[i])};
+                Interaction<S> si = make_interaction<S>(data_.view(), ray, at, S(t[i]), true);
+                p = si.p, ng = si.ng, ns = si.frame.n, distance = si.t, w1 = si.at.b1, w2 = si.at.b2;
+                uv = texture_coordinates<S>(data_.view(), si.at, true);
+            }
+            to_t[i] = distance, to_b1[i] = w1, to_b2[i] = w2;
+            to_p[3 * i] = p.x, to_p[3 * i + 1] = p.y, to_p[3 * i + 2] = p.z;
+            to_n[3 * i] = ng.x, to_n[3 * i + 1] = ng.y, to_n[3 * i + 2] = ng.z;
+            to_s[3 * i] = ns.x, to_s[3 * i + 1] = ns.y, to_s[3 * i + 2] = ns.z;
+            to_uv[2 * i] = uv.x, to_uv[2 * i + 1] = uv.y;
+            to_shape[i] = hit ? int32_t(shape[i]) : -1;
+            to_prim[i] = hit ? int32_t(primitive[i]) : -1;
+        }
+    }
+
+    void occluded(size_t n, const std::array<uintptr_t, 3> &in, uintptr_t out, const Addresses &params,
+                  const std::vector<uint8_t> &dirty) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        Rays rays(n, in);
+        data_.accel().occluded(rays.batch(), reinterpret_cast<uint8_t *>(out), n);
+    }
+
+    std::array<double, 6> bounds() override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        S box[6];
+        data_.bounds(box);
+        std::array<double, 6> r;
+        std::copy_n(box, 6, r.begin());
+        return r;
+    }
+
+private:
+    SceneData<S> data_;
+    std::mutex mutex_;
+
+    // Rays (n, 3) as columns in single precision.
+    struct Rays {
+        std::vector<float> columns[7];
+        Rays(size_t n, const std::array<uintptr_t, 3> &in) {
+            const S *o = reinterpret_cast<const S *>(in[0]), *d = reinterpret_cast<const S *>(in[1]),
+                    *tmax = reinterpret_cast<const S *>(in[2]);
+            for (auto &c : columns) c.resize(n);
+            for (size_t i = 0; i < n; ++i) {
+                for (size_t k = 0; k < 3; ++k)
+                    columns[k][i] = float(o[3 * i + k]), columns[3 + k][i] = float(d[3 * i + k]);
+                columns[6][i] = float(tmax[i]);
+            }
+        }
+        RayBatch batch() const {
+            return {{columns[0].data(), columns[1].data(), columns[2].data()},
+                    {columns[3].data(), columns[4].data(), columns[5].data()},
+                    columns[6].data()};
+        }
+    };
+
+    static std::vector<const S *> pointers(const Addresses &addresses) {
+        std::vector<const S *> r;
+        for (uintptr_t a : addresses) r.push_back(reinterpret_cast<const S *>(a));
+        return r;
+    }
+
+    RenderCall<S> call(const Config &c) {
+        size_t sensors = data_.layout().records.at("sensor").size();
+        if (c.path.sensor >= sensors)
+            throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors) + ", got " +
+                                        std::to_string(c.path.sensor));
+        RenderCall<S> call{};
+        call.scene = &data_.view();
+        call.accel = &data_.accel();
+        call.config = c.path;
+        call.filter = c.filter;
+        call.film_height = c.height, call.film_width = c.width;
+        call.crop = c.crop;
+        // samples that reach no wanted pixel are not drawn
+        int reach = c.filter.reach();
+        call.samples =
+            tr::intersect(c.window, {c.crop.y0 - reach, c.crop.x0 - reach, c.crop.y1 + reach, c.crop.x1 + reach});
+        call.spp = c.spp, call.sample_offset = c.sample_offset;
+        call.threads = c.threads;
+        call.interrupted = Interruption();
+        return call;
+    }
+
+    DerivativeCall<S> derivative(const Addresses &addresses) {
+        DerivativeCall<S> d;
+        d.n_constants = data_.n_constants();
+        d.sizes = data_.layout().slot_sizes;
+        std::vector<bool> wanted;
+        for (uintptr_t a : addresses) wanted.push_back(a != 0);
+        Dependence depends(data_.layout(), wanted);
+        d.wanted = {false, false, depends.point_position()};
+        for (size_t i = 0; i < data_.layout().records.at("bsdf").size(); ++i) {
+            d.bsdf_wanted.push_back(depends.object("bsdf", i));
+            d.wanted.bsdf |= d.bsdf_wanted.back() != 0;
+        }
+        for (size_t i = 0; i < data_.layout().records.at("emitter").size(); ++i)
+            d.wanted.emitter |= depends.object("emitter", i);
+        return d;
+    }
+};
+
+std::unique_ptr<SceneBase> make_scene(const std::string &color, const std::string &dtype) {
+    if (color == "rgb" && dtype == "float32") return std::make_unique<SceneOf<float, 3>>();
+    if (color == "rgb" && dtype == "float64") return std::make_unique<SceneOf<double, 3>>();
+    if (color == "mono" && dtype == "float32") return std::make_unique<SceneOf<float, 1>>();
+    if (color == "mono" && dtype == "float64") return std::make_unique<SceneOf<double, 1>>();
+    throw std::invalid_argument("Scene: expected color mono or rgb and dtype float32 or float64, got " + color +
+                                " and " + dtype);
+}
+
+SceneObjects read_objects(const py::dict &given) {
+    SceneObjects objects;
+    for (const auto &[category, list] : given) {
+        auto &to = objects[category.cast<std::string>()];
+        for (const py::handle &h : list) {
+            py::tuple entry = py::reinterpret_borrow<py::object>(h);
+            SceneObject object{entry[0].cast<std::string>(), entry[1].cast<std::vector<int64_t>>(), ""};
+            if (entry.size() > 2) object.path = entry[2].cast<std::string>();
+            to.push_back(std::move(object));
+        }
+    }
+    return objects;
+}
+
+std::vector<uint8_t> read_dirty(const std::vector<bool> &dirty) { return {dirty.begin(), dirty.end()}; }
+
+using Release = py::call_guard<py::gil_scoped_release>;
+
+}  // namespace
+
+void declare_scene(py::module_ &m) {
+    py::class_<SceneBase>(m, "Scene")
+        .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
+        .def("build",
+             [](SceneBase &self, const py::dict &objects, const std::vector<std::vector<int64_t>> &shapes,
+                const std::vector<std::pair<uintptr_t, int64_t>> &indices) {
+                 SceneObjects read = read_objects(objects);
+                 std::vector<IndexArray> arrays;
+                 for (auto [address, rows] : indices)
+                     arrays.push_back({reinterpret_cast<const int32_t *>(address), rows});
+                 py::gil_scoped_release release;
+                 self.build(read, shapes, arrays);
+             })
+        .def("render",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const std::map<std::string, uintptr_t> &out) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.render(c, params, read_dirty(dirty), out.at("image"),
+                                         out.count("alpha") ? out.at("alpha") : 0);
+                 }
+                 return to_dict(stats);
+             })
+        .def("render_vjp",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                uintptr_t adjoint, const Addresses &gradients) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.reverse(c, params, read_dirty(dirty), adjoint, gradients);
+                 }
+                 return to_dict(stats);
+             })
+        .def("render_jvp",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const Addresses &tangents, uintptr_t image) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.forward(c, params, read_dirty(dirty), tangents, image);
+                 }
+                 return to_dict(stats);
+             })
+        .def(
+            "ray_intersect",
+            [](SceneBase &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax,
+               const std::map<std::string, uintptr_t> &out, const Addresses &params,
+               const std::vector<bool> &dirty) { self.intersect(n, {o, d, tmax}, out, params, read_dirty(dirty)); },
+            Release())
+        .def(
+            "ray_occluded",
+            [](SceneBase &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax, uintptr_t out,
+               const Addresses &params,
+               const std::vector<bool> &dirty) { self.occluded(n, {o, d, tmax}, out, params, read_dirty(dirty)); },
+            Release())
+        .def("bounding_box", &SceneBase::bounds);
+}
+
+}  // namespace tr

@@ -1,0 +1,45 @@
+// `conductor`: a smooth metal. Reflects only, by the Fresnel equations for a complex index eta - i k.
+#pragma once
+
+#include "../math/fresnel.h"
+#include "bsdf.h"
+
+namespace tr {
+
+struct Conductor {
+    static constexpr Field fields[] = {
+        {"eta", Kind::Texture, 0, 0, INFINITY, "interior", "real part of the index of refraction"},
+        {"k", Kind::Texture, 1, 0, INFINITY, "interior", "imaginary part (absorption)"},
+        {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
+    };
+    static constexpr Model model = {"bsdf", "conductor", "Smooth conductor, one-sided.", fields, 3};
+    static constexpr bool Smooth = false, Delta = true;
+
+    template <int C, class P, class F>
+    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &) {
+        using T = std::decay_t<decltype(params.color[0][0])>;
+        Color<T, C> r;
+        for (int c = 0; c < C; ++c)
+            r[c] = params.color[2][c] * fresnel_conductor(T(max(wi.z, F(0))), params.color[0][c], params.color[1][c]);
+        return r;
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static F pdf(const P &, const Vec3<F> &, const Vec3<F> &) {
+        return F(0);
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static BsdfSample<F> sample(const P &, const Vec3<F> &wi, const F &, const F &, const F &) {
+        BsdfSample<F> r;
+        r.wo = {-wi.x, -wi.y, wi.z};
+        r.pdf = select(mask<F>(wi.z > F(0)), F(1), F(0));
+        r.eta = F(1);
+        r.lobe = IntOf<F>(0);
+        r.delta = MaskOf<F>(true);
+        r.null = MaskOf<F>(false);
+        return r;
+    }
+};
+
+}  // namespace tr

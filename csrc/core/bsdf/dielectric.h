@@ -1,0 +1,57 @@
+// `dielectric`: a smooth interface between two transparent media. Lobe 0 reflects, lobe 1 refracts.
+#pragma once
+
+#include "../math/fresnel.h"
+#include "bsdf.h"
+
+namespace tr {
+
+struct Dielectric {
+    enum { Reflectance = 0, Transmittance = 1 };  // of color[]
+    static constexpr Field fields[] = {
+        {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3,
+         "none: an index of refraction moves the refracted ray; its derivative through such chains is not implemented "
+         "yet",
+         "index of refraction inside (below the surface) over outside"},
+        {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
+        {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
+    };
+    static constexpr Model model = {"bsdf", "dielectric", "Smooth dielectric interface.", fields, 3};
+    static constexpr bool Smooth = false, Delta = true;
+
+    // Radiance is divided by the squared relative index when it enters the denser side (solid angles shrink): Veach,
+    // "Robust Monte Carlo Methods for Light Transport Simulation", 1997, section 5.2.
+    template <int C, class P, class F>
+    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &lobe,
+                               Transport transport = Transport::Radiance) {
+        using T = std::decay_t<decltype(params.number[0])>;
+        Fresnel<T> fresnel = fresnel_dielectric(T(wi.z), params.number[0]);
+        T scale = transport == Transport::Radiance ? fresnel.eta_ti * fresnel.eta_ti : T(F(1));
+        T transmitted = (T(F(1)) - fresnel.reflectance) * scale;
+        auto reflect = mask<F>(lobe == 0);
+        return select(reflect, params.color[Reflectance] * fresnel.reflectance,
+                      params.color[Transmittance] * transmitted);
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static F pdf(const P &, const Vec3<F> &, const Vec3<F> &) {
+        return F(0);
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &, const F &) {
+        Fresnel<F> fresnel = fresnel_dielectric(wi.z, params.number[0]);
+        auto reflect = mask<F>(u0 < fresnel.reflectance);
+        BsdfSample<F> r;
+        r.wo = select(reflect, Vec3<F>{-wi.x, -wi.y, wi.z},
+                      Vec3<F>{-fresnel.eta_ti * wi.x, -fresnel.eta_ti * wi.y, fresnel.cos_t});
+        r.pdf = select(reflect, fresnel.reflectance, F(1) - fresnel.reflectance);
+        r.eta = select(reflect, F(1), fresnel.eta_it);
+        r.lobe = select(mask<IntOf<F>>(reflect), IntOf<F>(0), IntOf<F>(1));
+        r.delta = MaskOf<F>(true);
+        r.null = MaskOf<F>(false);
+        return r;
+    }
+};
+
+}  // namespace tr

@@ -1,0 +1,35 @@
+// `null`: no interaction. The boundary of a medium, or a hole.
+#pragma once
+
+#include "bsdf.h"
+
+namespace tr {
+
+struct NullBsdf {
+    static constexpr Field fields[] = {{nullptr, Kind::Int, 0, 0, 0, "", ""}};
+    static constexpr Model model = {"bsdf", "null", "Rays pass through unchanged.", fields, 0};
+    static constexpr bool Smooth = false, Delta = true;
+
+    template <int C, class P, class F>
+    TR_INLINE static auto eval(const P &, const Vec3<F> &, const Vec3<F> &, const IntOf<F> &) {
+        return uniform_color<C>(F(1));
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static F pdf(const P &, const Vec3<F> &, const Vec3<F> &) {
+        return F(0);
+    }
+
+    template <int C, class P, class F>
+    TR_INLINE static BsdfSample<F> sample(const P &, const Vec3<F> &wi, const F &, const F &, const F &) {
+        BsdfSample<F> r;
+        r.wo = -wi;
+        r.pdf = F(1);
+        r.eta = F(1);
+        r.lobe = IntOf<F>(0);
+        r.delta = r.null = MaskOf<F>(true);
+        return r;
+    }
+};
+
+}  // namespace tr

@@ -1,0 +1,101 @@
+// `area`: a shape that emits, from its front side, a radiance that may be textured. Sampled uniformly by area; spheres
+// seen from outside by the cone they fill (Shirley, Wang and Zimmerman, "Monte Carlo Techniques for Direct Lighting
+// Calculations", TOG 1996).
+#pragma once
+
+#include "../shape/surface.h"
+#include "../texture/texture.h"
+
+namespace tr {
+
+struct AreaEmitter {
+    enum { Radiance, Weight, ShapeIndex = Record::Extra };
+    static constexpr Field fields[] = {
+        {"radiance", Kind::Texture, 1, 0, INFINITY, "interior", "emitted radiance, W / (m^2 sr)"},
+        {"sampling_weight", Kind::Float, 1, 0, INFINITY,
+         "none: a probability; images do not depend on it in expectation",
+         "relative probability of choosing this emitter"},
+    };
+    static constexpr Model model = {"emitter", "area", "An emitting shape.", fields, 2};
+};
+
+// Does the point p see the sphere of this shape from outside, and how wide? Cutoff: 1 - cos of the half angle.
+template <class F>
+struct SphereCone {
+    Vec3<F> axis;
+    F distance, radius, cutoff;
+    MaskOf<F> valid;
+};
+
+template <class F, class S>
+TR_INLINE SphereCone<F> sphere_cone(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &p,
+                                    const MaskOf<F> &active) {
+    SphereCone<F> r;
+    UIntOf<F> m = shape * 24u;
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
+    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, shape, active);
+    r.valid = active && mask<F>(kind == int32_t(ShapeKind::Sphere)) && mask<F>((flags & int32_t(FlipNormals)) == 0);
+    Vec3<F> column{gather<F>(scene.shape_matrices, m, active), gather<F>(scene.shape_matrices, m + 4u, active),
+                   gather<F>(scene.shape_matrices, m + 8u, active)};
+    Vec3<F> center{gather<F>(scene.shape_matrices, m + 3u, active), gather<F>(scene.shape_matrices, m + 7u, active),
+                   gather<F>(scene.shape_matrices, m + 11u, active)};
+    r.radius = norm(column);
+    Vec3<F> to_center = center - p;
+    r.distance = norm(to_center);
+    r.valid = r.valid && mask<F>(r.distance > r.radius * F(1.0001));
+    r.axis = to_center * (F(1) / select(r.valid, r.distance, F(1)));
+    F sin_max = select(r.valid, r.radius / select(r.valid, r.distance, F(1)), F(0));
+    F sin_squared = sin_max * sin_max;
+    r.cutoff = sin_squared / (F(1) + sqrt(max(F(1) - sin_squared, F(0))));  // 1 - cos without cancellation
+    return r;
+}
+
+// Density per solid angle at p of choosing the point `light` (of normal n, in direction d, at this distance) on the
+// shape.
+template <class F, class S>
+TR_INLINE F area_emitter_pdf(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &p, const Vec3<F> &n,
+                             const Vec3<F> &d, const F &distance, const MaskOf<F> &active) {
+    F cosine = abs(dot(n, d));
+    F by_area = distance * distance /
+                (gather<F>(scene.shape_areas, shape, active) * select(mask<F>(cosine > F(0)), cosine, F(1)));
+    by_area = select(mask<F>(cosine > F(0)), by_area, F(0));
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
+    if (any(active && mask<F>(kind == int32_t(ShapeKind::Sphere)))) {
+        SphereCone<F> cone = sphere_cone(scene, shape, p, active);
+        by_area = select(cone.valid, F(1 / (2 * Pi)) / select(cone.valid, cone.cutoff, F(1)), by_area);
+    }
+    return by_area;
+}
+
+// A point on the emitting shape for the reference point p.
+template <class F, class S>
+TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &p,
+                                              const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
+    SampledPoint<F> r = sample_shape(scene, shape, u0, u1, u2, active);
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
+    if (any(active && mask<F>(kind == int32_t(ShapeKind::Sphere)))) {
+        SphereCone<F> cone = sphere_cone(scene, shape, p, active);
+        if (any(cone.valid)) {
+            Vec3<F> local = square_to_cone(u1, u2, cone.cutoff);
+            Vec3<F> d = make_frame(cone.axis).to_world(local);
+            // nearer intersection with the sphere along d
+            F b = cone.distance * local.z;
+            F h = max(cone.radius * cone.radius - (cone.distance * cone.distance - b * b), F(0));
+            F t = b - sqrt(h);
+            Vec3<F> n = normalize(d * t - cone.axis * cone.distance);
+            Vec3<F> q = p + cone.axis * cone.distance + n * cone.radius;
+            F to_object[12];
+            gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, cone.valid, to_object);
+            Vec3<F> object = normalize(transform_point(to_object, q));
+            F phi = atan2(object.y, object.x) * F(1 / (2 * Pi));
+            phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
+            r.p = select(cone.valid, q, r.p);
+            r.n = select(cone.valid, n, r.n);
+            r.at.b1 = select(cone.valid, phi, r.at.b1);
+            r.at.b2 = select(cone.valid, acos(max(F(-1), min(F(1), object.z))) * F(1 / Pi), r.at.b2);
+        }
+    }
+    return r;
+}
+
+}  // namespace tr

@@ -1,0 +1,175 @@
+// All emitters: choosing one and a direction to it, the density of that choice, and what it sends.
+#pragma once
+
+#include "area.h"
+#include "constant.h"
+#include "envmap.h"
+#include "point.h"
+
+namespace tr {
+
+enum class EmitterKind : int32_t { Area = 0, Constant = 1, EnvironmentMap = 2, Point = 3 };  // order of the registry
+
+// Where on which emitter: on an area light a surface point, on an environment map (b1, b2) are its coordinates.
+template <class F>
+struct EmitterPoint {
+    IntOf<F> emitter;
+    SurfacePoint<F> at;
+};
+
+template <class F>
+struct EmitterSample {
+    EmitterPoint<F> point;
+    Vec3<F> d;  // unit direction from the reference point
+    F distance;
+    F pdf;     // per solid angle, times the probability of the emitter; 0: nothing arrives
+    F factor;  // radiance arriving = factor * emitted: 1, or 1 / distance^2 for a point light
+    MaskOf<F> delta;
+};
+
+// Emitted radiance (point lights: intensity). `values` may be a tangent, see eval_texture; the product of an
+// environment's scale and texels is then differentiated by the product rule.
+template <int C, class F, class S>
+TR_INLINE Color<F, C> eval_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
+    IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
+    Color<F, C> r = uniform_color<C>(F(0));
+    auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
+    if (any(area)) {
+        IntOf<F> texture = record_field<F>(scene.emitters, AreaEmitter::Radiance, point.emitter, area);
+        r = select(area, eval_texture<C>(scene, scene.values, texture, point.at, area), r);
+    }
+    // radiance of `constant`, intensity of `point`: both are field 0
+    auto flat =
+        active && (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Point)));
+    if (any(flat)) {
+        IntOf<F> offset = record_field<F>(scene.emitters, 0, point.emitter, flat);
+        r = select(flat, constant_color<C, F>(scene.values, offset, flat), r);
+    }
+    auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
+    if (any(map)) {
+        const Record &record = scene.emitters[scene.environment];
+        const TensorView<S> &tensor = scene.values.tensors[record.field[EnvironmentMap::Data]];
+        F scale(scene.values.constants[record.field[EnvironmentMap::Scale]]);
+        auto at = EnvironmentMap::footprint(tensor, Vec2<F>{point.at.b1, point.at.b2});
+        r = select(map, gather_footprint<C>(tensor, at, map) * scale, r);
+    }
+    return r;
+}
+
+// The environment in direction d as an emitter point.
+template <class F, class S>
+TR_INLINE EmitterPoint<F> environment_point(const SceneView<S> &scene, const Vec3<F> &d) {
+    EmitterPoint<F> r;
+    r.emitter = IntOf<F>(scene.environment);
+    r.at.shape = r.at.primitive = UIntOf<F>(0u);
+    r.at.b1 = r.at.b2 = F(0);
+    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap)) {
+        Vec2<F> uv = EnvironmentMap::to_uv(scene, d);
+        r.at.b1 = uv.x;
+        r.at.b2 = uv.y;
+    }
+    return r;
+}
+
+template <class F, class S>
+TR_INLINE F environment_pdf(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
+    F pdf(1 / (4 * Pi));
+    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap))
+        pdf = EnvironmentMap::pdf(scene, Vec2<F>{point.at.b1, point.at.b2}, active);
+    return pdf * F(scene.emitter_pmf[scene.environment]);
+}
+
+// Density with which sample_emitter, at p, chooses the point of an area light that a ray in direction d has hit.
+template <class F, class S>
+TR_INLINE F area_light_pdf(const SceneView<S> &scene, const IntOf<F> &emitter, const UIntOf<F> &shape, const Vec3<F> &p,
+                           const Vec3<F> &hit, const Vec3<F> &n, const MaskOf<F> &active) {
+    Vec3<F> to_light = hit - p;
+    F distance = norm(to_light);
+    Vec3<F> d = to_light * (F(1) / select(active, distance, F(1)));
+    return area_emitter_pdf(scene, shape, p, n, d, distance, active) *
+           gather<F>(scene.emitter_pmf, UIntOf<F>(emitter), active);
+}
+
+// u0 chooses the emitter and, with what is left of it, the face of a mesh light; u1, u2 the point or direction.
+template <class F, class S>
+TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<F> &p, const F &u0, const F &u1,
+                                          const F &u2, const MaskOf<F> &active) {
+    using U = UIntOf<F>;
+    EmitterSample<F> r;
+    U index(0u);
+    F left = u0;
+    F pmf(1);
+    if (scene.n_emitters > 1) {
+        index = search_cdf<F>(scene.emitter_cdf, U(0u), U(uint32_t(scene.n_emitters)), u0, active);
+        pmf = gather<F>(scene.emitter_pmf, index, active);
+        F before = select(mask<F>(index > 0u), gather<F>(scene.emitter_cdf, max(index, U(1u)) - 1u, active), F(0));
+        left = max(F(0), min((u0 - before) / max(pmf, F(1e-20)), F(1 - 1e-7)));
+    } else {
+        pmf = F(scene.emitter_pmf[0]);
+    }
+    r.point.emitter = IntOf<F>(index);
+    r.point.at.shape = r.point.at.primitive = U(0u);
+    r.point.at.b1 = r.point.at.b2 = F(0);
+    r.d = {F(0), F(0), F(1)};
+    r.distance = r.factor = F(1);
+    r.pdf = F(0);
+    r.delta = MaskOf<F>(false);
+    IntOf<F> kind = record_kind<F>(scene.emitters, r.point.emitter, active);
+
+    auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
+    if (any(area)) {
+        U shape = U(record_field<F>(scene.emitters, AreaEmitter::ShapeIndex, r.point.emitter, area));
+        SampledPoint<F> q = sample_area_emitter(scene, shape, p, left, u1, u2, area);
+        Vec3<F> to_light = q.p - p;
+        F distance = norm(to_light);
+        auto apart = area && mask<F>(distance > F(0));
+        Vec3<F> d = to_light * (F(1) / select(apart, distance, F(1)));
+        auto facing = apart && mask<F>(dot(q.n, d) < F(0));
+        r.point.at.shape = select(mask<U>(area), q.at.shape, r.point.at.shape);
+        r.point.at.primitive = select(mask<U>(area), q.at.primitive, r.point.at.primitive);
+        r.point.at.b1 = select(area, q.at.b1, r.point.at.b1);
+        r.point.at.b2 = select(area, q.at.b2, r.point.at.b2);
+        r.d = select(area, d, r.d);
+        r.distance = select(area, distance, r.distance);
+        r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, d, distance, facing), r.pdf);
+    }
+    auto point = active && mask<F>(kind == int32_t(EmitterKind::Point));
+    if (any(point)) {
+        U offset = U(record_field<F>(scene.emitters, PointEmitter::Position, r.point.emitter, point));
+        Vec3<F> to_light = Vec3<F>{gather<F>(scene.values.constants, offset, point),
+                                   gather<F>(scene.values.constants, offset + 1u, point),
+                                   gather<F>(scene.values.constants, offset + 2u, point)} -
+                           p;
+        F distance = norm(to_light);
+        auto apart = point && mask<F>(distance > F(0));
+        F inverse = F(1) / select(apart, distance, F(1));
+        r.d = select(apart, to_light * inverse, r.d);
+        r.distance = select(apart, distance, r.distance);
+        r.factor = select(apart, inverse * inverse, r.factor);
+        r.pdf = select(apart, F(1), r.pdf);
+        r.delta = r.delta || apart;
+    }
+    if (scene.environment >= 0) {
+        auto here = active && mask<F>(r.point.emitter == scene.environment);
+        if (any(here)) {
+            Vec3<F> d;
+            Vec2<F> uv{F(0), F(0)};
+            F pdf;
+            if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap)) {
+                d = EnvironmentMap::sample(scene, u1, u2, uv, pdf, here);
+            } else {
+                d = square_to_sphere(u1, u2);
+                pdf = F(1 / (4 * Pi));
+            }
+            r.d = select(here, d, r.d);
+            r.point.at.b1 = select(here, uv.x, r.point.at.b1);
+            r.point.at.b2 = select(here, uv.y, r.point.at.b2);
+            r.distance = select(here, F(INFINITY), r.distance);
+            r.pdf = select(here, pdf, r.pdf);
+        }
+    }
+    r.pdf = r.pdf * pmf;
+    return r;
+}
+
+}  // namespace tr

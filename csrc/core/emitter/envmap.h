@@ -1,0 +1,116 @@
+// `envmap`: radiance from infinitely far away, an image over directions in latitude and longitude. In the emitter's
+// frame d: u = atan2(d.x, -d.z) / (2 pi), v = acos(d.y) / pi. Column j is centred at u = (j + 0.5) / columns, periodic;
+// row i lies at v = i / (rows - 1), so the first and the last row are the poles. Bilinear.
+//
+// Sampling: the cells between texel centres, each with the mean luminance of its corners times sin(theta); then
+// uniformly in (u, v) within the cell. Pharr, Jakob and Humphreys, "Physically Based Rendering", section 12.5.
+#pragma once
+
+#include "../texture/bitmap.h"
+
+namespace tr {
+
+struct EnvironmentMap {
+    enum { Data, Scale, ToWorld, Weight };
+    static constexpr Field fields[] = {
+        {"data", Kind::Tensor, None, 0, INFINITY, "interior", "radiance (rows, columns, channels), linear"},
+        {"scale", Kind::Float, 1, 0, INFINITY, "interior", "factor of all texels"},
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
+         "none: turning the environment is not differentiable yet", "rotation from the emitter's frame to the world"},
+        {"sampling_weight", Kind::Float, 1, 0, INFINITY,
+         "none: a probability; images do not depend on it in expectation",
+         "relative probability of choosing this emitter"},
+    };
+    static constexpr Model model = {"emitter", "envmap", "An environment map.", fields, 4};
+
+    template <class F, class S>
+    TR_INLINE static Vec2<F> to_uv(const SceneView<S> &scene, const Vec3<F> &d) {
+        Vec3<F> local = normalize(transform_vector(scene.env_to_local, d));
+        F u = atan2(local.x, -local.z) * F(1 / (2 * Pi)), v = acos(max(F(-1), min(F(1), local.y))) * F(1 / Pi);
+        return {u - floor(u), v};
+    }
+
+    template <class F, class S>
+    TR_INLINE static Footprint<F, 4> footprint(const TensorView<S> &tensor, const Vec2<F> &uv) {
+        using I = IntOf<F>;
+        int rows = tensor.shape[0], columns = tensor.shape[1];
+        F x = uv.x * F(S(columns)) - F(0.5), y = uv.y * F(S(rows - 1));
+        F fx = floor(x), fy = min(floor(y), F(S(rows > 1 ? rows - 2 : 0)));
+        F a = x - fx, b = y - fy;
+        I x0 = I(fx), y0 = max(I(0), I(fy));
+        x0 = select(mask<I>(x0 < 0), x0 + columns, x0);
+        x0 = select(mask<I>(x0 >= columns), x0 - columns, x0);
+        I x1 = select(mask<I>(x0 == columns - 1), I(0), x0 + 1), y1 = min(y0 + 1, I(rows - 1));
+        Footprint<F, 4> r;
+        r.texel[0] = UIntOf<F>(y0 * columns + x0);
+        r.texel[1] = UIntOf<F>(y0 * columns + x1);
+        r.texel[2] = UIntOf<F>(y1 * columns + x0);
+        r.texel[3] = UIntOf<F>(y1 * columns + x1);
+        r.weight[0] = (F(1) - a) * (F(1) - b);
+        r.weight[1] = a * (F(1) - b);
+        r.weight[2] = (F(1) - a) * b;
+        r.weight[3] = a * b;
+        return r;
+    }
+
+    // density per solid angle of the direction with these coordinates
+    template <class F, class S>
+    TR_INLINE static F pdf(const SceneView<S> &scene, const Vec2<F> &uv, const MaskOf<F> &active) {
+        using I = IntOf<F>;
+        using U = UIntOf<F>;
+        int columns = scene.env_columns, rows = scene.env_rows;
+        F x = uv.x * F(S(columns)) - F(0.5);
+        I j = I(floor(x));
+        j = select(mask<I>(j < 0), j + columns, j);
+        j = select(mask<I>(j >= columns), j - columns, j);
+        I i = max(I(0), min(I(floor(uv.y * F(S(rows)))), I(rows - 1)));
+        U ui = U(i), cell = U(i * columns + j);
+        F row = cdf_mass<F>(scene.env_marginal, ui, ui, active);
+        F column = cdf_mass<F>(scene.env_conditional, cell, U(j), active);
+        return density(scene, row * column, uv.y);
+    }
+
+    template <class F, class S>
+    TR_INLINE static Vec3<F> sample(const SceneView<S> &scene, const F &u1, const F &u2, Vec2<F> &uv, F &pdf,
+                                    const MaskOf<F> &active) {
+        using U = UIntOf<F>;
+        uint32_t columns = uint32_t(scene.env_columns), rows = uint32_t(scene.env_rows);
+        U i = search_cdf<F>(scene.env_marginal, U(0u), U(rows), u1, active);
+        F row = cdf_mass<F>(scene.env_marginal, i, i, active);
+        F before = select(mask<F>(i > 0u), gather<F>(scene.env_marginal, max(i, U(1u)) - 1u, active), F(0));
+        F fraction_v = max(F(0), min((u1 - before) / max(row, F(1e-20)), F(1)));
+        U offset = i * columns;
+        U j = search_cdf<F>(scene.env_conditional, offset, U(columns), u2, active);
+        F column = cdf_mass<F>(scene.env_conditional, offset + j, j, active);
+        before = select(mask<F>(j > 0u), gather<F>(scene.env_conditional, offset + max(j, U(1u)) - 1u, active), F(0));
+        F fraction_u = max(F(0), min((u2 - before) / max(column, F(1e-20)), F(1)));
+        uv.x = (F(IntOf<F>(j)) + F(0.5) + fraction_u) * F(1.0 / columns);
+        uv.x = uv.x - floor(uv.x);
+        uv.y = (F(IntOf<F>(i)) + fraction_v) * F(1.0 / rows);
+        F sin_phi, cos_phi, sin_theta, cos_theta;
+        sincos(uv.x * F(2 * Pi), sin_phi, cos_phi);
+        sincos(uv.y * F(Pi), sin_theta, cos_theta);
+        pdf = density(scene, row * column, uv.y);
+        return normalize(
+            transform_vector(scene.env_to_world, Vec3<F>{sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi}));
+    }
+
+private:
+    template <class F, class S>
+    TR_INLINE static F cdf_mass(const S *cdf, const UIntOf<F> &index, const UIntOf<F> &position,
+                                const MaskOf<F> &active) {
+        F upper = gather<F>(cdf, index, active);
+        F lower = select(mask<F>(position > 0u), gather<F>(cdf, max(index, UIntOf<F>(1u)) - 1u, active), F(0));
+        return upper - lower;
+    }
+    // probability of a cell -> density per solid angle: d omega = 2 pi^2 sin(theta) du dv
+    template <class F, class S>
+    TR_INLINE static F density(const SceneView<S> &scene, const F &mass, const F &v) {
+        F sin_theta = sin(v * F(Pi));
+        auto usable = mask<F>(sin_theta > F(1e-6));
+        F cells(S(scene.env_columns) * S(scene.env_rows));
+        return select(usable, mass * cells / (F(2 * Pi * Pi) * select(usable, sin_theta, F(1))), F(0));
+    }
+};
+
+}  // namespace tr

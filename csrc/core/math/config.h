@@ -1,0 +1,27 @@
+// What every core header needs: the host/device marker and the integer types.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+
+#if defined(__CUDACC__)
+#define TR_HD __host__ __device__
+#else
+#define TR_HD
+#endif
+
+// Small functions on packets must be inlined: a packet passed through memory costs more than most of them compute.
+#if defined(__CUDACC__)
+#define TR_INLINE TR_HD __forceinline__
+#elif defined(__GNUC__) && !defined(__SANITIZE_ADDRESS__)  // sanitized code of that size takes a compiler too long
+#define TR_INLINE inline __attribute__((always_inline))
+#else
+#define TR_INLINE inline
+#endif
+
+namespace tr {
+
+constexpr double Pi = 3.14159265358979323846;
+
+}  // namespace tr

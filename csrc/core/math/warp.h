@@ -1,0 +1,54 @@
+// Maps from the unit square to the distributions that are sampled, and their densities.
+#pragma once
+
+#include "vector.h"
+
+namespace tr {
+
+// Concentric map of the square to the disk: Shirley and Chiu, "A Low Distortion Map Between Disk and Square", 1997,
+// in the branchless form of Cline (2011).
+template <class F>
+TR_INLINE Vec2<F> square_to_disk(const F &u1, const F &u2) {
+    F x = F(2) * u1 - F(1), y = F(2) * u2 - F(1);
+    auto quadrant_x = mask<F>(abs(x) > abs(y));
+    F r = select(quadrant_x, x, y), rp = select(quadrant_x, y, x);
+    F phi = select(mask<F>(r == F(0)), F(0), rp / select(mask<F>(r == F(0)), F(1), r)) * F(Pi / 4);
+    phi = select(quadrant_x, phi, F(Pi / 2) - phi);
+    F s, c;
+    sincos(phi, s, c);
+    return {r * c, r * s};
+}
+
+// Density cos(theta) / pi.
+template <class F>
+TR_INLINE Vec3<F> square_to_cosine_hemisphere(const F &u1, const F &u2) {
+    Vec2<F> p = square_to_disk(u1, u2);
+    F z = sqrt(max(F(1) - p.x * p.x - p.y * p.y, F(0)));
+    return {p.x, p.y, max(z, F(1e-7))};  // never exactly grazing: the density must not vanish
+}
+
+// Density 1 / (4 pi).
+template <class F>
+TR_INLINE Vec3<F> square_to_sphere(const F &u1, const F &u2) {
+    F z = F(1) - F(2) * u2, r = sqrt(max(F(1) - z * z, F(0))), s, c;
+    sincos(u1 * F(2 * Pi), s, c);
+    return {r * c, r * s, z};
+}
+
+// Density 1 / (2 pi (1 - cos_cutoff)) about +z, given 1 - cos_cutoff, which is accurate for narrow cones.
+template <class F>
+TR_INLINE Vec3<F> square_to_cone(const F &u1, const F &u2, const F &one_minus_cos_cutoff) {
+    F a = u2 * one_minus_cos_cutoff;  // 1 - cos(theta)
+    F r = sqrt(max(a * (F(2) - a), F(0))), s, c;
+    sincos(u1 * F(2 * Pi), s, c);
+    return {r * c, r * s, F(1) - a};
+}
+
+// Barycentric coordinates (b1, b2), uniform on the triangle.
+template <class F>
+TR_INLINE Vec2<F> square_to_triangle(const F &u1, const F &u2) {
+    F t = sqrt(max(F(1) - u1, F(0)));
+    return {F(1) - t, t * u2};
+}
+
+}  // namespace tr

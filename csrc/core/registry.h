@@ -1,0 +1,38 @@
+// The models of this build, one line each. The position in a list is the model's kind.
+#pragma once
+
+#include "bsdf/conductor.h"
+#include "bsdf/dielectric.h"
+#include "bsdf/diffuse.h"
+#include "bsdf/null.h"
+#include "bsdf/twosided.h"
+#include "emitter/emitter.h"
+#include "sensor/perspective.h"
+#include "shape/models.h"
+#include "texture/texture.h"
+
+namespace tr {
+
+template <class... Ts>
+struct TypeList {
+    static constexpr int Size = sizeof...(Ts);
+};
+
+using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
+using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor>;  // the ones that scatter
+using BsdfWrappers = TypeList<TwoSided>;                           // resolved to one of those at a hit
+using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter>;
+using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
+using Sensors = TypeList<Perspective>;
+using Attributes = TypeList<AttributeModel>;
+
+constexpr int TwoSidedKind = Bsdfs::Size;
+
+// Calls f with a value of the type at position `kind`.
+template <class F, class... Ts>
+TR_INLINE void dispatch(TypeList<Ts...>, int kind, F &&f) {
+    int i = 0;
+    (void)((i++ == kind ? (f(Ts{}), true) : false) || ...);
+}
+
+}  // namespace tr

@@ -1,0 +1,73 @@
+// Declarations of the shapes. What they are while rendering is in surface.h: a rectangle is a mesh of two triangles.
+#pragma once
+
+#include "../model.h"
+
+namespace tr {
+
+constexpr const char *GeometryMissing =
+    "none: the derivative of geometry is not implemented yet (neither the term inside surfaces nor that of moving "
+    "edges)";
+
+struct MeshModel {
+    enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex };
+    static constexpr Field fields[] = {
+        {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryMissing, "positions (V, 3), world space"},
+        {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
+        {"normals", Kind::Tensor, -1, -INFINITY, INFINITY, GeometryMissing, "vertex normals (V, 3), world space"},
+        {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY, GeometryMissing, "texture coordinates (V, 2)"},
+        {"face_normals", Kind::Int, 0, 0, 1, "", "shade flat although there are vertex normals"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+    };
+    static constexpr Model model = {"shape", "mesh", "Triangles.", fields, 8};
+};
+
+struct SphereModel {
+    enum { ToWorld, Center, Radius, Flip, BsdfIndex, EmitterIndex };
+    static constexpr Field fields[] = {
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryMissing,
+         "applied after center and radius; uniform scale only"},
+        {"center", Kind::Point, 0, -INFINITY, INFINITY, GeometryMissing, ""},
+        {"radius", Kind::Float, 1, 0, INFINITY, GeometryMissing, ""},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+    };
+    static constexpr Model model = {"shape", "sphere", "A sphere.", fields, 6};
+};
+
+// Disk and rectangle have the same fields.
+struct PlanarFields {
+    enum { ToWorld, Flip, BsdfIndex, EmitterIndex };
+    static constexpr Field fields[] = {
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryMissing,
+         "from the unit shape, facing +z, to the world"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+    };
+};
+
+struct DiskModel : PlanarFields {
+    static constexpr Model model = {"shape", "disk", "The unit disk in the plane z = 0.", PlanarFields::fields, 4};
+};
+
+struct RectangleModel : PlanarFields {
+    static constexpr Model model = {"shape", "rectangle", "The square [-1, 1]^2 in the plane z = 0.",
+                                    PlanarFields::fields, 4};
+};
+
+struct AttributeModel {
+    enum { Name, ShapeIndex, Data, PerFace };
+    static constexpr Field fields[] = {
+        {"name", Kind::Int, None, 0, INFINITY, "", "number of the name"},
+        {"shape", Kind::Shape, None, 0, INFINITY, "", "the mesh that has it"},
+        {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior", "(V, C) or (F, C)"},
+        {"per_face", Kind::Int, 0, 0, 1, "", "a row a face instead of a vertex"},
+    };
+    static constexpr Model model = {"attribute", "attribute", "Values on the vertices or faces of a mesh.", fields, 4};
+};
+
+}  // namespace tr

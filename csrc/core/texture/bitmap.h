@@ -1,0 +1,82 @@
+// `bitmap`: an image over texture coordinates. Texel (row i, column j) is centred at v = (i + 0.5) / rows,
+// u = (j + 0.5) / columns; row 0 is at v = 0.
+#pragma once
+
+#include "../shape/surface.h"
+
+namespace tr {
+
+// The texels that a look-up touches and their weights: the look-up is linear in the data, so the same footprint gives
+// the value, the reverse-mode derivative (scatter) and the forward-mode one (the value of the tangent).
+template <class F, int N>
+struct Footprint {
+    UIntOf<F> texel[N];
+    F weight[N];
+};
+
+struct Bitmap {
+    enum { Data, ToUv, Filter, Wrap };
+    static constexpr Field fields[] = {
+        {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior",
+         "texels (rows, columns, channels), linear; 1 channel is grey"},
+        {"to_uv", Kind::Transform2, None, -INFINITY, INFINITY,
+         "none: to_uv moves the look-up; its derivative is not implemented yet",
+         "homogeneous 3x3 map of the texture coordinates, (u, v) -> image coordinates"},
+        {"filter_type", Kind::Int, 0, 0, 1, "", "0: bilinear, 1: nearest"},
+        {"wrap_mode", Kind::Int, 0, 0, 2, "", "0: repeat, 1: mirror, 2: clamp"},
+    };
+    static constexpr Model model = {"texture", "bitmap",
+                                    "An image, bilinear or nearest, repeated, mirrored or clamped.", fields, 4};
+
+    template <class F>
+    TR_INLINE static IntOf<F> wrap(const IntOf<F> &i, int n, int mode) {
+        using I = IntOf<F>;
+        if (mode == 2) return max(I(0), min(I(n - 1), i));
+        // i mod n through floating point: exact for the sizes and repetitions that single precision resolves
+        int period = mode == 1 ? 2 * n : n;
+        F q = floor((F(i) + F(0.5)) * F(1.0 / period));
+        I r = i - I(q) * period;
+        if (mode == 1) r = select(mask<I>(r >= n), I(2 * n - 1) - r, r);
+        return max(I(0), min(I(n - 1), r));
+    }
+
+    template <class F, class S>
+    TR_INLINE static Footprint<F, 4> footprint(const SceneView<S> &scene, const Record &record, const Vec2<F> &uv) {
+        using I = IntOf<F>;
+        const int32_t *shape = scene.values.tensors[record.field[Data]].shape;
+        const S *m = scene.values.constants + record.field[ToUv];
+        int rows = shape[0], columns = shape[1], mode = record.field[Wrap];
+        bool nearest = record.field[Filter] == 1;
+        F u = m[0] * uv.x + m[1] * uv.y + m[2], v = m[3] * uv.x + m[4] * uv.y + m[5];
+        F x = u * F(S(columns)) - F(nearest ? 0.0 : 0.5), y = v * F(S(rows)) - F(nearest ? 0.0 : 0.5);
+        F fx = floor(x), fy = floor(y), a = nearest ? F(0) : x - fx, b = nearest ? F(0) : y - fy;
+        I x0 = wrap<F>(I(fx), columns, mode), y0 = wrap<F>(I(fy), rows, mode);
+        I x1 = wrap<F>(I(fx) + 1, columns, mode), y1 = wrap<F>(I(fy) + 1, rows, mode);
+        Footprint<F, 4> r;
+        r.texel[0] = UIntOf<F>(y0 * columns + x0);
+        r.texel[1] = UIntOf<F>(y0 * columns + x1);
+        r.texel[2] = UIntOf<F>(y1 * columns + x0);
+        r.texel[3] = UIntOf<F>(y1 * columns + x1);
+        r.weight[0] = (F(1) - a) * (F(1) - b);
+        r.weight[1] = a * (F(1) - b);
+        r.weight[2] = (F(1) - a) * b;
+        r.weight[3] = a * b;
+        return r;
+    }
+};
+
+// The weighted sum of a tensor's rows of channels.
+template <int C, class F, class S, int N>
+TR_INLINE Color<F, C> gather_footprint(const TensorView<S> &tensor, const Footprint<F, N> &at,
+                                       const MaskOf<F> &active) {
+    Color<F, C> r = uniform_color<C>(F(0));
+    int channels = tensor.shape[2];
+    for (int i = 0; i < N; ++i) {
+        UIntOf<F> base = at.texel[i] * uint32_t(channels);
+        for (int c = 0; c < C; ++c)
+            r[c] = fmadd(at.weight[i], gather<F>(tensor.data, base + uint32_t(channels == 1 ? 0 : c), active), r[c]);
+    }
+    return r;
+}
+
+}  // namespace tr

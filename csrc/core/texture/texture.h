@@ -1,0 +1,105 @@
+// Evaluating a texture where every lane may have its own, and the two directions of its derivative.
+#pragma once
+
+#include "bitmap.h"
+#include "checkerboard.h"
+#include "constant.h"
+#include "mesh_attribute.h"
+
+namespace tr {
+
+enum class TextureKind : int32_t {
+    Constant = 0,
+    Bitmap = 1,
+    Checkerboard = 2,
+    MeshAttribute = 3
+};  // order of the registry
+
+// The value of lane x where m is set for the first time.
+template <class F>
+TR_INLINE int32_t first_lane(const IntOf<F> &x, const MaskOf<F> &m) {
+    if constexpr (Lanes<F>::Width == 1) return x;
+#if TR_HAS_PACKETS
+    else
+        return drjit::extract(x, mask<IntOf<F>>(m));
+#endif
+}
+
+// Calls visit(index, lanes) once for every distinct index.
+template <class F, class Visit>
+TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&visit) {
+    while (any(rest)) {
+        int32_t i = first_lane<F>(index, rest);
+        auto same = rest && mask<F>(index == i);
+        visit(i, same);
+        rest = rest && !same;
+    }
+}
+
+// Walks down to the look-ups that a texture consists of, and hands each to the visitor:
+//   visitor.constant(offset lanes, lanes)   visitor.footprint(slot, footprint, lanes)
+template <class F, class S, class Visitor>
+TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const SurfacePoint<F> &at,
+                         const MaskOf<F> &active, Visitor &visitor, int depth = 0) {
+    IntOf<F> kind = record_kind<F>(scene.textures, id, active);
+    auto constant = active && mask<F>(kind == int32_t(TextureKind::Constant));
+    if (any(constant))
+        visitor.constant(record_field<F>(scene.textures, ConstantTexture::Value, id, constant), constant);
+    auto rest = active && !constant;
+    if (!any(rest)) return;
+    Vec2<F> uv = texture_coordinates(scene, at, rest);
+    for_each_distinct<F>(id, rest, [&](int32_t i, const MaskOf<F> &lanes) {
+        const Record &record = scene.textures[i];
+        switch (TextureKind(record.kind)) {
+            case TextureKind::Bitmap:
+                visitor.footprint(record.field[Bitmap::Data], Bitmap::footprint(scene, record, uv), lanes);
+                break;
+            case TextureKind::Checkerboard: {
+                auto second = Checkerboard::second(scene, record, uv);
+                IntOf<F> nested = select(mask<IntOf<F>>(second), IntOf<F>(record.field[Checkerboard::Color1]),
+                                         IntOf<F>(record.field[Checkerboard::Color0]));
+                if (depth < 8) visit_texture<F>(scene, nested, at, lanes, visitor, depth + 1);
+                break;
+            }
+            case TextureKind::MeshAttribute:
+                for_each_distinct<F>(IntOf<F>(at.shape), lanes, [&](int32_t shape, const MaskOf<F> &same) {
+                    int32_t a = MeshAttribute::find(scene, record, uint32_t(shape));
+                    if (a < 0) return;
+                    const AttributeInfo &info = scene.attributes[a];
+                    visitor.footprint(
+                        info.tensor, MeshAttribute::footprint<F>(scene, record, info, uint32_t(shape), at, same), same);
+                });
+                break;
+            default:
+                break;
+        }
+    });
+}
+
+template <class F, int C, class S>
+struct TextureValue {
+    const Values<S> &values;
+    Color<F, C> result;
+
+    TR_INLINE void constant(const IntOf<F> &offset, const MaskOf<F> &lanes) {
+        result = select(lanes, constant_color<C, F>(values, offset, lanes), result);
+    }
+    template <int N>
+    TR_INLINE void footprint(int32_t slot, const Footprint<F, N> &at, const MaskOf<F> &lanes) {
+        const TensorView<S> &tensor = values.tensors[slot];
+        if (!tensor.data) return;  // a tangent that was not given
+        result = select(lanes, gather_footprint<C>(tensor, at, lanes), result);
+    }
+};
+
+// `values` is the scene's own for the value, the tangent's for its forward-mode derivative: textures are linear in
+// their data.
+template <int C, class F, class S>
+TR_INLINE Color<F, C> eval_texture(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
+                                   const SurfacePoint<F> &at, const MaskOf<F> &active) {
+    TextureValue<F, C, S> visitor{values, uniform_color<C>(F(0))};
+    visit_texture<F>(scene, id, at, active, visitor);
+    return visitor.result;
+}
+
+}  // namespace tr

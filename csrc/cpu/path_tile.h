@@ -1,0 +1,529 @@
+// A tile of paths on one thread: all of them take a step, then the next. A step queries Embree for all rays, groups the
+// hits by the model of their BSDF so that a packet runs one model, shades, queries the shadow rays and compacts the
+// survivors. With Derivative the vertices are written to the path tape, and `sweep` runs over it backwards.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+
+#include "render.h"
+#include "tape.h"
+
+namespace tr {
+
+template <class F, int C>
+class PathTile {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using I = IntOf<F>;
+    using M = MaskOf<F>;
+    static constexpr int W = Lanes<F>::Width;
+    static constexpr int Miss = Bsdfs::Size, BySide = -1, Ignore = -2;
+
+public:
+    // by path of the tile (`slot`), set before `run`
+    uint32_t *pixel, *row, *column, *sample;
+    S *delta[C];  // reverse: adjoint of the path's radiance
+    // by slot, after `run` (after `sweep` in forward mode)
+    S *film_x, *film_y, *radiance[C], *alpha;
+    RenderStats stats;
+
+    PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
+        : call_(call), scene_(*call.scene), derivative_(derivative), capacity_(capacity) {
+        size_t n = capacity + 2 * W;
+        slots_.allocate([&](Arena &a) {
+            for (uint32_t **p : {&pixel, &row, &column, &sample}) a.column(*p, n);
+            for (S **p : {&film_x, &film_y, &alpha}) a.column(*p, n);
+            a.column(delta, n);
+            a.column(radiance, n);
+        });
+        size_t hits = n + size_t(Bsdfs::Size + 2) * W;
+        hits_.allocate([&](Arena &a) {
+            for (uint32_t **p : {&hit_shape_, &hit_primitive_, &order_}) a.column(*p, hits);
+            for (S **p : {&hit_t_, &hit_b1_, &hit_b2_}) a.column(*p, hits);
+            for (float **p : {&ray_[0], &ray_[1], &ray_[2], &ray_[3], &ray_[4], &ray_[5], &ray_[6], &float_t_,
+                              &float_b1_, &float_b2_})
+                a.column(*p, hits);
+            a.column(kind_, hits);
+            a.column(occluded_, hits);
+        });
+        for (auto &f : fronts_) f.allocate(n);
+        shadow_.allocate(n);
+        leaf_kind_.resize(size_t(scene_.n_bsdfs));
+        for (int b = 0; b < scene_.n_bsdfs; ++b) leaf_kind_[size_t(b)] = leaf_kind(b);
+    }
+
+    // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
+    void start(size_t n, bool skip_zero_adjoint) {
+        Front<S, C> &front = fronts_[0];
+        const Record &record = scene_.sensors[call_.config.sensor];
+        front.n = 0;
+        for (size_t i = 0; i < n; i += W) {
+            U slot = U(uint32_t(i)) + lane_index<F>();
+            M active = mask<F>(slot < uint32_t(n));
+            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, load_uint<F>(pixel + i),
+                                      load_uint<F>(sample + i), 0);
+            F x = F(I(load_uint<F>(column + i))) + u.u[0], y = F(I(load_uint<F>(row + i))) + u.u[1];
+            store(film_x + i, x);
+            store(film_y + i, y);
+            store(alpha + i, F(0));
+            for (int c = 0; c < C; ++c) store(radiance[c] + i, F(0));
+            if (skip_zero_adjoint) {
+                F size(0);
+                for (int c = 0; c < C; ++c) size = size + abs(load<F>(delta[c] + i));
+                active = active && !mask<F>(size == F(0));
+            }
+            if (!any(active)) continue;
+            F length;
+            Ray<F> ray = Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length);
+            Color<F, C> one = uniform_color<C>(F(1));
+            append(front, ray, length, ray.o, F(0), one, one, F(1), slot, U(0u), U(0u), active);
+        }
+    }
+
+    // Traces the paths to their ends.
+    template <bool Derivative>
+    void run() {
+        n_levels_ = 0;
+        const PathConfig &config = call_.config;
+        if (config.max_depth == 0 || fronts_[0].n == 0) return;
+        trace(fronts_[0]);
+        if (config.hide_emitters) skip_emitters(fronts_[0]);
+        bool scatters = config.max_depth < 0 || config.max_depth > 1;
+        int splits = scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
+        for (int index = 0; index < splits; ++index) {
+            if (index > 0) trace(fronts_[0]);
+            Front<S, C> *current = &fronts_[0], *next = &fronts_[1], *spare = &fronts_[2];
+            step<Derivative>(*current, *next, 0, index, scatters, -1);
+            for (int depth = 1; next->n > 0 && (config.max_depth < 0 || depth < config.max_depth); ++depth) {
+                current = next;
+                std::swap(next, spare);
+                trace(*current);
+                step<Derivative>(*current, *next, depth, 0, config.max_depth < 0 || depth + 1 < config.max_depth,
+                                 n_levels_ - 1);
+                spare = current;
+            }
+        }
+    }
+
+    // Runs over the tape from its end, see core/adjoint/sweep.h.
+    template <class Sink>
+    void sweep(Sink &sink, bool forward) {
+        for (int l = n_levels_ - 1; l >= 0; --l) {
+            TapeLevel<S, C> &level = *levels_[size_t(l)];
+            for (const Segment &segment : level.segments)
+                if (segment.kind == Miss || !level.scatters)
+                    sweep_segment<void>(level, segment, sink, forward);
+                else
+                    dispatch(Bsdfs{}, segment.kind,
+                             [&](auto m) { sweep_segment<decltype(m)>(level, segment, sink, forward); });
+        }
+        stats.non_finite += sink.non_finite;
+        if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
+        sink.non_finite = 0;
+    }
+
+private:
+    // ------------------------------------------------------------------------------------------------------ queries
+    void trace(Front<S, C> &front) {
+        auto begin = std::chrono::steady_clock::now();
+        RayBatch rays = batch(front.o, front.d, front.length, front.n);
+        constexpr bool single = sizeof(S) == 4;
+        HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : float_t_,
+                      single ? (float *)hit_b1_ : float_b1_, single ? (float *)hit_b2_ : float_b2_};
+        call_.accel->intersect(rays, hits, front.n, &front == &fronts_[0]);
+        if (!single)
+            for (size_t i = 0; i < front.n; ++i)
+                hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
+        stats.closest_rays += front.n;
+        stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    }
+
+    RayBatch batch(S *const (&o)[3], S *const (&d)[3], const S *length, size_t n) {
+        if constexpr (sizeof(S) == 4) {
+            return {{o[0], o[1], o[2]}, {d[0], d[1], d[2]}, length};
+        } else {
+            const S *from[7] = {o[0], o[1], o[2], d[0], d[1], d[2], length};
+            for (int k = 0; k < 7; ++k)
+                for (size_t i = 0; i < n; ++i) ray_[k][i] = float(from[k][i]);
+            return {{ray_[0], ray_[1], ray_[2]}, {ray_[3], ray_[4], ray_[5]}, ray_[6]};
+        }
+    }
+
+    // Camera rays pass through the shapes that emit.
+    void skip_emitters(Front<S, C> &front) {
+        for (int pass = 0; pass < 256; ++pass) {
+            bool again = false;
+            for (size_t i = 0; i < front.n; ++i) {
+                uint32_t shape = hit_shape_[i];
+                if (shape == NoHit || scene_.shapes[shape].emitter < 0) continue;
+                Vec3<S> p{front.o[0][i] + front.d[0][i] * hit_t_[i], front.o[1][i] + front.d[1][i] * hit_t_[i],
+                          front.o[2][i] + front.d[2][i] * hit_t_[i]};
+                S behind = (S(1) + max_abs(p)) * S(8.9406967e-5);
+                front.o[0][i] = p.x + front.d[0][i] * behind;
+                front.o[1][i] = p.y + front.d[1][i] * behind;
+                front.o[2][i] = p.z + front.d[2][i] * behind;
+                front.length[i] -= hit_t_[i] + behind;
+                again = true;
+            }
+            if (!again) return;
+            trace(front);  // rare: all rays once more, those that did not move hit the same
+        }
+    }
+
+    // ----------------------------------------------------------------------------------------------------- grouping
+    int leaf_kind(int bsdf) const {
+        const Record &r = scene_.bsdfs[bsdf];
+        if (r.kind != TwoSidedKind) return r.kind;
+        int front = scene_.bsdfs[r.field[TwoSided::Front]].kind;
+        int back = r.field[TwoSided::Back] < 0 ? front : scene_.bsdfs[r.field[TwoSided::Back]].kind;
+        return front == back ? front : BySide;
+    }
+
+    int kind_of(const Front<S, C> &front, size_t i, bool scatters, int depth) const {
+        uint32_t shape = hit_shape_[i];
+        if (shape == NoHit)
+            return scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0) ? Miss : Ignore;
+        const ShapeInfo &info = scene_.shapes[shape];
+        if (!scatters && info.emitter < 0 && depth > 0) return Ignore;  // the end of the path, in the dark
+        int kind = leaf_kind_[size_t(info.bsdf)];
+        if (kind != BySide) return kind;
+        Ray<S> ray{{front.o[0][i], front.o[1][i], front.o[2][i]}, {front.d[0][i], front.d[1][i], front.d[2][i]}};
+        SurfacePoint<S> at{shape, hit_primitive_[i], hit_b1_[i], hit_b2_[i]};
+        Interaction<S> si = make_interaction<S>(scene_, ray, at, hit_t_[i], true);
+        return scene_.bsdfs[resolve_bsdf<S>(scene_, info.bsdf, dot(si.frame.n, ray.d) > S(0), true).bsdf].kind;
+    }
+
+    // Stable counting sort by model; every segment starts at a multiple of the packet width.
+    void group(const Front<S, C> &front, bool scatters, int depth, std::vector<Segment> &segments) {
+        uint32_t counts[Miss + 1] = {}, begin[Miss + 1];
+        for (size_t i = 0; i < front.n; ++i) {
+            int k = kind_of(front, i, scatters, depth);
+            kind_[i] = int8_t(k);
+            if (k >= 0) ++counts[k];
+        }
+        segments.clear();
+        uint32_t at = 0;
+        for (int k = 0; k <= Miss; ++k) {
+            begin[k] = at;
+            if (counts[k]) segments.push_back({k, at, counts[k]});
+            at += (counts[k] + W - 1) / W * W;
+        }
+        for (size_t i = 0; i < front.n; ++i)
+            if (kind_[i] >= 0) order_[begin[kind_[i]]++] = uint32_t(i);
+    }
+
+    LaneSet<F> lanes_of(const Segment &segment, uint32_t i) const {
+        LaneSet<F> r;
+        uint32_t left = segment.begin + segment.count - i;
+        r.active = mask<F>(lane_index<F>() < U(left));
+        r.first = order_[i];
+        uint32_t last = order_[i + std::min(left, uint32_t(W)) - 1];
+        r.consecutive = last - r.first == std::min(left, uint32_t(W)) - 1;
+        r.index =
+            r.consecutive ? U(r.first) + lane_index<F>() : select(mask<U>(r.active), load_uint<F>(order_ + i), U(0u));
+        return r;
+    }
+
+    // --------------------------------------------------------------------------------------------------------- steps
+    template <bool Derivative>
+    void step(const Front<S, C> &front, Front<S, C> &next, int depth, int index, bool scatters, int parent_level) {
+        next.n = 0;
+        shadow_.n = 0;
+        std::vector<Segment> *segments = &segments_;
+        if (Derivative) {
+            if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
+            TapeLevel<S, C> &level = *levels_[size_t(n_levels_++)];
+            level.reserve(front.n + size_t(Bsdfs::Size + 2) * W);
+            level.parent_level = parent_level;
+            level.scatters = scatters;
+            segments = &level.segments;
+        }
+        group(front, scatters, depth, *segments);
+        for (const Segment &segment : *segments) {
+            for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
+                LaneSet<F> lanes = lanes_of(segment, i);
+                stats.lanes += uint64_t(count(lanes.active));
+                stats.lane_slots += W;
+                if (segment.kind == Miss)
+                    shade_environment<Derivative>(front, lanes, i, depth, index);
+                else
+                    shade<Derivative>(segment.kind, front, next, lanes, i, depth, index, scatters);
+            }
+        }
+        trace_shadow<Derivative>();
+    }
+
+    template <bool Derivative>
+    void shade_environment(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, int depth, int index) {
+        if (index > 0) return emission_only<Derivative>(front, lanes, i);
+        Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
+        Emission<F, C> e =
+            environment_emission<C>(scene_, call_.config, lanes.vec(front.d), from, lanes.active, depth == 1);
+        Color<F, C> beta = lanes.template color<C>(front.beta);
+        U slot = lanes.get(front.slot);
+        if (Derivative)
+            level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, e.point.at, e);
+        else
+            add_radiance(slot, beta * e.radiance, finite(e.radiance, lanes.active, "environment", e.point.emitter));
+    }
+
+    // A vertex whose emission another split has already counted.
+    template <bool Derivative>
+    void emission_only(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i) {
+        if (!Derivative) return;
+        Emission<F, C> e = no_emission();
+        level().template put_vertex<F>(i, lanes.get(front.slot), lanes.get(front.parent),
+                                       lanes.template color<C>(front.beta), e.point.at, e);
+    }
+
+    static Emission<F, C> no_emission() {
+        Emission<F, C> e;
+        e.point.emitter = I(-1);
+        e.point.at = {U(0u), U(0u), F(0), F(0)};
+        e.weight = F(0);
+        e.radiance = uniform_color<C>(F(0));
+        return e;
+    }
+
+    template <bool Derivative>
+    void shade(int kind, const Front<S, C> &front, Front<S, C> &next, const LaneSet<F> &lanes, uint32_t i, int depth,
+               int index, bool scatters) {
+        const PathConfig &config = call_.config;
+        M active = lanes.active;
+        Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
+        SurfacePoint<F> at{lanes.get(hit_shape_), lanes.get(hit_primitive_), lanes.get(hit_b1_), lanes.get(hit_b2_)};
+        at.shape = select(mask<U>(active), at.shape, U(0u));
+        at.primitive = select(mask<U>(active), at.primitive, U(0u));
+        Interaction<F> si = make_interaction(scene_, ray, at, lanes.get(hit_t_), active);
+        Vec3<F> wi = si.frame.to_local(-ray.d);
+        Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
+        Color<F, C> beta = lanes.template color<C>(front.beta);
+        U slot = lanes.get(front.slot);
+        Emission<F, C> e =
+            index == 0 ? surface_emission<C>(scene_, config, si, wi.z, from, active, depth == 1) : no_emission();
+        if (Derivative)
+            level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, si.at, e);
+        else if (any(active && mask<F>(e.weight > F(0))))
+            add_radiance(slot, beta * e.radiance,
+                         finite(e.radiance, active && mask<F>(e.weight > F(0)), "emitter", e.point.emitter));
+        U seen = lanes.get(front.seen);
+        if (!Derivative && kind != NullKind) see(slot, seen, active);
+        if (!scatters) return;
+
+        Leaf<F> leaf = resolve_bsdf<F>(scene_, shape_info<F>(scene_.shapes, &ShapeInfo::bsdf, si.at.shape, active),
+                                       mask<F>(wi.z < F(0)), active);
+        wi.z = select(leaf.mirrored, -wi.z, wi.z);
+        U path_pixel = gather<U>(pixel, slot, mask<U>(active)), path_sample = gather<U>(sample, slot, mask<U>(active));
+        uint32_t block = BlocksPerScattering * uint32_t(depth + index);
+        Random4<F> ue = random4<F>(config.seed, config.sensor, path_pixel, path_sample, EmitterBlock + block);
+        Random4<F> ub = random4<F>(config.seed, config.sensor, path_pixel, path_sample, BsdfBlock + block);
+        Scattering<F, C> s;
+        dispatch(Bsdfs{}, kind, [&](auto m) {
+            s = scatter<decltype(m), C>(scene_, config, si, wi, leaf, index, depth, ue, ub, active);
+        });
+        add_shadow_rays<Derivative>(si, s, beta, slot, i, leaf.bsdf);
+
+        // Russian roulette
+        Color<F, C> weight = s.f * s.inverse_pdf;
+        M alive = s.alive && finite(weight, s.alive, "bsdf", leaf.bsdf);
+        Color<F, C> survival = beta;
+        if (Derivative) {
+            // a path that an albedo of zero would end goes on where that albedo has a derivative
+            Color<F, C> kept = weight;
+            if (derivative_->wanted.bsdf) {
+                M wanted = mask<F>(gather<I>(bsdf_wanted(), U(leaf.bsdf), mask<I>(active)) != 0);
+                kept = select(wanted, max_with(weight, F(0.05)), weight);
+            }
+            survival = lanes.template color<C>(front.survival) * kept;
+        } else {
+            survival = beta * weight;
+        }
+        F eta = lanes.get(front.eta) * s.sample.eta;
+        F largest = max_channel(survival);
+        alive = alive && mask<F>(largest > F(0));
+        F keep(1);
+        if (depth + 1 >= config.rr_depth) {
+            F q = min(largest * eta * eta, F(0.95));
+            alive = alive && mask<F>(ue.u[3] < q);
+            keep = select(alive, F(1) / select(alive, q, F(1)), F(1));
+        }
+        if (Derivative) level().put_scattering(i, leaf, wi, si.frame.n, s, select(alive, s.inverse_pdf * keep, F(0)));
+        if (!any(alive)) return;
+        Vec3<F> wo = s.sample.wo;
+        wo.z = select(leaf.mirrored, -wo.z, wo.z);
+        Ray<F> out;
+        out.d = normalize(si.frame.to_world(wo));
+        out.o = offset_origin(si.p, si.ng, out.d);
+        U now_seen = kind == NullKind ? seen : U(1u);
+        append(next, out, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf), beta * weight * keep,
+               survival * keep, eta, slot, U(i) + lane_index<F>(), now_seen, alive);
+    }
+
+    template <bool Derivative>
+    void add_shadow_rays(const Interaction<F> &si, Scattering<F, C> &s, const Color<F, C> &beta, const U &slot,
+                         uint32_t i, const I &bsdf) {
+        M wanted = s.shadow_ray;
+        if (!any(wanted)) return;
+        Color<F, C> contribution = beta * s.f_light * s.emitted * s.light_weight;
+        wanted = wanted && finite(contribution, wanted, "bsdf", bsdf);
+        s.light_weight = select(wanted, s.light_weight, F(0));
+        if (!Derivative) wanted = wanted && mask<F>(max_channel(contribution) > F(0));
+        if (!any(wanted)) return;
+        // towards the sampled point from where the ray really starts
+        M finite_distance = mask<F>(s.light.distance < F(S(1e30)));
+        Vec3<F> o = offset_origin(si.p, si.ng, s.light.d);
+        Vec3<F> to_light = si.p + s.light.d * select(finite_distance, s.light.distance, F(1)) - o;
+        F length = norm(to_light);
+        Vec3<F> d =
+            select(finite_distance, to_light * (F(1) / select(mask<F>(length > F(0)), length, F(1))), s.light.d);
+        length = select(finite_distance, length * F(1 - ShadowEpsilon), F(S(INFINITY)));
+        size_t n = shadow_.n;
+        const Vec3<F> *vectors[2] = {&o, &d};
+        S *const *columns[2] = {shadow_.o, shadow_.d};
+        for (int k = 0; k < 2; ++k) {
+            store_compressed<F>(columns[k][0] + n, vectors[k]->x, wanted);
+            store_compressed<F>(columns[k][1] + n, vectors[k]->y, wanted);
+            store_compressed<F>(columns[k][2] + n, vectors[k]->z, wanted);
+        }
+        store_compressed<F>(shadow_.length + n, length, wanted);
+        if (!Derivative)
+            for (int c = 0; c < C; ++c) store_compressed<F>(shadow_.contribution[c] + n, contribution[c], wanted);
+        store_compressed<F>(shadow_.slot + n, slot, wanted);
+        store_compressed<F>(shadow_.position + n, U(i) + lane_index<F>(), wanted);
+        shadow_.n += size_t(count(wanted));
+    }
+
+    template <bool Derivative>
+    void trace_shadow() {
+        if (shadow_.n == 0) return;
+        auto begin = std::chrono::steady_clock::now();
+        call_.accel->occluded(batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n), occluded_, shadow_.n);
+        stats.shadow_rays += shadow_.n;
+        stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        for (size_t k = 0; k < shadow_.n; ++k) {
+            if (Derivative) {
+                if (occluded_[k]) level().light_weight[shadow_.position[k]] = S(0);
+            } else if (!occluded_[k]) {
+                uint32_t slot = shadow_.slot[k];
+                for (int c = 0; c < C; ++c) radiance[c][slot] += shadow_.contribution[c][k];
+            }
+        }
+    }
+
+    TR_INLINE void append(Front<S, C> &f, const Ray<F> &ray, const F &length, const Vec3<F> &from, const F &pdf,
+                          const Color<F, C> &beta, const Color<F, C> &survival, const F &eta, const U &slot,
+                          const U &parent, const U &seen, const M &m) {
+        size_t n = f.n;
+        const F *numbers[12] = {&ray.o.x, &ray.o.y, &ray.o.z, &ray.d.x, &ray.d.y, &ray.d.z,
+                                &length,  &from.x,  &from.y,  &from.z,  &pdf,     &eta};
+        S *columns[12] = {f.o[0],   f.o[1],    f.o[2],    f.d[0],    f.d[1], f.d[2],
+                          f.length, f.from[0], f.from[1], f.from[2], f.pdf,  f.eta};
+        for (int k = 0; k < 12; ++k) store_compressed<F>(columns[k] + n, *numbers[k], m);
+        for (int c = 0; c < C; ++c) {
+            store_compressed<F>(f.beta[c] + n, beta[c], m);
+            store_compressed<F>(f.survival[c] + n, survival[c], m);
+        }
+        store_compressed<F>(f.slot + n, slot, m);
+        store_compressed<F>(f.parent + n, parent, m);
+        store_compressed<F>(f.seen + n, seen, m);
+        f.n += size_t(count(m));
+    }
+
+    void add_radiance(const U &slot, const Color<F, C> &value, const M &m) {
+        alignas(64) uint32_t s[W], set[W];
+        alignas(64) S v[C][W];
+        store(&s[0], slot);
+        store(&set[0], select(mask<U>(m), U(1u), U(0u)));
+        for (int c = 0; c < C; ++c) store(&v[c][0], value[c]);
+        for (int i = 0; i < W; ++i)
+            if (set[i])
+                for (int c = 0; c < C; ++c) radiance[c][s[i]] += v[c][i];
+    }
+
+    void see(const U &slot, const U &seen, const M &active) {
+        M first = active && mask<F>(seen == 0u);
+        if (!any(first)) return;
+        alignas(64) uint32_t s[W], set[W];
+        store(&s[0], slot);
+        store(&set[0], select(mask<U>(first), U(1u), U(0u)));
+        for (int i = 0; i < W; ++i)
+            if (set[i]) alpha[s[i]] = S(1);
+    }
+
+    // Lanes whose value is finite; the others are counted and the first one remembered.
+    M finite(const Color<F, C> &value, const M &active, const char *category, const I &index) {
+        M usable = active && is_finite(value);
+        int lost = count(active) - count(usable);
+        if (lost) {
+            stats.non_finite += uint64_t(lost);
+            if (stats.non_finite_where.empty()) {
+                M bad = active && !usable;
+                stats.non_finite_where = std::string(category) + " " + std::to_string(first_lane<F>(index, bad));
+            }
+        }
+        return usable;
+    }
+
+    // --------------------------------------------------------------------------------------------------------- sweep
+    template <class Model, class Sink>
+    void sweep_segment(TapeLevel<S, C> &level, const Segment &segment, Sink &sink, bool forward) {
+        constexpr bool scattering = !std::is_void_v<Model>;
+        const Wanted &wanted = derivative_->wanted;
+        for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
+            M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
+            VertexRecord<F, C> v = level.template get<F>(i, scattering);
+            U slot = select(mask<U>(active), load_uint<F>(level.slot + i), U(0u));
+            Color<F, C> a = v.beta;
+            if (!forward)
+                for (int c = 0; c < C; ++c) a[c] = a[c] * gather<F>(delta[c], slot, active);
+            sink.begin();
+            Color<F, C> r = v.emission_radiance;
+            M lit = active && mask<F>(v.emission_weight > F(0));
+            if (wanted.emitter && any(lit)) sweep_emitter(scene_, v.emission, a * v.emission_weight, lit, sink);
+            if constexpr (scattering)
+                r = r + sweep_scattering<Model, C>(scene_, v, a, level.template get_suffix<F>(i), wanted, active, sink);
+            if (level.parent_level >= 0)
+                hand_to_parent(*levels_[size_t(level.parent_level)], level.parent + i, r, active);
+            if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>) add_radiance(slot, sink.derivative, active);
+        }
+    }
+
+    // every entry has at most one child
+    void hand_to_parent(TapeLevel<S, C> &parents, const uint32_t *parent, const Color<F, C> &r, const M &active) {
+        alignas(64) S v[C][W];
+        for (int c = 0; c < C; ++c) store(&v[c][0], r[c]);
+        int n = count(active);  // active lanes come first
+        for (int i = 0; i < n; ++i)
+            for (int c = 0; c < C; ++c) parents.suffix[c][parent[i]] = v[c][i];
+    }
+
+    TapeLevel<S, C> &level() { return *levels_[size_t(n_levels_ - 1)]; }
+    const int32_t *bsdf_wanted() const { return bsdf_wanted_.data(); }
+
+public:
+    void set_bsdf_wanted(const std::vector<uint8_t> &w) { bsdf_wanted_.assign(w.begin(), w.end()); }
+
+private:
+    const RenderCall<S> &call_;
+    const SceneView<S> &scene_;
+    const DerivativeCall<S> *derivative_;
+    size_t capacity_;
+    Arena slots_, hits_;
+    Front<S, C> fronts_[3];
+    ShadowRays<S, C> shadow_;
+    std::vector<std::unique_ptr<TapeLevel<S, C>>> levels_;
+    int n_levels_ = 0;
+    std::vector<Segment> segments_;
+    std::vector<int> leaf_kind_;
+    std::vector<int32_t> bsdf_wanted_;
+    uint32_t *hit_shape_, *hit_primitive_, *order_;
+    S *hit_t_, *hit_b1_, *hit_b2_;
+    float *ray_[7], *float_t_, *float_b1_, *float_b2_;
+    int8_t *kind_;
+    uint8_t *occluded_;
+    static constexpr uint32_t NoHit = 0xffffffffu;
+    static constexpr int NullKind = 1;  // position of NullBsdf in the registry
+};
+
+}  // namespace tr

@@ -1,0 +1,178 @@
+// The columns of a tile: the front of the paths (one entry a ray in flight), the shadow rays of a step, and the path
+// tape, one level a vertex.
+#pragma once
+
+#include <vector>
+
+#include "columns.h"
+#include "core/adjoint/sweep.h"
+
+namespace tr {
+
+template <class S, int C>
+struct Front {
+    Arena arena;
+    size_t n = 0;
+    S *o[3], *d[3], *length;  // the ray
+    S *from[3], *pdf;         // Origin
+    S *beta[C], *eta;
+    S *survival[C];  // the throughput that roulette looks at; beta itself in the primal
+    uint32_t *slot, *parent, *seen;
+
+    void allocate(size_t capacity) {
+        arena.allocate([&](Arena &a) {
+            for (S **p : {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta})
+                a.column(*p, capacity);
+            a.column(beta, capacity);
+            a.column(survival, capacity);
+            for (uint32_t **p : {&slot, &parent, &seen}) a.column(*p, capacity);
+        });
+    }
+};
+
+template <class S, int C>
+struct ShadowRays {
+    Arena arena;
+    size_t n = 0;
+    S *o[3], *d[3], *length, *contribution[C];
+    uint32_t *slot, *position;  // position: entry of the tape level
+
+    void allocate(size_t capacity) {
+        arena.allocate([&](Arena &a) {
+            a.column(o, capacity);
+            a.column(d, capacity);
+            a.column(length, capacity);
+            a.column(contribution, capacity);
+            a.column(slot, capacity);
+            a.column(position, capacity);
+        });
+    }
+};
+
+// Entries that one BSDF model (or, last, the environment) handles.
+struct Segment {
+    int kind;
+    uint32_t begin, count;
+};
+
+template <class S, int C>
+struct TapeLevel {
+    Arena arena;
+    size_t capacity = 0;
+    std::vector<Segment> segments;
+    int parent_level = -1;
+    bool scatters = false;
+
+    uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
+    int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
+    S *b1, *b2, *emission_weight, *wi[3], *wo_light[3], *light_weight, *light_b1, *light_b2, *wo[3], *inverse_pdf;
+    S *light_distance, *mirror, *normal[3];
+    S *beta[C], *emission_radiance[C], *emitted[C], *suffix[C];
+
+    void reserve(size_t n) {
+        if (n <= capacity) return;
+        capacity = n;
+        arena.allocate([&](Arena &a) {
+            for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive}) a.column(*p, n);
+            for (int32_t **p : {&emission_emitter, &bsdf, &light_emitter, &lobe}) a.column(*p, n);
+            for (S **p : {&b1, &b2, &emission_weight, &light_weight, &light_b1, &light_b2, &inverse_pdf,
+                          &light_distance, &mirror})
+                a.column(*p, n);
+            for (auto *p : {&wi, &wo_light, &wo, &normal}) a.column(*p, n);
+            for (auto *p : {&beta, &emission_radiance, &emitted, &suffix}) a.column(*p, n);
+        });
+    }
+
+    // An entry's numbers, written a packet at a time.
+    template <class F>
+    TR_INLINE void put_vertex(size_t i, const UIntOf<F> &slot_, const UIntOf<F> &parent_, const Color<F, C> &beta_,
+                              const SurfacePoint<F> &at, const Emission<F, C> &e) {
+        store(slot + i, slot_);
+        store(parent + i, parent_);
+        store(shape + i, at.shape);
+        store(primitive + i, at.primitive);
+        store(b1 + i, at.b1);
+        store(b2 + i, at.b2);
+        store(emission_emitter + i, e.point.emitter);
+        store(emission_weight + i, e.weight);
+        for (int c = 0; c < C; ++c) {
+            store(beta[c] + i, beta_[c]);
+            store(emission_radiance[c] + i, e.radiance[c]);
+            store(suffix[c] + i, F(0));
+        }
+    }
+    template <class F>
+    TR_INLINE void put_scattering(size_t i, const Leaf<F> &leaf, const Vec3<F> &wi_, const Vec3<F> &normal_,
+                                  const Scattering<F, C> &s, const F &inverse_pdf_) {
+        store(bsdf + i, leaf.bsdf);
+        put(wi, i, wi_);
+        store(light_emitter + i, s.light.point.emitter);
+        store(light_shape + i, s.light.point.at.shape);
+        store(light_primitive + i, s.light.point.at.primitive);
+        store(light_b1 + i, s.light.point.at.b1);
+        store(light_b2 + i, s.light.point.at.b2);
+        put(wo_light, i, s.wo_light);
+        store(light_weight + i, s.light_weight);
+        for (int c = 0; c < C; ++c) store(emitted[c] + i, s.emitted[c]);
+        put(wo, i, s.sample.wo);
+        store(lobe + i, s.sample.lobe);
+        store(inverse_pdf + i, inverse_pdf_);
+        store(light_distance + i, s.light.distance);
+        store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
+        put(normal, i, normal_);
+    }
+
+    template <class F>
+    TR_INLINE VertexRecord<F, C> get(size_t i, bool scattering) const {
+        VertexRecord<F, C> v;
+        using U = UIntOf<F>;
+        v.at = {load_uint<F>(shape + i), load_uint<F>(primitive + i), load<F>(b1 + i), load<F>(b2 + i)};
+        v.emission = {IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(emission_emitter) + i)), v.at};
+        v.emission_weight = load<F>(emission_weight + i);
+        v.beta = get_color<F>(beta, i);
+        v.emission_radiance = get_color<F>(emission_radiance, i);
+        if (!scattering) return v;
+        auto integer = [&](const int32_t *p) {
+            return IntOf<F>(U(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i)));
+        };
+        v.bsdf = integer(bsdf);
+        v.wi = get_vec<F>(wi, i);
+        v.light = {integer(light_emitter),
+                   {load_uint<F>(light_shape + i), load_uint<F>(light_primitive + i), load<F>(light_b1 + i),
+                    load<F>(light_b2 + i)}};
+        v.wo_light = get_vec<F>(wo_light, i);
+        v.light_weight = load<F>(light_weight + i);
+        v.emitted = get_color<F>(emitted, i);
+        v.wo = get_vec<F>(wo, i);
+        v.lobe = integer(lobe);
+        v.inverse_pdf = load<F>(inverse_pdf + i);
+        v.light_distance = load<F>(light_distance + i);
+        v.mirror = load<F>(mirror + i);
+        v.normal = get_vec<F>(normal, i);
+        return v;
+    }
+    template <class F>
+    TR_INLINE Color<F, C> get_suffix(size_t i) const {
+        return get_color<F>(suffix, i);
+    }
+
+private:
+    template <class F>
+    TR_INLINE static void put(S *const (&column)[3], size_t i, const Vec3<F> &v) {
+        store(column[0] + i, v.x);
+        store(column[1] + i, v.y);
+        store(column[2] + i, v.z);
+    }
+    template <class F>
+    TR_INLINE static Vec3<F> get_vec(S *const (&column)[3], size_t i) {
+        return {load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
+    }
+    template <class F>
+    TR_INLINE static Color<F, C> get_color(S *const (&column)[C], size_t i) {
+        Color<F, C> r;
+        for (int c = 0; c < C; ++c) r[c] = load<F>(column[c] + i);
+        return r;
+    }
+};
+
+}  // namespace tr
