@@ -410,7 +410,7 @@ def test_statistics_are_kept(scene):
 
 
 def test_queries(scene):
-    origins = torch.tensor([[0.0, 0, 5], [0.5, 0, 5], [9, 9, 5]])
+    origins = torch.tensor([[-0.5, 0, 5], [0.5, 0, 5], [9, 9, 5]])
     directions = torch.tensor([[0.0, 0, -1]] * 3)
     hits = tr.ray_intersect(scene, origins, directions)
     assert hits.valid.tolist() == [True, True, False]

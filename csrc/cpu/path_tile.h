@@ -333,7 +333,7 @@ private:
             Color<F, C> kept = weight;
             if (derivative_->wanted.bsdf) {
                 M wanted = mask<F>(gather<I>(bsdf_wanted(), U(leaf.bsdf), mask<I>(active)) != 0);
-                kept = select(wanted, max_with(weight, F(0.05)), weight);
+                kept = select(wanted, max_with(magnitude(weight), F(0.05)), weight);
             }
             survival = lanes.template color<C>(front.survival) * kept;
         } else {

@@ -50,9 +50,17 @@ TR_INLINE Color<F, C> max_with(const Color<F, C> &a, const F &b) {
     return r;
 }
 template <class F, int C>
+TR_INLINE Color<F, C> magnitude(const Color<F, C> &a) {
+    Color<F, C> r;
+    for (int i = 0; i < C; ++i) r.c[i] = abs(a.c[i]);
+    return r;
+}
+
+// The largest magnitude: a step of an optimiser may make a colour negative, which must not end paths.
+template <class F, int C>
 TR_INLINE F max_channel(const Color<F, C> &a) {
-    F r = a.c[0];
-    for (int i = 1; i < C; ++i) r = max(r, a.c[i]);
+    F r = abs(a.c[0]);
+    for (int i = 1; i < C; ++i) r = max(r, abs(a.c[i]));
     return r;
 }
 template <class F, int C>
