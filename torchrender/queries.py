@@ -72,9 +72,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         if tensor.ndim != 2 or tensor.shape[1] != 3 or tensor.is_complex():
             raise ValueError(f"{function}: {name}: expected shape (N, 3), got {describe(tensor)}")
         if tensor.requires_grad and torch.is_grad_enabled():
-            raise NotDifferentiableError(
-                f"{function}: {name}: queries have no derivatives in this version"
-            )
+            raise NotDifferentiableError(f"{function}: {name}: queries have no derivatives in this version")
         made.append(tensor.detach().to(scene.dtype).contiguous())
     if made[0].shape != made[1].shape:
         raise ValueError(
