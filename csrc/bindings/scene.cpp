@@ -8,6 +8,7 @@
 #include "cpu/render.h"
 #include "host/models.h"
 #include "host/scene_data.h"
+#include "probes.h"
 
 namespace py = pybind11;
 
@@ -16,6 +17,7 @@ namespace tr {
 namespace {
 
 using Addresses = std::vector<uintptr_t>;
+using Arrays = std::map<std::string, uintptr_t>;
 
 struct Config {
     PathConfig path;
@@ -97,6 +99,9 @@ public:
                            const Addresses &params, const std::vector<uint8_t> &dirty) = 0;
     virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const Addresses &params,
                           const std::vector<uint8_t> &dirty) = 0;
+    // see probes.h; arrays by name
+    virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
+                       const std::vector<uint8_t> &dirty) = 0;
     virtual std::array<double, 6> bounds() = 0;
 };
 
@@ -239,6 +244,29 @@ public:
         data_.update(pointers(params), dirty);
         Rays rays(n, in);
         data_.accel().occluded(rays.batch(), reinterpret_cast<uint8_t *>(out), n);
+    }
+
+    void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
+               const std::vector<uint8_t> &dirty) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        const SceneView<S> &scene = data_.view();
+        auto at = [&](const char *name) { return reinterpret_cast<S *>(arrays.at(name)); };
+        if (what.rfind("bsdf", 0) == 0 && (index < 0 || index >= scene.n_bsdfs))
+            throw std::invalid_argument("bsdf: expected a number below " + std::to_string(scene.n_bsdfs));
+        if (what.rfind("emitter_sample", 0) == 0 && scene.n_emitters == 0)
+            throw std::invalid_argument("the scene has no emitters");
+        if (what == "bsdf")
+            probe_bsdf<S, C>(scene, index, n, at("wi"), at("wo"), at("uv"), at("value"), at("pdf"));
+        else if (what == "bsdf_sample")
+            probe_bsdf_sample<S, C>(scene, index, n, at("wi"), at("uv"), at("u"), at("wo"), at("weight"), at("pdf"),
+                                    at("eta"), reinterpret_cast<uint8_t *>(arrays.at("delta")));
+        else if (what == "emitter_sample")
+            probe_emitter_sample<S, C>(scene, n, at("p"), at("u"), at("d"), at("distance"), at("pdf"), at("radiance"));
+        else if (what == "emitter_pdf")
+            probe_emitter_pdf<S, C>(scene, data_.accel(), n, at("p"), at("d"), at("pdf"), at("radiance"));
+        else
+            throw std::invalid_argument("probe: unknown: " + what);
     }
 
     std::array<double, 6> bounds() override {
@@ -407,6 +435,12 @@ void declare_scene(py::module_ &m) {
             [](SceneBase &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax, uintptr_t out,
                const Addresses &params,
                const std::vector<bool> &dirty) { self.occluded(n, {o, d, tmax}, out, params, read_dirty(dirty)); },
+            Release())
+        .def(
+            "probe",
+            [](SceneBase &self, const std::string &what, int index, size_t n, const Arrays &arrays,
+               const Addresses &params,
+               const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, params, read_dirty(dirty)); },
             Release())
         .def("bounding_box", &SceneBase::bounds);
 }

@@ -13,9 +13,11 @@ from .gradients import (
     finite_differences,
 )
 from .images import ZTestResult, mean_and_variance, z_test
+from .probes import BsdfProbe, emitter_density, sample_emitters
 from .statistics import chi2_p_value, normal_p_value, sidak, student_p_value
 
 __all__ = [
+    "BsdfProbe",
     "ChiSquareResult",
     "DotProductResult",
     "FiniteDifferences",
@@ -25,9 +27,11 @@ __all__ = [
     "chi2_p_value",
     "chi2_test",
     "dot_product_test",
+    "emitter_density",
     "finite_differences",
     "mean_and_variance",
     "normal_p_value",
+    "sample_emitters",
     "sidak",
     "student_p_value",
     "z_test",
