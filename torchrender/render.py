@@ -23,6 +23,7 @@ from .scene.scene import Scene, default_sample_count
 
 OUTPUTS = ("rgb", "alpha")
 LATER_OUTPUTS = ("depth", "position", "shading_normal", "uv", "albedo", "shape_id", "variance")
+PACKETS = True  # false renders a path at a time: slower, for tests
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
 # What tells the derivative's seed from the image's.
 GRADIENT_STREAM = 0x67726164
@@ -101,7 +102,7 @@ def render(
                 **config,
                 "sensor": index,
                 "crop": window,
-                "packet": True,
+                "packet": PACKETS,
                 "sample_offset": 0,
             },
             size=size,
