@@ -20,10 +20,8 @@ SCENES = sorted(reference_scenes.SCENES)
 
 
 def image_and_gradient(scene: tr.Scene) -> tuple[torch.Tensor, torch.Tensor]:
-    words = ("reflectance", "radiance", "data", "intensity")
-    names = [
-        name for name, _ in scene.named_parameters() if any(word in name for word in words) and "to_uv" not in name
-    ]
+    words, fixed = ("reflectance", "radiance", "data", "intensity"), ("to_uv", "scale")
+    names = [n for n, _ in scene.named_parameters() if any(w in n for w in words) and not n.endswith(fixed)]
     parameters = scene.train_only(*names)
     image = tr.render(scene, spp=4, seed=3)
     gradients = torch.autograd.grad(image.square().mean(), parameters, allow_unused=False)
