@@ -11,7 +11,7 @@ SERVER = Path(__file__).resolve().parent / "mitsuba_server.py"
 
 HELP = """Mitsuba is not measured: no interpreter that has it was given. To make one:
     python3 -m venv mitsuba-env && mitsuba-env/bin/pip install mitsuba==3.9.1 numpy
-    apt install libllvm15        # or any LLVM library; if it is not found, set DRJIT_LIBLLVM_PATH to it
+    apt install libllvm19        # older ones crash; set DRJIT_LIBLLVM_PATH to its libLLVM.so.19.1
     python -m bench table2 --mitsuba-python mitsuba-env/bin/python     # or set MITSUBA_PYTHON"""
 
 
