@@ -41,16 +41,7 @@ struct EnvironmentMap {
         x0 = select(mask<I>(x0 < 0), x0 + columns, x0);
         x0 = select(mask<I>(x0 >= columns), x0 - columns, x0);
         I x1 = select(mask<I>(x0 == columns - 1), I(0), x0 + 1), y1 = min(y0 + 1, I(rows - 1));
-        Footprint<F, 4> r;
-        r.texel[0] = UIntOf<F>(y0 * columns + x0);
-        r.texel[1] = UIntOf<F>(y0 * columns + x1);
-        r.texel[2] = UIntOf<F>(y1 * columns + x0);
-        r.texel[3] = UIntOf<F>(y1 * columns + x1);
-        r.weight[0] = (F(1) - a) * (F(1) - b);
-        r.weight[1] = a * (F(1) - b);
-        r.weight[2] = (F(1) - a) * b;
-        r.weight[3] = a * b;
-        return r;
+        return bilinear_footprint<F>(x0, x1, y0, y1, columns, a, b);
     }
 
     // density per solid angle of the direction with these coordinates

@@ -14,6 +14,22 @@ struct Footprint {
     F weight[N];
 };
 
+// Columns x0, x1 and rows y0, y1 with the fractions a, b between them.
+template <class F>
+TR_INLINE Footprint<F, 4> bilinear_footprint(const IntOf<F> &x0, const IntOf<F> &x1, const IntOf<F> &y0,
+                                             const IntOf<F> &y1, int columns, const F &a, const F &b) {
+    Footprint<F, 4> r;
+    r.texel[0] = UIntOf<F>(y0 * columns + x0);
+    r.texel[1] = UIntOf<F>(y0 * columns + x1);
+    r.texel[2] = UIntOf<F>(y1 * columns + x0);
+    r.texel[3] = UIntOf<F>(y1 * columns + x1);
+    r.weight[0] = (F(1) - a) * (F(1) - b);
+    r.weight[1] = a * (F(1) - b);
+    r.weight[2] = (F(1) - a) * b;
+    r.weight[3] = a * b;
+    return r;
+}
+
 struct Bitmap {
     enum { Data, ToUv, Filter, Wrap };
     static constexpr Field fields[] = {
@@ -52,16 +68,7 @@ struct Bitmap {
         F fx = floor(x), fy = floor(y), a = nearest ? F(0) : x - fx, b = nearest ? F(0) : y - fy;
         I x0 = wrap<F>(I(fx), columns, mode), y0 = wrap<F>(I(fy), rows, mode);
         I x1 = wrap<F>(I(fx) + 1, columns, mode), y1 = wrap<F>(I(fy) + 1, rows, mode);
-        Footprint<F, 4> r;
-        r.texel[0] = UIntOf<F>(y0 * columns + x0);
-        r.texel[1] = UIntOf<F>(y0 * columns + x1);
-        r.texel[2] = UIntOf<F>(y1 * columns + x0);
-        r.texel[3] = UIntOf<F>(y1 * columns + x1);
-        r.weight[0] = (F(1) - a) * (F(1) - b);
-        r.weight[1] = a * (F(1) - b);
-        r.weight[2] = (F(1) - a) * b;
-        r.weight[3] = a * b;
-        return r;
+        return bilinear_footprint<F>(x0, x1, y0, y1, columns, a, b);
     }
 };
 
