@@ -28,6 +28,14 @@ using Attributes = TypeList<AttributeModel>;
 
 constexpr int TwoSidedKind = Bsdfs::Size;
 
+// The position of a model in its list.
+template <class Model, class... Ts>
+constexpr int kind_of_model(TypeList<Ts...>) {
+    int i = 0;
+    (void)((std::is_same_v<Model, Ts> ? true : (++i, false)) || ...);
+    return i;
+}
+
 // Calls f with a value of the type at position `kind`.
 template <class F, class... Ts>
 TR_INLINE void dispatch(TypeList<Ts...>, int kind, F &&f) {

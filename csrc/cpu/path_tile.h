@@ -29,7 +29,7 @@ public:
     RenderStats stats;
 
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
-        : call_(call), scene_(*call.scene), derivative_(derivative), capacity_(capacity) {
+        : call_(call), scene_(*call.scene), derivative_(derivative) {
         size_t n = capacity + 2 * W;
         slots_.allocate([&](Arena &a) {
             for (uint32_t **p : {&pixel, &row, &column, &sample}) a.column(*p, n);
@@ -159,7 +159,7 @@ private:
                 if (shape == NoHit || scene_.shapes[shape].emitter < 0) continue;
                 Vec3<S> p{front.o[0][i] + front.d[0][i] * hit_t_[i], front.o[1][i] + front.d[1][i] * hit_t_[i],
                           front.o[2][i] + front.d[2][i] * hit_t_[i]};
-                S behind = (S(1) + max_abs(p)) * S(8.9406967e-5);
+                S behind = offset_amount(p);
                 front.o[0][i] = p.x + front.d[0][i] * behind;
                 front.o[1][i] = p.y + front.d[1][i] * behind;
                 front.o[2][i] = p.z + front.d[2][i] * behind;
@@ -508,7 +508,6 @@ private:
     const RenderCall<S> &call_;
     const SceneView<S> &scene_;
     const DerivativeCall<S> *derivative_;
-    size_t capacity_;
     Arena slots_, hits_;
     Front<S, C> fronts_[3];
     ShadowRays<S, C> shadow_;
@@ -523,7 +522,7 @@ private:
     int8_t *kind_;
     uint8_t *occluded_;
     static constexpr uint32_t NoHit = 0xffffffffu;
-    static constexpr int NullKind = 1;  // position of NullBsdf in the registry
+    static constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{});
 };
 
 }  // namespace tr

@@ -97,9 +97,4 @@ TR_INLINE auto seed_params(const ParamsOf<Model, F, C> &p) {
     return r;
 }
 
-template <class F>
-TR_INLINE F cos_theta(const Vec3<F> &w) {
-    return w.z;
-}
-
 }  // namespace tr

@@ -87,12 +87,11 @@ TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const U
             F to_object[12];
             gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, cone.valid, to_object);
             Vec3<F> object = normalize(transform_point(to_object, q));
-            F phi = atan2(object.y, object.x) * F(1 / (2 * Pi));
-            phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
+            Vec2<F> uv = curved_coordinates(object, cone.valid);
             r.p = select(cone.valid, q, r.p);
             r.n = select(cone.valid, n, r.n);
-            r.at.b1 = select(cone.valid, phi, r.at.b1);
-            r.at.b2 = select(cone.valid, acos(max(F(-1), min(F(1), object.z))) * F(1 / Pi), r.at.b2);
+            r.at.b1 = select(cone.valid, uv.x, r.at.b1);
+            r.at.b2 = select(cone.valid, uv.y, r.at.b2);
         }
     }
     return r;

@@ -77,6 +77,16 @@ TR_INLINE Vec2<F> texture_coordinates(const SceneView<S> &scene, const SurfacePo
     return uv;
 }
 
+// Texture coordinates of a point of the unit sphere (azimuth, polar angle) or the unit disk (radius, azimuth).
+template <class F>
+TR_INLINE Vec2<F> curved_coordinates(const Vec3<F> &local, const MaskOf<F> &sphere) {
+    F phi = atan2(local.y, local.x) * F(1 / (2 * Pi));
+    phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
+    F polar = acos(max(F(-1), min(F(1), local.z))) * F(1 / Pi);
+    F radius = sqrt(local.x * local.x + local.y * local.y);
+    return {select(sphere, phi, radius), select(sphere, polar, phi)};
+}
+
 // What Embree reports, made into a point with frames. Embree works in single precision: with Float = double the
 // distance and the barycentric coordinates are computed again from the triangle it names.
 template <class F, class S>
@@ -123,12 +133,9 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         Vec3<F> local = transform_point(to_object, ray.o + ray.d * t);
         // a point in single precision is off the surface: put it back, so that spawned rays start right
         local = select(sphere, normalize(local), Vec3<F>{local.x, local.y, F(0)});
-        F phi = atan2(local.y, local.x) * F(1 / (2 * Pi));
-        phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
-        F polar = acos(max(F(-1), min(F(1), local.z))) * F(1 / Pi);
-        F radius = sqrt(local.x * local.x + local.y * local.y);
-        at.b1 = select(curved, select(sphere, phi, radius), at.b1);
-        at.b2 = select(curved, select(sphere, polar, phi), at.b2);
+        Vec2<F> uv = curved_coordinates(local, sphere);
+        at.b1 = select(curved, uv.x, at.b1);
+        at.b2 = select(curved, uv.y, at.b2);
         Vec3<F> n = normalize(transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)})));
         si.p = select(curved, transform_point(to_world, local), si.p);
         si.ng = select(curved, n, si.ng);
@@ -146,9 +153,12 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
 // Rays leave a surface from a point moved off it, by an amount relative to the coordinates: 1500 / 2 units in the last
 // place of single precision, which is what Embree's tests need (the same amount as Mitsuba's, so that images agree).
 template <class F>
+TR_INLINE F offset_amount(const Vec3<F> &p) {
+    return (F(1) + max_abs(p)) * F(8.9406967e-5);
+}
+template <class F>
 TR_INLINE Vec3<F> offset_origin(const Vec3<F> &p, const Vec3<F> &ng, const Vec3<F> &d) {
-    F amount = (F(1) + max_abs(p)) * F(8.9406967e-5);
-    return p + ng * mulsign(amount, dot(ng, d));
+    return p + ng * mulsign(offset_amount(p), dot(ng, d));
 }
 constexpr double ShadowEpsilon = 8.9406967e-4;  // shadow rays stop this fraction short of the light
 
@@ -194,13 +204,9 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         Vec3<F> on_sphere = square_to_sphere(u1, u2);
         Vec2<F> disk = square_to_disk(u1, u2);
         Vec3<F> local = select(sphere, on_sphere, Vec3<F>{disk.x, disk.y, F(0)});
-        F phi = atan2(local.y, local.x) * F(1 / (2 * Pi));
-        phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
-        F radius = sqrt(disk.x * disk.x + disk.y * disk.y);
-        r.at.b1 = select(curved, select(sphere, phi, radius), r.at.b1);
-        r.at.b2 = select(curved, select(sphere, u2, phi), r.at.b2);
-        // u2 = (1 - cos theta) / 2 on the sphere, texture coordinates want theta / pi
-        r.at.b2 = select(sphere, acos(max(F(-1), min(F(1), local.z))) * F(1 / Pi), r.at.b2);
+        Vec2<F> uv = curved_coordinates(local, sphere);
+        r.at.b1 = select(curved, uv.x, r.at.b1);
+        r.at.b2 = select(curved, uv.y, r.at.b2);
         Vec3<F> n = normalize(transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)})));
         r.p = select(curved, transform_point(to_world, local), r.p);
         r.n = select(curved, n, r.n);
