@@ -6,7 +6,7 @@
 #include <mutex>
 
 #include "cpu/render.h"
-#include "host/models.h"
+#include "host/dependence.h"
 #include "host/scene_data.h"
 #include "probes.h"
 
@@ -105,56 +105,6 @@ public:
     virtual std::array<double, 6> bounds() = 0;
 };
 
-// What depends on which parameters: a bsdf, an emitter is differentiated if a parameter within its reach is.
-class Dependence {
-public:
-    Dependence(const SceneLayout &layout, const std::vector<bool> &wanted) : layout_(layout), wanted_(wanted) {
-        for (const ConstantEntry &e : layout.entries)
-            if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
-    }
-
-    bool object(const char *category, size_t index) const {
-        const Record &record = layout_.records.at(category)[index];
-        const Model *model = nullptr;
-        for (const ModelEntry &entry : all_models())
-            if (std::string(category) == entry.model->category && entry.kind == record.kind) model = entry.model;
-        for (int f = 0; f < model->n_fields; ++f) {
-            int32_t x = record.field[f];
-            switch (model->fields[f].kind) {
-                case Kind::Texture:
-                    if (object("texture", size_t(x))) return true;
-                    break;
-                case Kind::Tensor:
-                    if (x >= 0 && wanted_[size_t(x)]) return true;
-                    break;
-                case Kind::Spectrum:
-                case Kind::Float:
-                case Kind::Point:
-                    if (std::find(offsets_.begin(), offsets_.end(), x) != offsets_.end()) return true;
-                    break;
-                default:
-                    break;
-            }
-        }
-        if (std::string(category) == "texture" && std::string(model->type) == "mesh_attribute")
-            for (const AttributeInfo &a : layout_.attributes)
-                if (a.name == record.field[0] && wanted_[size_t(a.tensor)]) return true;
-        return false;
-    }
-    bool point_position() const {
-        for (const Record &r : layout_.records.at("emitter"))
-            if (r.kind == int32_t(EmitterKind::Point) &&
-                std::find(offsets_.begin(), offsets_.end(), r.field[PointEmitter::Position]) != offsets_.end())
-                return true;
-        return false;
-    }
-
-private:
-    const SceneLayout &layout_;
-    const std::vector<bool> &wanted_;
-    std::vector<int32_t> offsets_;
-};
-
 template <class S, int C>
 class SceneOf final : public SceneBase {
 public:
@@ -175,16 +125,22 @@ public:
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
-        DerivativeCall<S> d = derivative(gradients);
+        DerivativeCall<S> d = derivative(c, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
         d.gradients.assign(gradients.size(), nullptr);
+        std::vector<S *> tensors(gradients.size(), nullptr);
         for (const ParameterUse &use : data_.layout().tensors)
-            d.gradients[size_t(use.slot)] = reinterpret_cast<S *>(gradients[size_t(use.slot)]);
+            tensors[size_t(use.slot)] = reinterpret_cast<S *>(gradients[size_t(use.slot)]);
+        d.gradients = tensors;
+        for (const MeshSource &mesh : data_.layout().meshes)  // these have tables of their own
+            for (int slot : {mesh.vertices, mesh.normals, mesh.texcoords})
+                if (slot >= 0) d.gradients[size_t(slot)] = nullptr;
         RenderStats stats = render_reverse<S, C>(call(c), c.packets, d);
+        if (d.wanted.geometry) data_.spread_geometry(d.sums, tensors);
         for (const ConstantEntry &e : data_.constant_entries()) {
             S *to = reinterpret_cast<S *>(gradients[size_t(e.slot)]);
             if (!to) continue;
-            for (int i = 0; i < e.stored; ++i) to[e.count == 1 ? 0 : i] += S(d.constant_gradient[size_t(e.offset + i)]);
+            for (int i = 0; i < e.stored; ++i) to[e.count == 1 ? 0 : i] += S(d.sums.constants[size_t(e.offset + i)]);
         }
         return stats;
     }
@@ -193,11 +149,15 @@ public:
                         const Addresses &tangents, uintptr_t image) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
-        DerivativeCall<S> d = derivative(tangents);
-        std::vector<S> constants;
+        DerivativeCall<S> d = derivative(c, tangents);
+        GeometryArrays<S> arrays;
         std::vector<TensorView<S>> tensors;
-        data_.fill_values(pointers(tangents), constants, tensors);
-        d.tangent = {constants.data(), tensors.data()};
+        data_.fill_values(pointers(tangents), arrays.constants, tensors);
+        if (d.wanted.geometry) data_.fill_geometry(pointers(tangents), d.geometry_sizes, arrays);
+        auto table = [](const std::vector<S> &v) { return v.empty() ? nullptr : v.data(); };
+        d.tangent = {arrays.constants.data(), tensors.data()};
+        d.geometry_tangent = {table(arrays.positions), table(arrays.normals), table(arrays.texcoords), d.matrices,
+                              d.shape_wanted.data()};
         return render_forward<S, C>(call(c), c.packets, d, reinterpret_cast<S *>(image));
     }
 
@@ -330,20 +290,29 @@ private:
         return call;
     }
 
-    DerivativeCall<S> derivative(const Addresses &addresses) {
+    DerivativeCall<S> derivative(const Config &c, const Addresses &addresses) {
+        const SceneLayout &layout = data_.layout();
         DerivativeCall<S> d;
-        d.n_constants = data_.n_constants();
-        d.sizes = data_.layout().slot_sizes;
+        d.sizes = layout.slot_sizes;
         std::vector<bool> wanted;
         for (uintptr_t a : addresses) wanted.push_back(a != 0);
-        Dependence depends(data_.layout(), wanted);
-        d.wanted = {false, false, depends.point_position()};
-        for (size_t i = 0; i < data_.layout().records.at("bsdf").size(); ++i) {
-            d.bsdf_wanted.push_back(depends.object("bsdf", i));
+        Dependence depends(layout, wanted);
+        size_t sensor = c.path.sensor;
+        d.wanted = {false, false, depends.point_position(), false, false};
+        if (sensor < layout.records.at("sensor").size()) {
+            d.wanted.geometry = depends.motion(sensor);
+            d.wanted.camera = depends.camera(sensor);
+        }
+        for (size_t i = 0; i < layout.records.at("bsdf").size(); ++i) {
+            d.bsdf_wanted.push_back(depends.values("bsdf", i));
             d.wanted.bsdf |= d.bsdf_wanted.back() != 0;
         }
-        for (size_t i = 0; i < data_.layout().records.at("emitter").size(); ++i)
-            d.wanted.emitter |= depends.object("emitter", i);
+        for (size_t i = 0; i < layout.records.at("emitter").size(); ++i)
+            d.wanted.emitter |= depends.values("emitter", i);
+        for (size_t i = 0; i < layout.shapes.size(); ++i) d.shape_wanted.push_back(depends.shape(i));
+        d.geometry_sizes = depends.geometry_sizes();
+        d.matrices = uint32_t(data_.n_constants());
+        d.n_constants = data_.n_constants() + 12 * layout.shapes.size();
         return d;
     }
 };

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "core/adjoint/camera.h"
 #include "render.h"
 #include "tape.h"
 
@@ -56,6 +57,7 @@ public:
     // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
     void start(size_t n, bool skip_zero_adjoint) {
         Front<S, C> &front = fronts_[0];
+        slots_in_use_ = n;
         const Record &record = scene_.sensors[call_.config.sensor];
         front.n = 0;
         for (size_t i = 0; i < n; i += W) {
@@ -75,9 +77,11 @@ public:
             }
             if (!any(active)) continue;
             F length;
-            Ray<F> ray = Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length);
+            Vec3<F> center;
+            Ray<F> ray =
+                Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length, center);
             Color<F, C> one = uniform_color<C>(F(1));
-            append(front, ray, length, ray.o, F(0), one, one, F(1), slot, U(0u), U(0u), active);
+            append(front, ray, length, center, F(0), one, one, F(1), slot, U(0u), U(0u), active);
         }
     }
 
@@ -106,21 +110,21 @@ public:
         }
     }
 
-    // Runs over the tape from its end, see core/adjoint/sweep.h.
+    // Runs over the tape from its end, see core/adjoint/sweep.h. In forward mode, where adjoints of numbers are sums
+    // over channels, every channel has a sweep of its own.
     template <class Sink>
     void sweep(Sink &sink, bool forward) {
-        for (int l = n_levels_ - 1; l >= 0; --l) {
-            TapeLevel<S, C> &level = *levels_[size_t(l)];
-            for (const Segment &segment : level.segments)
-                if (segment.kind == Miss || !level.scatters)
-                    sweep_segment<void>(level, segment, sink, forward);
-                else
-                    dispatch(Bsdfs{}, segment.kind,
-                             [&](auto m) { sweep_segment<decltype(m)>(level, segment, sink, forward); });
+        if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>) {
+            if (derivative_->wanted.numbers()) {
+                for (int channel = 0; channel < C; ++channel) {
+                    for (int c = 0; c < C; ++c) std::fill_n(delta[c], slots_in_use_, S(c == channel ? 1 : 0));
+                    sink.channel = channel;
+                    sweep_levels(sink, false);
+                }
+                return;
+            }
         }
-        stats.non_finite += sink.non_finite;
-        if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
-        sink.non_finite = 0;
+        sweep_levels(sink, forward);
     }
 
 private:
@@ -262,10 +266,18 @@ private:
             environment_emission<C>(scene_, call_.config, lanes.vec(front.d), from, lanes.active, depth == 1);
         Color<F, C> beta = lanes.template color<C>(front.beta);
         U slot = lanes.get(front.slot);
-        if (Derivative)
+        if (Derivative) {
             level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, e.point.at, e);
-        else
+            put_ray_that_left(front, lanes, i);
+        } else {
             add_radiance(slot, beta * e.radiance, finite(e.radiance, lanes.active, "environment", e.point.emitter));
+        }
+    }
+
+    void put_ray_that_left(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i) {
+        if (!derivative_->wanted.geometry) return;
+        Vec3<F> zero{F(0), F(0), F(0)};
+        level().template put_motion<F>(i, lanes.vec(front.d), zero, zero, F(0), mask<F>(lanes.get(front.pdf) == F(0)));
     }
 
     // A vertex whose emission another split has already counted.
@@ -275,6 +287,7 @@ private:
         Emission<F, C> e = no_emission();
         level().template put_vertex<F>(i, lanes.get(front.slot), lanes.get(front.parent),
                                        lanes.template color<C>(front.beta), e.point.at, e);
+        put_ray_that_left(front, lanes, i);
     }
 
     static Emission<F, C> no_emission() {
@@ -302,11 +315,17 @@ private:
         U slot = lanes.get(front.slot);
         Emission<F, C> e =
             index == 0 ? surface_emission<C>(scene_, config, si, wi.z, from, active, depth == 1) : no_emission();
-        if (Derivative)
+        if (Derivative) {
             level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, si.at, e);
-        else if (any(active && mask<F>(e.weight > F(0))))
+            if (derivative_->wanted.geometry) {
+                Vec3<F> segment = si.p - from.p;
+                level().template put_motion<F>(i, ray.d, si.p, segment, depth == 0 ? norm(segment) : si.t,
+                                               mask<F>(from.pdf == F(0)));
+            }
+        } else if (any(active && mask<F>(e.weight > F(0)))) {
             add_radiance(slot, beta * e.radiance,
                          finite(e.radiance, active && mask<F>(e.weight > F(0)), "emitter", e.point.emitter));
+        }
         U seen = lanes.get(front.seen);
         if (!Derivative && kind != NullKind) see(slot, seen, active);
         if (!scatters) return;
@@ -466,26 +485,79 @@ private:
     }
 
     // --------------------------------------------------------------------------------------------------------- sweep
+    template <class Sink>
+    void sweep_levels(Sink &sink, bool unit_adjoint) {
+        for (int l = n_levels_ - 1; l >= 0; --l) {
+            TapeLevel<S, C> &level = *levels_[size_t(l)];
+            for (const Segment &segment : level.segments)
+                if (segment.kind == Miss || !level.scatters)
+                    sweep_segment<void>(level, segment, sink, unit_adjoint);
+                else
+                    dispatch(Bsdfs{}, segment.kind,
+                             [&](auto m) { sweep_segment<decltype(m)>(level, segment, sink, unit_adjoint); });
+        }
+        stats.non_finite += sink.non_finite;
+        if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
+        sink.non_finite = 0;
+    }
+
     template <class Model, class Sink>
-    void sweep_segment(TapeLevel<S, C> &level, const Segment &segment, Sink &sink, bool forward) {
+    void sweep_segment(TapeLevel<S, C> &level, const Segment &segment, Sink &sink, bool unit_adjoint) {
         constexpr bool scattering = !std::is_void_v<Model>;
         const Wanted &wanted = derivative_->wanted;
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
             VertexRecord<F, C> v = level.template get<F>(i, scattering);
+            if (wanted.geometry) level.template get_motion<F>(i, v);
             U slot = select(mask<U>(active), load_uint<F>(level.slot + i), U(0u));
             Color<F, C> a = v.beta;
-            if (!forward)
+            if (!unit_adjoint)
                 for (int c = 0; c < C; ++c) a[c] = a[c] * gather<F>(delta[c], slot, active);
             sink.begin();
+            HitAdjoint<F> hit;
+            Vec3<F> d_bar{F(0), F(0), F(0)};
             Color<F, C> r = v.emission_radiance;
             M lit = active && mask<F>(v.emission_weight > F(0));
-            if (wanted.emitter && any(lit)) sweep_emitter(scene_, v.emission, a * v.emission_weight, lit, sink);
+            if ((wanted.emitter || wanted.geometry) && any(lit))
+                sweep_emitter(scene_, v.emission, v.d, a * v.emission_weight, wanted, lit, hit.at, d_bar, sink);
             if constexpr (scattering)
-                r = r + sweep_scattering<Model, C>(scene_, v, a, level.template get_suffix<F>(i), wanted, active, sink);
-            if (level.parent_level >= 0)
-                hand_to_parent(*levels_[size_t(level.parent_level)], level.parent + i, r, active);
+                r = r + sweep_scattering<Model, C>(scene_, v, a, level.template get_next<F>(i, wanted.geometry), wanted,
+                                                   active, hit, d_bar, sink);
+            TapeLevel<S, C> *parents = level.parent_level >= 0 ? levels_[size_t(level.parent_level)].get() : nullptr;
+            if (parents) hand_to_parent(*parents, level.parent + i, r, active);
+            if (wanted.geometry) {
+                RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
+                Vec3<F> u{F(0), F(0), F(0)};
+                if (segment.kind != Miss) {
+                    Arrival<F> in{v.attached, v.d, v.t, v.segment, d_bar, channel_sum(a * r)};
+                    ray = sweep_surface(scene_, v.at, v.p, in, hit, active, sink);
+                    F squared = squared_norm(v.segment);
+                    auto glued = active && !v.attached && mask<F>(squared > F(0));
+                    u = v.segment * select(glued, F(1) / squared, F(0));
+                }
+                if (parents)
+                    hand_motion(*parents, level, i, ray, u, active);
+                else if (wanted.camera)
+                    sweep_camera(scene_, scene_.sensors[call_.config.sensor], gather<F>(film_x, slot, active),
+                                 gather<F>(film_y, slot, active), S(call_.film_width), S(call_.film_height), ray,
+                                 active, sink);
+            }
             if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>) add_radiance(slot, sink.derivative, active);
+        }
+    }
+
+    void hand_motion(TapeLevel<S, C> &parents, const TapeLevel<S, C> &level, uint32_t entry, const RayAdjoint<F> &ray,
+                     const Vec3<F> &u, const M &active) {
+        const F *numbers[9] = {&ray.o.x, &ray.o.y, &ray.o.z, &ray.d.x, &ray.d.y, &ray.d.z, &u.x, &u.y, &u.z};
+        alignas(64) S v[9][W];
+        for (int k = 0; k < 9; ++k) store(&v[k][0], *numbers[k]);
+        uint32_t n = uint32_t(count(active));
+        for (uint32_t i = 0; i < n; ++i) {
+            uint32_t to = level.parent[entry + i], from = entry + i;
+            for (int k = 0; k < 9; ++k) (k < 6 ? parents.ray_bar[k] : parents.next_segment[k - 6])[to] = v[k][i];
+            for (int k = 0; k < 3; ++k) parents.next_p[k][to] = level.p[k][from];
+            parents.next_b[0][to] = level.b1[from], parents.next_b[1][to] = level.b2[from];
+            parents.next_shape[to] = level.shape[from], parents.next_primitive[to] = level.primitive[from];
         }
     }
 
@@ -513,6 +585,7 @@ private:
     ShadowRays<S, C> shadow_;
     std::vector<std::unique_ptr<TapeLevel<S, C>>> levels_;
     int n_levels_ = 0;
+    size_t slots_in_use_ = 0;
     std::vector<Segment> segments_;
     std::vector<int> leaf_kind_;
     std::vector<int32_t> bsdf_wanted_;

@@ -8,6 +8,7 @@
 #include "accel/accel.h"
 #include "core/adjoint/sweep.h"
 #include "film.h"
+#include "host/gradient.h"
 
 namespace tr {
 
@@ -28,14 +29,18 @@ struct RenderCall {
 // What a derivative needs besides.
 template <class S>
 struct DerivativeCall {
-    const S *adjoint = nullptr;             // reverse: d loss / d image, (h, w, C)
-    std::vector<S *> gradients;             // reverse: by slot, null where not wanted; added to
-    std::vector<double> constant_gradient;  // reverse: of the block of small parameters, filled by the call
-    size_t n_constants = 0;
+    const S *adjoint = nullptr;  // reverse: d loss / d image, (h, w, C)
+    std::vector<S *> gradients;  // reverse: by slot, null where not wanted; added to
+    GradientSums sums;           // reverse: filled by the call
+    size_t n_constants = 0;      // with the matrices of curved shapes
+    GeometrySizes geometry_sizes;
+    uint32_t matrices = 0;                // where those begin
     std::vector<int64_t> sizes;           // numbers in each slot's tensor
     Values<S> tangent{nullptr, nullptr};  // forward
-    Wanted wanted{true, true, true};
-    std::vector<uint8_t> bsdf_wanted;  // by bsdf: a parameter of it is differentiated
+    GeometryTables<const S> geometry_tangent;
+    Wanted wanted{true, true, true, true, true};
+    std::vector<uint8_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
+    std::vector<int32_t> shape_wanted;  // by shape: it moves, or its normals or coordinates do
 };
 
 struct RenderStats {

@@ -136,6 +136,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 if constexpr (Forward) {
                     ForwardSink<F, C> sink;
                     sink.tangent = derivative->tangent;
+                    sink.geometry = derivative->geometry_tangent;
                     tile->sweep(sink, true);
                 }
                 for (size_t k = 0; k < n; ++k) {
@@ -164,6 +165,13 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     return stats;
 }
 
+template <class S>
+GeometryTables<double> geometry_tables(GradientSums &sums, const DerivativeCall<S> &derivative) {
+    auto table = [](std::vector<double> &v) { return v.empty() ? nullptr : v.data(); };
+    return {table(sums.positions), table(sums.normals), table(sums.texcoords), derivative.matrices,
+            derivative.shape_wanted.data()};
+}
+
 template <class F, int C>
 RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
     using S = ScalarOf<F>;
@@ -188,7 +196,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                 weights.splat(call.filter, fy, fx, nullptr);
             }
     struct Local {
-        std::vector<double> constants;
+        GradientSums sums;
         std::vector<std::vector<S>> buffers;
         std::vector<S *> pointers;
     };
@@ -196,7 +204,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     std::mutex mutex;
     run_tiles(tiles.size(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
         Local &local = locals[size_t(thread)];
-        local.constants.assign(derivative.n_constants, 0.0);
+        local.sums.reset(derivative.n_constants, derivative.geometry_sizes);
         for (size_t i = 0; i < derivative.gradients.size(); ++i) {
             local.buffers.emplace_back();
             if (derivative.gradients[i]) local.buffers[i].assign(size_t(derivative.sizes[i]), S(0));
@@ -236,7 +244,8 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                 tile->start(n, true);
                 tile->template run<true>();
                 ReverseSink<F, C> sink;
-                sink.constants = local.constants.data();
+                sink.constants = local.sums.constants.data();
+                sink.geometry = geometry_tables(local.sums, derivative);
                 sink.tensors = local.pointers.data();
                 tile->sweep(sink, false);
             });
@@ -245,9 +254,10 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             tile->stats = {};
         };
     });
-    derivative.constant_gradient.assign(derivative.n_constants, 0.0);
+    derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     for (Local &local : locals) {
-        for (size_t i = 0; i < local.constants.size(); ++i) derivative.constant_gradient[i] += local.constants[i];
+        if (local.sums.constants.empty()) continue;  // a thread that never started
+        derivative.sums.add(local.sums);
         for (size_t i = 0; i < local.buffers.size(); ++i)
             for (size_t k = 0; k < local.buffers[i].size(); ++k) derivative.gradients[i][k] += local.buffers[i][k];
     }

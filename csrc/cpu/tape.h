@@ -67,18 +67,28 @@ struct TapeLevel {
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
     S *b1, *b2, *emission_weight, *wi[3], *wo_light[3], *light_weight, *light_b1, *light_b2, *wo[3], *inverse_pdf;
     S *light_distance, *mirror, *normal[3];
-    S *beta[C], *emission_radiance[C], *emitted[C], *suffix[C];
+    S *beta[C], *emission_radiance[C], *emitted[C];
+    // from the next vertex, written by the sweep; and what only moving things need, see VertexRecord
+    S *suffix[C], *ray_bar[6], *next_segment[3], *next_p[3], *next_b[2];
+    uint32_t *next_shape, *next_primitive;
+    S *d[3], *p[3], *segment[3], *t;
+    uint32_t *attached;
 
     void reserve(size_t n) {
         if (n <= capacity) return;
         capacity = n;
         arena.allocate([&](Arena &a) {
-            for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive}) a.column(*p, n);
+            for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive, &attached,
+                                 &next_shape, &next_primitive})
+                a.column(*p, n);
             for (int32_t **p : {&emission_emitter, &bsdf, &light_emitter, &lobe}) a.column(*p, n);
             for (S **p : {&b1, &b2, &emission_weight, &light_weight, &light_b1, &light_b2, &inverse_pdf,
-                          &light_distance, &mirror})
+                          &light_distance, &mirror, &t})
                 a.column(*p, n);
-            for (auto *p : {&wi, &wo_light, &wo, &normal}) a.column(*p, n);
+            for (auto *p : {&wi, &wo_light, &wo, &normal, &d, &this->p, &segment, &next_segment, &next_p})
+                a.column(*p, n);
+            a.column(ray_bar, n);
+            a.column(next_b, n);
             for (auto *p : {&beta, &emission_radiance, &emitted, &suffix}) a.column(*p, n);
         });
     }
@@ -100,6 +110,17 @@ struct TapeLevel {
             store(emission_radiance[c] + i, e.radiance[c]);
             store(suffix[c] + i, F(0));
         }
+    }
+    template <class F>
+    TR_INLINE void put_motion(size_t i, const Vec3<F> &d_, const Vec3<F> &p_, const Vec3<F> &segment_, const F &t_,
+                              const MaskOf<F> &attached_) {
+        put(d, i, d_);
+        put(p, i, p_);
+        put(segment, i, segment_);
+        store(t + i, t_);
+        store(attached + i, select(mask<UIntOf<F>>(attached_), UIntOf<F>(1u), UIntOf<F>(0u)));
+        for (S *column : ray_bar) store(column + i, F(0));
+        put(next_segment, i, Vec3<F>{F(0), F(0), F(0)});
     }
     template <class F>
     TR_INLINE void put_scattering(size_t i, const Leaf<F> &leaf, const Vec3<F> &wi_, const Vec3<F> &normal_,
@@ -152,8 +173,25 @@ struct TapeLevel {
         return v;
     }
     template <class F>
-    TR_INLINE Color<F, C> get_suffix(size_t i) const {
-        return get_color<F>(suffix, i);
+    TR_INLINE void get_motion(size_t i, VertexRecord<F, C> &v) const {
+        v.d = get_vec<F>(d, i);
+        v.p = get_vec<F>(p, i);
+        v.segment = get_vec<F>(segment, i);
+        v.t = load<F>(t + i);
+        v.attached = mask<F>(load_uint<F>(attached + i) != 0u);
+    }
+    template <class F>
+    TR_INLINE NextVertex<F, C> get_next(size_t i, bool motion) const {
+        Vec3<F> zero{F(0), F(0), F(0)};
+        NextVertex<F, C> next{get_color<F>(suffix, i), {zero, zero}, zero, zero, {}};
+        if (!motion) return next;
+        next.ray.o = {load<F>(ray_bar[0] + i), load<F>(ray_bar[1] + i), load<F>(ray_bar[2] + i)};
+        next.ray.d = {load<F>(ray_bar[3] + i), load<F>(ray_bar[4] + i), load<F>(ray_bar[5] + i)};
+        next.segment = get_vec<F>(next_segment, i);
+        next.p = get_vec<F>(next_p, i);
+        next.at = {load_uint<F>(next_shape + i), load_uint<F>(next_primitive + i), load<F>(next_b[0] + i),
+                   load<F>(next_b[1] + i)};
+        return next;
     }
 
 private:

@@ -1,6 +1,7 @@
 // The renderer's core compiled for a CUDA device, with Float = float: every stage of the path tracer as a kernel over
 // paths. Nothing launches these kernels yet (that needs ray queries on the device and a scheduler); compiling them is
 // what keeps the core free of everything that a device cannot do. `make cuda` does that.
+#include "core/adjoint/camera.h"
 #include "core/bsdf/diffuse.h"
 #include "core/integrator/path.h"
 
@@ -31,9 +32,10 @@ __global__ void start_paths(SceneView<S> scene, PathConfig config, uint32_t n, u
     uint32_t pixel = i % (width * height), sample = i / (width * height);
     Random4<float> u = random4<float>(config.seed, config.sensor, pixel, sample, 0);
     float length;
+    Vec3<float> center;
     Ray<float> ray = Perspective::ray(scene, scene.sensors[config.sensor], float(pixel % width) + u.u[0],
-                                      float(pixel / width) + u.u[1], S(width), S(height), length);
-    paths[i] = {ray.o, ray.d, {ray.o, 0.f}, pixel, sample, 0};
+                                      float(pixel / width) + u.u[1], S(width), S(height), length, center);
+    paths[i] = {ray.o, ray.d, {center, 0.f}, pixel, sample, 0};
 }
 
 template <int C>
@@ -104,10 +106,31 @@ __global__ void differentiate_bsdfs(SceneView<S> scene, uint32_t n, const int32_
     });
 }
 
+// Forward-mode derivative of where camera rays hit, for adjoints of position, normal and coordinates.
+template <int C>
+__global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uint32_t width, uint32_t height,
+                          const Hit *hits, const HitAdjoint<float> *adjoints, const float *x, const float *y,
+                          ForwardSink<float, C> *sinks) {
+    uint32_t i = thread_index();
+    if (i >= n || hits[i].t < 0) return;
+    const Record &camera = scene.sensors[config.sensor];
+    float length;
+    Vec3<float> center, zero{0.f, 0.f, 0.f};
+    Ray<float> ray = Perspective::ray(scene, camera, x[i], y[i], S(width), S(height), length, center);
+    Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
+    Vec3<float> segment = si.p - center;
+    Arrival<float> in{true, ray.d, norm(segment), segment, zero, 0.f};
+    RayAdjoint<float> g = sweep_surface(scene, si.at, si.p, in, adjoints[i], true, sinks[i]);
+    sweep_camera(scene, camera, x[i], y[i], S(width), S(height), g, true, sinks[i]);
+}
+
 #define TR_INSTANTIATE(C)                                                                                          \
     template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *); \
     template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,        \
                                               Scattering<float, C> *);                                             \
+    template __global__ void move_hits<C>(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,     \
+                                          const HitAdjoint<float> *, const float *, const float *,                 \
+                                          ForwardSink<float, C> *);                                                \
     template __global__ void differentiate_bsdfs<C>(SceneView<S>, uint32_t, const int32_t *,                       \
                                                     const SurfacePoint<float> *, const Vec3<float> *,              \
                                                     const Vec3<float> *, S *, uint32_t);

@@ -1,5 +1,7 @@
 #include "models.h"
 
+#include <stdexcept>
+
 #include "../core/registry.h"
 
 namespace tr {
@@ -34,6 +36,12 @@ const ModelEntry *find_model(const std::string &category, const std::string &typ
     for (const ModelEntry &entry : all_models())
         if (category == entry.model->category && type == entry.model->type) return &entry;
     return nullptr;
+}
+
+const Model &model_of(const std::string &category, const Record &record) {
+    for (const ModelEntry &entry : all_models())
+        if (category == entry.model->category && entry.kind == record.kind) return *entry.model;
+    throw std::logic_error(category + ": a record of an unknown kind");
 }
 
 std::string model_types(const std::string &category) {

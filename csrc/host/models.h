@@ -19,6 +19,9 @@ const std::vector<ModelEntry> &all_models();
 // nullptr if there is none of this type in the category.
 const ModelEntry *find_model(const std::string &category, const std::string &type);
 
+// The model of a record of this category.
+const Model &model_of(const std::string &category, const Record &record);
+
 // The types of a category, comma-separated, for messages.
 std::string model_types(const std::string &category);
 

@@ -106,11 +106,9 @@ void SceneData<S>::update_emitters() {
     const std::vector<Record> &records = layout_.records.at("emitter");
     std::vector<double> weights;
     for (size_t i = 0; i < records.size(); ++i) {
-        const Model *model = nullptr;
-        for (const ModelEntry &entry : all_models())
-            if (std::string("emitter") == entry.model->category && entry.kind == records[i].kind) model = entry.model;
-        for (int f = 0; f < model->n_fields; ++f)
-            if (std::string("sampling_weight") == model->fields[f].name)
+        const Model &model = model_of("emitter", records[i]);
+        for (int f = 0; f < model.n_fields; ++f)
+            if (std::string("sampling_weight") == model.fields[f].name)
                 weights.push_back(double(constants_[size_t(records[i].field[f])]));
         if (!(weights.back() >= 0))
             bad_value(path("emitter", int(i)) + ": field 'sampling_weight'", "a number that is not negative",

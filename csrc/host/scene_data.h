@@ -8,10 +8,14 @@
 #include "../accel/accel.h"
 #include "../core/scene.h"
 #include "distribution.h"
+#include "gradient.h"
 #include "layout.h"
 #include "values.h"
 
 namespace tr {
+
+// Corners of the rectangle, counterclockwise seen from +z.
+constexpr double RectangleCorner[4][2] = {{-1, -1}, {1, -1}, {1, 1}, {-1, 1}};
 
 // S: the type of all parameters, float or double. Not thread safe; while nobody calls build or update, view() and
 // accel() may be used from any thread.
@@ -45,6 +49,12 @@ public:
     // Tangents in the layout of Values: null addresses become zeros, or a TensorView without data.
     void fill_values(const std::vector<const S *> &tangents, std::vector<S> &constants,
                      std::vector<TensorView<S>> &tensors) const;
+
+    // Tangents of geometry: adds the matrices of curved shapes to `to.constants`, which fill_values has filled, and
+    // fills the vertex arrays. Back: adds the sums of the reverse sweep to the gradients of vertex arrays, by slot, and
+    // those of matrices and rectangles to the small parameters in sums.constants.
+    void fill_geometry(const std::vector<const S *> &tangents, const GeometrySizes &sizes, GeometryArrays<S> &to) const;
+    void spread_geometry(GradientSums &sums, const std::vector<S *> &gradients) const;
 
     const SceneLayout &layout() const { return layout_; }
     // The name of an object: category "shape", "bsdf", ... and its index.

@@ -10,9 +10,6 @@ namespace {
 
 constexpr double LargestCoordinate = 1e18;  // its square is still finite in single precision
 
-// corners of the rectangle, counterclockwise seen from +z
-constexpr double Corner[4][2] = {{-1, -1}, {1, -1}, {1, 1}, {-1, 1}};
-
 }  // namespace
 
 // `old`: the constants before this update; `first`: they do not count.
@@ -140,8 +137,9 @@ void SceneData<S>::update_rectangle(const MeshSource &mesh) {
     for (size_t i = 0; i < 4; ++i) {
         size_t vertex = size_t(mesh.first_vertex) + i;
         for (size_t k = 0; k < 3; ++k)
-            positions_[vertex * 3 + k] = S(m[4 * k] * Corner[i][0] + m[4 * k + 1] * Corner[i][1] + m[4 * k + 3]);
-        for (size_t k = 0; k < 2; ++k) texcoords_[vertex * 2 + k] = S((Corner[i][k] + 1) / 2);
+            positions_[vertex * 3 + k] =
+                S(m[4 * k] * RectangleCorner[i][0] + m[4 * k + 1] * RectangleCorner[i][1] + m[4 * k + 3]);
+        for (size_t k = 0; k < 2; ++k) texcoords_[vertex * 2 + k] = S((RectangleCorner[i][k] + 1) / 2);
     }
     // mirroring turns the faces round, but not the normal that is transformed with the shape
     ShapeInfo &info = shapes_[size_t(mesh.shape)];

@@ -1,11 +1,23 @@
 // Where derivatives go. Reverse and forward mode are the same sweep with another sink: the reverse sink adds
 // g * d(look-up)/d(parameter) to the parameter's gradient, the forward sink adds g * (look-up of the tangent) to the
 // derivative of the pixel. Look-ups are linear in the parameters, so both walk the same footprints.
+//
+// Two kinds of adjoints come in: a colour, channel by channel, for what multiplies radiance; and a number, the sum over
+// channels, for what moves points and directions. Numbers in forward mode need a sweep a channel, see `channel`.
 #pragma once
 
 #include "../emitter/emitter.h"
 
 namespace tr {
+
+// Derivatives of the vertex arrays of SceneView, in its order; null without meshes that have one. The matrices of
+// curved shapes (12 numbers a shape) follow the block of small parameters, at `matrices`.
+template <class T>
+struct GeometryTables {
+    T *positions = nullptr, *normals = nullptr, *texcoords = nullptr;
+    uint32_t matrices = 0;
+    const int32_t *wanted = nullptr;  // by shape
+};
 
 // A gradient of the radiance of one path with respect to one look-up, per channel.
 template <class F, int C>
@@ -15,6 +27,7 @@ class ReverseSink {
 public:
     double *constants;  // gradient of the block of small parameters
     S *const *tensors;  // gradient of a large tensor by slot, null where it is not wanted
+    GeometryTables<double> geometry;
     uint32_t non_finite = 0;
 
     TR_INLINE void begin() {}
@@ -32,13 +45,11 @@ public:
             if (lane_is_set(usable, i))
                 for (int c = 0; c < C; ++c) constants[lane(offset, i) + c] += double(lane(g[c], i));
     }
-    // a parameter that is one number for all channels; `component` of a vector
+    // a parameter that is one number for all channels
     TR_INLINE void number(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
-        auto usable = finite(g, active);
         F sum = g[0];
         for (int c = 1; c < C; ++c) sum = sum + g[c];
-        for (int i = 0; i < Lanes<F>::Width; ++i)
-            if (lane_is_set(usable, i)) constants[lane(offset, i)] += double(lane(sum, i));
+        scalar(offset, sum, active);
     }
     template <int N>
     TR_INLINE void footprint(const SceneView<S> &scene, int32_t slot, const Footprint<F, N> &at, const Color<F, C> &g,
@@ -56,6 +67,15 @@ public:
             }
         }
     }
+    // of a number in the block of small parameters
+    TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
+        add(constants, UIntOf<F>(offset), g, active);
+    }
+    // of a number in one of the tables of `geometry`
+    TR_INLINE void vertex(double *GeometryTables<double>::*table, const UIntOf<F> &index, const F &g,
+                          const MaskOf<F> &active) {
+        if (geometry.*table) add(geometry.*table, index, g, active);
+    }
 
 private:
     template <class M>
@@ -65,6 +85,13 @@ private:
         else
             return m.entry(i);
 #endif
+    }
+    TR_INLINE void add(double *to, const UIntOf<F> &index, const F &g, const MaskOf<F> &active) {
+        Color<F, 1> one{{g}};
+        auto usable = active && is_finite(one);
+        non_finite += uint32_t(count(active) - count(usable));
+        for (int i = 0; i < Lanes<F>::Width; ++i)
+            if (lane_is_set(usable, i)) to[lane(index, i)] += double(lane(g, i));
     }
     TR_INLINE MaskOf<F> finite(const Color<F, C> &g, const MaskOf<F> &active) {
         auto usable = active && is_finite(g);
@@ -77,9 +104,14 @@ private:
         const SceneView<S> &scene;
         const Color<F, C> &g;
         TR_INLINE void constant(const IntOf<F> &offset, const MaskOf<F> &lanes) { sink.color(scene, offset, g, lanes); }
-        template <int N>
-        TR_INLINE void footprint(int32_t slot, const Footprint<F, N> &at, const MaskOf<F> &lanes) {
-            sink.footprint(scene, slot, at, g, lanes);
+        TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &,
+                              const MaskOf<F> &lanes) {
+            sink.footprint(scene, record.field[Bitmap::Data], at, g, lanes);
+        }
+        TR_INLINE void attribute(const Record &record, const AttributeInfo &info, const Footprint<F, 3> &at,
+                                 const MaskOf<F> &lanes) {
+            F scale(scene.values.constants[record.field[MeshAttribute::Scale]]);
+            sink.footprint(scene, info.tensor, at, g * scale, lanes);
         }
     };
 };
@@ -90,6 +122,8 @@ class ForwardSink {
 
 public:
     Values<S> tangent;
+    GeometryTables<const S> geometry;
+    int channel = 0;         // to which numbers belong
     Color<F, C> derivative;  // of the radiance of the paths in the lanes, since begin()
     uint32_t non_finite = 0;
 
@@ -110,12 +144,25 @@ public:
                              const MaskOf<F> &active) {
         if (tangent.tensors[slot].data) add(g * gather_footprint<C>(tangent.tensors[slot], at, active), active);
     }
+    TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
+        add(g * gather<F>(tangent.constants, UIntOf<F>(offset), active), active);
+    }
+    TR_INLINE void vertex(const S *GeometryTables<const S>::*table, const UIntOf<F> &index, const F &g,
+                          const MaskOf<F> &active) {
+        if (geometry.*table) add(g * gather<F>(geometry.*table, index, active), active);
+    }
 
 private:
     TR_INLINE void add(const Color<F, C> &d, const MaskOf<F> &active) {
         auto usable = active && is_finite(d);
         non_finite += uint32_t(count(active) - count(usable));
         derivative = select(usable, derivative + d, derivative);
+    }
+    TR_INLINE void add(const F &d, const MaskOf<F> &active) {
+        Color<F, C> one = uniform_color<C>(F(0));
+        for (int c = 0; c < C; ++c)
+            if (c == channel) one[c] = d;
+        add(one, active);
     }
 };
 

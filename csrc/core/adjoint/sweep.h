@@ -6,10 +6,17 @@
 // Sampling densities, MIS weights, roulette and visibility are constants of the derivative (detached sampling: Zeltner,
 // Speierer, Georgiev and Jakob, "Monte Carlo Estimators for Differential Light Transport", SIGGRAPH 2021). Nothing is
 // traced again and nothing is divided by f: where f = 0 its derivative is as good as anywhere.
+//
+// What moves (surface.h): the point that a smooth BSDF's ray has hit, or that was sampled on a light, is glued to its
+// surface. With D = x_{k+1} - x_k the integrand is a function of both ends, through the direction w = D / |D| and, area
+// being the measure, through J = |N_{k+1}.D| / |D|^3 relative to its current value (the material form of Zhang, Miller,
+// Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Camera rays and those that leave a
+// delta lobe are functions of the camera, of the interface and of its index: what they hit slides, and the derivative
+// of the ray is handed on from vertex to vertex (RayAdjoint) until a smooth BSDF ends the chain.
 #pragma once
 
 #include "../integrator/path.h"
-#include "sink.h"
+#include "surface.h"
 
 namespace tr {
 
@@ -32,87 +39,200 @@ struct VertexRecord {
     Vec3<F> wo;
     IntOf<F> lobe;
     F inverse_pdf;
-    // for the position of a point light: distance, and the frame in which wo_light is
+    // the local frame: shading normal, and -1 where z is turned round (the back of `twosided`)
     F light_distance, mirror;
     Vec3<F> normal;
+    // only where something moves: the ray that arrived, and D = x_k - x_{k-1} (0 for rays that left the scene)
+    Vec3<F> d, p, segment;
+    F t;
+    MaskOf<F> attached;  // the ray comes from the camera or a delta lobe
 };
 
 struct Wanted {
     bool bsdf, emitter, position;
+    bool geometry;  // anything that moves rays, hits or look-ups
+    bool camera;
+    bool numbers() const { return position || geometry; }  // adjoints that are sums over channels
 };
 
-// Derivative of what an emitter sends, at one of its points.
+// What a vertex gets from the next one: R_{k+1}, the adjoint of the ray to it (behind a smooth BSDF that of x_k only);
+// and where a point is glued there, D / r^2 and the point (D = 0: there is none).
+template <class F, int C>
+struct NextVertex {
+    Color<F, C> radiance;
+    RayAdjoint<F> ray;
+    Vec3<F> segment, p;
+    SurfacePoint<F> at;
+};
+
+// Adjoint of D from that of its direction, with u = D / r^2.
+template <class F>
+TR_INLINE Vec3<F> direction_adjoint(const Vec3<F> &u, const Vec3<F> &w_bar) {
+    F inverse_squared = squared_norm(u);
+    F inverse_r = sqrt(inverse_squared);
+    Vec3<F> w = u * (F(1) / select(mask<F>(inverse_squared > F(0)), inverse_r, F(1)));
+    return unnormalize(w, w_bar, inverse_r);
+}
+
+// Derivative of what an emitter sends, at one of its points. `at` and `d_bar` receive the adjoints of the point and of
+// the direction d to it, where its radiance varies with them.
 template <class F, int C, class S, class Sink>
-TR_INLINE void sweep_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const Color<F, C> &g,
-                             const MaskOf<F> &active, Sink &sink) {
+TR_INLINE void sweep_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const Vec3<F> &d,
+                             const Color<F, C> &g, const Wanted &wanted, const MaskOf<F> &active,
+                             CoordinateAdjoint<F> &at, Vec3<F> &d_bar, Sink &sink) {
     IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
     auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
     if (any(area)) {
         IntOf<F> texture = record_field<F>(scene.emitters, AreaEmitter::Radiance, point.emitter, area);
-        sink.texture(scene, texture, point.at, g, area);
+        if (wanted.emitter) sink.texture(scene, texture, point.at, g, area);
+        if (wanted.geometry) sweep_lookup<C>(scene, texture, point.at, g, area, at, sink);
     }
     auto flat =
         active && (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Point)));
-    if (any(flat)) sink.color(scene, record_field<F>(scene.emitters, 0, point.emitter, flat), g, flat);
+    if (any(flat) && wanted.emitter)
+        sink.color(scene, record_field<F>(scene.emitters, 0, point.emitter, flat), g, flat);
     auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
     if (any(map)) {
         const Record &record = scene.emitters[scene.environment];
         int32_t slot = record.field[EnvironmentMap::Data];
         const TensorView<S> &tensor = scene.values.tensors[slot];
         F scale(scene.values.constants[record.field[EnvironmentMap::Scale]]);
-        auto at = EnvironmentMap::footprint(tensor, Vec2<F>{point.at.b1, point.at.b2});
-        sink.footprint(scene, slot, at, g * scale, map);
-        sink.number(scene, IntOf<F>(record.field[EnvironmentMap::Scale]), g * gather_footprint<C>(tensor, at, map),
-                    map);
+        Vec2<F> uv{point.at.b1, point.at.b2};
+        if (wanted.emitter) {
+            auto footprint = EnvironmentMap::footprint(tensor, uv);
+            sink.footprint(scene, slot, footprint, g * scale, map);
+            sink.number(scene, IntOf<F>(record.field[EnvironmentMap::Scale]),
+                        g * gather_footprint<C>(tensor, footprint, map), map);
+        }
+        if (wanted.geometry) sweep_environment_lookup<C>(scene, uv, d, g, map, d_bar, sink);
     }
 }
 
-// dN/d(position) of a point light: f(w) I / |x|^2 with x = position - p, by dual numbers over the three local
-// coordinates of x.
+// The local frame of a vertex, and the adjoint of its normal when directions are taken to it and from it: when the
+// normal moves by dn, the frame turns with it, ds = -(s.dn) n, dt = -(t.dn) n. (Isotropic: how it turns about n does
+// not matter.)
+template <class F>
+struct VertexFrame {
+    Frame<F> frame;
+    Vec3<F> n_bar{F(0), F(0), F(0)};
+
+    TR_INLINE explicit VertexFrame(const Vec3<F> &normal, const F &mirror) : frame(make_frame(normal)) {
+        frame.n = normal * mirror;
+    }
+    // the adjoint of a world direction from that of its local coordinates
+    TR_INLINE Vec3<F> into(const Vec3<F> &local, const Vec3<F> &local_bar) {
+        n_bar = n_bar + frame.to_world(local) * local_bar.z - frame.s * (local_bar.x * local.z) -
+                frame.t * (local_bar.y * local.z);
+        return frame.to_world(local_bar);
+    }
+    // the adjoint of local coordinates from that of the world direction they give
+    TR_INLINE Vec3<F> out_of(const Vec3<F> &local, const Vec3<F> &world_bar) {
+        F along = dot(frame.n, world_bar);
+        n_bar = n_bar + world_bar * local.z - frame.s * (local.x * along) - frame.t * (local.y * along);
+        return frame.to_local(world_bar);
+    }
+};
+
+// Everything that moves at a scattering vertex. Adds to `hit` and returns the adjoint of the direction of the ray that
+// arrived. `a_light`, `a_path` are A_k times the factors of f in N_k and in the rest of the path.
 template <class Model, int C, class F, class S, class Sink>
-TR_INLINE void sweep_light_position(const SceneView<S> &scene, const VertexRecord<F, C> &v,
-                                    const ParamsOf<Model, F, C> &params, const Color<F, C> &a, const MaskOf<F> &lit,
-                                    Sink &sink) {
-    IntOf<F> kind = record_kind<F>(scene.emitters, v.light.emitter, lit);
-    auto point = lit && mask<F>(kind == int32_t(EmitterKind::Point));
-    if (!any(point)) return;
-    using D = Dual<F, 3>;
-    Vec3<D> x{D(v.wo_light.x * v.light_distance, 0), D(v.wo_light.y * v.light_distance, 1),
-              D(v.wo_light.z * v.light_distance, 2)};
-    D inverse_squared = D(F(1)) / squared_norm(x);
-    Vec3<D> wo = x * sqrt(inverse_squared), wi{D(v.wi.x), D(v.wi.y), D(v.wi.z)};
-    auto f = Model::template eval<C>(params, wi, wo, IntOf<F>(0));
-    // light_weight = m / p / |x|^2 held the geometry that now moves
-    F rest = v.light_weight * v.light_distance * v.light_distance;
-    Frame<F> frame = make_frame(v.normal);
-    IntOf<F> offset = record_field<F>(scene.emitters, PointEmitter::Position, v.light.emitter, point);
-    Color<F, C> local[3];
-    for (int c = 0; c < C; ++c) {
-        D n = f[c] * inverse_squared;
-        for (int i = 0; i < 3; ++i) local[i][c] = n.d[i] * a[c] * v.emitted[c] * rest;
+TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F, C> &v,
+                                 const ParamsOf<Model, F, C> &params, const Color<F, C> &a_light,
+                                 const Color<F, C> &a_path, const Color<F, C> &f_light, const NextVertex<F, C> &next,
+                                 const MaskOf<F> &active, const MaskOf<F> &lit, const Vec3<F> &light_d_bar,
+                                 const CoordinateAdjoint<F> &light_at, const Wanted &wanted, HitAdjoint<F> &hit,
+                                 Sink &sink) {
+    VertexFrame<F> frame(v.normal, v.mirror);
+    Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero;
+    using D = Dual<F, 6>;
+    Vec3<D> wi{D(v.wi.x, 0), D(v.wi.y, 1), D(v.wi.z, 2)};
+    auto gradient = [&](const Color<D, C> &f, const Color<F, C> &weight, Vec3<F> &wo_bar) {
+        F sum[6];
+        for (int i = 0; i < 6; ++i) {
+            sum[i] = f[0].d[i] * weight[0];
+            for (int c = 1; c < C; ++c) sum[i] = fmadd(f[c].d[i], weight[c], sum[i]);
+        }
+        wi_bar = wi_bar + Vec3<F>{sum[0], sum[1], sum[2]};
+        wo_bar = {sum[3], sum[4], sum[5]};
+    };
+
+    // on along the path
+    Vec3<F> wo_bar;
+    Vec3<D> wo{D(v.wo.x, 3), D(v.wo.y, 4), D(v.wo.z, 5)};
+    gradient(Model::template eval<C>(params, wi, wo, v.lobe), a_path, wo_bar);
+    hit.p = hit.p + next.ray.o;
+    if constexpr (Model::Smooth) {
+        Vec3<F> w_bar = frame.into(v.wo, wo_bar) + next.ray.d;
+        Vec3<F> D_bar = direction_adjoint(next.segment, w_bar);
+        hit.p = hit.p - D_bar;
+        auto glued = active && mask<F>(squared_norm(next.segment) > F(0));
+        if (any(glued)) sweep_position(scene, next.at, next.p, D_bar, glued, sink);
+    } else {
+        using E = Dual<F, 3 + ParamCount<Model>::Numbers>;
+        Params<E, C, 0, ParamCount<Model>::Numbers> numbers;
+        for (int i = 0; i < ParamCount<Model>::Numbers; ++i) numbers.number[i] = E(params.number[i], 3 + i);
+        Vec3<E> from{E(v.wi.x, 0), E(v.wi.y, 1), E(v.wi.z, 2)};
+        Vec3<E> to = Model::direction(numbers, from, v.lobe);
+        Vec3<F> to_bar = frame.out_of(v.wo, next.ray.d);
+        auto chain = [&](int i) { return to.x.d[i] * to_bar.x + to.y.d[i] * to_bar.y + to.z.d[i] * to_bar.z; };
+        wi_bar = wi_bar + Vec3<F>{chain(0), chain(1), chain(2)};
+        int number = 0;
+        for (int i = 0; i < Model::model.n_fields; ++i)
+            if ((ParamCount<Model>::NumberFields >> i) & 1)
+                sink.scalar(record_field<F>(scene.bsdfs, i, v.bsdf, active), chain(3 + number++), active);
     }
-    F mirror = v.mirror;
-    sink.number(scene, offset, local[0] * frame.s.x + local[1] * frame.t.x + local[2] * (frame.n.x * mirror), point);
-    sink.number(scene, offset + 1, local[0] * frame.s.y + local[1] * frame.t.y + local[2] * (frame.n.y * mirror),
-                point);
-    sink.number(scene, offset + 2, local[0] * frame.s.z + local[1] * frame.t.z + local[2] * (frame.n.z * mirror),
-                point);
+
+    // to the light
+    if constexpr (Model::Smooth) {
+        if (any(lit)) {
+            Vec3<D> to_light{D(v.wo_light.x, 3), D(v.wo_light.y, 4), D(v.wo_light.z, 5)};
+            gradient(Model::template eval<C>(params, wi, to_light, IntOf<F>(0)), a_light, wo_bar);
+            Vec3<F> w_bar = frame.into(v.wo_light, wo_bar) + light_d_bar;
+            Vec3<F> w = frame.frame.to_world(v.wo_light);
+            IntOf<F> kind = record_kind<F>(scene.emitters, v.light.emitter, lit);
+            auto near = lit && mask<F>(v.light_distance < F(S(1e30)));
+            F distance = select(near, v.light_distance, F(1)), weight = channel_sum(a_light * f_light);
+            Vec3<F> x_bar = zero;
+            auto area = near && mask<F>(kind == int32_t(EmitterKind::Area));
+            if (any(area) && wanted.geometry) {
+                HitAdjoint<F> on_light;
+                on_light.at = light_at;
+                Arrival<F> in{MaskOf<F>(false), w, distance, w * distance, w_bar, weight};
+                x_bar = sweep_surface(scene, v.light.at, v.p + in.D, in, on_light, area, sink).o;
+            }
+            auto point = near && mask<F>(kind == int32_t(EmitterKind::Point));
+            if (any(point)) {
+                F inverse = F(1) / distance;
+                Vec3<F> D_bar = unnormalize(w, w_bar, inverse) - w * (F(2) * weight * inverse);  // of 1 / r^2
+                x_bar = select(point, -D_bar, x_bar);
+                IntOf<F> offset = record_field<F>(scene.emitters, PointEmitter::Position, v.light.emitter, point);
+                sink.scalar(offset, D_bar.x, point);
+                sink.scalar(offset + 1, D_bar.y, point);
+                sink.scalar(offset + 2, D_bar.z, point);
+            }
+            hit.p = hit.p + x_bar;
+        }
+    }
+    Vec3<F> from_bar = frame.into(v.wi, wi_bar);
+    hit.n = hit.n + frame.n_bar * v.mirror;
+    return -from_bar;
 }
 
-// One scattering vertex. `next` is R_{k+1} (0 where the path ended), `a` is A_k; returns N_k + f_k / (p_k q_k) R_{k+1}.
+// One scattering vertex; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit and of the
+// arriving ray's direction.
 template <class Model, int C, class F, class S, class Sink>
 TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRecord<F, C> &v, const Color<F, C> &a,
-                                       const Color<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
-                                       Sink &sink) {
+                                       const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
+                                       HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
     auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
     Color<F, C> light_factor = v.emitted * v.light_weight;  // N = f_light * light_factor
-    Color<F, C> path_factor = next * v.inverse_pdf;
+    Color<F, C> path_factor = next.radiance * v.inverse_pdf;
     Color<F, C> f, f_light = uniform_color<C>(F(0));
     auto lit = active && mask<F>(v.light_weight > F(0));
     constexpr int N = ParamCount<Model>::All;
     bool done = false;
     if constexpr (N > 0) {
-        if (wanted.bsdf) {
+        if (wanted.bsdf || wanted.geometry) {
             done = true;
             auto seeded = seed_params<Model, C>(params);
             auto df = Model::template eval<C>(seeded, v.wi, v.wo, v.lobe);
@@ -131,10 +251,12 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
                     g[c] = g[c] * a[c];
                 }
                 IntOf<F> field = record_field<F>(scene.bsdfs, i, v.bsdf, active);
-                if (Model::fields[i].kind == Kind::Float)
+                if (Model::fields[i].kind == Kind::Float) {
                     sink.number(scene, field, g, active);
-                else
-                    sink.texture(scene, field, v.at, g, active);
+                } else {
+                    if (wanted.bsdf) sink.texture(scene, field, v.at, g, active);
+                    if (wanted.geometry) sweep_lookup<C>(scene, field, v.at, g, active, hit.at, sink);
+                }
             }
         }
     }
@@ -142,12 +264,18 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
         f = Model::template eval<C>(params, v.wi, v.wo, v.lobe);
         if constexpr (Model::Smooth) f_light = Model::template eval<C>(params, v.wi, v.wo_light, IntOf<F>(0));
     }
+    CoordinateAdjoint<F> light_at;
+    Vec3<F> light_d_bar{F(0), F(0), F(0)};
     if constexpr (Model::Smooth) {
-        if (any(lit)) {
-            if (wanted.emitter) sweep_emitter(scene, v.light, a * f_light * v.light_weight, lit, sink);
-            if (wanted.position) sweep_light_position<Model, C>(scene, v, params, a, lit, sink);
+        if (any(lit) && (wanted.emitter || wanted.geometry)) {
+            Vec3<F> d{F(0), F(0), F(1)};
+            if (wanted.geometry) d = VertexFrame<F>(v.normal, v.mirror).frame.to_world(v.wo_light);
+            sweep_emitter(scene, v.light, d, a * f_light * v.light_weight, wanted, lit, light_at, light_d_bar, sink);
         }
     }
+    if (wanted.numbers())
+        d_bar = d_bar + sweep_motion<Model, C>(scene, v, params, a * light_factor, a * path_factor, f_light, next,
+                                               active, lit, light_d_bar, light_at, wanted, hit, sink);
     return f_light * light_factor + f * path_factor;
 }
 

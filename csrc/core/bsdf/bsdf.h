@@ -9,6 +9,7 @@
 //                                probability with which `sample` chooses it
 //   pdf(params, wi, wo)          solid-angle density of the smooth part (0 for purely delta models)
 //   sample(params, wi, u0, u1, u2) -> BsdfSample
+//   direction(params, wi, lobe)  models with Delta: where a delta lobe sends wi, differentiable in wi and the numbers
 //
 // Directions are local: +z is the shading normal; wi points to where the path came from, wo along the new ray, both
 // away from the surface. Radiance is transported along wo -> wi. Values include |cos(theta_o)|. `lobe` numbers what

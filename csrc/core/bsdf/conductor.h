@@ -17,10 +17,11 @@ struct Conductor {
 
     template <int C, class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &) {
-        using T = std::decay_t<decltype(params.color[0][0])>;
+        using T = std::decay_t<decltype(params.color[0][0] * wi.z)>;
         Color<T, C> r;
         for (int c = 0; c < C; ++c)
-            r[c] = params.color[2][c] * fresnel_conductor(T(max(wi.z, F(0))), params.color[0][c], params.color[1][c]);
+            r[c] = T(params.color[2][c]) *
+                   fresnel_conductor(T(max(wi.z, F(0))), T(params.color[0][c]), T(params.color[1][c]));
         return r;
     }
 
@@ -30,15 +31,20 @@ struct Conductor {
     }
 
     template <int C, class P, class F>
-    TR_INLINE static BsdfSample<F> sample(const P &, const Vec3<F> &wi, const F &, const F &, const F &) {
+    TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &, const F &, const F &) {
         BsdfSample<F> r;
-        r.wo = {-wi.x, -wi.y, wi.z};
+        r.wo = direction(params, wi, IntOf<F>(0));
         r.pdf = select(mask<F>(wi.z > F(0)), F(1), F(0));
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
         r.delta = MaskOf<F>(true);
         r.null = MaskOf<F>(false);
         return r;
+    }
+
+    template <class P, class T>
+    TR_INLINE static Vec3<T> direction(const P &, const Vec3<T> &wi, const IntOf<T> &) {
+        return {-wi.x, -wi.y, wi.z};
     }
 };
 

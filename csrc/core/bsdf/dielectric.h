@@ -10,8 +10,8 @@ struct Dielectric {
     enum { Reflectance = 0, Transmittance = 1 };  // of color[]
     static constexpr Field fields[] = {
         {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3,
-         "none: an index of refraction moves the refracted ray; its derivative through such chains is not implemented "
-         "yet",
+         "interior, without the motion of edges seen through the surface: 0 where there are none, or both sides of "
+         "them are of equal colour",
          "index of refraction inside (below the surface) over outside"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
@@ -24,8 +24,8 @@ struct Dielectric {
     template <int C, class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &lobe,
                                Transport transport = Transport::Radiance) {
-        using T = std::decay_t<decltype(params.number[0])>;
-        Fresnel<T> fresnel = fresnel_dielectric(T(wi.z), params.number[0]);
+        using T = std::decay_t<decltype(params.number[0] * wi.z)>;
+        Fresnel<T> fresnel = fresnel_dielectric(T(wi.z), T(params.number[0]));
         T scale = transport == Transport::Radiance ? fresnel.eta_ti * fresnel.eta_ti : T(F(1));
         T transmitted = (T(F(1)) - fresnel.reflectance) * scale;
         auto reflect = mask<F>(lobe == 0);
@@ -43,14 +43,22 @@ struct Dielectric {
         Fresnel<F> fresnel = fresnel_dielectric(wi.z, params.number[0]);
         auto reflect = mask<F>(u0 < fresnel.reflectance);
         BsdfSample<F> r;
-        r.wo = select(reflect, Vec3<F>{-wi.x, -wi.y, wi.z},
-                      Vec3<F>{-fresnel.eta_ti * wi.x, -fresnel.eta_ti * wi.y, fresnel.cos_t});
         r.pdf = select(reflect, fresnel.reflectance, F(1) - fresnel.reflectance);
         r.eta = select(reflect, F(1), fresnel.eta_it);
         r.lobe = select(mask<IntOf<F>>(reflect), IntOf<F>(0), IntOf<F>(1));
+        r.wo = direction(params, wi, r.lobe);
         r.delta = MaskOf<F>(true);
         r.null = MaskOf<F>(false);
         return r;
+    }
+
+    // Reflection, or Snell's law. The numbers of `params` may be dual numbers like wi.
+    template <class P, class T>
+    TR_INLINE static Vec3<T> direction(const P &params, const Vec3<T> &wi, const IntOf<T> &lobe) {
+        Fresnel<T> fresnel = fresnel_dielectric(wi.z, T(params.number[0]));
+        auto reflect = mask<T>(lobe == 0);
+        return select(reflect, Vec3<T>{-wi.x, -wi.y, wi.z},
+                      Vec3<T>{-fresnel.eta_ti * wi.x, -fresnel.eta_ti * wi.y, fresnel.cos_t});
     }
 };
 

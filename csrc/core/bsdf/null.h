@@ -21,14 +21,19 @@ struct NullBsdf {
     }
 
     template <int C, class P, class F>
-    TR_INLINE static BsdfSample<F> sample(const P &, const Vec3<F> &wi, const F &, const F &, const F &) {
+    TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &, const F &, const F &) {
         BsdfSample<F> r;
-        r.wo = -wi;
+        r.wo = direction(params, wi, IntOf<F>(0));
         r.pdf = F(1);
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
         r.delta = r.null = MaskOf<F>(true);
         return r;
+    }
+
+    template <class P, class T>
+    TR_INLINE static Vec3<T> direction(const P &, const Vec3<T> &wi, const IntOf<T> &) {
+        return -wi;
     }
 };
 

@@ -15,8 +15,8 @@ struct EnvironmentMap {
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, 0, INFINITY, "interior", "radiance (rows, columns, channels), linear"},
         {"scale", Kind::Float, 1, 0, INFINITY, "interior", "factor of all texels"},
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
-         "none: turning the environment is not differentiable yet", "rotation from the emitter's frame to the world"},
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, "interior",
+         "rotation from the emitter's frame to the world"},
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},

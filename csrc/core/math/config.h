@@ -20,6 +20,15 @@
 #define TR_INLINE inline
 #endif
 
+// Large functions that are called in several places, and seldom.
+#if defined(__CUDACC__)
+#define TR_NOINLINE TR_HD __noinline__
+#elif defined(__GNUC__)
+#define TR_NOINLINE __attribute__((noinline))
+#else
+#define TR_NOINLINE
+#endif
+
 namespace tr {
 
 constexpr double Pi = 3.14159265358979323846;

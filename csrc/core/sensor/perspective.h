@@ -6,33 +6,54 @@
 namespace tr {
 
 struct Perspective {
-    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far };
-    static constexpr const char *Missing = "none: the derivative of a camera is not implemented yet";
+    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect };
+    static constexpr const char *Edges =
+        "interior, without the motion of visible edges: 0 where silhouettes, shadows and jumps of normals are out of "
+        "view or of equal colour on both sides";
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Missing, "pose: camera frame to world, no scale"},
-        {"x_fov", Kind::Float, None, 0, 180, Missing, "horizontal field of view of the full film, degrees"},
-        {"principal_point_offset_x", Kind::Float, 0, -INFINITY, INFINITY, Missing,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Edges, "pose: camera frame to world, no scale"},
+        {"x_fov", Kind::Float, None, 0, 180, Edges, "horizontal field of view of the full film, degrees"},
+        {"principal_point_offset_x", Kind::Float, 0, -INFINITY, INFINITY, Edges,
          "moves the image left, in film widths"},
-        {"principal_point_offset_y", Kind::Float, 0, -INFINITY, INFINITY, Missing,
-         "moves the image up, in film heights"},
+        {"principal_point_offset_y", Kind::Float, 0, -INFINITY, INFINITY, Edges, "moves the image up, in film heights"},
         {"near_clip", Kind::Float, 1e-2, 0, INFINITY, "none: a clipping plane", "distance of the near plane"},
         {"far_clip", Kind::Float, 1e4, 0, INFINITY, "none: a clipping plane", "distance of the far plane"},
+        {"pixel_aspect", Kind::Float, 1, 1e-3, 1e3, Edges,
+         "focal length in pixels along x over that along y; 1 for square pixels"},
     };
-    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 6};
+    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 7};
 
-    // (x, y): position on the film in pixels, the whole film being width x height. Returns the ray's length too.
+    // (x, y): position on the film in pixels, the whole film being width x height. The direction in the camera's frame
+    // is (a x slope, b y slope, 1), normalised.
+    template <class F, class S>
+    struct Film {
+        const S *constants, *to_world;
+        S slope, rise;  // tangents of half the fields of view along x and y
+        F a, b;
+
+        TR_INLINE Film(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width, S height)
+            : constants(scene.values.constants), to_world(constants + record.field[ToWorld]) {
+            slope = std::tan(constants[record.field[Fov]] * S(Pi / 360));
+            rise = slope * height / width * constants[record.field[Aspect]];
+            a = F(1) - F(2) * (x * F(S(1) / width) + F(constants[record.field[OffsetX]]));
+            b = F(1) - F(2) * (y * F(S(1) / height) + F(constants[record.field[OffsetY]]));
+        }
+        TR_INLINE Vec3<F> direction() const { return {a * slope, b * rise, F(1)}; }
+        TR_INLINE Vec3<F> origin() const { return {F(to_world[3]), F(to_world[7]), F(to_world[11])}; }
+    };
+
+    // Returns the ray's length too, and the pinhole `center` it comes from.
     template <class F, class S>
     TR_INLINE static Ray<F> ray(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width,
-                                S height, F &length) {
-        const S *c = scene.values.constants, *m = c + record.field[ToWorld];
-        S t = std::tan(c[record.field[Fov]] * S(Pi / 360)), near = c[record.field[Near]], far = c[record.field[Far]];
-        F px = F(2) * (x * F(S(1) / width) + F(c[record.field[OffsetX]]));
-        F py = F(2) * (y * F(S(1) / height) + F(c[record.field[OffsetY]]));
-        Vec3<F> local = normalize(Vec3<F>{(F(1) - px) * t, (F(1) - py) * (t * height / width), F(1)});
+                                S height, F &length, Vec3<F> &center) {
+        Film<F, S> film(scene, record, x, y, width, height);
+        S near = film.constants[record.field[Near]], far = film.constants[record.field[Far]];
+        Vec3<F> local = normalize(film.direction());
         F inverse_z = F(1) / local.z;
         Ray<F> r;
-        r.d = normalize(transform_vector(m, local));
-        r.o = Vec3<F>{F(m[3]), F(m[7]), F(m[11])} + r.d * (inverse_z * near);
+        center = film.origin();
+        r.d = normalize(transform_vector(film.to_world, local));
+        r.o = center + r.d * (inverse_z * near);
         length = inverse_z * (far - near);
         return r;
     }

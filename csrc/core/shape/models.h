@@ -5,17 +5,18 @@
 
 namespace tr {
 
-constexpr const char *GeometryMissing =
-    "none: the derivative of geometry is not implemented yet (neither the term inside surfaces nor that of moving "
-    "edges)";
+constexpr const char *GeometryEdges =
+    "interior, without the motion of silhouettes, of shadow edges and of creases seen directly: 0 where there are "
+    "none, "
+    "or both sides of them are of equal colour";
 
 struct MeshModel {
     enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex };
     static constexpr Field fields[] = {
-        {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryMissing, "positions (V, 3), world space"},
+        {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "positions (V, 3), world space"},
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
-        {"normals", Kind::Tensor, -1, -INFINITY, INFINITY, GeometryMissing, "vertex normals (V, 3), world space"},
-        {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY, GeometryMissing, "texture coordinates (V, 2)"},
+        {"normals", Kind::Tensor, -1, -INFINITY, INFINITY, "interior", "vertex normals (V, 3), world space"},
+        {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY, "interior", "texture coordinates (V, 2)"},
         {"face_normals", Kind::Int, 0, 0, 1, "", "shade flat although there are vertex normals"},
         {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
@@ -27,10 +28,10 @@ struct MeshModel {
 struct SphereModel {
     enum { ToWorld, Center, Radius, Flip, BsdfIndex, EmitterIndex };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryMissing,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "applied after center and radius; uniform scale only"},
-        {"center", Kind::Point, 0, -INFINITY, INFINITY, GeometryMissing, ""},
-        {"radius", Kind::Float, 1, 0, INFINITY, GeometryMissing, ""},
+        {"center", Kind::Point, 0, -INFINITY, INFINITY, GeometryEdges, ""},
+        {"radius", Kind::Float, 1, 0, INFINITY, GeometryEdges, ""},
         {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
@@ -42,7 +43,7 @@ struct SphereModel {
 struct PlanarFields {
     enum { ToWorld, Flip, BsdfIndex, EmitterIndex };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryMissing,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "from the unit shape, facing +z, to the world"},
         {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},

@@ -30,13 +30,26 @@ TR_INLINE Footprint<F, 4> bilinear_footprint(const IntOf<F> &x0, const IntOf<F> 
     return r;
 }
 
+// Derivatives of a bilinear look-up with respect to its column and row: look-ups themselves.
+template <class F>
+struct Slopes {
+    Footprint<F, 4> x, y;
+};
+template <class F>
+TR_INLINE Slopes<F> slopes(const Footprint<F, 4> &at) {
+    F a = at.weight[1] + at.weight[3], b = at.weight[2] + at.weight[3];
+    Slopes<F> r{at, at};
+    r.x.weight[0] = b - F(1), r.x.weight[1] = F(1) - b, r.x.weight[2] = -b, r.x.weight[3] = b;
+    r.y.weight[0] = a - F(1), r.y.weight[1] = -a, r.y.weight[2] = F(1) - a, r.y.weight[3] = a;
+    return r;
+}
+
 struct Bitmap {
     enum { Data, ToUv, Filter, Wrap };
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior",
          "texels (rows, columns, channels), linear; 1 channel is grey"},
-        {"to_uv", Kind::Transform2, None, -INFINITY, INFINITY,
-         "none: to_uv moves the look-up; its derivative is not implemented yet",
+        {"to_uv", Kind::Transform2, None, -INFINITY, INFINITY, "interior",
          "homogeneous 3x3 map of the texture coordinates, (u, v) -> image coordinates"},
         {"filter_type", Kind::Int, 0, 0, 1, "", "0: bilinear, 1: nearest"},
         {"wrap_mode", Kind::Int, 0, 0, 2, "", "0: repeat, 1: mirror, 2: clamp"},

@@ -9,8 +9,7 @@ struct MeshAttribute {
     enum { Name, Scale };
     static constexpr Field fields[] = {
         {"name", Kind::Int, None, 0, INFINITY, "", "number of the attribute's name: vertex_* (V, C) or face_* (F, C)"},
-        {"scale", Kind::Float, 1, -INFINITY, INFINITY, "none: a factor of all values; optimise the attribute instead",
-         "factor"},
+        {"scale", Kind::Float, 1, -INFINITY, INFINITY, "interior", "factor"},
     };
     static constexpr Model model = {"texture", "mesh_attribute", "Colours stored on the vertices or faces of a mesh.",
                                     fields, 2};
@@ -24,15 +23,13 @@ struct MeshAttribute {
     }
 
     template <class F, class S>
-    TR_INLINE static Footprint<F, 3> footprint(const SceneView<S> &scene, const Record &record,
-                                               const AttributeInfo &info, uint32_t shape, const SurfacePoint<F> &at,
-                                               const MaskOf<F> &active) {
+    TR_INLINE static Footprint<F, 3> footprint(const SceneView<S> &scene, const AttributeInfo &info, uint32_t shape,
+                                               const SurfacePoint<F> &at, const MaskOf<F> &active) {
         using U = UIntOf<F>;
         Footprint<F, 3> r;
-        F scale(scene.values.constants[record.field[Scale]]);
         if (info.per_face) {
             for (int k = 0; k < 3; ++k) r.texel[k] = select(mask<U>(active), at.primitive, U(0u));
-            r.weight[0] = scale;
+            r.weight[0] = F(1);
             r.weight[1] = r.weight[2] = F(0);
             return r;
         }
@@ -41,9 +38,9 @@ struct MeshAttribute {
         U face = (U(uint32_t(mesh.face_offset)) + at.primitive) * 3u;
         for (uint32_t k = 0; k < 3; ++k)
             r.texel[k] = gather<U>(scene.faces, face + k, mask<U>(active)) - uint32_t(mesh.first_vertex);
-        r.weight[0] = (F(1) - at.b1 - at.b2) * scale;
-        r.weight[1] = at.b1 * scale;
-        r.weight[2] = at.b2 * scale;
+        r.weight[0] = F(1) - at.b1 - at.b2;
+        r.weight[1] = at.b1;
+        r.weight[2] = at.b2;
         return r;
     }
 };

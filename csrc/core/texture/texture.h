@@ -37,7 +37,9 @@ TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&
 }
 
 // Walks down to the look-ups that a texture consists of, and hands each to the visitor:
-//   visitor.constant(offset lanes, lanes)   visitor.footprint(slot, footprint, lanes)
+//   visitor.constant(offset lanes, lanes)
+//   visitor.bitmap(record, footprint, uv, lanes)
+//   visitor.attribute(record, info, footprint, lanes)      (without the factor `scale`)
 template <class F, class S, class Visitor>
 TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const SurfacePoint<F> &at,
                          const MaskOf<F> &active, Visitor &visitor, int depth = 0) {
@@ -52,7 +54,7 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Su
         const Record &record = scene.textures[i];
         switch (TextureKind(record.kind)) {
             case TextureKind::Bitmap:
-                visitor.footprint(record.field[Bitmap::Data], Bitmap::footprint(scene, record, uv), lanes);
+                visitor.bitmap(record, Bitmap::footprint(scene, record, uv), uv, lanes);
                 break;
             case TextureKind::Checkerboard: {
                 auto second = Checkerboard::second(scene, record, uv);
@@ -66,8 +68,8 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Su
                     int32_t a = MeshAttribute::find(scene, record, uint32_t(shape));
                     if (a < 0) return;
                     const AttributeInfo &info = scene.attributes[a];
-                    visitor.footprint(
-                        info.tensor, MeshAttribute::footprint<F>(scene, record, info, uint32_t(shape), at, same), same);
+                    visitor.attribute(record, info, MeshAttribute::footprint<F>(scene, info, uint32_t(shape), at, same),
+                                      same);
                 });
                 break;
             default:
@@ -78,26 +80,36 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Su
 
 template <class F, int C, class S>
 struct TextureValue {
+    const SceneView<S> &scene;
     const Values<S> &values;
     Color<F, C> result;
 
     TR_INLINE void constant(const IntOf<F> &offset, const MaskOf<F> &lanes) {
         result = select(lanes, constant_color<C, F>(values, offset, lanes), result);
     }
+    TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &, const MaskOf<F> &lanes) {
+        footprint(record.field[Bitmap::Data], at, F(1), lanes);
+    }
+    TR_INLINE void attribute(const Record &record, const AttributeInfo &info, const Footprint<F, 3> &at,
+                             const MaskOf<F> &lanes) {
+        footprint(info.tensor, at, F(scene.values.constants[record.field[MeshAttribute::Scale]]), lanes);
+    }
+
+private:
     template <int N>
-    TR_INLINE void footprint(int32_t slot, const Footprint<F, N> &at, const MaskOf<F> &lanes) {
+    TR_INLINE void footprint(int32_t slot, const Footprint<F, N> &at, const F &scale, const MaskOf<F> &lanes) {
         const TensorView<S> &tensor = values.tensors[slot];
         if (!tensor.data) return;  // a tangent that was not given
-        result = select(lanes, gather_footprint<C>(tensor, at, lanes), result);
+        result = select(lanes, gather_footprint<C>(tensor, at, lanes) * scale, result);
     }
 };
 
 // `values` is the scene's own for the value, the tangent's for its forward-mode derivative: textures are linear in
-// their data.
+// their data; what else they depend on is in adjoint/lookup.h.
 template <int C, class F, class S>
 TR_INLINE Color<F, C> eval_texture(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
                                    const SurfacePoint<F> &at, const MaskOf<F> &active) {
-    TextureValue<F, C, S> visitor{values, uniform_color<C>(F(0))};
+    TextureValue<F, C, S> visitor{scene, values, uniform_color<C>(F(0))};
     visit_texture<F>(scene, id, at, active, visitor);
     return visitor.result;
 }

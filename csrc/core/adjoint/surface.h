@@ -1,0 +1,258 @@
+// The derivative of a hit: position, shading normal and coordinates of a point on a surface, as functions of the
+// surface and, where the point is the intersection with a ray that moves (`attached`), of the ray.
+//
+// An attached hit slides over the surface: with q the motion of the material point under the hit minus that of the
+// ray's point, it moves along d by t' = n.q / n.d, and over the surface by t' d - q. Other points are glued to the
+// surface: they keep their coordinates, and the measure in which they are integrated is area, which stretches.
+#pragma once
+
+#include "lookup.h"
+
+namespace tr {
+
+template <class F>
+struct HitAdjoint {
+    Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)};  // position, unit shading normal
+    CoordinateAdjoint<F> at;
+};
+
+template <class F>
+struct RayAdjoint {
+    Vec3<F> o, d;
+};
+
+// How a ray came to a point: where `attached`, along the unit vector d from t away; else from a point that is glued to
+// its own surface, D away. `d_bar` is the adjoint of the unit direction, and `jacobian`, of glued points, that of
+// log J, J = |N.D| / |D|^3, N being the area vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit
+// shape.
+template <class F>
+struct Arrival {
+    MaskOf<F> attached;
+    Vec3<F> d;
+    F t;
+    Vec3<F> D, d_bar;
+    F jacobian;
+};
+
+// Adjoint of v where only its direction counts: n = v / length.
+template <class F>
+TR_INLINE Vec3<F> unnormalize(const Vec3<F> &n, const Vec3<F> &n_bar, const F &inverse_length) {
+    return (n_bar - n * dot(n, n_bar)) * inverse_length;
+}
+
+template <class F, class Sink, class Table>
+TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
+                            Sink &sink) {
+    UIntOf<F> i = vertex * 3u;
+    sink.vertex(table, i, g.x, active);
+    sink.vertex(table, i + 1u, g.y, active);
+    sink.vertex(table, i + 2u, g.z, active);
+}
+
+// The adjoint of D, through its direction and through J except for N; `area` is a multiple of N.
+template <class F>
+TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
+    F inverse_squared = F(1) / squared_norm(in.D), inverse = sqrt(inverse_squared);
+    return unnormalize(in.D * inverse, in.d_bar, inverse) +
+           (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.jacobian;
+}
+
+template <class F, class S, class Sink>
+TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
+                                 HitAdjoint<F> g, const IntOf<F> &flags, const MaskOf<F> &mesh, Vec3<F> &d_bar,
+                                 Sink &sink) {
+    using U = UIntOf<F>;
+    using Tables = decltype(sink.geometry);
+    Vec3<F> zero{F(0), F(0), F(0)};
+    U face = global_face<F>(scene, at.shape, at.primitive, mesh);
+    Triangle<F, S> tri(scene, face, mesh);
+    F b1 = at.b1, b2 = at.b2, b0 = F(1) - b1 - b2;
+    Vec3<F> area = cross(tri.e1, tri.e2);
+    F area_squared = squared_norm(area), cosine = dot(area, select(in.attached, in.d, in.D));
+    auto usable = mesh && mask<F>(area_squared > F(0)) && mask<F>(abs(cosine) > F(0));
+    if (!any(usable)) return zero;
+    cosine = select(usable, cosine, F(1));
+    F inverse_area = F(1) / sqrt(select(usable, area_squared, F(1)));
+    auto glued = usable && !in.attached;
+    auto wanted = usable && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(usable)) != 0);
+
+    // normal: of the vertices or of the face
+    Vec3<F> area_bar = select(glued, in.D * (in.jacobian / cosine), zero);
+    auto smooth = usable && mask<F>((flags & int32_t(HasNormals)) != 0);
+    if (any(smooth)) {
+        Vec3<F> n0 = gather_vec3<F>(scene.normals, tri.i0, smooth), n1 = gather_vec3<F>(scene.normals, tri.i1, smooth),
+                n2 = gather_vec3<F>(scene.normals, tri.i2, smooth);
+        Vec3<F> m = n0 * b0 + n1 * b1 + n2 * b2;
+        F length_squared = squared_norm(m);
+        smooth = smooth && mask<F>(length_squared > F(0));
+        F inverse = F(1) / sqrt(select(smooth, length_squared, F(1)));
+        Vec3<F> m_bar = unnormalize(m * inverse, g.n, inverse);
+        g.at.b.x = select(smooth, g.at.b.x + dot(m_bar, n1 - n0), g.at.b.x);
+        g.at.b.y = select(smooth, g.at.b.y + dot(m_bar, n2 - n0), g.at.b.y);
+        auto to_normals = smooth && wanted;
+        if (any(to_normals)) {
+            sweep_vertex(&Tables::normals, tri.i0, m_bar * b0, to_normals, sink);
+            sweep_vertex(&Tables::normals, tri.i1, m_bar * b1, to_normals, sink);
+            sweep_vertex(&Tables::normals, tri.i2, m_bar * b2, to_normals, sink);
+        }
+    }
+    area_bar = select(smooth, area_bar, area_bar + unnormalize(area * inverse_area, g.n, inverse_area));
+
+    // texture coordinates
+    auto has = usable && mask<F>((flags & int32_t(HasTexcoords)) != 0);
+    if (any(has)) {
+        U i0 = tri.i0 * 2u, i1 = tri.i1 * 2u, i2 = tri.i2 * 2u;
+        F u0 = gather<F>(scene.texcoords, i0, has), v0 = gather<F>(scene.texcoords, i0 + 1u, has);
+        F by_b1 = g.at.uv.x * (gather<F>(scene.texcoords, i1, has) - u0) +
+                  g.at.uv.y * (gather<F>(scene.texcoords, i1 + 1u, has) - v0);
+        F by_b2 = g.at.uv.x * (gather<F>(scene.texcoords, i2, has) - u0) +
+                  g.at.uv.y * (gather<F>(scene.texcoords, i2 + 1u, has) - v0);
+        g.at.b.x = select(has, g.at.b.x + by_b1, g.at.b.x);
+        g.at.b.y = select(has, g.at.b.y + by_b2, g.at.b.y);
+        auto to_texcoords = has && wanted;
+        if (any(to_texcoords)) {
+            const U index[3] = {i0, i1, i2};
+            const F weight[3] = {b0, b1, b2};
+            for (int k = 0; k < 3; ++k) {
+                sink.vertex(&Tables::texcoords, index[k], g.at.uv.x * weight[k], to_texcoords);
+                sink.vertex(&Tables::texcoords, index[k] + 1u, g.at.uv.y * weight[k], to_texcoords);
+            }
+        }
+    }
+    auto bare = usable && !has;
+    g.at.b.x = select(bare, g.at.b.x + g.at.uv.x, g.at.b.x);
+    g.at.b.y = select(bare, g.at.b.y + g.at.uv.y, g.at.b.y);
+
+    // attached: barycentric coordinates are dot products with the dual basis of the edges
+    F inverse_squared = inverse_area * inverse_area;
+    Vec3<F> over =
+        cross(tri.e2, area) * (g.at.b.x * inverse_squared) + cross(area, tri.e1) * (g.at.b.y * inverse_squared);
+    Vec3<F> q = area * ((dot(g.p, in.d) + dot(over, in.d)) / cosine) - over;
+    Vec3<F> moved = g.p - q, from_segment = zero;
+    if (any(glued)) from_segment = sweep_segment(in, area, cosine);
+    q = select(glued, g.p + from_segment, q);
+    if (any(wanted)) {
+        Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
+        sweep_vertex(&Tables::positions, tri.i0, q * b0 - e1_bar - e2_bar, wanted, sink);
+        sweep_vertex(&Tables::positions, tri.i1, q * b1 + e1_bar, wanted, sink);
+        sweep_vertex(&Tables::positions, tri.i2, q * b2 + e2_bar, wanted, sink);
+    }
+    auto attached = usable && in.attached;
+    d_bar = select(attached, in.d_bar + moved * in.t, zero);
+    return select(glued, -from_segment, select(attached, moved, zero));
+}
+
+template <class F, class Sink>
+TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, Sink &sink) {
+    IntOf<F> offset = IntOf<F>(shape * 12u + sink.geometry.matrices);
+    for (int i = 0; i < 12; ++i) sink.scalar(offset + i, g[i], active);
+}
+
+// Spheres and disks: p = M local with |local| = 1 or local.z = 0. The normal is M^-T times that of the unit shape.
+template <class F, class S, class Sink>
+TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
+                               const Arrival<F> &in, const HitAdjoint<F> &g, const MaskOf<F> &curved,
+                               const MaskOf<F> &sphere, Vec3<F> &d_bar, Sink &sink) {
+    Vec3<F> zero{F(0), F(0), F(0)};
+    F to_object[12];
+    gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
+    Vec3<F> local = transform_point(to_object, p);
+    local = select(sphere, normalize(local), Vec3<F>{local.x, local.y, F(0)});
+    Vec3<F> up = transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)}));
+    F inverse = F(1) / select(curved, norm(up), F(1));
+    Vec3<F> n = up * inverse;
+    F cosine = dot(n, select(in.attached, in.d, in.D));
+    auto usable = curved && mask<F>(abs(cosine) > F(0));
+    cosine = select(usable, cosine, F(1));
+    auto glued = usable && !in.attached;
+
+    Vec3<F> up_bar = unnormalize(n, g.n, inverse);
+    // attached: the point and with it the normal of a sphere slide
+    Vec3<F> local_bar = select(sphere, transform_vector(to_object, up_bar), zero);
+    // the coordinates are (azimuth, polar angle) or (radius, azimuth), see curved_coordinates
+    F u = g.at.uv.x + g.at.b.x, v = g.at.uv.y + g.at.b.y;
+    F around = local.x * local.x + local.y * local.y;
+    auto apart = usable && mask<F>(around > F(1e-12));
+    F inverse_around = F(1) / select(apart, around, F(1)), inverse_radius = sqrt(inverse_around);
+    F azimuth = select(sphere, u, v) * F(1 / (2 * Pi)) * inverse_around;
+    F radial = select(sphere, F(0), u) * inverse_radius;
+    Vec3<F> by_coordinates{radial * local.x - azimuth * local.y, radial * local.y + azimuth * local.x,
+                           select(sphere, v * F(-1 / Pi) * inverse_radius, F(0))};
+    local_bar = select(apart, local_bar + by_coordinates, local_bar);
+    Vec3<F> over = transform_normal(to_object, local_bar);
+    Vec3<F> q = n * ((dot(g.p, in.d) + dot(over, in.d)) / cosine) - over;
+    Vec3<F> moved = g.p - q, from_segment = zero;
+    if (any(glued)) {
+        from_segment = sweep_segment(in, n, cosine);
+        up_bar = select(glued, up_bar + in.D * (in.jacobian * inverse / cosine), up_bar);
+        q = select(glued, g.p + from_segment, q);
+    }
+    auto wanted = usable && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(usable)) != 0);
+    if (any(wanted)) {
+        Vec3<F> a = transform_vector(to_object, up_bar);
+        const F row[3] = {q.x, q.y, q.z}, column[3] = {local.x, local.y, local.z}, ups[3] = {up.x, up.y, up.z},
+                as[3] = {a.x, a.y, a.z};
+        F determinant = select(glued, in.jacobian, F(0));  // d log det(M) = tr(M^-1 dM)
+        F matrix[12];
+        for (int i = 0; i < 3; ++i) {
+            for (int j = 0; j < 3; ++j)
+                matrix[4 * i + j] = row[i] * column[j] - ups[i] * as[j] + determinant * to_object[4 * j + i];
+            matrix[4 * i + 3] = row[i];
+        }
+        sweep_matrix<F>(at.shape, matrix, wanted, sink);
+    }
+    auto attached = usable && in.attached;
+    d_bar = select(attached, in.d_bar + moved * in.t, zero);
+    return select(glued, -from_segment, select(attached, moved, zero));
+}
+
+// Hands the adjoint of the point p to the surface; returns that of where the ray came from: of its origin and, where
+// attached, of its direction.
+template <class F, class S, class Sink>
+TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                        const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active, Sink &sink) {
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, active);
+    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, at.shape, active);
+    g.n = select(mask<F>((flags & int32_t(FlipNormals)) != 0), -g.n, g.n);
+    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    auto curved = active && !mesh;
+    Vec3<F> zero{F(0), F(0), F(0)};
+    RayAdjoint<F> r{zero, zero}, other = r;
+    if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, flags, mesh, r.d, sink);
+    if (any(curved)) {
+        auto sphere = curved && mask<F>(kind == int32_t(ShapeKind::Sphere));
+        other.o = sweep_curved(scene, at, p, in, g, curved, sphere, other.d, sink);
+        r = {select(mesh, r.o, other.o), select(mesh, r.d, other.d)};
+    }
+    return r;
+}
+
+// The same where only the position of a glued point counts.
+template <class F, class S, class Sink>
+TR_NOINLINE void sweep_position(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                const Vec3<F> &p_bar, const MaskOf<F> &active, Sink &sink) {
+    using Tables = decltype(sink.geometry);
+    auto wanted = active && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(active)) != 0);
+    if (!any(wanted)) return;
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, wanted);
+    auto mesh = wanted && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    if (any(mesh)) {
+        UIntOf<F> face = global_face<F>(scene, at.shape, at.primitive, mesh) * 3u;
+        const F weight[3] = {F(1) - at.b1 - at.b2, at.b1, at.b2};
+        for (uint32_t k = 0; k < 3; ++k)
+            sweep_vertex(&Tables::positions, gather<UIntOf<F>>(scene.faces, face + k, mask<UIntOf<F>>(mesh)),
+                         p_bar * weight[k], mesh, sink);
+    }
+    auto curved = wanted && !mesh;
+    if (any(curved)) {
+        F to_object[12];
+        gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
+        Vec3<F> local = transform_point(to_object, p);
+        const F row[3] = {p_bar.x, p_bar.y, p_bar.z}, column[4] = {local.x, local.y, local.z, F(1)};
+        F matrix[12];
+        for (int i = 0; i < 12; ++i) matrix[i] = row[i / 4] * column[i % 4];
+        sweep_matrix<F>(at.shape, matrix, curved, sink);
+    }
+}
+
+}  // namespace tr

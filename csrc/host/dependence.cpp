@@ -1,0 +1,83 @@
+#include "dependence.h"
+
+#include <algorithm>
+
+#include "../core/registry.h"
+#include "models.h"
+
+namespace tr {
+
+Dependence::Dependence(const SceneLayout &layout, const std::vector<bool> &wanted) : layout_(layout), wanted_(wanted) {
+    for (const ConstantEntry &e : layout.entries)
+        if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
+}
+
+bool Dependence::number(int32_t offset) const {
+    return std::find(offsets_.begin(), offsets_.end(), offset) != offsets_.end();
+}
+
+bool Dependence::any_number(const char *category, size_t index, std::vector<Kind> kinds) const {
+    const Record &record = layout_.records.at(category)[index];
+    const Model &model = model_of(category, record);
+    for (int f = 0; f < model.n_fields; ++f)
+        if (std::find(kinds.begin(), kinds.end(), model.fields[f].kind) != kinds.end() && number(record.field[f]))
+            return true;
+    return false;
+}
+
+bool Dependence::values(const char *category, size_t index) const {
+    if (any_number(category, index, {Kind::Spectrum, Kind::Float, Kind::Point})) return true;
+    const Record &record = layout_.records.at(category)[index];
+    const Model &model = model_of(category, record);
+    for (int f = 0; f < model.n_fields; ++f) {
+        Kind kind = model.fields[f].kind;
+        if (kind == Kind::Texture && values("texture", size_t(record.field[f]))) return true;
+        if (kind == Kind::Tensor && tensor(record.field[f])) return true;
+    }
+    if (std::string("texture") == category && std::string("mesh_attribute") == model.type)
+        for (const AttributeInfo &a : layout_.attributes)
+            if (a.name == record.field[MeshAttribute::Name] && wanted_[size_t(a.tensor)]) return true;
+    return false;
+}
+
+bool Dependence::point_position() const {
+    for (const Record &r : layout_.records.at("emitter"))
+        if (r.kind == int32_t(EmitterKind::Point) && number(r.field[PointEmitter::Position])) return true;
+    return false;
+}
+
+bool Dependence::shape(size_t index) const {
+    if (any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float})) return true;
+    for (const MeshSource &mesh : layout_.meshes)
+        if (mesh.shape == int(index) && (tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords)))
+            return true;
+    return false;
+}
+
+bool Dependence::motion(size_t sensor) const {
+    if (camera(sensor)) return true;
+    for (size_t i = 0; i < layout_.shapes.size(); ++i)
+        if (shape(i)) return true;
+    auto any = [&](const char *category, std::vector<Kind> kinds) {
+        for (size_t i = 0; i < layout_.records.at(category).size(); ++i)
+            if (any_number(category, i, kinds)) return true;
+        return false;
+    };
+    // maps of texture coordinates and factors of attributes; the environment's rotation; indices of refraction
+    return any("texture", {Kind::Transform2, Kind::Float}) || any("emitter", {Kind::Transform}) ||
+           any("bsdf", {Kind::Float});
+}
+
+GeometrySizes Dependence::geometry_sizes() const {
+    GeometrySizes r;
+    size_t n = size_t(layout_.n_vertices);
+    for (const MeshSource &mesh : layout_.meshes) {
+        bool rectangle = mesh.vertices < 0;
+        if (rectangle ? shape(size_t(mesh.shape)) : tensor(mesh.vertices)) r.positions = 3 * n;
+        if (tensor(mesh.normals)) r.normals = 3 * n;
+        if (tensor(mesh.texcoords)) r.texcoords = 2 * n;
+    }
+    return r;
+}
+
+}  // namespace tr

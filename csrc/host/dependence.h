@@ -1,0 +1,39 @@
+// Which parts of a derivative a call needs: what depends on the parameters that are differentiated.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "../core/model.h"
+#include "gradient.h"
+#include "layout.h"
+
+namespace tr {
+
+class Dependence {
+public:
+    // `wanted`: by slot of the flat parameter list
+    Dependence(const SceneLayout &layout, const std::vector<bool> &wanted);
+
+    // A value that an object of this category looks up.
+    bool values(const char *category, size_t index) const;
+    // The position of a point light.
+    bool point_position() const;
+    // Something that moves a camera ray; a shape, its normals or texture coordinates; anything that moves a ray, a hit
+    // or a look-up.
+    bool camera(size_t sensor) const { return any_number("sensor", sensor, {Kind::Float, Kind::Transform}); }
+    bool shape(size_t index) const;
+    bool motion(size_t sensor) const;
+    GeometrySizes geometry_sizes() const;
+
+private:
+    const SceneLayout &layout_;
+    const std::vector<bool> &wanted_;
+    std::vector<int32_t> offsets_;
+
+    bool number(int32_t offset) const;
+    bool tensor(int32_t slot) const { return slot >= 0 && wanted_[size_t(slot)]; }
+    bool any_number(const char *category, size_t index, std::vector<Kind> kinds) const;
+};
+
+}  // namespace tr

@@ -1,0 +1,111 @@
+// Derivatives of geometry on the host: from the scene's tables, which the sweep writes and reads, to the parameters'
+// tensors and back. A rectangle's vertices and a sphere's matrix are functions of its small parameters.
+#include <algorithm>
+
+#include "../core/registry.h"
+#include "scene_data.h"
+
+namespace tr {
+
+template <class S>
+void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const GeometrySizes &sizes,
+                                 GeometryArrays<S> &to) const {
+    const std::vector<Record> &records = layout_.records.at("shape");
+    size_t n_shapes = shapes_.size(), matrices = n_constants();
+    to.constants.resize(matrices + 12 * n_shapes, S(0));
+    to.positions.assign(sizes.positions, S(0));
+    to.normals.assign(sizes.normals, S(0));
+    to.texcoords.assign(sizes.texcoords, S(0));
+    for (const MeshSource &mesh : layout_.meshes) {
+        auto copy = [&](int slot, size_t columns, std::vector<S> &table) {
+            const S *from = slot >= 0 ? tangents[size_t(slot)] : nullptr;
+            if (from && !table.empty())
+                std::copy_n(from, size_t(mesh.n_vertices) * columns, &table[size_t(mesh.first_vertex) * columns]);
+        };
+        copy(mesh.vertices, 3, to.positions);
+        copy(mesh.normals, 3, to.normals);
+        copy(mesh.texcoords, 2, to.texcoords);
+        if (mesh.vertices >= 0 || to.positions.empty()) continue;
+        const S *m = &to.constants[size_t(records[size_t(mesh.shape)].field[PlanarFields::ToWorld])];
+        for (size_t i = 0; i < 4; ++i)
+            for (size_t k = 0; k < 3; ++k)
+                to.positions[(size_t(mesh.first_vertex) + i) * 3 + k] =
+                    S(m[4 * k] * RectangleCorner[i][0] + m[4 * k + 1] * RectangleCorner[i][1] + m[4 * k + 3]);
+    }
+    for (size_t i = 0; i < n_shapes; ++i) {
+        const int32_t *field = records[i].field;
+        if (shapes_[i].kind == int32_t(ShapeKind::Mesh)) continue;
+        const S *moved = &to.constants[size_t(field[0])];
+        S *matrix = &to.constants[matrices + 12 * i];
+        std::copy_n(moved, 12, matrix);
+        if (shapes_[i].kind != int32_t(ShapeKind::Sphere)) continue;
+        // to_world * translate(center) * scale(radius)
+        const S *now = &constants_[size_t(field[SphereModel::ToWorld])];
+        const S *center = &constants_[size_t(field[SphereModel::Center])];
+        const S *center_moved = &to.constants[size_t(field[SphereModel::Center])];
+        S radius = constants_[size_t(field[SphereModel::Radius])];
+        S radius_moved = to.constants[size_t(field[SphereModel::Radius])];
+        for (int r = 0; r < 3; ++r)
+            for (int c = 0; c < 3; ++c) {
+                matrix[4 * r + c] = moved[4 * r + c] * radius + now[4 * r + c] * radius_moved;
+                matrix[4 * r + 3] += moved[4 * r + c] * center[c] + now[4 * r + c] * center_moved[c];
+            }
+    }
+}
+
+template <class S>
+void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &gradients) const {
+    const std::vector<Record> &records = layout_.records.at("shape");
+    for (const MeshSource &mesh : layout_.meshes) {
+        auto add = [&](int slot, size_t columns, const std::vector<double> &table) {
+            S *to = slot >= 0 ? gradients[size_t(slot)] : nullptr;
+            if (!to || table.empty()) return;
+            const double *from = &table[size_t(mesh.first_vertex) * columns];
+            for (size_t i = 0; i < size_t(mesh.n_vertices) * columns; ++i) to[i] += S(from[i]);
+        };
+        add(mesh.vertices, 3, sums.positions);
+        add(mesh.normals, 3, sums.normals);
+        add(mesh.texcoords, 2, sums.texcoords);
+        if (mesh.vertices >= 0 || sums.positions.empty()) continue;
+        double *m = &sums.constants[size_t(records[size_t(mesh.shape)].field[PlanarFields::ToWorld])];
+        for (size_t i = 0; i < 4; ++i)
+            for (size_t k = 0; k < 3; ++k) {
+                double g = sums.positions[(size_t(mesh.first_vertex) + i) * 3 + k];
+                m[4 * k] += g * RectangleCorner[i][0];
+                m[4 * k + 1] += g * RectangleCorner[i][1];
+                m[4 * k + 3] += g;
+            }
+    }
+    for (size_t i = 0; i < shapes_.size(); ++i) {
+        const int32_t *field = records[i].field;
+        if (shapes_[i].kind == int32_t(ShapeKind::Mesh)) continue;
+        const double *matrix = &sums.constants[n_constants() + 12 * i];
+        double *m = &sums.constants[size_t(field[0])];
+        if (shapes_[i].kind != int32_t(ShapeKind::Sphere)) {
+            for (int k = 0; k < 12; ++k) m[k] += matrix[k];
+            continue;
+        }
+        const S *now = &constants_[size_t(field[SphereModel::ToWorld])];
+        const S *center = &constants_[size_t(field[SphereModel::Center])];
+        double radius = double(constants_[size_t(field[SphereModel::Radius])]);
+        for (int r = 0; r < 3; ++r) {
+            double move = matrix[4 * r + 3];
+            m[4 * r + 3] += move;
+            for (int c = 0; c < 3; ++c) {
+                double g = matrix[4 * r + c];
+                m[4 * r + c] += g * radius + move * double(center[c]);
+                sums.constants[size_t(field[SphereModel::Center] + c)] += move * double(now[4 * r + c]);
+                sums.constants[size_t(field[SphereModel::Radius])] += g * double(now[4 * r + c]);
+            }
+        }
+    }
+}
+
+template void SceneData<float>::fill_geometry(const std::vector<const float *> &, const GeometrySizes &,
+                                              GeometryArrays<float> &) const;
+template void SceneData<double>::fill_geometry(const std::vector<const double *> &, const GeometrySizes &,
+                                               GeometryArrays<double> &) const;
+template void SceneData<float>::spread_geometry(GradientSums &, const std::vector<float *> &) const;
+template void SceneData<double>::spread_geometry(GradientSums &, const std::vector<double *> &) const;
+
+}  // namespace tr
