@@ -11,7 +11,7 @@ from typing import Any
 from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
-from .errors import NotDifferentiableError, RenderError
+from .errors import MissingTermWarning, NotDifferentiableError, RenderError
 from .integrators import DirectIllumination, Integrator, PathTracer
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
@@ -25,8 +25,11 @@ from .scene.mesh import Cube, Mesh
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
 from .transform import Transform
+from .versions import count_fused_steps
 
 __version__ = "0.1.0"
+
+count_fused_steps()
 
 __all__ = [
     "Bitmap",
@@ -41,6 +44,7 @@ __all__ = [
     "Integrator",
     "Mesh",
     "MeshAttribute",
+    "MissingTermWarning",
     "NotDifferentiableError",
     "PathTracer",
     "PerspectiveCamera",
@@ -67,7 +71,7 @@ __all__ = [
 ]
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "io", "optim", "testing")
+_LAZY_MODULES = ("constraints", "io", "optim", "rotation", "testing")
 _LAZY_NAMES = {"tonemap": "image", "show": "image", "ray_intersect": "queries", "ray_occluded": "queries"}
 
 

@@ -14,9 +14,14 @@ import torch
 from torch.autograd import Function
 
 from .errors import NotDifferentiableError, RenderError
+from .scene.derivatives import Wanted
 from .scene.native import NativeScene
 
 MASK = (1 << 64) - 1
+BATCHED = (
+    "vmap does not reach into a rendering: loop over the inputs (jacfwd and jacrev do so with chunk_size=1, "
+    "torch.autograd.functional.jacobian with vectorize=False); several cameras are one call, sensor=[...]"
+)
 SECOND = "a rendering has first derivatives only: differentiating its gradient again is not possible"
 
 
@@ -43,7 +48,7 @@ class RenderCall:
     nan: str
     alpha: bool
     statistics: dict[str, Any]
-    refusals: list[tuple[str, str]]  # name of each parameter, and why it has no derivative
+    wanted: Wanted  # what is said about derivatives that are asked for
 
     def configs(self, derivative: bool) -> list[dict[str, Any]]:
         """The core's settings of each pass."""
@@ -53,6 +58,13 @@ class RenderCall:
             {**self.config, "spp": spp, "seed": seed if i == 0 else mix(seed, i), "threads": threads}
             for i in range(self.passes)
         ]
+
+    def check_indices(self) -> None:
+        """Faces that were edited since the image was rendered, which torch does not notice: they have no gradient."""
+        if self.native.index_key != self.native.layout.index_key():
+            raise RuntimeError(
+                "the faces of a mesh have been modified by an inplace operation between rendering and backward()"
+            )
 
     def finish(self, kind: str, all_stats: list[dict[str, Any]]) -> None:
         """Keep the statistics; speak once of samples that were not finite."""
@@ -132,11 +144,13 @@ class RenderFunction(Function):
     def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
         call = ctx.call
         params = ctx.saved_tensors
-        for given, (name, reason) in zip(tangents, call.refusals, strict=True):
-            if given is not None and reason:
-                refuse(name, reason)
+        call.wanted.check(i for i, given in enumerate(tangents) if given is not None)
         tangent = RenderJvpFunction.apply(call, *params, *tangents)
         return (tangent, None) if call.alpha else tangent
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(BATCHED)
 
 
 class _Derivative(Function):
@@ -153,6 +167,10 @@ class _Derivative(Function):
     @staticmethod
     def jvp(ctx: Any, *tangents: Any) -> Any:
         raise NotDifferentiableError(SECOND)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(BATCHED)
 
 
 class RenderJvpFunction(_Derivative):
@@ -187,6 +205,8 @@ class RenderVjpFunction(_Derivative):
 
     @staticmethod
     def forward(call: RenderCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *params: torch.Tensor) -> Any:
+        _refuse_batches(adjoint)
+        call.check_indices()
         adjoint = adjoint.detach().to(dtype=call.native.dtype).contiguous()
         if call.passes > 1:
             adjoint = adjoint / call.passes
@@ -199,12 +219,11 @@ class RenderVjpFunction(_Derivative):
         return tuple(grads)
 
 
-def refuse(name: str, reason: str) -> None:
-    """NotDifferentiableError for a parameter of this name."""
-    raise NotDifferentiableError(
-        f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
-        "switch its requires_grad off"
-    )
+def _refuse_batches(tensor: torch.Tensor) -> None:
+    """``is_grads_batched`` and ``vectorize=True`` use a vmap that asks no `Function` whether it has a rule."""
+    is_batched = getattr(torch._C._functorch, "is_legacy_batchedtensor", None)
+    if is_batched is not None and is_batched(tensor):
+        raise NotDifferentiableError(BATCHED)
 
 
 class _Reattach(Function):

@@ -13,6 +13,13 @@ class NotDifferentiableError(RuntimeError):
     """
 
 
+class MissingTermWarning(UserWarning):
+    """A derivative was asked for that the renderer has in part only; the message says which term is missing.
+
+    Given once for each parameter of each scene.
+    """
+
+
 class RenderError(RuntimeError):
     """A rendering failed: non-finite samples with ``nan="raise"``, or a broken native library."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
@@ -10,12 +11,14 @@ from typing import Any
 import torch
 from torch import nn
 
-from .autograd import MASK, RenderCall, RenderFunction, mix, refuse
+from .autograd import MASK, RenderCall, RenderFunction, mix
+from .compiling import opaque
 from .errors import describe, nearest
 from .integrators import Integrator, PathTracer
 from .progress import progress
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
+from .scene.derivatives import Wanted
 from .scene.film import Film, check_crop
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
@@ -29,6 +32,7 @@ LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
 GRADIENT_STREAM = 0x67726164
 
 
+@opaque
 def render(
     scene: Scene,
     *,
@@ -114,7 +118,7 @@ def render(
             nan=nan,
             alpha="alpha" in names,
             statistics=scene.statistics,
-            refusals=packed.refusals(),
+            wanted=Wanted(packed, scene.warned),
         )
         _check_derivatives(call, used)
         result = RenderFunction.apply(call, *used)
@@ -272,11 +276,8 @@ def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tupl
 
 
 def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:
-    if not torch.is_grad_enabled():
-        return
-    for tensor, (name, reason) in zip(tensors, call.refusals, strict=True):
-        if reason and tensor.requires_grad:
-            refuse(name, reason)
+    if torch.is_grad_enabled():
+        call.wanted.check(i for i, tensor in enumerate(tensors) if tensor.requires_grad)
 
 
 class Renderer(nn.Module):
@@ -291,7 +292,7 @@ class Renderer(nn.Module):
         super().__init__()
         if not isinstance(scene, Scene):
             raise TypeError(f"Renderer: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
-        accepted = tuple(k for k in render.__kwdefaults__ if k != "params")
+        accepted = [k for k in inspect.signature(render).parameters if k not in ("scene", "params")]
         for name in settings:
             if name not in accepted:
                 raise TypeError(f"Renderer: unknown argument {name!r}; {nearest(name, accepted)}")

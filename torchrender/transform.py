@@ -35,8 +35,7 @@ class _Chainable:
 
 
 def _vector(value: Any, name: str, broadcast: bool = False) -> torch.Tensor:
-    tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(value, dtype=torch.float64)
-    tensor = tensor.to(torch.float64)
+    tensor = torch.as_tensor(_plain(value), dtype=torch.float64)
     if broadcast and tensor.ndim == 0:
         tensor = tensor.expand(3)
     if tensor.shape != (3,):
@@ -104,7 +103,7 @@ class Transform:
         """Rotation about `axis` (3,), any length, by `angle` degrees, counter-clockwise seen from the axis' tip."""
         axis = _vector(axis, "Transform.rotate: axis")
         length = torch.linalg.vector_norm(axis)
-        if not float(length) > 0:
+        if not float(length.detach()) > 0:
             raise ValueError("Transform.rotate: the axis has no length")
         x, y, z = axis / length
         radians = torch.as_tensor(angle, dtype=torch.float64) * (math.pi / 180)
@@ -122,11 +121,11 @@ class Transform:
         target = _vector(target, "Transform.look_at: target")
         up = _vector(up, "Transform.look_at: up")
         forward = target - origin
-        if not float(torch.linalg.vector_norm(forward)) > 0:
+        if not float(torch.linalg.vector_norm(forward.detach())) > 0:
             raise ValueError("Transform.look_at: origin and target are the same point")
         forward = forward / torch.linalg.vector_norm(forward)
         left = torch.linalg.cross(up, forward)
-        if not float(torch.linalg.vector_norm(left)) > 1e-12:
+        if not float(torch.linalg.vector_norm(left.detach())) > 1e-12:
             raise ValueError("Transform.look_at: up is parallel to the viewing direction")
         left = left / torch.linalg.vector_norm(left)
         return _homogeneous(torch.stack([left, torch.linalg.cross(forward, left), forward], dim=1), origin)
@@ -166,8 +165,13 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
 
 
 def _plain(value: Any) -> Any:
+    if isinstance(value, torch.Tensor):
+        return value
     if isinstance(value, Sequence) and not isinstance(value, str):
-        return [_plain(v) for v in value]
+        parts = [_plain(v) for v in value]
+        if any(isinstance(p, torch.Tensor) for p in parts):  # numbers among which some may carry gradients
+            return torch.stack([torch.as_tensor(p, dtype=torch.float64) for p in parts])
+        return parts
     if hasattr(value, "__array__"):
         import numpy
 

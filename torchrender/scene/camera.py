@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -21,7 +22,7 @@ FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 FRAME_DIAGONAL = math.hypot(36.0, 24.0)
 
 
-def x_fov_of(fov: float, axis: str, aspect: float) -> float:
+def x_fov_of(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
     """Horizontal field of view in degrees from one along another `axis`; `aspect` is width / height."""
     if axis == "smaller":
         axis = "y" if aspect > 1 else "x"
@@ -29,9 +30,9 @@ def x_fov_of(fov: float, axis: str, aspect: float) -> float:
         axis = "x" if aspect > 1 else "y"
     if axis == "x":
         return fov
-    half = math.tan(math.radians(fov) / 2)
-    half *= aspect if axis == "y" else aspect / math.hypot(1.0, aspect)
-    return math.degrees(2 * math.atan(half))
+    half = torch.tan(torch.deg2rad(fov) / 2)
+    half = half * (aspect if axis == "y" else aspect / math.hypot(1.0, aspect))
+    return torch.rad2deg(2 * torch.atan(half))
 
 
 @register
@@ -89,15 +90,15 @@ class PerspectiveCamera(Plugin):
             _angle(properties["x_fov"], ctx.at("x_fov"))
         else:
             millimetres = _millimetres(properties.pop("focal_length", "50mm"), ctx.at("focal_length"))
-            diagonal = math.degrees(2 * math.atan(FRAME_DIAGONAL / (2 * millimetres)))
+            diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
             properties["x_fov"] = x_fov_of(diagonal, "diagonal", aspect)
         if "to_world" in properties:
             matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
             gram = matrix[:3, :3].T @ matrix[:3, :3]
             if float((gram - torch.eye(3, dtype=torch.float64)).abs().max()) > 1e-3:
                 ctx.at("to_world").error("a camera's matrix may turn and move, but not scale or shear")
-        near = float(values.number(properties.get("near_clip", 1e-2), ctx.at("near_clip")))
-        far = float(values.number(properties.get("far_clip", 1e4), ctx.at("far_clip")))
+        near = _plain_number(properties.get("near_clip", 1e-2), ctx.at("near_clip"))
+        far = _plain_number(properties.get("far_clip", 1e4), ctx.at("far_clip"))
         if not 0 < near < far:
             ctx.error(f"perspective: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
         return properties
@@ -149,19 +150,20 @@ class PerspectiveCamera(Plugin):
         """A camera in OpenCV's convention: x_camera = R x_world + t, looking along +z with +y down.
 
         Args:
-            K: (3, 3) intrinsics in pixels; square pixels and no skew are required. Pixel centres lie at +0.5.
+            K: (3, 3) intrinsics in pixels, without skew. Pixel centres lie at +0.5.
             R: (3, 3) rotation, world to camera.
             t: (3,) translation.
             size: of the film (H, W).
+
+        Tensors keep their graph: gradients of an image reach K, R and t.
         """
         ctx = Context(path=("PerspectiveCamera", "from_opencv"))
         height, width = _size(size, ctx)
         intrinsics = as_matrix(K, 3, "PerspectiveCamera.from_opencv: K")
         rotation = as_matrix(R, 3, "PerspectiveCamera.from_opencv: R")
         offset = values.vector(t, ctx.at("t")).double()
-        fx, fy, skew = intrinsics[0, 0], intrinsics[1, 1], intrinsics[0, 1]
-        if not (float(fx) > 0 and abs(float(fx - fy)) <= 1e-3 * float(fx) and abs(float(skew)) <= 1e-3 * float(fx)):
-            ctx.at("K").error(f"needs fx = fy > 0 and no skew, got fx={fx:.6g}, fy={fy:.6g}, skew={skew:.6g}")
+        fx, fy = intrinsics[0, 0], intrinsics[1, 1]
+        _check_intrinsics(intrinsics.detach(), "pixel_aspect" in cls.fields(), ctx.at("K"))
         # Our +x is left and +y up: both are turned around with respect to OpenCV's.
         flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
         to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
@@ -171,6 +173,7 @@ class PerspectiveCamera(Plugin):
             principal_point_offset_x=0.5 - intrinsics[0, 2] / width,
             principal_point_offset_y=0.5 - intrinsics[1, 2] / height,
             film=_film((height, width), filter),
+            **({"pixel_aspect": fx / fy} if "pixel_aspect" in cls.fields() else {}),
             **properties,
         )
         return made
@@ -205,6 +208,32 @@ class PerspectiveCamera(Plugin):
         film = _film((height, width), filter)
         return cls(to_world=matrix @ flip, fov=fov, fov_axis=fov_axis, film=film, **properties)
 
+    # ------------------------------------------------------------------------------------------- and back again
+    @property
+    def K(self) -> torch.Tensor:
+        """Intrinsics (3, 3) in pixels of the whole film, as `from_opencv` takes them; attached to the parameters."""
+        half = torch.tan(torch.deg2rad(self.x_fov) / 2)
+        fx = self.film.width / (2 * half)
+        cx = (0.5 - self.principal_point_offset_x) * self.film.width
+        cy = (0.5 - self.principal_point_offset_y) * self.film.height
+        zero, one = torch.zeros_like(fx), torch.ones_like(fx)
+        fy = fx / self.pixel_aspect if "pixel_aspect" in self.fields() else fx
+        return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
+
+    @property
+    def world_to_camera(self) -> torch.Tensor:
+        """(4, 4), the rows [R | t] and 0 0 0 1 of OpenCV's convention (+y down, +z forward); attached to `to_world`."""
+        flip = torch.diag(self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0]))
+        return flip @ torch.linalg.inv(self.to_world)
+
+
+def _check_intrinsics(K: torch.Tensor, oblong: bool, ctx: Context) -> None:
+    fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
+    if not oblong and not abs(fx - fy) <= 1e-3 * fx:
+        ctx.error(f"needs square pixels, got fx={fx:.6g}, fy={fy:.6g}")
+    if not (fx > 0 and fy > 0 and abs(skew) <= 1e-3 * fx):
+        ctx.error(f"needs fx > 0, fy > 0 and no skew, got fx={fx:.6g}, fy={fy:.6g}, skew={skew:.6g}")
+
 
 def _rigid(linear: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
     top = torch.cat([linear, offset[:, None]], dim=1)
@@ -224,22 +253,30 @@ def _film(size: Any, filter: str | ReconstructionFilter) -> Film:
     return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
 
 
-def _angle(value: Any, ctx: Context) -> float:
-    angle = float(values.number(value, ctx))
-    if not 0 < angle < 180:
-        ctx.error(f"expected an angle between 0 and 180 degrees, got {angle:g}")
+def _double(value: Any, ctx: Context) -> torch.Tensor:
+    """A number in float64, rounded to the scene's precision only at the end, with its gradient."""
+    return values.number(value, replace(ctx, dtype=torch.float64))
+
+
+def _plain_number(value: Any, ctx: Context) -> float:
+    return float(_double(value, ctx).detach())
+
+
+def _angle(value: Any, ctx: Context) -> torch.Tensor:
+    angle = _double(value, ctx)
+    if not 0 < float(angle.detach()) < 180:
+        ctx.error(f"expected an angle between 0 and 180 degrees, got {float(angle.detach()):g}")
     return angle
 
 
-def _millimetres(value: Any, ctx: Context) -> float:
+def _millimetres(value: Any, ctx: Context) -> torch.Tensor:
     if isinstance(value, str):
         text = value.strip()
         try:
-            length = float(text[:-2] if text.endswith("mm") else text)
+            value = float(text[:-2] if text.endswith("mm") else text)
         except ValueError:
             ctx.error(f"expected a length like '50mm', got {value!r}")
-    else:
-        length = float(values.number(value, ctx))
-    if not 0 < length < float("inf"):
-        ctx.error(f"expected a positive length, got {length:g}")
+    length = _double(value, ctx)
+    if not 0 < float(length.detach()) < float("inf"):
+        ctx.error(f"expected a positive length, got {float(length.detach()):g}")
     return length

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import torch
+from torch import nn
+from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
 from .packing import Layout
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
 def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None) -> list[torch.Tensor]:
     """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name."""
+    if scene.dtype not in (torch.float32, torch.float64):
+        raise TypeError(f"render: scene: float32 and float64 are rendered, but it is {scene.dtype}: use scene.float()")
     replaced: dict[int, torch.Tensor] = {}
     if params:
         if not isinstance(params, Mapping):
@@ -32,6 +36,8 @@ def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | No
             if not tensor.is_floating_point():
                 raise TypeError(f"render: params: {name}: expected floating-point numbers, got {describe(tensor)}")
             layout.slots[index].check_shape(tensor, scene.channels, f"render: params: {name}")
+            if index in replaced:
+                raise ValueError(f"render: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
             replaced[index] = tensor
     tensors = []
     for i, slot in enumerate(layout.slots):
@@ -41,11 +47,24 @@ def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | No
         normals = layout.slot_of.get((id(mesh), "vertex_normals"))
         if normals is None or normals in replaced:
             continue
-        if positions in replaced:
-            tensors[normals] = _dense(scene, "normals", mesh.normals_from_positions(tensors[positions]))
-        else:
+        own = mesh._parameters.get("vertex_positions") if positions not in replaced else None
+        if isinstance(own, nn.Parameter) and not has_derivative(own):
             mesh.refresh_normals()
+            continue
+        computed = mesh.normals_from_positions(tensors[positions])
+        if isinstance(own, nn.Parameter):
+            mesh.refresh_normals(computed)
+        if has_derivative(tensors[normals]):  # asked for by itself: a change on top of what follows from the positions
+            computed = computed + (tensors[normals] - tensors[normals].detach())
+        tensors[normals] = _dense(scene, "normals", computed)
     return tensors
+
+
+def has_derivative(tensor: torch.Tensor) -> bool:
+    """Whether a derivative with respect to `tensor` is recorded: reverse mode, or a tangent of forward mode."""
+    if tensor.requires_grad and torch.is_grad_enabled():
+        return True
+    return forward_ad._current_level >= 0 and forward_ad.unpack_dual(tensor).tangent is not None
 
 
 def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin) -> list[torch.Tensor]:
@@ -58,7 +77,8 @@ def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera
 
 def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
     if tensor.device.type != "cpu":
-        raise ValueError(f"{name}: lies on {tensor.device}; this version renders on the CPU")
+        where = "" if tensor.device == scene.device else f", but the scene on {scene.device}"
+        raise ValueError(f"{name}: lies on {tensor.device}{where}; this version renders on the CPU: use .to('cpu')")
     if tensor.dtype != scene.dtype:
         tensor = tensor.to(scene.dtype)
     return tensor if tensor.is_contiguous() else tensor.contiguous()

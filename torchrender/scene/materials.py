@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
+
+import torch
 
 from ..errors import nearest
 from . import values
@@ -49,16 +52,16 @@ METALS = {
 }
 
 
-def refractive_index(value: Any, ctx: Context) -> float:
-    """An index of refraction given as a number or as the name of a material."""
+def refractive_index(value: Any, ctx: Context) -> torch.Tensor:
+    """An index of refraction, in float64, given as a number or as the name of a material; keeps its gradient."""
     if isinstance(value, str):
         name = value.strip().lower().replace("_", " ")
         if name not in REFRACTIVE_INDICES:
             ctx.error(f"unknown material {value!r}; {nearest(name, REFRACTIVE_INDICES)}")
-        return REFRACTIVE_INDICES[name]
-    index = float(values.number(value, ctx))
-    if not 0 < index < float("inf"):
-        ctx.error(f"an index of refraction is positive, got {index:g}")
+        value = REFRACTIVE_INDICES[name]
+    index = values.number(value, replace(ctx, dtype=torch.float64))
+    if not 0 < float(index.detach()) < float("inf"):
+        ctx.error(f"an index of refraction is positive, got {float(index.detach()):g}")
     return index
 
 

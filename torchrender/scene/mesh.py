@@ -154,15 +154,15 @@ class Mesh(Shape):
         """Vertex normals (V, 3) of the mesh with other `positions`, weighted by the angles at each corner."""
         return vertex_normals(positions, self.faces)
 
-    def refresh_normals(self) -> None:
-        """Bring computed normals up to date after an edit of the positions."""
+    def refresh_normals(self, computed: torch.Tensor | None = None) -> None:
+        """Bring computed normals up to date after an edit of the positions; `computed` are they, if known already."""
         positions, normals = self.vertex_positions, self.vertex_normals
         stamp = (positions.data_ptr(), -1 if positions.is_inference() else positions._version, positions.dtype)
         if self.__dict__.get("_normals_stamp") == stamp and stamp[1] >= 0:
             return
         if self.__dict__.get("_normals_stamp") is not None:
             with torch.no_grad():
-                normals.copy_(self.normals_from_positions(positions))
+                normals.copy_(self.normals_from_positions(positions) if computed is None else computed)
         self.__dict__["_normals_stamp"] = stamp
 
     def bounds(self) -> torch.Tensor:

@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 from .declaration import TENSOR_KINDS, models
+from .derivatives import COMPLETE, Limits
 from .mesh import Mesh
 from .plugin import Plugin
 
@@ -30,6 +31,7 @@ class Slot:
     name: str
     kind: str
     refusal: str = ""  # why there is no derivative, or empty
+    caveat: str = ""  # the term that the derivative lacks, and when it is zero, or empty
 
     def tensor(self) -> torch.Tensor:
         found = self.module._parameters.get(self.attribute)
@@ -70,10 +72,6 @@ class Layout:
         """Tells whether the index arrays are still those that a native scene was built with."""
         return [(t.data_ptr(), t.shape[0], 0 if t.is_inference() else t._version) for t in self.index_tensors]
 
-    def refusals(self) -> list[tuple[str, str]]:
-        """For each slot its name and why it has no derivative, or an empty string."""
-        return [(slot.name, slot.refusal) for slot in self.slots]
-
     def camera_slots(self, camera: Plugin) -> dict[str, int]:
         """Slots of the fields of `camera`, which is among the packed sensors."""
         return {a: i for (m, a), i in self.slot_of.items() if m == id(camera)}
@@ -85,29 +83,30 @@ class _Packer:
         self.index: dict[int, int] = {}  # id of a module -> its row
         self.attribute_names: dict[str, int] = {}
 
-    def slot(self, module: nn.Module, attribute: str, name: str, kind: str, refusal: str) -> int:
+    def slot(self, module: nn.Module, attribute: str, name: str, kind: str, limits: Limits) -> int:
         key = (id(module), attribute)
         found = self.layout.slot_of.get(key)
         if found is None:
             found = len(self.layout.slots)
-            self.layout.slots.append(Slot(module, attribute, name, kind, refusal))
+            self.layout.slots.append(Slot(module, attribute, name, kind, limits.refusal, limits.caveat))
             self.layout.slot_of[key] = found
-        elif refusal and not self.layout.slots[found].refusal:
-            self.layout.slots[found].refusal = refusal
+        else:  # used in several places: each of them limits what there is
+            slot = self.layout.slots[found]
+            slot.refusal, slot.caveat = slot.refusal or limits.refusal, slot.caveat or limits.caveat
         self.layout.by_name.setdefault(name, found)
         return found
 
     def attribute_id(self, name: str) -> int:
         return self.attribute_names.setdefault(name, len(self.attribute_names))
 
-    def add(self, plugin: Plugin, name: str, refusal: str = "") -> int:
+    def add(self, plugin: Plugin, name: str, limits: Limits = COMPLETE) -> int:
         """Row of `plugin` in its category's table; objects that are used twice are packed once."""
         # A light belongs to its shape natively, so one that several shapes share becomes a row for each.
         shared = plugin.category != "emitter"
         if shared and id(plugin) in self.index:
-            self.alias(plugin, name, refusal)
+            self.alias(plugin, name, limits)
             return self.index[id(plugin)]
-        numbers = [self._number(plugin, n, f, f"{name}.{n}", refusal) for n, f in plugin.fields().items()]
+        numbers = [self._number(plugin, n, f, f"{name}.{n}", limits) for n, f in plugin.fields().items()]
         rows = self.layout.objects[plugin.category]
         row = len(rows)
         rows.append((plugin.model().type, numbers, name))
@@ -116,21 +115,21 @@ class _Packer:
             self._mesh(plugin, name, row)
         return row
 
-    def alias(self, plugin: Plugin, name: str, refusal: str) -> None:
+    def alias(self, plugin: Plugin, name: str, limits: Limits) -> None:
         """Further names of parameters that are already packed."""
         for field_name, declared in plugin.fields().items():
-            reason = refusal or _refusal(declared.derivative)
+            own = limits.also(declared.derivative)
             if plugin._leaf(declared):
                 if (id(plugin), field_name) in self.layout.slot_of:
-                    self.slot(plugin, field_name, f"{name}.{field_name}", declared.kind, reason)
+                    self.slot(plugin, field_name, f"{name}.{field_name}", declared.kind, own)
             else:
                 child = plugin._modules.get(field_name)
                 if isinstance(child, Plugin):
-                    self.alias(child, f"{name}.{field_name}", reason if declared.kind != "bsdf" else refusal)
+                    self.alias(child, f"{name}.{field_name}", own if declared.kind != "bsdf" else limits)
 
-    def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, refusal: str) -> int:
+    def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, limits: Limits) -> int:
         kind = declared.kind
-        reason = refusal or _refusal(declared.derivative)
+        own = limits.also(declared.derivative)
         if kind == "int":
             if plugin.type == "mesh_attribute" and field_name == "name":
                 return self.attribute_id(plugin.__dict__["name"])
@@ -143,13 +142,13 @@ class _Packer:
                 return -1
             if plugin._parameters.get(field_name) is None and getattr(plugin, field_name, None) is None:
                 return -1
-            return self.slot(plugin, field_name, name, kind, reason)
+            return self.slot(plugin, field_name, name, kind, own)
         child = plugin._modules.get(field_name)
         if child is None:
             return -1
         if kind == "spectrum":
-            return self.slot(child, "value", f"{name}.value", kind, reason)
-        return self.add(child, name, reason if kind == "texture" else refusal)
+            return self.slot(child, "value", f"{name}.value", kind, own)
+        return self.add(child, name, own if kind == "texture" else limits)
 
     def _mesh(self, mesh: Mesh, name: str, row: int) -> None:
         if mesh.computed_normals and not mesh.face_normals:
@@ -162,20 +161,13 @@ class _Packer:
                 if f.kind == "shape":
                     numbers.append(row)
                 elif f.kind == "tensor":
-                    reason = _refusal(data.derivative)
-                    numbers.append(self.slot(mesh, attribute, f"{name}.{attribute}", "tensor", reason))
+                    own = COMPLETE.also(data.derivative)
+                    numbers.append(self.slot(mesh, attribute, f"{name}.{attribute}", "tensor", own))
                 elif f.name == "per_face":
                     numbers.append(int(attribute.startswith("face_")))
                 else:
                     numbers.append(self.attribute_id(attribute))
             self.layout.objects["attribute"].append(("attribute", numbers, f"{name}.{attribute}"))
-
-
-def _refusal(derivative: str) -> str:
-    """Why a field of this kind of derivative is refused, or empty."""
-    if not derivative.startswith("none"):
-        return ""
-    return derivative.partition(":")[2].strip() or "its derivative is not implemented"
 
 
 # Objects that others refer to come first, so that a parameter goes by the id of the object that owns it.
@@ -200,7 +192,7 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
         if plugin.category == "sensor":
             packer.layout.sensors.append(plugin)
     for name, plugin in lights:
-        packer.alias(plugin, name, "")
+        packer.alias(plugin, name, COMPLETE)
     packer.add(free_camera, "camera")
     layout = packer.layout
     layout.sensors.append(free_camera)

@@ -330,6 +330,12 @@ class Plugin(nn.Module):
             if recolor and name in ("value", "data") and data.ndim in (1, 3) and data.shape[-1] == 3:
                 data = values.luminance(data)
             parameter.data = data.to(dtype=ctx.dtype, device=ctx.device).contiguous()
+        for name in self.fields():
+            tensor = self.__dict__.get(name)
+            if isinstance(tensor, torch.Tensor):  # part of a graph, which this extends
+                if recolor and name in ("value", "data") and tensor.ndim in (1, 3) and tensor.shape[-1] == 3:
+                    tensor = values.luminance(tensor)
+                self.__dict__[name] = tensor.to(dtype=ctx.dtype, device=ctx.device)
         self.__dict__["_color"] = ctx.color
         for child in self._modules.values():
             if child is not None:

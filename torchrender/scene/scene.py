@@ -49,6 +49,7 @@ class Scene(nn.Module):
         self._epoch = -1
         self._layout: Layout | None = None
         self.statistics: dict[str, Any] = {}
+        self.warned: set[str] = set()  # parameters whose incomplete derivative was warned about
         ctx = self._context(folder)
         self.__dict__["_free_camera"] = PerspectiveCamera(film=Film(1, 1), _context=ctx.at("camera"))
         for name, value in objects.items():
@@ -234,12 +235,35 @@ class Scene(nn.Module):
             raise AttributeError(f"the scene has no object {name!r}; {nearest(name, modules)}") from None
 
     # ------------------------------------------------------------------------------------------------ parameters
+    def named_modules(self, memo: set | None = None, prefix: str = "", remove_duplicate: bool = True) -> Any:
+        """All modules with their dotted names; an object that others use comes once, under its own id, in any case.
+
+        With ``remove_duplicate=False`` torch would list it under every name, and `torch.func.functional_call`, which
+        takes its names from there, would then leave its substitutes in the scene when it returns.
+        """
+        return super().named_modules(memo if remove_duplicate else None, prefix, True)
+
+    def _by_every_name(self) -> dict[str, nn.Parameter]:
+        """Parameters by each of their names: those of a material also below the shapes that use it."""
+        found: dict[str, nn.Parameter] = {}
+
+        def walk(module: nn.Module, prefix: str) -> None:
+            for name, parameter in module._parameters.items():
+                if parameter is not None:
+                    found[prefix + name] = parameter
+            for name, child in module._modules.items():
+                if child is not None:
+                    walk(child, f"{prefix}{name}.")
+
+        walk(self, "")
+        return found
+
     def get_parameter(self, target: str) -> nn.Parameter:
         """The parameter of this dotted name; AttributeError names the nearest ones."""
         try:
             return super().get_parameter(target)
         except AttributeError:
-            known = [name for name, _ in self.named_parameters(remove_duplicate=False)]
+            known = list(self._by_every_name())
             raise AttributeError(f"the scene has no parameter {target!r}; {nearest(target, known)}") from None
 
     def train_only(self, *patterns: str) -> list[nn.Parameter]:
@@ -254,7 +278,7 @@ class Scene(nn.Module):
         """
         if len(patterns) == 1 and not isinstance(patterns[0], str):
             patterns = tuple(patterns[0])
-        names: dict[str, nn.Parameter] = dict(self.named_parameters(remove_duplicate=False))
+        names: dict[str, nn.Parameter] = self._by_every_name()
         layout = self.layout()
         refusals = {n: layout.slots[i].refusal for n, i in layout.by_name.items()}
         chosen: dict[int, nn.Parameter] = {}

@@ -100,7 +100,7 @@ class Sphere(Shape):
     type = "sphere"
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        if "radius" in properties and not float(values.number(properties["radius"], ctx.at("radius"))) > 0:
+        if "radius" in properties and not float(values.number(properties["radius"], ctx.at("radius")).detach()) > 0:
             ctx.at("radius").error(f"expected a positive number, got {describe(properties['radius'])}")
         return properties
 

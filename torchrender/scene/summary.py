@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from .derivatives import describe_derivative
 from .packing import pack, top_level
 
 if TYPE_CHECKING:
@@ -27,7 +28,7 @@ def summarise(scene: Scene) -> str:
             continue
         tensor = slot.tensor().detach()
         shape = "x".join(str(n) for n in tensor.shape) or "number"
-        derivative = "no derivative" if slot.refusal else "forward, reverse"
+        derivative = describe_derivative(slot.refusal, slot.caveat)
         if slot.tensor().requires_grad:
             derivative += ", requires grad"
         rows.append((slot.name, shape, str(tensor.dtype).removeprefix("torch."), _range(tensor), derivative))

@@ -1,0 +1,28 @@
+"""How a function stays outside of what `torch.compile` compiles."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import torch
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def opaque(function: F) -> F:
+    """Decorator: inside `torch.compile` the graph breaks once at this function, which runs as it always does.
+
+    ``torch.compiler.disable`` would do, but imports the compiler, which takes longer than many a rendering. So the
+    compiler's own name for it is called, and only where the compiler is at work.
+    """
+    outside = getattr(torch, "_disable_dynamo", lambda f: f)(function)
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        if torch.compiler.is_compiling():
+            return outside(*args, **kwargs)
+        return function(*args, **kwargs)
+
+    return call  # type: ignore[return-value]

@@ -1,0 +1,106 @@
+"""Which derivatives a parameter has, read from the native declaration, and what is said when one is asked for.
+
+The declaration says for each field ``"interior"`` (complete), ``"interior, without X"`` (the term X is missing; words
+after a semicolon say when X is zero) or ``"none: reason"``.
+"""
+
+from __future__ import annotations
+
+import sys
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from ..errors import MissingTermWarning, NotDifferentiableError
+
+if TYPE_CHECKING:
+    from .packing import Layout
+
+WITHOUT = "interior, without "
+# When a missing term vanishes, where the declaration does not say it more precisely.
+ZERO = "zero where no such edge is seen to move across the image or what lights it"
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What limits the derivative of a parameter: why there is none, or which term it lacks; both empty if complete."""
+
+    refusal: str = ""
+    caveat: str = ""  # the missing term, and after a semicolon when it is zero
+
+    def also(self, derivative: str) -> Limits:
+        """These limits, and those of a field with this declaration: a texture has those of the field it sits in."""
+        refusal = caveat = ""
+        if derivative.startswith("none"):
+            refusal = derivative.partition(":")[2].strip() or "its derivative is not implemented"
+        elif derivative.startswith(WITHOUT):
+            missing, _, zero = derivative.removeprefix(WITHOUT).partition(";")
+            caveat = f"{missing.strip()}; {zero.strip() or ZERO}"
+        return Limits(self.refusal or refusal, self.caveat or caveat)
+
+
+COMPLETE = Limits()
+
+
+def describe_derivative(refusal: str, caveat: str) -> str:
+    """One phrase for a table: which modes there are and what they lack, or why there is no derivative."""
+    if refusal:
+        return f"no derivative ({refusal})"
+    return "forward, reverse" + (f", without {caveat.partition(';')[0]}" if caveat else "")
+
+
+@dataclass
+class Wanted:
+    """Derivatives asked for in one rendering: refused where there are none, warned about once where a term is missing.
+
+    Attributes:
+        layout: of the packed scene.
+        warned: names that were warned about in this scene before; grows.
+    """
+
+    layout: Layout
+    warned: set[str]
+
+    def check(self, indices: Iterable[int]) -> None:
+        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them."""
+        lacking: dict[str, list[str]] = {}
+        asked = list(indices)
+        for i in asked:
+            slot = self.layout.slots[i]
+            if slot.refusal:
+                refuse(slot.name, slot.refusal)
+            if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
+                lacking.setdefault(slot.caveat, []).append(slot.name)
+        if lacking:
+            self.warned.update(*lacking.values())
+            clauses = [f"{_listing(names)} (without {caveat})" for caveat, names in lacking.items()]
+            text = "the derivative lacks a term with respect to " + ", ".join(clauses)
+            warnings.warn(text, MissingTermWarning, stacklevel=_depth_outside())
+
+    def _source(self, index: int) -> int | None:
+        """For computed normals the positions that they follow: whoever asks for those has not asked for these."""
+        slot = self.layout.slots[index]
+        if slot.attribute == "vertex_normals" and slot.module in self.layout.smooth_meshes:
+            return self.layout.slot_of[id(slot.module), "vertex_positions"]
+        return None
+
+
+def _listing(names: list[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} others" if len(names) > most else "")
+
+
+def _depth_outside() -> int:
+    """The `stacklevel` that makes a warning of the caller point at the first line outside of this package."""
+    frame, depth = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("torchrender.", "torch.")):
+        frame, depth = frame.f_back, depth + 1
+    return depth
+
+
+def refuse(name: str, reason: str) -> None:
+    """NotDifferentiableError for a parameter of this name."""
+    raise NotDifferentiableError(
+        f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
+        "switch its requires_grad off"
+    )
