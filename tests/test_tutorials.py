@@ -53,6 +53,15 @@ def test_textured_monkey(tutorial, tmp_path, capsys):
     check_pictures(tmp_path, names)
 
 
+def test_neural_texture(tutorial, tmp_path, capsys):
+    result = tutorial("neural_texture").run(tmp_path, resolution=48, height=32, iterations=80, target_spp=64)
+    assert result["start"] < 12
+    assert result["end"] > 18
+    assert result["new view"] > 25
+    assert "PSNR of a picture from a new side" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
+
+
 def test_bad_option_ends_before_any_work(tutorial, tmp_path):
     with pytest.raises(SystemExit) as ended:
         tutorial("cornell_box").main(["--iterations", "many", "--output", str(tmp_path / "none")])
