@@ -76,7 +76,7 @@ class NeuralTexture(nn.Module):
 
 
 def make_scene(resolution: int, height: int) -> tr.Scene:
-    """A planet under a bright and a dim lamp and a faint sky, four cameras around its equator and a fifth, in between."""
+    """A planet under two lamps and a faint sky; four cameras around its equator and a fifth between two of them."""
     scene = {
         "type": "scene",
         "sky": {"type": "constant", "radiance": 0.3},
