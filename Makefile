@@ -1,6 +1,7 @@
 # make demo    recover albedos and a texture from pictures (the two tutorials at a small size)
 # make test    the test suite
 # make build   only the virtual environment and the native modules
+# make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
 # make lint, make format, make sanitize, make clean, make distclean
 #
 # Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
@@ -24,7 +25,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
 
-.PHONY: demo test build lint format sanitize native-test cuda clean distclean
+.PHONY: demo test build notebook lint format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 $(VENV)/.created:
@@ -56,6 +57,10 @@ demo: build
 
 test: build
 	$(PY) -m pytest $(PYTEST_ARGS)
+
+notebook: build
+	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[notebook]"
+	$(PY) tutorials/make_notebook.py
 
 CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
 

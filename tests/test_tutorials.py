@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib
+import json
+import runpy
 from pathlib import Path
 
 import pytest
@@ -51,6 +53,50 @@ def test_textured_monkey(tutorial, tmp_path, capsys):
     assert "PSNR of the texture where it is seen" in capsys.readouterr().out
     names = ["target", "start", "result", "texture_target", "texture_result", "derivative_red"]
     check_pictures(tmp_path, names)
+
+
+def test_quick_start(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["quick_start.py", "--small"])
+    names = runpy.run_path(str(TUTORIALS / "quick_start.py"), run_name="__main__")
+    assert names["colour_error"] < 0.03
+    # From 0.177; a quarter of the floor hides behind the balls or is smaller than a pixel.
+    assert names["texture_error"] < 0.11
+    assert names["batch"].shape == (2, 3, 48, 64)
+    assert "colour of the ball" in capsys.readouterr().out
+    written = {path.name for path in (tmp_path / "output" / "quick_start").iterdir()}
+    assert written == {"result.exr", "result.png", "target.png", "scene.pt"}
+
+
+def test_notebook_is_the_script_and_has_its_pictures(tutorial):
+    file = TUTORIALS / "quick_start.ipynb"
+    assert file.stat().st_size < 500_000
+    notebook = json.loads(file.read_text())
+    found = [(cell["cell_type"], "".join(cell["source"])) for cell in notebook["cells"]]
+    script = (TUTORIALS / "quick_start.py").read_text()
+    assert found == tutorial("make_notebook").cells(script), "make notebook brings the notebook up to date"
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["execution_count"] for cell in code)
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert not [output for output in outputs if output["output_type"] == "error"]
+    assert sum("image/jpeg" in output.get("data", {}) for output in outputs) == script.count("\ntr.show(")
+
+
+def test_script_is_split_at_its_marks(tutorial):
+    cells = tutorial("make_notebook").cells
+    source = "# %% [markdown]\n# # Title\n#\n# Text\n\n# %%\nx = 1\n# a comment\n\n\n# %%\ny = x\n"
+    assert cells(source) == [("markdown", "# Title\n\nText"), ("code", "x = 1\n# a comment"), ("code", "y = x")]
+    with pytest.raises(ValueError, match="begins with a cell"):
+        cells("import torch\n# %%\n")
+
+
+def test_neural_texture(tutorial, tmp_path, capsys):
+    result = tutorial("neural_texture").run(tmp_path, resolution=48, height=32, iterations=80, target_spp=64)
+    assert result["start"] < 12
+    assert result["end"] > 18
+    assert result["new view"] > 25
+    assert "PSNR of a picture from a new side" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
 
 
 def test_bad_option_ends_before_any_work(tutorial, tmp_path):
