@@ -15,9 +15,20 @@ class NativeScene:
     """One built scene of the core. Immutable in structure: another structure gets another object.
 
     The core reads parameters where they lie; this class tells it which ones changed since the last call.
+
+    `previous` is the native scene that this one replaces: what did not change, of the acceleration structure, the
+    tables of lights and the knowledge of what changed, is taken from it. It stays usable, for derivatives of images
+    that it rendered; it makes its own again then.
     """
 
-    def __init__(self, layout: Layout, color: str, dtype: torch.dtype, shapes: list[tuple[int, ...]]) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        color: str,
+        dtype: torch.dtype,
+        shapes: list[tuple[int, ...]],
+        previous: NativeScene | None = None,
+    ) -> None:
         self.layout = layout
         self.index_key = layout.index_key()
         self.dtype = dtype
@@ -28,7 +39,23 @@ class NativeScene:
         self.names = [slot.name for slot in layout.slots]
         self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
         indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
-        self.handle.build(layout.objects, shapes, indices)
+        if previous is None or previous.dtype != dtype or previous.channels != self.channels:
+            self.builds = 1
+            self.handle.build(layout.objects, shapes, indices)
+            return
+        self.builds = previous.builds + 1
+        if previous.layout.objects != layout.objects:  # slots mean something else now
+            self.handle.build(layout.objects, shapes, indices)
+            return
+        with previous.lock:
+            self.handle.build(layout.objects, shapes, indices, previous.handle)
+            for i, shape in enumerate(shapes):
+                if previous.shapes[i] == shape:
+                    self._seen[i] = previous._seen[i]
+
+    def counters(self) -> dict[str, int]:
+        """How often parts of the core's copy of the scene were made, see `Scene.updates`."""
+        return {"scenes": self.builds, **self.handle.counters()}
 
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
