@@ -7,6 +7,7 @@
 
 #include "cpu/render.h"
 #include "host/models.h"
+#include "host/normals.h"
 #include "host/scene_data.h"
 #include "probes.h"
 
@@ -395,6 +396,18 @@ using Release = py::call_guard<py::gil_scoped_release>;
 }  // namespace
 
 void declare_scene(py::module_ &m) {
+    m.def(
+        "vertex_normals",
+        [](const std::string &dtype, uintptr_t positions, size_t n_vertices, uintptr_t faces, size_t n_faces,
+           uintptr_t normals) {
+            auto run = [&](auto zero) {
+                using S = decltype(zero);
+                vertex_normals(reinterpret_cast<const S *>(positions), n_vertices,
+                               reinterpret_cast<const int32_t *>(faces), n_faces, reinterpret_cast<S *>(normals));
+            };
+            dtype == "float64" ? run(0.0) : run(0.f);
+        },
+        Release());
     py::class_<SceneBase>(m, "Scene")
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
         .def(

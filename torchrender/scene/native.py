@@ -73,9 +73,11 @@ class NativeScene:
                 if function == "render_jvp":
                     return self.handle.render_jvp(args[0], addresses, dirty, *args[1:])
                 return getattr(self.handle, function)(*args, addresses, dirty)
-            except BaseException:
+            except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
                 self._seen = [None] * len(self._seen)
+                if isinstance(error, ValueError):
+                    self._name_nonfinite(params)
                 raise
 
     def _dirty(self, params: list[torch.Tensor]) -> list[bool]:
@@ -86,8 +88,12 @@ class NativeScene:
             # The alias that is kept holds the storage, so that an equal address means the same memory.
             same = seen is not None and version >= 0 and seen[1] == version and seen[0].data_ptr() == tensor.data_ptr()
             if not same:
-                if not bool(torch.isfinite(tensor.detach().sum())) and not bool(torch.isfinite(tensor.detach()).all()):
-                    raise ValueError(f"{self.names[i]}: has values that are not finite")
                 self._seen[i] = (tensor.detach(), version)
             dirty.append(not same)
         return dirty
+
+    def _name_nonfinite(self, params: list[torch.Tensor]) -> None:
+        """ValueError if one of `params` is what the core has refused; the core itself looks at what changed only."""
+        for name, tensor in zip(self.names, params, strict=True):
+            if not bool(torch.isfinite(tensor.detach()).all()):
+                raise ValueError(f"{name}: has values that are not finite") from None
