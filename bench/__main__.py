@@ -14,6 +14,7 @@ def main(argv: list[str] | None = None) -> None:
         ("table2", "forward and backward time, warm, beside Mitsuba in alternating rounds"),
         ("startup", "import, loading, first gradient and peak memory, each in a fresh process"),
         ("gradients", "whether both programs find the same gradients, and how noisy one estimate is"),
+        ("overhead", "what a call costs besides rendering (torchrender only; resolution and spp are 1)"),
     ):
         command = subparsers.add_parser(name, help=text, description=text)
         command.add_argument("--mitsuba-python", help="interpreter of an environment with mitsuba==3.9.1")
@@ -28,9 +29,14 @@ def main(argv: list[str] | None = None) -> None:
     for name in ("threads", "resolution", "spp", "rounds"):
         if getattr(options, name) < 1:
             parser.error(f"--{name}: expected at least 1, got {getattr(options, name)}")
-    from . import table2  # after the arguments are checked: this imports torch
+    from . import overhead, table2  # after the arguments are checked: this imports torch
 
-    commands = {"table2": table2.run_table2, "startup": table2.run_startup, "gradients": table2.run_gradients}
+    commands = {
+        "table2": table2.run_table2,
+        "startup": table2.run_startup,
+        "gradients": table2.run_gradients,
+        "overhead": overhead.run_overhead,
+    }
     run = commands[options.command]
     table2.report(run(options), options.json)
 

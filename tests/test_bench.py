@@ -82,3 +82,13 @@ def test_small_startup(tmp_path, monkeypatch):
     (row,) = json.loads(file.read_text())["rows"]
     assert 0 < row["first gradient s"] < 30
     assert 0 < row["peak MiB above torch"] < 1000
+
+
+def test_small_overhead(tmp_path):
+    file = tmp_path / "overhead.json"
+    main(["overhead", "--rounds", "2", "--warmup", "1", "--only", "512", "--threads", "1", "--json", str(file)])
+    rows = json.loads(file.read_text())["rows"]
+    assert [row["scene"] for row in rows] == [ROWS[1].name, ROWS[3].name]
+    for row in rows:
+        assert 0 < row["forward ms"] < row["forward + backward ms"] < 100
+        assert 0 < row["with a changed parameter ms"] < 100

@@ -18,7 +18,8 @@ constexpr uint32_t InvalidGeometry = 0xffffffffu;
 enum Format : int { FormatUInt3 = 0x5003, FormatFloat3 = 0x9003 };
 enum GeometryType : int { GeometryTriangle = 0, GeometryUser = 120 };
 enum BufferType : int { BufferIndex = 0, BufferVertex = 1 };
-enum BuildQuality : int { BuildMedium = 1, BuildHigh = 2 };
+enum BuildQuality : int { BuildLow = 0, BuildMedium = 1, BuildHigh = 2, BuildRefit = 3 };
+enum SceneFlags : int { SceneDynamic = 1 };
 enum Property : int {
     PropertyVersion = 0,  // major * 10000 + minor * 100 + patch
     PropertyNativeRay8 = 33,
@@ -97,11 +98,13 @@ using ErrorFunction = void (*)(void *user, int code, const char *message);
     X(Scene, NewScene, (Device))                                                                              \
     X(void, ReleaseScene, (Scene))                                                                            \
     X(void, SetSceneBuildQuality, (Scene, int quality))                                                       \
+    X(void, SetSceneFlags, (Scene, int flags))                                                                \
     X(void, CommitScene, (Scene))                                                                             \
     X(void, GetSceneBounds, (Scene, Bounds *))                                                                \
     X(void, AttachGeometryByID, (Scene, Geometry, uint32_t id))                                               \
     X(Geometry, NewGeometry, (Device, int type))                                                              \
     X(void, ReleaseGeometry, (Geometry))                                                                      \
+    X(void, SetGeometryBuildQuality, (Geometry, int quality))                                                 \
     X(void, CommitGeometry, (Geometry))                                                                       \
     X(void *, SetNewGeometryBuffer, (Geometry, int type, uint32_t slot, int format, size_t stride, size_t n)) \
     X(void, UpdateGeometryBuffer, (Geometry, int type, uint32_t slot))                                        \

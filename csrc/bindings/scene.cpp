@@ -7,6 +7,7 @@
 
 #include "cpu/render.h"
 #include "host/dependence.h"
+#include "host/normals.h"
 #include "host/scene_data.h"
 #include "probes.h"
 
@@ -88,7 +89,8 @@ class SceneBase {
 public:
     virtual ~SceneBase() = default;
     virtual void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
-                       const std::vector<IndexArray> &arrays) = 0;
+                       const std::vector<IndexArray> &arrays, SceneBase *previous) = 0;
+    virtual std::map<std::string, uint64_t> counters() = 0;
     virtual RenderStats render(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
                                uintptr_t image, uintptr_t alpha) = 0;
     virtual RenderStats reverse(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
@@ -109,9 +111,25 @@ template <class S, int C>
 class SceneOf final : public SceneBase {
 public:
     void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
-               const std::vector<IndexArray> &arrays) override {
+               const std::vector<IndexArray> &arrays, SceneBase *previous) override {
+        auto *other = dynamic_cast<SceneOf *>(previous);
+        if (!other || other == this) {
+            std::lock_guard<std::mutex> lock(mutex_);
+            return data_.build(objects, shapes, arrays, C);
+        }
+        std::scoped_lock lock(mutex_, other->mutex_);
+        data_.build(objects, shapes, arrays, C, &other->data_);
+    }
+
+    std::map<std::string, uint64_t> counters() override {
         std::lock_guard<std::mutex> lock(mutex_);
-        data_.build(objects, shapes, arrays, C);
+        auto c = data_.counters();
+        return {{"tree_builds", c.accel.builds},
+                {"mesh_refits", c.accel.refits},
+                {"mesh_rebuilds", c.accel.rebuilds},
+                {"meshes", c.meshes},
+                {"quadrics", c.quadrics},
+                {"environments", c.environments}};
     }
 
     RenderStats render(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t image,
@@ -347,18 +365,33 @@ using Release = py::call_guard<py::gil_scoped_release>;
 }  // namespace
 
 void declare_scene(py::module_ &m) {
+    m.def(
+        "vertex_normals",
+        [](const std::string &dtype, uintptr_t positions, size_t n_vertices, uintptr_t faces, size_t n_faces,
+           uintptr_t normals) {
+            auto run = [&](auto zero) {
+                using S = decltype(zero);
+                vertex_normals(reinterpret_cast<const S *>(positions), n_vertices,
+                               reinterpret_cast<const int32_t *>(faces), n_faces, reinterpret_cast<S *>(normals));
+            };
+            dtype == "float64" ? run(0.0) : run(0.f);
+        },
+        Release());
     py::class_<SceneBase>(m, "Scene")
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
-        .def("build",
-             [](SceneBase &self, const py::dict &objects, const std::vector<std::vector<int64_t>> &shapes,
-                const std::vector<std::pair<uintptr_t, int64_t>> &indices) {
-                 SceneObjects read = read_objects(objects);
-                 std::vector<IndexArray> arrays;
-                 for (auto [address, rows] : indices)
-                     arrays.push_back({reinterpret_cast<const int32_t *>(address), rows});
-                 py::gil_scoped_release release;
-                 self.build(read, shapes, arrays);
-             })
+        .def(
+            "build",
+            [](SceneBase &self, const py::dict &objects, const std::vector<std::vector<int64_t>> &shapes,
+               const std::vector<std::pair<uintptr_t, int64_t>> &indices, SceneBase *previous) {
+                SceneObjects read = read_objects(objects);
+                std::vector<IndexArray> arrays;
+                for (auto [address, rows] : indices)
+                    arrays.push_back({reinterpret_cast<const int32_t *>(address), rows});
+                py::gil_scoped_release release;
+                self.build(read, shapes, arrays, previous);
+            },
+            py::arg("objects"), py::arg("shapes"), py::arg("indices"), py::arg("previous") = nullptr)
+        .def("counters", &SceneBase::counters, Release())
         .def("render",
              [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
                 const std::map<std::string, uintptr_t> &out) {
@@ -411,7 +444,7 @@ void declare_scene(py::module_ &m) {
                const Addresses &params,
                const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, params, read_dirty(dirty)); },
             Release())
-        .def("bounding_box", &SceneBase::bounds);
+        .def("bounding_box", &SceneBase::bounds, Release());
 }
 
 }  // namespace tr

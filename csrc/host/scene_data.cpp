@@ -9,11 +9,26 @@ namespace tr {
 
 template <class S>
 void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-                         const std::vector<IndexArray> &index_arrays, int channels) {
+                         const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous) {
     SceneLayout layout = lay_out(objects, param_shapes, index_arrays, channels);
-    accel_ = std::make_unique<Accel>();
+    std::unique_ptr<Accel> accel = std::make_unique<Accel>();
+    accel_ = std::move(accel);
     layout_ = std::move(layout);
-    all_dirty_ = true;
+    all_dirty_ = geometry_dirty_ = environment_dirty_ = true;
+    environment_ = {};
+    tensors_.resize(layout_.slot_sizes.size());
+    for (size_t i = 0; i < tensors_.size(); ++i) {
+        tensors_[i].data = nullptr;
+        std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors_[i].shape);
+    }
+    constants_.assign(layout_.constants.begin(), layout_.constants.end());
+    allocate_geometry();
+    if (previous && previous->accel_) take_over(*previous);
+    refresh_view();
+}
+
+template <class S>
+void SceneData<S>::allocate_geometry() {
     size_t n_vertices = size_t(layout_.n_vertices), n_shapes = layout_.shapes.size();
     shapes_ = layout_.shapes;
     positions_.assign(n_vertices * 3, S(0));
@@ -22,14 +37,58 @@ void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<i
     matrices_.assign(n_shapes * 24, S(0));
     areas_.assign(n_shapes, S(0));
     area_cdf_.assign(size_t(layout_.n_cdf_faces), S(0));
-    environment_ = {};
-    tensors_.resize(layout_.slot_sizes.size());
-    for (size_t i = 0; i < tensors_.size(); ++i) {
-        tensors_[i].data = nullptr;
-        std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors_[i].shape);
+}
+
+template <class S>
+bool SceneData<S>::same_geometry(const SceneData &other) const {
+    const SceneLayout &a = layout_, &b = other.layout_;
+    auto same_mesh = [](const MeshSource &x, const MeshSource &y) {
+        return x.shape == y.shape && x.vertices == y.vertices && x.normals == y.normals && x.texcoords == y.texcoords &&
+               x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices;
+    };
+    auto same_shape = [](const ShapeInfo &x, const ShapeInfo &y) {
+        return x.kind == y.kind && x.flags == y.flags && x.face_offset == y.face_offset && x.n_faces == y.n_faces &&
+               x.first_vertex == y.first_vertex && x.cdf_offset == y.cdf_offset && x.emitter == y.emitter;
+    };
+    return std::equal(a.meshes.begin(), a.meshes.end(), b.meshes.begin(), b.meshes.end(), same_mesh) &&
+           std::equal(a.shapes.begin(), a.shapes.end(), b.shapes.begin(), b.shapes.end(), same_shape) &&
+           a.faces == b.faces;
+}
+
+template <class S>
+void SceneData<S>::take_over(SceneData &previous) {
+    counters_ = previous.counters();
+    counters_.accel = {};
+    rebuilt_ = true;
+    if (previous.all_dirty_ || constants_.size() != previous.constants_.size()) return;
+    all_dirty_ = false;
+    constants_ = previous.constants_;
+    if (!previous.environment_dirty_ && layout_.environment == previous.layout_.environment) {
+        std::swap(environment_, previous.environment_);
+        environment_dirty_ = false;
+        previous.environment_dirty_ = true;
     }
-    constants_.assign(layout_.constants.begin(), layout_.constants.end());
-    refresh_view();
+    if (!previous.geometry_dirty_ && same_geometry(previous)) {
+        std::swap(accel_, previous.accel_);
+        std::swap(shapes_, previous.shapes_);
+        for (auto member : {&SceneData::positions_, &SceneData::normals_, &SceneData::texcoords_, &SceneData::matrices_,
+                            &SceneData::areas_, &SceneData::area_cdf_})
+            std::swap(this->*member, previous.*member);
+        for (size_t i = 0; i < shapes_.size(); ++i) shapes_[i].bsdf = layout_.shapes[i].bsdf;
+        geometry_dirty_ = false;
+        previous.geometry_dirty_ = previous.rebuilt_ = true;
+    }
+}
+
+template <class S>
+typename SceneData<S>::Counters SceneData<S>::counters() const {
+    Counters all = counters_;
+    if (accel_) {
+        all.accel.builds += accel_->counters().builds;
+        all.accel.refits += accel_->counters().refits;
+        all.accel.rebuilds += accel_->counters().rebuilds;
+    }
+    return all;
 }
 
 template <class S>
@@ -41,19 +100,19 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
         if (!params[i] && layout_.slot_sizes[i] > 0) bad_value("parameter " + std::to_string(i), "an address", "null");
 
     // until the end is reached nothing counts as up to date
-    std::vector<uint8_t> changed = all_dirty_ ? std::vector<uint8_t>(params.size(), 1) : dirty;
-    bool first = all_dirty_;
+    const std::vector<uint8_t> all(params.size(), 1), &changed = all_dirty_ ? all : dirty;
+    bool first = all_dirty_ || geometry_dirty_, new_environment = all_dirty_ || environment_dirty_;
     all_dirty_ = true;
     for (const ParameterUse &use : layout_.tensors)
         if (changed[size_t(use.slot)])
             require_finite(params[size_t(use.slot)], layout_.slot_sizes[size_t(use.slot)], use.where);
     std::vector<S> old = constants_;
     read_constants(params);
-    update_shapes(params, changed, old, first);
-    update_environment(changed);
+    update_shapes(params, first ? all : changed, old, first);
+    update_environment(new_environment ? all : changed);
     update_emitters();
     refresh_view();
-    all_dirty_ = false;
+    all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }
 
 template <class S>
@@ -94,7 +153,10 @@ void SceneData<S>::update_environment(const std::vector<uint8_t> &dirty) {
     if (record.kind == int32_t(EmitterKind::EnvironmentMap)) {
         std::copy_n(&constants_[size_t(record.field[EnvironmentMap::ToWorld])], 12, to_world.m);
         int slot = record.field[EnvironmentMap::Data];
-        if (dirty[size_t(slot)]) environment_.build(tensors_[size_t(slot)]);
+        if (dirty[size_t(slot)]) {
+            environment_.build(tensors_[size_t(slot)]);
+            ++counters_.environments;
+        }
     }
     Affine to_local = to_world.inverse(path("emitter", layout_.environment) + ": field 'to_world'");
     std::copy_n(to_world.m, 12, env_to_world_);

@@ -28,8 +28,11 @@ public:
     // Structure: which objects there are, the shapes of all parameters, the faces (copied). Throws
     // std::invalid_argument with "scene.path: field 'x': expected ..., got ..." before anything has changed;
     // std::runtime_error without Embree.
+    // `previous`: a scene of the same objects with other shapes of parameters. What those do not change is taken from
+    // it: geometry with its acceleration structure, the tables of the environment. It makes its own again when it is
+    // used again. The first update then goes by `dirty`, which is relative to the previous scene's last one.
     void build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-               const std::vector<IndexArray> &index_arrays, int channels);
+               const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous = nullptr);
 
     // Values: `params` has an address for every parameter (they stay in use until the next call), dirty[i] != 0 says
     // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,
@@ -38,6 +41,14 @@ public:
 
     const SceneView<S> &view() const { return view_; }
     const Accel &accel() const { return *accel_; }
+    // How often what follows from the parameters was made; goes on counting over takeovers.
+    struct Counters {
+        Accel::Counters accel;
+        uint64_t meshes = 0, quadrics = 0;  // shapes whose geometry was set
+        uint64_t environments = 0;          // tables of an environment map
+    };
+    Counters counters() const;
+
     void bounds(S out[6]) const;  // lower corner, upper corner; (inf, -inf) without shapes
 
     // For derivatives: where the small parameters are in the block of constants. A parameter that is used twice has
@@ -66,7 +77,10 @@ private:
     SceneLayout layout_;
     SceneView<S> view_{};
     std::unique_ptr<Accel> accel_;
-    bool all_dirty_ = true;
+    // what has to be made whatever `dirty` says
+    bool all_dirty_ = true, geometry_dirty_ = true, environment_dirty_ = true;
+    bool rebuilt_ = false;  // from another scene: the acceleration structure is made the fast way
+    Counters counters_;
 
     std::vector<S> constants_;
     std::vector<TensorView<S>> tensors_;
@@ -77,14 +91,18 @@ private:
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
 
+    void allocate_geometry();
+    void take_over(SceneData &previous);
+    bool same_geometry(const SceneData &other) const;
     void read_constants(const std::vector<const S *> &params);
     void update_shapes(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
                        const std::vector<S> &old, bool first);
-    bool update_mesh(const MeshSource &mesh, const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
-    void update_rectangle(const MeshSource &mesh);
+    bool update_mesh(const MeshSource &mesh, const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
+                     bool first);
+    void update_rectangle(const MeshSource &mesh, bool first);
     void update_quadric(int shape);
     Affine set_matrices(int shape);
-    void set_mesh(const MeshSource &mesh);
+    void set_mesh(const MeshSource &mesh, bool first);
     void update_environment(const std::vector<uint8_t> &dirty);
     void update_emitters();
     void refresh_view();

@@ -23,9 +23,9 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     bool rebuild = first;
     for (const MeshSource &mesh : layout_.meshes) {
         if (mesh.vertices >= 0) {
-            rebuild |= update_mesh(mesh, params, dirty);
+            rebuild |= update_mesh(mesh, params, dirty, first);
         } else if (changed(records[size_t(mesh.shape)].field[PlanarFields::ToWorld], 12)) {
-            update_rectangle(mesh);
+            update_rectangle(mesh, first);
             rebuild = true;
         }
     }
@@ -40,12 +40,13 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         update_quadric(i);
         rebuild = true;
     }
-    if (rebuild) accel_->commit();
+    if (rebuild) accel_->commit(rebuilt_);
 }
 
+// Returns whether the mesh moved. `first`: what is stored does not count.
 template <class S>
 bool SceneData<S>::update_mesh(const MeshSource &mesh, const std::vector<const S *> &params,
-                               const std::vector<uint8_t> &dirty) {
+                               const std::vector<uint8_t> &dirty, bool first) {
     auto copy = [&](int slot, int columns, std::vector<S> &to) {
         if (slot >= 0 && dirty[size_t(slot)])
             std::copy_n(params[size_t(slot)], size_t(mesh.n_vertices) * size_t(columns),
@@ -55,23 +56,29 @@ bool SceneData<S>::update_mesh(const MeshSource &mesh, const std::vector<const S
     copy(mesh.texcoords, 2, texcoords_);
     if (!dirty[size_t(mesh.vertices)]) return false;
     const S *from = params[size_t(mesh.vertices)];
-    for (size_t i = 0; i < size_t(mesh.n_vertices) * 3; ++i)
+    const size_t n = size_t(mesh.n_vertices) * 3;
+    // written to, but with the numbers that were there already
+    if (!first && std::equal(from, from + n, &positions_[size_t(mesh.first_vertex) * 3])) return false;
+    for (size_t i = 0; i < n; ++i)
         if (!(std::abs(from[i]) <= S(LargestCoordinate)))
             bad_value(path("shape", mesh.shape) + ": field 'vertices'", "coordinates up to 1e18",
                       std::to_string(from[i]));
     copy(mesh.vertices, 3, positions_);
-    set_mesh(mesh);
+    set_mesh(mesh, first);
     return true;
 }
 
 // Area, its distribution over the faces of a light, and Embree's copy of a mesh whose positions are in place.
 template <class S>
-void SceneData<S>::set_mesh(const MeshSource &mesh) {
+void SceneData<S>::set_mesh(const MeshSource &mesh, bool first) {
     const ShapeInfo &info = shapes_[size_t(mesh.shape)];
     size_t n_faces = size_t(info.n_faces);
     const uint32_t *global = &layout_.faces[size_t(info.face_offset) * 3];
-    std::vector<uint32_t> faces(n_faces * 3);
-    for (size_t i = 0; i < faces.size(); ++i) faces[i] = global[i] - uint32_t(mesh.first_vertex);
+    std::vector<uint32_t> faces;  // counted from the mesh's first vertex
+    if (first || info.emitter >= 0) {
+        faces.resize(n_faces * 3);
+        for (size_t i = 0; i < faces.size(); ++i) faces[i] = global[i] - uint32_t(mesh.first_vertex);
+    }
     const S *p = &positions_[size_t(mesh.first_vertex) * 3];
 
     if (info.emitter >= 0) {
@@ -90,12 +97,14 @@ void SceneData<S>::set_mesh(const MeshSource &mesh) {
             bad_value(path("shape", mesh.shape), "an emitting mesh with a positive area", "only degenerate faces");
         areas_[size_t(mesh.shape)] = S(total);
     }
+    const uint32_t *given = first ? faces.data() : nullptr;
     if constexpr (sizeof(S) == 4) {
-        accel_->set_mesh(uint32_t(mesh.shape), p, size_t(mesh.n_vertices), faces.data(), n_faces);
+        accel_->set_mesh(uint32_t(mesh.shape), p, size_t(mesh.n_vertices), given, n_faces);
     } else {
         std::vector<float> single(p, p + size_t(mesh.n_vertices) * 3);
-        accel_->set_mesh(uint32_t(mesh.shape), single.data(), size_t(mesh.n_vertices), faces.data(), n_faces);
+        accel_->set_mesh(uint32_t(mesh.shape), single.data(), size_t(mesh.n_vertices), given, n_faces);
     }
+    ++counters_.meshes;
 }
 
 // The map from the unit shape to the world, and its inverse, into the table.
@@ -131,7 +140,7 @@ Affine SceneData<S>::set_matrices(int shape) {
 }
 
 template <class S>
-void SceneData<S>::update_rectangle(const MeshSource &mesh) {
+void SceneData<S>::update_rectangle(const MeshSource &mesh, bool first) {
     Affine to_world = set_matrices(mesh.shape);
     const double *m = to_world.m;
     for (size_t i = 0; i < 4; ++i) {
@@ -144,7 +153,7 @@ void SceneData<S>::update_rectangle(const MeshSource &mesh) {
     // mirroring turns the faces round, but not the normal that is transformed with the shape
     ShapeInfo &info = shapes_[size_t(mesh.shape)];
     info.flags = layout_.shapes[size_t(mesh.shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
-    set_mesh(mesh);
+    set_mesh(mesh, first);
 }
 
 template <class S>
@@ -164,6 +173,7 @@ void SceneData<S>::update_quadric(int shape) {
     float single[24];
     std::copy_n(&matrices_[size_t(shape) * 24], 24, single);
     accel_->set_quadric(uint32_t(shape), info.kind, single, single + 12);
+    ++counters_.quadrics;
 }
 
 // the other functions of this file are called from it only

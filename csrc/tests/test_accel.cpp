@@ -147,4 +147,65 @@ TR_TEST(meshes_move) {
     }
 }
 
+// Two meshes; the first moves, a little and then wildly. Answers are those of a structure that is built for the
+// positions at hand, whose counters tell how this one got there.
+TR_TEST(refitted_trees_answer_like_new_ones) {
+    load_embree(embree_path());
+    std::mt19937 generator(2);
+    std::uniform_real_distribution<float> uniform(-1, 1);
+    constexpr size_t side = 24, n_vertices = side * side;
+    std::vector<float> rest, moved;
+    std::vector<uint32_t> faces;
+    for (size_t i = 0; i < n_vertices; ++i) {
+        rest.push_back(float(i % side) * 2 / float(side - 1) - 1);
+        rest.push_back(float(i / side) * 2 / float(side - 1) - 1);
+        rest.push_back(0.1f * uniform(generator));
+    }
+    for (uint32_t i = 0; i + side < n_vertices; ++i)
+        if (i % side + 1 < side) faces.insert(faces.end(), {i, i + 1, i + uint32_t(side)});
+    const float wall[] = {-9, -9, 3, 9, -9, 3, 0, 9, 3};
+    const uint32_t wall_face[] = {0, 1, 2};
+
+    const size_t n = 500;
+    std::vector<float> columns[7], t[2], b1(n), b2(n);
+    for (size_t i = 0; i < n; ++i)
+        for (int k = 0; k < 7; ++k)
+            columns[k].push_back(k == 2 ? -2.f : k < 3 ? uniform(generator) : k == 5 ? 1.f : 0.2f * uniform(generator));
+    std::fill(columns[6].begin(), columns[6].end(), INFINITY);
+    RayBatch rays{{columns[0].data(), columns[1].data(), columns[2].data()},
+                  {columns[3].data(), columns[4].data(), columns[5].data()},
+                  columns[6].data()};
+    std::vector<uint32_t> shape[2], primitive[2];
+    Accel accel;
+    accel.set_mesh(0, rest.data(), n_vertices, faces.data(), faces.size() / 3);
+    accel.set_mesh(1, wall, 3, wall_face, 1);
+    accel.commit();
+    for (int step = 1; step <= 12; ++step) {
+        moved = rest;
+        for (size_t i = 0; i < moved.size(); ++i) moved[i] += (step < 8 ? 0.01f : 0.5f) * uniform(generator);
+        accel.set_mesh(0, moved.data(), n_vertices, nullptr, faces.size() / 3);
+        accel.commit();
+        Accel fresh;
+        fresh.set_mesh(0, moved.data(), n_vertices, faces.data(), faces.size() / 3);
+        fresh.set_mesh(1, wall, 3, wall_face, 1);
+        fresh.commit();
+        const Accel *which[] = {&accel, &fresh};
+        for (int k = 0; k < 2; ++k) {
+            shape[k].assign(n, 0), primitive[k].assign(n, 0), t[k].assign(n, 0);
+            which[k]->intersect(rays, {shape[k].data(), primitive[k].data(), t[k].data(), b1.data(), b2.data()}, n,
+                                false);
+        }
+        size_t hits = 0;
+        for (size_t i = 0; i < n; ++i) {
+            hits += shape[0][i] == 0;
+            CHECK(shape[0][i] == shape[1][i]);
+            CHECK(t[0][i] == t[1][i]);
+        }
+        CHECK(hits > 100);
+        if (step == 7) CHECK(accel.counters().refits == 5 && accel.counters().rebuilds == 0);
+    }
+    CHECK(accel.counters().builds == 3);
+    CHECK(accel.counters().rebuilds >= 1 && accel.counters().refits + accel.counters().rebuilds == 10);
+}
+
 }  // namespace tr::testing

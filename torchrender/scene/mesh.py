@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 
 import torch
 
+from .. import backends
 from ..errors import describe, nearest
 from . import values
 from .context import Context
@@ -162,7 +163,7 @@ class Mesh(Shape):
             return
         if self.__dict__.get("_normals_stamp") is not None:
             with torch.no_grad():
-                normals.copy_(self.normals_from_positions(positions) if computed is None else computed)
+                normals.copy_(_native_normals(positions, self.faces) if computed is None else computed)
         self.__dict__["_normals_stamp"] = stamp
 
     def bounds(self) -> torch.Tensor:
@@ -226,6 +227,19 @@ def vertex_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor
     fallback = torch.zeros_like(total)
     fallback[:, 0] = 1
     return torch.where(length > 0, total / length.clamp_min(1e-30), fallback)
+
+
+def _native_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """`vertex_normals` without a graph, in a fraction of the time."""
+    if positions.device.type != "cpu" or positions.dtype not in (torch.float32, torch.float64):
+        return vertex_normals(positions, faces)
+    positions, faces = positions.detach().contiguous(), faces.to(torch.int32).contiguous()
+    normals = torch.empty_like(positions)
+    dtype = str(positions.dtype).removeprefix("torch.")
+    sizes = (positions.shape[0], faces.shape[0])
+    core = backends.core()
+    core.vertex_normals(dtype, positions.data_ptr(), sizes[0], faces.data_ptr(), sizes[1], normals.data_ptr())
+    return normals
 
 
 def _faces_of_cube() -> tuple[list[list[float]], list[list[float]], list[list[float]], list[list[int]]]:

@@ -15,9 +15,20 @@ class NativeScene:
     """One built scene of the core. Immutable in structure: another structure gets another object.
 
     The core reads parameters where they lie; this class tells it which ones changed since the last call.
+
+    `previous` is the native scene that this one replaces: what did not change, of the acceleration structure, the
+    tables of lights and the knowledge of what changed, is taken from it. It stays usable, for derivatives of images
+    that it rendered; it makes its own again then.
     """
 
-    def __init__(self, layout: Layout, color: str, dtype: torch.dtype, shapes: list[tuple[int, ...]]) -> None:
+    def __init__(
+        self,
+        layout: Layout,
+        color: str,
+        dtype: torch.dtype,
+        shapes: list[tuple[int, ...]],
+        previous: NativeScene | None = None,
+    ) -> None:
         self.layout = layout
         self.index_key = layout.index_key()
         self.dtype = dtype
@@ -28,7 +39,23 @@ class NativeScene:
         self.names = [slot.name for slot in layout.slots]
         self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
         indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
-        self.handle.build(layout.objects, shapes, indices)
+        if previous is None or previous.dtype != dtype or previous.channels != self.channels:
+            self.builds = 1
+            self.handle.build(layout.objects, shapes, indices)
+            return
+        self.builds = previous.builds + 1
+        if previous.layout.objects != layout.objects:  # slots mean something else now
+            self.handle.build(layout.objects, shapes, indices)
+            return
+        with previous.lock:
+            self.handle.build(layout.objects, shapes, indices, previous.handle)
+            for i, shape in enumerate(shapes):
+                if previous.shapes[i] == shape:
+                    self._seen[i] = previous._seen[i]
+
+    def counters(self) -> dict[str, int]:
+        """How often parts of the core's copy of the scene were made, see `Scene.updates`."""
+        return {"scenes": self.builds, **self.handle.counters()}
 
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
@@ -46,9 +73,11 @@ class NativeScene:
                 if function == "render_jvp":
                     return self.handle.render_jvp(args[0], addresses, dirty, *args[1:])
                 return getattr(self.handle, function)(*args, addresses, dirty)
-            except BaseException:
+            except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
                 self._seen = [None] * len(self._seen)
+                if isinstance(error, ValueError):
+                    self._name_nonfinite(params)
                 raise
 
     def _dirty(self, params: list[torch.Tensor]) -> list[bool]:
@@ -59,8 +88,12 @@ class NativeScene:
             # The alias that is kept holds the storage, so that an equal address means the same memory.
             same = seen is not None and version >= 0 and seen[1] == version and seen[0].data_ptr() == tensor.data_ptr()
             if not same:
-                if not bool(torch.isfinite(tensor.detach().sum())) and not bool(torch.isfinite(tensor.detach()).all()):
-                    raise ValueError(f"{self.names[i]}: has values that are not finite")
                 self._seen[i] = (tensor.detach(), version)
             dirty.append(not same)
         return dirty
+
+    def _name_nonfinite(self, params: list[torch.Tensor]) -> None:
+        """ValueError if one of `params` is what the core has refused; the core itself looks at what changed only."""
+        for name, tensor in zip(self.names, params, strict=True):
+            if not bool(torch.isfinite(tensor.detach()).all()):
+                raise ValueError(f"{name}: has values that are not finite") from None

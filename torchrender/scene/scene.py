@@ -299,6 +299,18 @@ class Scene(nn.Module):
             parameter.requires_grad_(id(parameter) in chosen)
         return list(chosen.values())
 
+    @property
+    def updates(self) -> dict[str, int]:
+        """How often parts of the core's copy of this scene were made so far; empty before the first rendering.
+
+        ``"scenes"``: the whole, because objects or shapes of parameters changed; ``"meshes"``, ``"quadrics"``: shapes
+        whose geometry was set; ``"tree_builds"``: the acceleration structure; ``"mesh_refits"``, ``"mesh_rebuilds"``:
+        one mesh's part of it, fitted to moved vertices or made again because that had made it slow;
+        ``"environments"``: tables of an environment map. What did not change is not made again. Counting begins anew
+        when objects come or go.
+        """
+        return {} if self._native is None else self._native.counters()
+
     def bounding_box(self) -> torch.Tensor:
         """Smallest axis-aligned box around all shapes: (2, 3), lower and upper corner; ValueError without shapes."""
         boxes = [m.bounds() for m in self._modules.values() if isinstance(m, Plugin) and m.category == "shape"]
@@ -353,7 +365,7 @@ class Scene(nn.Module):
             and native.index_key == layout.index_key()
         ):
             return native
-        native = NativeScene(layout, self._variant, self._dtype, shapes)
+        native = NativeScene(layout, self._variant, self._dtype, shapes, previous=native)
         self._native = native
         return native
 
