@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import torch
+from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
 from .packing import Layout
@@ -15,23 +16,28 @@ if TYPE_CHECKING:
     from .scene import Scene
 
 
-def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None) -> list[torch.Tensor]:
-    """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name."""
+def gather(
+    scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None, function: str = "render"
+) -> list[torch.Tensor]:
+    """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name.
+
+    `function` is who asks, for messages.
+    """
     replaced: dict[int, torch.Tensor] = {}
     if params:
         if not isinstance(params, Mapping):
-            raise TypeError(f"render: params: expected a mapping from names to tensors, got {describe(params)}")
+            raise TypeError(f"{function}: params: expected a mapping from names to tensors, got {describe(params)}")
         for name, tensor in params.items():
             index = layout.by_name.get(name)
             if index is None:
                 raise ValueError(
-                    f"render: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"
+                    f"{function}: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"
                 )
             if not isinstance(tensor, torch.Tensor):
-                raise TypeError(f"render: params: {name}: expected a tensor, got {describe(tensor)}")
+                raise TypeError(f"{function}: params: {name}: expected a tensor, got {describe(tensor)}")
             if not tensor.is_floating_point():
-                raise TypeError(f"render: params: {name}: expected floating-point numbers, got {describe(tensor)}")
-            layout.slots[index].check_shape(tensor, scene.channels, f"render: params: {name}")
+                raise TypeError(f"{function}: params: {name}: expected floating-point numbers, got {describe(tensor)}")
+            layout.slots[index].check_shape(tensor, scene.channels, f"{function}: params: {name}")
             replaced[index] = tensor
     tensors = []
     for i, slot in enumerate(layout.slots):
@@ -41,7 +47,7 @@ def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | No
         normals = layout.slot_of.get((id(mesh), "vertex_normals"))
         if normals is None or normals in replaced:
             continue
-        if positions in replaced:
+        if positions in replaced or is_attached(tensors[positions]):
             tensors[normals] = _dense(scene, "normals", mesh.normals_from_positions(tensors[positions]))
         else:
             mesh.refresh_normals()
@@ -54,6 +60,13 @@ def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera
     for attribute, index in layout.camera_slots(layout.sensors[-1]).items():
         changed[index] = _dense(scene, f"camera.{attribute}", getattr(camera, attribute))
     return changed
+
+
+def is_attached(tensor: torch.Tensor) -> bool:
+    """Whether a derivative with respect to `tensor`, of either mode, is being computed."""
+    if tensor.requires_grad and torch.is_grad_enabled():
+        return True
+    return forward_ad.unpack_dual(tensor).tangent is not None
 
 
 def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
