@@ -3,67 +3,156 @@
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+from torch.autograd import Function
 
-from .errors import NotDifferentiableError, describe
-from .scene.gather import gather
+from .errors import describe
+from .scene.gather import gather, has_derivative
+from .scene.packing import Layout
 from .scene.scene import Scene
+from .surface import Surfaces
 
 Hits = namedtuple("Hits", "t position normal shading_normal uv barycentric shape_id prim_id valid")
-Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`,
-`normal` (geometric), `shading_normal` (N, 3); `uv`, `barycentric` (N, 2); `shape_id` (position among the scene's
-shapes) and `prim_id` (N,) int32, -1 at a miss; `valid` (N,) bool."""
+Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`
+(infinite at a miss), `normal` (geometric), `shading_normal` (N, 3), unit vectors in world space; `uv`, `barycentric`
+(N, 2), where spheres and disks repeat their texture coordinates; `shape_id` (position among the scene's shapes) and
+`prim_id` (N,) int32, the triangle, -1 at a miss; `valid` (N,) bool. What is not said to be otherwise is 0 at a miss."""
+CONTINUOUS = Hits._fields[:6]
 
 
-def ray_intersect(scene: Scene, origins: Any, directions: Any, tmax: Any = None) -> Hits:
-    """The nearest surface along each ray.
+def ray_intersect(
+    scene: Scene,
+    origins: Any,
+    directions: Any,
+    tmax: Any = None,
+    *,
+    params: Mapping[str, torch.Tensor] | None = None,
+) -> Hits:
+    """The nearest surface along each ray, differentiable in the rays and in the scene's geometry.
+
+    ``hits = tr.ray_intersect(scene, *scene.sensors[0].rays())`` is what a camera sees.
+
+    Derivatives are those of the intersection with the triangle, sphere or disk that is hit: the point slides along the
+    ray as the surface moves. That a ray may come to hit something else, at a silhouette, is no part of them. They exist
+    with respect to origins, directions, vertices, normals, texture coordinates, `to_world`, centers and radii; in
+    reverse and forward mode, and of any order. A ray that misses has derivatives of zero.
 
     Args:
         scene: where.
-        origins, directions: (N, 3), world space; directions need not be normalised.
-        tmax: longest distance, a number or (N,); infinite if omitted.
+        origins, directions: (N, 3), world space, array-like; directions need not be normalised. Other dtypes than the
+            scene's are converted, and their gradients converted back.
+        tmax: longest distance in units of the direction's length, a number or (N,); infinite if omitted.
+        params: tensors that replace parameters of these names in this call, as in `render`.
 
     Returns:
-        A named tuple of tensors, see `Hits`. Values carry no gradient in this version.
+        A named tuple of tensors in the scene's dtype, see `Hits`.
+
+    Raises:
+        TypeError, ValueError: before any work, naming the argument, what was expected and what came.
     """
-    origins, directions, limits = _rays("ray_intersect", scene, origins, directions, tmax)
-    n = origins.shape[0]
-    real = {"dtype": scene.dtype}
-    out = {
-        "t": torch.empty(n, **real),
-        "position": torch.empty(n, 3, **real),
-        "normal": torch.empty(n, 3, **real),
-        "shading_normal": torch.empty(n, 3, **real),
-        "uv": torch.empty(n, 2, **real),
-        "b1": torch.empty(n, **real),
-        "b2": torch.empty(n, **real),
-        "shape_id": torch.empty(n, dtype=torch.int32),
-        "prim_id": torch.empty(n, dtype=torch.int32),
-    }
-    addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-    _query(scene, "ray_intersect", n, origins, directions, limits, addresses)
-    barycentric = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
-    return Hits(**out, barycentric=barycentric, valid=out["shape_id"] >= 0)
-
-
-def ray_occluded(scene: Scene, origins: Any, directions: Any, tmax: Any = None) -> torch.Tensor:
-    """Whether anything lies along each ray, closer than `tmax`: (N,) bool. Arguments as for `ray_intersect`."""
-    origins, directions, limits = _rays("ray_occluded", scene, origins, directions, tmax)
-    hit = torch.empty(origins.shape[0], dtype=torch.uint8)
-    _query(scene, "ray_occluded", origins.shape[0], origins, directions, limits, hit.data_ptr())
-    return hit.bool()
-
-
-def _query(scene: Scene, function: str, n: int, origins: Any, directions: Any, limits: Any, out: Any) -> None:
+    scene, origins, directions, limits = _rays("ray_intersect", scene, origins, directions, tmax)
     layout = scene.layout()
-    params = [t.detach() for t in gather(scene, layout, None)]
-    native = scene.native(layout, [tuple(t.shape) for t in params])
-    native.call(function, params, n, origins.data_ptr(), directions.data_ptr(), limits.data_ptr(), out)
+    tensors = gather(scene, layout, params, "ray_intersect")
+    found = _Intersect.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
+    hits = Hits(*found, valid=found[6] >= 0)
+    geometry = [tensors[i] for i in _geometry(layout)]
+    if not any(has_derivative(t) for t in (origins, directions, *geometry)):
+        return hits
+    rows = hits.valid.nonzero()[:, 0]
+    points = Surfaces.of(scene, layout, tensors).meet(
+        hits.shape_id[rows], hits.prim_id[rows], origins[rows], directions[rows], hits.t[rows]
+    )
+    # The core's numbers with these derivatives: values do not depend on whether derivatives are asked for.
+    attached = {}
+    for name in CONTINUOUS:
+        value, point = getattr(hits, name), getattr(points, name)
+        attached[name] = value.index_put((rows,), value[rows] + (point - point.detach()))
+    return hits._replace(**attached)
 
 
-def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -> tuple[torch.Tensor, ...]:
+def ray_occluded(
+    scene: Scene,
+    origins: Any,
+    directions: Any,
+    tmax: Any = None,
+    *,
+    params: Mapping[str, torch.Tensor] | None = None,
+) -> torch.Tensor:
+    """Whether anything lies along each ray, closer than `tmax`: (N,) bool. Arguments as for `ray_intersect`.
+
+    The answer is piecewise constant and has no derivative; tensors that require gradients are accepted.
+    """
+    scene, origins, directions, limits = _rays("ray_occluded", scene, origins, directions, tmax)
+    layout = scene.layout()
+    tensors = gather(scene, layout, params, "ray_occluded")
+    return _Occluded.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
+
+
+class _Query(Function):
+    """A call of the core as a function that `torch.func` sees plain tensors in; nothing of it has derivatives."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.count = len(inputs)
+        ctx.outputs = len(output) if isinstance(output, tuple) else 0
+        ctx.mark_non_differentiable(*(output if isinstance(output, tuple) else (output,)))
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        return (None,) * ctx.count
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        return (None,) * ctx.outputs if ctx.outputs else None
+
+
+class _Intersect(_Query):
+    @staticmethod
+    def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> Any:
+        origins, directions, limits, *params = tensors
+        n, real = origins.shape[0], {"dtype": scene.dtype}
+        out = {
+            "t": torch.empty(n, **real),
+            "position": torch.empty(n, 3, **real),
+            "normal": torch.empty(n, 3, **real),
+            "shading_normal": torch.empty(n, 3, **real),
+            "uv": torch.empty(n, 2, **real),
+            "b1": torch.empty(n, **real),
+            "b2": torch.empty(n, **real),
+            "shape_id": torch.empty(n, dtype=torch.int32),
+            "prim_id": torch.empty(n, dtype=torch.int32),
+        }
+        native = scene.native(layout, [tuple(p.shape) for p in params])
+        rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
+        native.call("ray_intersect", params, n, *rays, {name: tensor.data_ptr() for name, tensor in out.items()})
+        barycentric = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
+        return tuple(barycentric if name == "barycentric" else out[name] for name in Hits._fields[:-1])
+
+
+class _Occluded(_Query):
+    @staticmethod
+    def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> torch.Tensor:
+        origins, directions, limits, *params = tensors
+        hit = torch.empty(origins.shape[0], dtype=torch.uint8)
+        native = scene.native(layout, [tuple(p.shape) for p in params])
+        rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
+        native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr())
+        return hit.bool()
+
+
+def _detached(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    return [t.detach() for t in tensors]
+
+
+def _geometry(layout: Layout) -> list[int]:
+    """Slots of the parameters that say where surfaces are."""
+    return [i for i, slot in enumerate(layout.slots) if getattr(slot.module, "category", "") == "shape"]
+
+
+def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -> tuple[Any, ...]:
     if not isinstance(scene, Scene):
         raise TypeError(f"{function}: scene: expected a Scene, got {describe(scene)}")
     made = []
@@ -71,9 +160,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         tensor = torch.as_tensor(value)
         if tensor.ndim != 2 or tensor.shape[1] != 3 or tensor.is_complex():
             raise ValueError(f"{function}: {name}: expected shape (N, 3), got {describe(tensor)}")
-        if tensor.requires_grad and torch.is_grad_enabled():
-            raise NotDifferentiableError(f"{function}: {name}: queries have no derivatives in this version")
-        made.append(tensor.detach().to(scene.dtype).contiguous())
+        made.append(tensor.to(scene.dtype).contiguous())
     if made[0].shape != made[1].shape:
         raise ValueError(
             f"{function}: origins have shape {tuple(made[0].shape)}, but directions {tuple(made[1].shape)}"
@@ -83,4 +170,4 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         raise ValueError(f"{function}: tmax: expected a number or shape (N,), got {describe(limit)}")
     if bool(torch.isnan(limit).any()):
         raise ValueError(f"{function}: tmax: has values that are not numbers")
-    return made[0], made[1], limit.expand(made[0].shape[0]).contiguous()
+    return scene, made[0], made[1], limit.expand(made[0].shape[0]).contiguous()

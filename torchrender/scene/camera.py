@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -33,6 +34,34 @@ def x_fov_of(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
     half = torch.tan(torch.deg2rad(fov) / 2)
     half = half * (aspect if axis == "y" else aspect / math.hypot(1.0, aspect))
     return torch.rad2deg(2 * torch.atan(half))
+
+
+Rays = namedtuple("Rays", "origins directions tmax")
+Rays.__doc__ = """Camera rays: `origins`, unit `directions` (N, 3), world space, and how far they reach, `tmax` (N,)."""
+
+
+def perspective_rays(
+    to_world: torch.Tensor,
+    x_fov: torch.Tensor,
+    offset_x: torch.Tensor,
+    offset_y: torch.Tensor,
+    near_clip: torch.Tensor,
+    far_clip: torch.Tensor,
+    size: tuple[int, int],
+    positions: torch.Tensor,
+) -> Rays:
+    """Rays of a pinhole camera with these parameters, see `PerspectiveCamera.rays`; `size` of the film is (H, W)."""
+    height, width = size
+    tangent = torch.tan(x_fov * (math.pi / 360))
+    x = 2 * (positions[:, 0] * (1 / width) + offset_x)
+    y = 2 * (positions[:, 1] * (1 / height) + offset_y)
+    local = torch.stack([(1 - x) * tangent, (1 - y) * (tangent * height / width), torch.ones_like(x)], 1)
+    local = local / torch.linalg.vector_norm(local, dim=1, keepdim=True)
+    directions = local @ to_world[:3, :3].T
+    directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
+    stretch = 1 / local[:, 2]
+    origins = to_world[:3, 3] + directions * (stretch * near_clip)[:, None]
+    return Rays(origins, directions, (stretch * (far_clip - near_clip)).detach())
 
 
 @register
@@ -108,6 +137,37 @@ class PerspectiveCamera(Plugin):
         crop = f", crop={film.crop}" if film.crop is not None else ""
         count = f", {self.sampler.sample_count} samples a pixel" if self.sampler is not None else ""
         return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
+
+    def rays(self, positions: Any = None) -> Rays:
+        """The rays of positions on the film, differentiable in pose, field of view and principal point.
+
+        ``tr.ray_intersect(scene, *camera.rays(positions))`` is what the camera sees there.
+
+        Args:
+            positions: (N, 2) as (x, y) in pixels from the upper left corner of the whole film, x to the right and y
+                down, pixel centres at +0.5. None: the centres of the pixels that are rendered, row by row.
+
+        Returns:
+            A named tuple of `origins` (N, 3) on the near plane, unit `directions` (N, 3) in world space, and `tmax`
+            (N,), the distances to the far plane, which carry no gradient.
+        """
+        if positions is None:
+            y0, x0, height, width = self.film.window
+            y, x = torch.meshgrid(torch.arange(height) + (y0 + 0.5), torch.arange(width) + (x0 + 0.5), indexing="ij")
+            positions = torch.stack([x, y], -1).reshape(-1, 2)
+        positions = torch.as_tensor(positions)
+        if positions.ndim != 2 or positions.shape[1] != 2 or positions.is_complex():
+            raise ValueError(f"rays: positions: expected shape (N, 2), got {describe(positions)}")
+        return perspective_rays(
+            self.to_world,
+            self.x_fov,
+            self.principal_point_offset_x,
+            self.principal_point_offset_y,
+            self.near_clip,
+            self.far_clip,
+            (self.film.height, self.film.width),
+            positions.to(self.to_world),
+        )
 
     # ------------------------------------------------------------------------------------------- constructors
     @classmethod

@@ -17,27 +17,34 @@ if TYPE_CHECKING:
     from .scene import Scene
 
 
-def gather(scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None) -> list[torch.Tensor]:
-    """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name."""
+def gather(
+    scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None, function: str = "render"
+) -> list[torch.Tensor]:
+    """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name.
+
+    `function` is who asks, for messages.
+    """
     if scene.dtype not in (torch.float32, torch.float64):
-        raise TypeError(f"render: scene: float32 and float64 are rendered, but it is {scene.dtype}: use scene.float()")
+        raise TypeError(
+            f"{function}: scene: float32 and float64 are rendered, but it is {scene.dtype}: use scene.float()"
+        )
     replaced: dict[int, torch.Tensor] = {}
     if params:
         if not isinstance(params, Mapping):
-            raise TypeError(f"render: params: expected a mapping from names to tensors, got {describe(params)}")
+            raise TypeError(f"{function}: params: expected a mapping from names to tensors, got {describe(params)}")
         for name, tensor in params.items():
             index = layout.by_name.get(name)
             if index is None:
                 raise ValueError(
-                    f"render: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"
+                    f"{function}: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"
                 )
             if not isinstance(tensor, torch.Tensor):
-                raise TypeError(f"render: params: {name}: expected a tensor, got {describe(tensor)}")
+                raise TypeError(f"{function}: params: {name}: expected a tensor, got {describe(tensor)}")
             if not tensor.is_floating_point():
-                raise TypeError(f"render: params: {name}: expected floating-point numbers, got {describe(tensor)}")
-            layout.slots[index].check_shape(tensor, scene.channels, f"render: params: {name}")
+                raise TypeError(f"{function}: params: {name}: expected floating-point numbers, got {describe(tensor)}")
+            layout.slots[index].check_shape(tensor, scene.channels, f"{function}: params: {name}")
             if index in replaced:
-                raise ValueError(f"render: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
+                raise ValueError(f"{function}: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
             replaced[index] = tensor
     tensors = []
     for i, slot in enumerate(layout.slots):

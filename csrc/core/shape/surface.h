@@ -87,8 +87,18 @@ TR_INLINE Vec2<F> curved_coordinates(const Vec3<F> &local, const MaskOf<F> &sphe
     return {select(sphere, phi, radius), select(sphere, polar, phi)};
 }
 
+// The distance to the unit sphere or disk that is near t, which is known to single precision.
+template <class F, class S>
+TR_INLINE F refine_distance(const S *to_object, const Ray<F> &ray, const F &t, const MaskOf<F> &sphere) {
+    Vec3<F> o = transform_point(to_object, ray.o), d = transform_vector(to_object, ray.d);
+    F a = dot(d, d), middle = -dot(o, d) / a;
+    F half = sqrt(max(F(1) - squared_norm(o + d * middle), F(0)) / a);
+    F plane = -o.z / select(mask<F>(d.z == F(0)), F(1), d.z);
+    return select(sphere, middle + select(mask<F>(t < middle), -half, half), plane);
+}
+
 // What Embree reports, made into a point with frames. Embree works in single precision: with Float = double the
-// distance and the barycentric coordinates are computed again from the triangle it names.
+// distance and the barycentric coordinates are computed again from the shape and triangle it names.
 template <class F, class S>
 TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
                                           const MaskOf<F> &active) {
@@ -130,6 +140,7 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
         auto sphere = curved && mask<F>(kind == int32_t(ShapeKind::Sphere));
+        if constexpr (sizeof(S) == 8) t = select(curved, refine_distance(to_object, ray, t, sphere), t);
         Vec3<F> local = transform_point(to_object, ray.o + ray.d * t);
         // a point in single precision is off the surface: put it back, so that spawned rays start right
         local = select(sphere, normalize(local), Vec3<F>{local.x, local.y, F(0)});

@@ -1,0 +1,245 @@
+"""The shapes of a scene as tensors, and where rays meet them, in plain PyTorch.
+
+The native core says which triangle, sphere or disk a ray hits. From there position, normals and coordinates are
+computed here once more, by operations that autograd differentiates as often and in whichever mode it is asked to.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import torch
+
+from .scene.declaration import models
+from .scene.packing import Layout
+
+if TYPE_CHECKING:
+    from .scene.scene import Scene
+
+MESH, SPHERE, DISK = 0, 1, 2
+CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of the rectangle, counter-clockwise seen from +z
+RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
+
+
+@dataclass
+class SurfacePoints:
+    """Points on surfaces: `t` (N,), `position`, `normal`, `shading_normal` (N, 3), `uv`, `barycentric` (N, 2).
+
+    On spheres and disks `barycentric` repeats the texture coordinates.
+    """
+
+    t: torch.Tensor
+    position: torch.Tensor
+    normal: torch.Tensor
+    shading_normal: torch.Tensor
+    uv: torch.Tensor
+    barycentric: torch.Tensor
+
+
+@dataclass
+class Surfaces:
+    """All shapes of a scene, vertices and faces of meshes one after the other. S shapes, V vertices, F faces.
+
+    Attributes:
+        kind: (S,) int64, mesh (a rectangle is one), sphere or disk.
+        flip: (S,) bool, normals are turned round.
+        smooth, textured: (S,) bool, there are vertex normals, texture coordinates.
+        first_face, first_vertex: (S,) int64, where a shape's faces and vertices begin.
+        faces: (F, 3) int64, indices into all vertices.
+        positions, normals: (V, 3), world space. texcoords: (V, 2).
+        to_world: (S, 4, 4), from the unit sphere or disk to the world; the identity for meshes.
+    """
+
+    kind: torch.Tensor
+    flip: torch.Tensor
+    smooth: torch.Tensor
+    textured: torch.Tensor
+    first_face: torch.Tensor
+    first_vertex: torch.Tensor
+    faces: torch.Tensor
+    positions: torch.Tensor
+    normals: torch.Tensor
+    texcoords: torch.Tensor
+    to_world: torch.Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
+        """The shapes with these `tensors` in the layout's slots, attached to them."""
+        real = {"dtype": scene.dtype, "device": scene.device}
+        identity = torch.eye(4, **real)
+        kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
+        faces, positions, normals, texcoords = [], [], [], []
+        n_vertices = n_faces = 0
+        for kind, numbers, _ in layout.objects["shape"]:
+            value = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
+            flip, matrix = bool(value["flip_normals"]), identity
+            first_face.append(n_faces)
+            first_vertex.append(n_vertices)
+            has_normals = has_texcoords = False
+            if kind == "mesh":
+                corners = tensors[value["vertices"]]
+                indices = layout.index_tensors[value["faces"]].long()
+                has_normals, has_texcoords = value["normals"] >= 0, value["texcoords"] >= 0
+                normals.append(tensors[value["normals"]] if has_normals else corners.new_zeros(corners.shape))
+                texcoords.append(tensors[value["texcoords"]] if has_texcoords else corners.new_zeros(len(corners), 2))
+            else:
+                matrix = tensors[value["to_world"]]
+                if kind == "sphere":
+                    matrix = _placed(matrix, tensors[value["center"]], tensors[value["radius"]])
+            if kind == "rectangle":
+                square = torch.tensor(CORNERS, **real)
+                corners = square @ matrix[:3, :2].T + matrix[:3, 3]
+                indices = torch.tensor(RECTANGLE_FACES)
+                has_texcoords = True
+                normals.append(torch.zeros(4, 3, **real))
+                texcoords.append((square + 1) / 2)
+            if kind in ("sphere", "rectangle"):
+                # mirroring turns a sphere inside out, and the faces of a rectangle, but not its normal
+                flip ^= bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)
+            if kind in ("mesh", "rectangle"):
+                faces.append(indices + n_vertices)
+                positions.append(corners)
+                n_vertices, n_faces = n_vertices + len(corners), n_faces + len(indices)
+            kinds.append({"sphere": SPHERE, "disk": DISK}.get(kind, MESH))
+            flips.append(flip)
+            smooth.append(has_normals)
+            textured.append(has_texcoords)
+            matrices.append(matrix if kind in ("sphere", "disk") else identity)
+        nothing = torch.zeros(0, 3, **real)
+        return cls(
+            kind=torch.tensor(kinds, dtype=torch.int64),
+            flip=torch.tensor(flips, dtype=torch.bool),
+            smooth=torch.tensor(smooth, dtype=torch.bool),
+            textured=torch.tensor(textured, dtype=torch.bool),
+            first_face=torch.tensor(first_face, dtype=torch.int64),
+            first_vertex=torch.tensor(first_vertex, dtype=torch.int64),
+            faces=torch.cat(faces) if faces else torch.zeros(0, 3, dtype=torch.int64),
+            positions=torch.cat(positions) if positions else nothing,
+            normals=torch.cat(normals) if normals else nothing,
+            texcoords=torch.cat(texcoords) if texcoords else nothing[:, :2],
+            to_world=torch.stack(matrices) if matrices else identity.expand(0, 4, 4),
+        )
+
+    def meet(
+        self,
+        shape: torch.Tensor,
+        primitive: torch.Tensor,
+        origins: torch.Tensor,
+        directions: torch.Tensor,
+        t: torch.Tensor,
+    ) -> SurfacePoints:
+        """Where rays meet the surfaces that they are known to hit.
+
+        Args:
+            shape, primitive: (N,) integers, what is hit: triangles as infinite planes, disks alike.
+            origins, directions: (N, 3).
+            t: (N,) roughly the distance, which tells the two intersections with a sphere apart.
+        """
+        shape, primitive = shape.long(), primitive.long()
+        on_mesh = self.kind[shape] == MESH
+        if bool(on_mesh.all()):
+            return self._on_triangles(shape, primitive, origins, directions)
+        if not bool(on_mesh.any()):
+            return self._on_quadrics(shape, origins, directions, t)
+        rows = torch.cat([on_mesh.nonzero()[:, 0], (~on_mesh).nonzero()[:, 0]])
+        flat, curved = rows[: int(on_mesh.sum())], rows[int(on_mesh.sum()) :]
+        back = torch.argsort(rows)
+        a = self._on_triangles(shape[flat], primitive[flat], origins[flat], directions[flat])
+        b = self._on_quadrics(shape[curved], origins[curved], directions[curved], t[curved])
+        return SurfacePoints(*(torch.cat([getattr(a, n), getattr(b, n)])[back] for n in a.__dataclass_fields__))
+
+    def _on_triangles(
+        self, shape: torch.Tensor, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor
+    ) -> SurfacePoints:
+        corner = self.faces[self.first_face[shape] + primitive]  # (N, 3)
+        p0, p1, p2 = self.positions[corner].unbind(1)
+        e1, e2 = p1 - p0, p2 - p0
+        # Moeller and Trumbore, "Fast, Minimum Storage Ray/Triangle Intersection", 1997, without the tests
+        q, s = torch.linalg.cross(d, e2), o - p0
+        r = torch.linalg.cross(s, e1)
+        determinant = dot(e1, q)
+        degenerate = determinant == 0
+        inverse = torch.where(degenerate, 0.0, 1 / torch.where(degenerate, 1.0, determinant))
+        b1, b2, t = dot(s, q) * inverse, dot(d, r) * inverse, dot(e2, r) * inverse
+        weight = torch.stack([1 - b1 - b2, b1, b2], 1)[..., None]  # (N, 3, 1)
+        normal = normalize(torch.linalg.cross(e1, e2))
+        smooth = self.smooth[shape][:, None]
+        shading = torch.where(smooth, normalize((self.normals[corner] * weight).sum(1), normal), normal)
+        barycentric = torch.stack([b1, b2], 1)
+        uv = torch.where(self.textured[shape][:, None], (self.texcoords[corner] * weight).sum(1), barycentric)
+        sign = 1 - 2 * self.flip[shape][:, None].to(o.dtype)
+        return SurfacePoints(
+            t, p0 + e1 * b1[:, None] + e2 * b2[:, None], normal * sign, shading * sign, uv, barycentric
+        )
+
+    def _on_quadrics(self, shape: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
+        matrix = self.to_world[shape]
+        inverse = torch.linalg.inv(matrix)
+        sphere = self.kind[shape] == SPHERE
+        lo, ld = transform_point(inverse, o), transform_vector(inverse, d)
+        a = dot(ld, ld)
+        middle = -dot(lo, ld) / a
+        left = 1 - dot(lo + ld * middle[:, None], lo + ld * middle[:, None])
+        grazing = left <= 0
+        half = torch.where(grazing, 0.0, torch.sqrt(torch.where(grazing, 1.0, left) / a))
+        parallel = ld[:, 2] == 0
+        plane = -lo[:, 2] / torch.where(parallel, 1.0, ld[:, 2])
+        t = torch.where(sphere, torch.where(near < middle, middle - half, middle + half), plane)
+        local = lo + ld * t[:, None]
+        height = torch.where(sphere, local[:, 2], 0.0)
+        local = torch.stack([local[:, 0], local[:, 1], height], 1)
+        axis = local.new_tensor([0.0, 0.0, 1.0]).expand_as(local)
+        normal = normalize(transform_normal(inverse, torch.where(sphere[:, None], local, axis)))
+        normal = normal * (1 - 2 * self.flip[shape][:, None].to(o.dtype))
+        uv = curved_coordinates(local, sphere)
+        return SurfacePoints(t, transform_point(matrix, local), normal, normal, uv, uv)
+
+
+def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
+    """`matrix` after moving and scaling the unit sphere."""
+    linear = matrix[:, :3] * radius
+    offset = matrix[:, :3] @ center + matrix[:, 3]
+    return torch.cat([linear, offset[:, None]], 1)
+
+
+def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor) -> torch.Tensor:
+    """Texture coordinates (N, 2) of points (N, 3) of the unit sphere (azimuth, polar angle), else of the unit disk
+    (radius, azimuth). At the poles and the centre, where azimuths jump, derivatives are zero."""
+    x, y, z = local.unbind(-1)
+    square = x * x + y * y
+    pole = square == 0
+    radius = torch.where(pole, 0.0, torch.sqrt(torch.where(pole, 1.0, square)))
+    phi = torch.where(pole, 0.0, torch.atan2(torch.where(pole, 0.0, y), torch.where(pole, 1.0, x))) / (2 * math.pi)
+    phi = torch.where(phi < 0, phi + 1, phi)
+    polar = torch.where(pole, torch.where(z < 0, math.pi, 0.0).to(z.dtype), torch.atan2(radius, z)) / math.pi
+    return torch.stack([torch.where(sphere, phi, radius), torch.where(sphere, polar, phi)], -1)
+
+
+def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """(..., 3), (..., 3) -> (...)."""
+    return (a * b).sum(-1)
+
+
+def normalize(v: torch.Tensor, fallback: torch.Tensor | None = None) -> torch.Tensor:
+    """Unit vectors (..., 3); `fallback`, else zero, with zero derivatives where the length is zero."""
+    square = dot(v, v)[..., None]
+    usable = square > 0
+    unit = v / torch.sqrt(torch.where(usable, square, 1.0))
+    return torch.where(usable, unit, torch.zeros_like(v) if fallback is None else fallback)
+
+
+def transform_point(matrix: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+    """(N, 4, 4) or (4, 4) and (N, 3) -> (N, 3)."""
+    return transform_vector(matrix, p) + matrix[..., :3, 3]
+
+
+def transform_vector(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    return (matrix[..., :3, :3] * v[..., None, :]).sum(-1)
+
+
+def transform_normal(inverse: torch.Tensor, n: torch.Tensor) -> torch.Tensor:
+    """Normals under the map whose inverse is given; not normalised."""
+    return (inverse[..., :3, :3].transpose(-1, -2) * n[..., None, :]).sum(-1)
