@@ -34,13 +34,14 @@ class RenderCall:
 
     native: NativeScene
     config: dict[str, Any]  # what primal and derivative rendering share
-    size: tuple[int, int]
+    size: tuple[int, ...]  # (H, W), or (N,) with a list of pixels
     spp: int
     seed: int
     spp_grad: int
     seed_grad: int
     passes: int
     nan: str
+    pixels: Any  # the array to whose memory `config` points
     alpha: bool
     statistics: dict[str, Any]
     refusals: list[tuple[str, str]]  # name of each parameter, and why it has no derivative
@@ -70,7 +71,7 @@ class RenderCall:
                 raise RenderError(text)
             warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=2)
 
-    def shape(self) -> tuple[int, int, int]:
+    def shape(self) -> tuple[int, ...]:
         return (*self.size, self.native.channels)
 
 
