@@ -39,13 +39,14 @@ class RenderCall:
 
     native: NativeScene
     config: dict[str, Any]  # what primal and derivative rendering share
-    size: tuple[int, int]
+    size: tuple[int, ...]  # (H, W), or (N,) with a list of pixels
     spp: int
     seed: int
     spp_grad: int
     seed_grad: int
     passes: int
     nan: str
+    pixels: Any  # the array to whose memory `config` points
     alpha: bool
     statistics: dict[str, Any]
     wanted: Wanted  # what is said about derivatives that are asked for
@@ -82,7 +83,7 @@ class RenderCall:
                 raise RenderError(text)
             warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=2)
 
-    def shape(self) -> tuple[int, int, int]:
+    def shape(self) -> tuple[int, ...]:
         return (*self.size, self.native.channels)
 
 

@@ -8,6 +8,7 @@ from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -66,8 +67,10 @@ def render(
         params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
         outputs: names of what is wanted; a named tuple of tensors comes back. Here: ``"rgb"``, ``"alpha"`` (H, W).
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
-        pixels: not supported by this version.
-        layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two.
+        pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
+            (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N. Not with `crop`.
+        layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two. With
+            `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
         correlated: allow `seed_grad` equal to `seed`: gradients of nonlinear losses are then biased.
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
 
@@ -79,8 +82,8 @@ def render(
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
     integrator_config = _integrator(scene, integrator)
     names = _outputs(outputs)
-    if pixels is not None:
-        raise ValueError("render: pixels: not supported by this version; crop=(y0, x0, height, width) is")
+    if pixels is not None and crop is not None:
+        raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     if layout not in LAYOUTS:
         raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
     if nan not in ("drop", "raise"):
@@ -91,10 +94,15 @@ def render(
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
     tensors = gather(scene, packed, params)
     images, alphas = [], []
+    chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
         film = camera.film
         samples = default_sample_count(camera) if spp is None else _count("spp", spp)
         window, size, config = _film_config(film, crop)
+        if pixels is not None:
+            chosen = _pixels(pixels, size)
+            config["pixels"] = (chosen.ctypes.data, len(chosen))
+            size = (len(chosen),)
         used = tensors
         if index == len(packed.sensors) - 1:
             used = substitute(scene, packed, tensors, camera)
@@ -116,6 +124,7 @@ def render(
             seed_grad=gradient_seed,
             passes=passes,
             nan=nan,
+            pixels=chosen,
             alpha="alpha" in names,
             statistics=scene.statistics,
             wanted=Wanted(packed, scene.warned),
@@ -143,7 +152,7 @@ def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: b
     want_batch = batched or layout.startswith("b")
     image = torch.stack(images) if want_batch else images[0]
     if channels and layout.endswith("chw"):
-        image = image.movedim(-1, -3)
+        image = image.movedim(-1, 1 if want_batch else 0)
     return image
 
 
@@ -184,7 +193,7 @@ def _outputs(outputs: Any) -> tuple[str, ...]:
     return tuple(outputs)
 
 
-def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 30) -> int:
+def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise TypeError(f"render: {name}: expected an integer, got {describe(value)}")
     value = value.__index__()
@@ -273,6 +282,33 @@ def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tupl
         "filter_param": film.filter.parameter,
     }
     return rendered, rendered[2:], config
+
+
+def _pixels(pixels: Any, size: tuple[int, int]) -> np.ndarray:
+    """`pixels` as int64 (N, 2) inside an image of `size`."""
+    if isinstance(pixels, torch.Tensor):
+        if pixels.is_floating_point() or pixels.is_complex() or pixels.dtype == torch.bool:
+            raise TypeError(f"render: pixels: expected integers, rows and columns, got {describe(pixels)}")
+        while torch._C._functorch.is_functorch_wrapped_tensor(pixels):
+            pixels = torch._C._functorch.get_unwrapped(pixels)
+        with torch._C._DisableFuncTorch():  # inside jvp every new tensor would be wrapped and have no memory to read
+            pixels = pixels.detach().cpu().numpy()
+    else:
+        try:
+            pixels = np.asarray(pixels)
+        except ValueError:
+            pixels = np.asarray("ragged")
+        if pixels.dtype.kind not in "iu":
+            raise TypeError(f"render: pixels: expected an integer tensor (N, 2), got {pixels.dtype} {pixels.shape}")
+    if pixels.ndim != 2 or pixels.shape[1] != 2:
+        raise ValueError(f"render: pixels: expected shape (N, 2), rows and columns, got {pixels.shape}")
+    pixels = np.ascontiguousarray(pixels, dtype=np.int64)
+    if len(pixels) and (pixels.min() < 0 or np.any(pixels.max(0) >= size)):
+        wrong = pixels[np.any((pixels < 0) | (pixels >= np.asarray(size)), axis=1)][0]
+        raise ValueError(
+            f"render: pixels: {tuple(wrong.tolist())} is not inside an image of {size[0]} rows and {size[1]} columns"
+        )
+    return pixels
 
 
 def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:

@@ -4,6 +4,7 @@
 
 #include <chrono>
 #include <mutex>
+#include <optional>
 
 #include "cpu/render.h"
 #include "host/dependence.h"
@@ -27,6 +28,7 @@ struct Config {
     Rect crop, window;
     int64_t spp, sample_offset;
     bool packets;
+    std::optional<std::vector<Pixel>> pixels;
 };
 
 Rect rect(const py::handle &h) {
@@ -48,8 +50,17 @@ Config read_config(const py::dict &d) {
     c.crop = rect(d["crop"]);
     c.window = d.contains("window") ? rect(d["window"]) : c.crop;
     std::string filter = d["filter"].cast<std::string>();
-    c.filter.kind = filter == "box" ? FilterKind::Box : filter == "tent" ? FilterKind::Tent : FilterKind::Gaussian;
-    c.filter.parameter = d["filter_param"].cast<double>();
+    c.filter = Filter(filter == "box"    ? FilterKind::Box
+                      : filter == "tent" ? FilterKind::Tent
+                                         : FilterKind::Gaussian,
+                      d["filter_param"].cast<double>());
+    if (d.contains("pixels")) {  // (n, 2) rows and columns of the crop, int64
+        auto [address, n] = d["pixels"].cast<std::pair<uintptr_t, size_t>>();
+        const int64_t *p = reinterpret_cast<const int64_t *>(address);
+        c.pixels.emplace(n);
+        for (size_t i = 0; i < n; ++i)
+            (*c.pixels)[i] = {c.crop.y0 + int32_t(p[2 * i]), c.crop.x0 + int32_t(p[2 * i + 1])};
+    }
     c.threads = std::max(1, d["threads"].cast<int>());
     c.spp = d["spp"].cast<int64_t>();
     c.sample_offset = d["sample_offset"].cast<int64_t>();
@@ -91,8 +102,9 @@ public:
     virtual void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
                        const std::vector<IndexArray> &arrays, SceneBase *previous) = 0;
     virtual std::map<std::string, uint64_t> counters() = 0;
+    // image, alpha and variance; the last two may be 0
     virtual RenderStats render(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
-                               uintptr_t image, uintptr_t alpha) = 0;
+                               const std::array<uintptr_t, 3> &out) = 0;
     virtual RenderStats reverse(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
                                 uintptr_t adjoint, const Addresses &gradients) = 0;
     virtual RenderStats forward(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
@@ -132,11 +144,12 @@ public:
                 {"environments", c.environments}};
     }
 
-    RenderStats render(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t image,
-                       uintptr_t alpha) override {
+    RenderStats render(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
+                       const std::array<uintptr_t, 3> &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
-        return render_primal<S, C>(call(c), c.packets, reinterpret_cast<S *>(image), reinterpret_cast<S *>(alpha));
+        auto at = [&](size_t i) { return reinterpret_cast<S *>(out[i]); };
+        return render_primal<S, C>(call(c), c.packets, {at(0), at(1), at(2)});
     }
 
     RenderStats reverse(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t adjoint,
@@ -298,10 +311,8 @@ private:
         call.filter = c.filter;
         call.film_height = c.height, call.film_width = c.width;
         call.crop = c.crop;
-        // samples that reach no wanted pixel are not drawn
-        int reach = c.filter.reach();
-        call.samples =
-            tr::intersect(c.window, {c.crop.y0 - reach, c.crop.x0 - reach, c.crop.y1 + reach, c.crop.x1 + reach});
+        call.samples = c.window;
+        if (c.pixels) call.pixels = &*c.pixels;
         call.spp = c.spp, call.sample_offset = c.sample_offset;
         call.threads = c.threads;
         call.interrupted = Interruption();
@@ -399,8 +410,8 @@ void declare_scene(py::module_ &m) {
                  RenderStats stats;
                  {
                      py::gil_scoped_release release;
-                     stats = self.render(c, params, read_dirty(dirty), out.at("image"),
-                                         out.count("alpha") ? out.at("alpha") : 0);
+                     auto at = [&](const char *name) { return out.count(name) ? out.at(name) : 0; };
+                     stats = self.render(c, params, read_dirty(dirty), {out.at("image"), at("alpha"), at("variance")});
                  }
                  return to_dict(stats);
              })

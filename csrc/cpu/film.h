@@ -1,12 +1,8 @@
-// The film: reconstruction filters and the sum of samples into pixels.
-//
-// A tile of pixels, anchored to the film and not to the crop, sums into its own block; blocks are merged in the order
-// of the tiles. The order of all additions is therefore the same for any number of threads and any crop.
+// The film: reconstruction filters and the sum of samples into blocks of pixels.
 #pragma once
 
+#include <algorithm>
 #include <cmath>
-#include <map>
-#include <mutex>
 #include <vector>
 
 #include "core/math/lanes.h"
@@ -15,24 +11,33 @@ namespace tr {
 
 enum class FilterKind { Box, Tent, Gaussian };
 
-struct Filter {
-    FilterKind kind = FilterKind::Box;
-    double parameter = 0.5;  // radius of the tent, standard deviation of the Gaussian
+class Filter {
+public:
+    Filter() : Filter(FilterKind::Box, 0.5) {}
+    // `parameter`: radius of the tent, standard deviation of the Gaussian
+    Filter(FilterKind kind, double parameter)
+        : kind_(kind),
+          radius_(kind == FilterKind::Box    ? 0.5
+                  : kind == FilterKind::Tent ? parameter
+                                             : 4 * parameter),
+          scale_(-0.5 / (parameter * parameter)),
+          end_(std::exp(scale_ * radius_ * radius_)),
+          // a tent narrower than a pixel reaches its own pixel only, but not all of it
+          reach_(kind == FilterKind::Box ? 0 : std::max(1, int(std::ceil(radius_ - 0.5)))) {}
 
-    double radius() const {
-        return kind == FilterKind::Box ? 0.5 : kind == FilterKind::Tent ? parameter : 4 * parameter;
-    }
-    // pixels on each side of the sample's own that a sample can reach
-    int reach() const { return kind == FilterKind::Box ? 0 : int(std::ceil(radius() - 0.5)); }
+    // pixels on each side of the sample's own that a sample can reach; 0: the box, whose weights are 1
+    int reach() const { return reach_; }
     double operator()(double x) const {
-        double a = std::fabs(x), r = radius();
-        if (kind == FilterKind::Tent) return a < r ? 1 - a / r : 0;
-        if (kind == FilterKind::Gaussian) {
-            double s = 0.5 / (parameter * parameter);
-            return a < r ? std::exp(-s * a * a) - std::exp(-s * r * r) : 0;
-        }
-        return 1;
+        double a = std::fabs(x);
+        if (kind_ == FilterKind::Box) return 1;
+        if (a >= radius_) return 0;
+        return kind_ == FilterKind::Tent ? 1 - a / radius_ : std::exp(scale_ * a * a) - end_;
     }
+
+private:
+    FilterKind kind_;
+    double radius_, scale_, end_;
+    int reach_;
 };
 
 struct Rect {
@@ -46,77 +51,79 @@ inline Rect intersect(const Rect &a, const Rect &b) {
     return {std::max(a.y0, b.y0), std::max(a.x0, b.x0), std::min(a.y1, b.y1), std::min(a.x1, b.x1)};
 }
 
-// Sums of value channels and of filter weights over a rectangle.
+// Sums over a rectangle: of the channels' values times filter weights and, last, of the weights themselves. With
+// `moments` also of the values' squares and of the values times squared weights, and of squared weights (see variance).
 struct FilmBlock {
     Rect rect{0, 0, 0, 0};
-    int channels = 0;  // the last one is the weight
+    int values = 0, moments = 0;  // channels of values; how many of them, from the first, have moments
     std::vector<double> sum;
 
-    void reset(const Rect &r, int n) {
+    static int channels(int values, int moments) { return values + 1 + (moments ? 2 * moments + 1 : 0); }
+    int channels() const { return channels(values, moments); }
+
+    void reset(const Rect &r, int n_values, int n_moments = 0) {
         rect = r;
-        channels = n;
-        sum.assign(size_t(std::max(0, r.height())) * size_t(std::max(0, r.width())) * size_t(n), 0.0);
+        values = n_values, moments = n_moments;
+        sum.assign(size_t(std::max(0, r.height())) * size_t(std::max(0, r.width())) * size_t(channels()), 0.0);
     }
     double *at(int y, int x) {
-        return &sum[(size_t(y - rect.y0) * size_t(rect.width()) + size_t(x - rect.x0)) * size_t(channels)];
+        return &sum[(size_t(y - rect.y0) * size_t(rect.width()) + size_t(x - rect.x0)) * size_t(channels())];
     }
     const double *at(int y, int x) const { return const_cast<FilmBlock *>(this)->at(y, x); }
 
-    // Adds a sample at film position (y, x) in pixels; `value` has channels - 1 numbers.
-    void splat(const Filter &filter, double y, double x, const double *value) {
-        int py = int(std::floor(y)), px = int(std::floor(x)), reach = filter.reach(), n = channels;
-        if (reach == 0) {
-            if (!rect.contains(py, px)) return;
-            double *p = at(py, px);
-            for (int c = 0; c + 1 < n; ++c) p[c] += value[c];
-            p[n - 1] += 1;
-            return;
-        }
-        double wx[64], v[16];
-        reach = std::min(reach, 31);
-        for (int i = -reach; i <= reach; ++i) wx[i + reach] = filter(px + i + 0.5 - x);
-        for (int j = std::max(py - reach, rect.y0); j <= std::min(py + reach, rect.y1 - 1); ++j) {
-            double wy = filter(j + 0.5 - y);
-            if (wy == 0) continue;
-            for (int c = 0; c + 1 < n; ++c) v[c] = value[c] * wy;
-            v[n - 1] = wy;
-            for (int i = std::max(px - reach, rect.x0); i <= std::min(px + reach, rect.x1 - 1); ++i) {
-                double *p = at(j, i), w = wx[i - px + reach];
-                for (int c = 0; c < n; ++c) p[c] += w * v[c];
-            }
-        }
+    // Adds a sample of pixel (row, column), at film position (y, x) in pixels. (The position itself may have been
+    // rounded into the next pixel.)
+    void splat(const Filter &filter, int row, int column, double y, double x, const double *value) {
+        for_reached(filter, row, column, y, x, [&](double *p, double w) {
+            for (int c = 0; c < values; ++c) p[c] += w * value[c];
+            p[values] += w;
+            if (moments == 0) return;
+            double *q = p + values + 1, w2 = w * w;
+            for (int c = 0; c < moments; ++c) q[c] += w2 * value[c] * value[c], q[moments + c] += w2 * value[c];
+            q[2 * moments] += w2;
+        });
     }
 
-    void add(const FilmBlock &other) {
-        Rect r = intersect(rect, other.rect);
-        for (int y = r.y0; y < r.y1; ++y) {
-            double *to = at(y, r.x0);
-            const double *from = other.at(y, r.x0);
-            for (size_t i = 0, n = size_t(std::max(0, r.width())) * size_t(channels); i < n; ++i) to[i] += from[i];
-        }
-    }
-};
-
-// Merges the blocks of tiles in their order, whoever finishes first.
-class OrderedMerge {
-public:
-    explicit OrderedMerge(FilmBlock &film) : film_(film) {}
-
-    void push(size_t tile, FilmBlock &&block) {
-        std::lock_guard<std::mutex> lock(mutex_);
-        waiting_.emplace(tile, std::move(block));
-        for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(next_)) {
-            film_.add(it->second);
-            waiting_.erase(it);
-            ++next_;
-        }
+    // The transposed of `splat`: what a sample gets of the numbers in the block.
+    void collect(const Filter &filter, int row, int column, double y, double x, double *to) const {
+        for (int c = 0; c < values; ++c) to[c] = 0;
+        const_cast<FilmBlock *>(this)->for_reached(filter, row, column, y, x, [&](const double *p, double w) {
+            for (int c = 0; c < values; ++c) to[c] += w * p[c];
+        });
     }
 
 private:
-    FilmBlock &film_;
-    std::mutex mutex_;
-    std::map<size_t, FilmBlock> waiting_;
-    size_t next_ = 0;
+    template <class Visit>
+    void for_reached(const Filter &filter, int row, int column, double y, double x, Visit &&visit) {
+        int reach = filter.reach();
+        if (reach == 0) {
+            if (rect.contains(row, column)) visit(at(row, column), 1.0);
+            return;
+        }
+        double wx[2 * MaxReach + 1];
+        reach = std::min(reach, MaxReach);
+        int x0 = std::max(column - reach, rect.x0), x1 = std::min(column + reach, rect.x1 - 1);
+        for (int i = x0; i <= x1; ++i) wx[i - x0] = filter(i + 0.5 - x);
+        for (int j = std::max(row - reach, rect.y0); j <= std::min(row + reach, rect.y1 - 1); ++j) {
+            double wy = filter(j + 0.5 - y);
+            if (wy == 0) continue;
+            for (int i = x0; i <= x1; ++i)
+                if (wx[i - x0] != 0) visit(at(j, i), wy * wx[i - x0]);
+        }
+    }
+    static constexpr int MaxReach = 64;
 };
+
+// Variance of the weighted mean sum w x / sum w of independent samples, from the sums of w x, w, w^2 x^2, w^2 x and
+// w^2: the linearised ratio estimator sum w^2 (x - mean)^2 / (sum w)^2, times n / (n - 1) with the effective number of
+// samples n = (sum w)^2 / sum w^2. With equal weights that is the sample variance over the number of samples. Infinite
+// where nothing is known of it: with one sample.
+inline double variance_of_mean(double wx, double w, double w2x2, double w2x, double w2) {
+    if (w == 0 || w2 == 0) return INFINITY;
+    double mean = wx / w, n = w * w / w2;
+    if (n < 1 + 1e-9) return INFINITY;
+    double sum = w2x2 - 2 * mean * w2x + mean * mean * w2;
+    return std::max(0.0, sum) / (w * w) * (n / (n - 1));
+}
 
 }  // namespace tr

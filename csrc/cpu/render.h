@@ -9,6 +9,7 @@
 #include "core/adjoint/sweep.h"
 #include "film.h"
 #include "host/gradient.h"
+#include "plan.h"
 
 namespace tr {
 
@@ -19,8 +20,9 @@ struct RenderCall {
     PathConfig config;
     Filter filter;
     int film_height, film_width;
-    Rect crop;     // the pixels that are wanted
-    Rect samples;  // the pixels in which samples are drawn
+    Rect crop;                                   // the pixels that are wanted
+    const std::vector<Pixel> *pixels = nullptr;  // not null: these are wanted, in this order, in place of the crop
+    Rect samples;                                // samples are drawn nowhere else
     int64_t spp, sample_offset;
     int threads;
     std::function<bool()> interrupted;  // polled by the calling thread; true stops the call
@@ -50,9 +52,15 @@ struct RenderStats {
     bool interrupted = false;
 };
 
-// `image` (h, w, C) and, if not null, `alpha` (h, w) of the crop.
+// Results for every wanted pixel, in rows or in the order of the list: `image` (n, C) and, if not null, `alpha` (n) and
+// `variance` (n, C), the variance of the image's values.
+template <class S>
+struct RenderOutput {
+    S *image, *alpha = nullptr, *variance = nullptr;
+};
+
 template <class S, int C>
-RenderStats render_primal(const RenderCall<S> &call, bool packets, S *image, S *alpha);
+RenderStats render_primal(const RenderCall<S> &call, bool packets, const RenderOutput<S> &out);
 template <class S, int C>
 RenderStats render_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative);
 template <class S, int C>

@@ -1,9 +1,13 @@
-// Scheduling on the CPU: tiles of the film on threads. Included by the small files in variants/, which say for which
+// Scheduling on the CPU: items of a plan on threads. Included by the small files in variants/, which say for which
 // arithmetic and colour it is compiled.
 #pragma once
 
 #include <atomic>
+#include <chrono>
+#include <condition_variable>
 #include <exception>
+#include <map>
+#include <mutex>
 #include <thread>
 
 #include "cpu/path_tile.h"
@@ -12,61 +16,120 @@ namespace tr {
 
 namespace detail {
 
-constexpr int TileSize = 16;  // pixels on a side
-
-// Who renders a tile: the next free thread, or always the same one, so that what a thread sums up is repeatable.
+// Who takes an item: the next free thread, or always the same one, so that what a thread sums up is repeatable.
 enum class Schedule { Dynamic, Interleaved };
 
-// A thread's share: calls work(tile) for tiles until none is left; the calling thread polls for an interruption.
+// Calls make(thread) on every thread, and what that returns, work(item, stop), for items until none is left. The
+// calling thread, which is one of them, polls for an interruption: stop() asks for it and is called between batches.
 template <class Make>
-void run_tiles(size_t n_tiles, int threads, Schedule schedule, const std::function<bool()> &interrupted,
+void run_items(size_t n_items, int threads, Schedule schedule, const std::function<bool()> &interrupted,
                bool &was_interrupted, Make &&make) {
     std::atomic<size_t> next{0};
     std::atomic<bool> stop{false};
     std::exception_ptr error;
     std::mutex mutex;
+    std::condition_variable finished;
+    int running = 0;
+    auto fail = [&] {
+        std::lock_guard<std::mutex> lock(mutex);
+        if (!error) error = std::current_exception();
+        stop = true;
+    };
+    auto poll = [&] {
+        if (!stop && interrupted && interrupted()) {
+            was_interrupted = true;
+            stop = true;
+        }
+    };
     auto body = [&](int thread) {
         try {
             auto work = make(thread);
             bool fixed = schedule == Schedule::Interleaved;
-            for (size_t tile = fixed ? size_t(thread) : next++; tile < n_tiles && !stop;
-                 tile = fixed ? tile + size_t(threads) : next++) {
-                work(tile, [&] {  // asked between batches of paths
-                    if (thread == 0 && interrupted && interrupted()) {
-                        was_interrupted = true;
-                        stop = true;
-                    }
+            for (size_t item = fixed ? size_t(thread) : next++; item < n_items && !stop;
+                 item = fixed ? item + size_t(threads) : next++) {
+                work(item, [&] {
+                    if (thread == 0) poll();
                     return stop.load();
                 });
             }
         } catch (...) {
-            std::lock_guard<std::mutex> lock(mutex);
-            if (!error) error = std::current_exception();
-            stop = true;
+            fail();
         }
     };
     std::vector<std::thread> others;
-    for (int t = 1; t < threads; ++t) others.emplace_back(body, t);
+    try {
+        for (int t = 1; t < threads && size_t(t) < n_items; ++t) {
+            {
+                std::lock_guard<std::mutex> lock(mutex);
+                ++running;
+            }
+            others.emplace_back([&, t] {
+                body(t);
+                std::lock_guard<std::mutex> lock(mutex);
+                --running;
+                finished.notify_one();
+            });
+        }
+    } catch (...) {  // no more threads to be had
+        fail();
+        std::lock_guard<std::mutex> lock(mutex);
+        --running;
+    }
     body(0);
+    for (std::unique_lock<std::mutex> lock(mutex); running > 0;) {
+        finished.wait_for(lock, std::chrono::milliseconds(20));
+        lock.unlock();
+        poll();
+        lock.lock();
+    }
     for (auto &t : others) t.join();
     if (error) std::rethrow_exception(error);
 }
 
-struct Tiles {
-    Rect samples;
-    int y0, x0, columns, rows;
-    explicit Tiles(const Rect &s) : samples(s) {
-        auto down = [](int a) { return (a >= 0 ? a : a - TileSize + 1) / TileSize; };
-        y0 = down(s.y0), x0 = down(s.x0);
-        rows = s.height() > 0 ? down(s.y1 - 1) - y0 + 1 : 0;
-        columns = s.width() > 0 ? down(s.x1 - 1) - x0 + 1 : 0;
+// Adds the blocks of items to the film in the order of the items, whoever finishes first.
+class OrderedMerge {
+public:
+    OrderedMerge(const Plan &plan, Film &film, int threads)
+        : plan_(plan), film_(film), limit_(64 + 4 * size_t(threads)) {}
+
+    // Blocks by unit. Waits while too much is waiting, so that memory stays constant.
+    template <class Stop>
+    void push(size_t item, std::vector<FilmBlock> &&blocks, Stop &&stop) {
+        std::unique_lock<std::mutex> lock(mutex_);
+        while (item != next_ && waiting_.size() >= limit_) {
+            merged_.wait_for(lock, std::chrono::milliseconds(5));
+            lock.unlock();
+            bool stopped = stop();
+            lock.lock();
+            if (stopped) return;
+        }
+        waiting_.emplace(item, std::move(blocks));
+        for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(next_)) {
+            Units units = plan_.units(next_);
+            for (size_t u = 0; u < units.size(); ++u) film_.add(plan_.tile(units.tile_of(u)), it->second[u]);
+            waiting_.erase(it);
+            ++next_;
+            merged_.notify_all();
+        }
     }
-    size_t size() const { return size_t(rows) * size_t(columns); }
-    Rect rect(size_t i) const {
-        int y = (y0 + int(i) / columns) * TileSize, x = (x0 + int(i) % columns) * TileSize;
-        return intersect(samples, {y, x, y + TileSize, x + TileSize});
-    }
+
+private:
+    const Plan &plan_;
+    Film &film_;
+    size_t limit_;
+    std::mutex mutex_;
+    std::condition_variable merged_;
+    std::map<size_t, std::vector<FilmBlock>> waiting_;
+    size_t next_ = 0;
 };
+
+// A block for every unit of an item.
+inline std::vector<FilmBlock> blocks_of(const Plan &plan, size_t item, int values, int moments = 0) {
+    Units units = plan.units(item);
+    std::vector<FilmBlock> blocks(units.size());
+    for (size_t u = 0; u < blocks.size(); ++u) blocks[u].reset(plan.tile(units.tile_of(u)).reached, values, moments);
+    return blocks;
+}
 
 template <class S>
 void sum_stats(RenderStats &to, const RenderStats &from) {
@@ -82,55 +145,72 @@ void sum_stats(RenderStats &to, const RenderStats &from) {
 // Pixels are numbered alike whatever is rendered of a film, those outside of it included.
 inline uint32_t pixel_number(int y, int x) { return uint32_t(y + 32768) << 16 | uint32_t(x + 32768); }
 
-// Calls body(n) for batches of the tile's paths, whose identities are set.
-template <class F, int C, class S, class Stop, class Body>
-void for_batches(PathTile<F, C> &tile, const RenderCall<S> &call, const Rect &r, size_t capacity, Stop &&stop,
+// Paths begin .. end of a batch belong to one unit of the item.
+struct Span {
+    size_t unit;
+    uint32_t begin, end;
+};
+
+// Calls body(n, spans) for batches of an item's paths, whose identities are set.
+template <class S, class Columns, class Stop, class Body>
+void for_batches(Columns &to, const RenderCall<S> &call, const Plan &plan, size_t item, size_t capacity, Stop &&stop,
                  Body &&body) {
-    size_t pixels = size_t(r.height()) * size_t(r.width()), total = pixels * size_t(call.spp);
-    for (size_t begin = 0; begin < total && !stop(); begin += capacity) {
-        size_t n = std::min(capacity, total - begin);
-        size_t p = begin / size_t(call.spp), s = begin % size_t(call.spp);
-        int y = r.y0 + int(p) / r.width(), x = r.x0 + int(p) % r.width();
-        for (size_t k = 0; k < n; ++k) {
-            tile.row[k] = uint32_t(y);
-            tile.column[k] = uint32_t(x);
-            tile.pixel[k] = pixel_number(y, x);
-            tile.sample[k] = uint32_t(call.sample_offset + int64_t(s));
-            if (++s < size_t(call.spp)) continue;
-            s = 0;
-            if (++x == r.x1) x = r.x0, ++y;
+    Units units = plan.units(item);
+    std::vector<Span> spans;
+    size_t n = 0;
+    for (size_t u = 0; u < units.size(); ++u) {
+        Tile tile = plan.tile(units.tile_of(u));
+        int64_t first = units.chunk_of(u) * ChunkSize, last = std::min(plan.spp(), first + ChunkSize);
+        size_t begin = n;
+        for (size_t p = 0; p < tile.n; ++p) {
+            Pixel at = tile.pixel(p);
+            uint32_t number = pixel_number(at.y, at.x);
+            for (int64_t s = first; s < last;) {
+                for (; s < last && n < capacity; ++s, ++n) {
+                    to.row[n] = uint32_t(at.y);
+                    to.column[n] = uint32_t(at.x);
+                    to.pixel[n] = number;
+                    to.sample[n] = uint32_t(call.sample_offset + s);
+                }
+                if (n < capacity) continue;
+                spans.push_back({u, uint32_t(begin), uint32_t(n)});
+                if (stop()) return;
+                body(n, spans);
+                spans.clear();
+                n = begin = 0;
+            }
         }
-        body(n);
+        if (n > begin) spans.push_back({u, uint32_t(begin), uint32_t(n)});
     }
+    if (n > 0 && !stop()) body(n, spans);
 }
 
 template <class S>
-Rect reach_of(const RenderCall<S> &call, const Rect &r) {
-    int k = call.filter.reach();
-    return intersect(call.crop, {r.y0 - k, r.x0 - k, r.y1 + k, r.x1 + k});
+Plan make_plan(const RenderCall<S> &call) {
+    if (!call.pixels) return Plan(call.crop, call.samples, call.filter.reach(), call.spp);
+    return Plan(*call.pixels, call.samples, call.filter.reach(), call.spp);
 }
 
 // Primal and forward mode: every path has a value, which is splatted.
 template <class F, int C, bool Forward>
 RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
-                        ScalarOf<F> *image, ScalarOf<F> *alpha) {
+                        const RenderOutput<ScalarOf<F>> &out) {
     using S = ScalarOf<F>;
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
-    Tiles tiles(call.samples);
-    FilmBlock film;
-    film.reset(call.crop, C + 2);
-    OrderedMerge merge(film);
+    Plan plan = make_plan(call);
+    constexpr int values = C + 1;  // radiance, alpha
+    const int moments = out.variance ? C : 0;
+    Film film(plan, FilmBlock::channels(values, moments));
+    OrderedMerge merge(plan, film, call.threads);
     std::mutex mutex;
     const size_t capacity = Forward ? 256 : 1024;
-    run_tiles(tiles.size(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
+    run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<PathTile<F, C>>(call, capacity, derivative);
         if (Forward) tile->set_bsdf_wanted(derivative->bsdf_wanted);
-        return [&, tile](size_t index, auto &&stop) {
-            Rect r = tiles.rect(index);
-            FilmBlock block;
-            block.reset(reach_of(call, r), C + 2);
-            for_batches(*tile, call, r, capacity, stop, [&](size_t n) {
+        return [&, tile](size_t item, auto &&stop) {
+            std::vector<FilmBlock> blocks = blocks_of(plan, item, values, moments);
+            for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                 tile->start(n, false);
                 tile->template run<Forward>();
                 if constexpr (Forward) {
@@ -139,28 +219,30 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                     sink.geometry = derivative->geometry_tangent;
                     tile->sweep(sink, true);
                 }
-                for (size_t k = 0; k < n; ++k) {
-                    double v[C + 1];
-                    for (int c = 0; c < C; ++c) v[c] = double(tile->radiance[c][k]);
-                    v[C] = double(tile->alpha[k]);
-                    block.splat(call.filter, double(tile->film_y[k]), double(tile->film_x[k]), v);
-                }
+                for (const Span &span : spans)
+                    for (size_t k = span.begin; k < span.end; ++k) {
+                        double v[values];
+                        for (int c = 0; c < C; ++c) v[c] = double(tile->radiance[c][k]);
+                        v[C] = double(tile->alpha[k]);
+                        blocks[span.unit].splat(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
+                                                double(tile->film_y[k]), double(tile->film_x[k]), v);
+                    }
             });
-            merge.push(index, std::move(block));
+            merge.push(item, std::move(blocks), stop);
             std::lock_guard<std::mutex> lock(mutex);
             sum_stats<S>(stats, tile->stats);
             tile->stats = {};
         };
     });
-    int w = call.crop.width();
-    for (int y = call.crop.y0; y < call.crop.y1; ++y)
-        for (int x = call.crop.x0; x < call.crop.x1; ++x) {
-            const double *p = film.at(y, x);
-            size_t i = size_t(y - call.crop.y0) * size_t(w) + size_t(x - call.crop.x0);
-            double inverse = p[C + 1] != 0 ? 1 / p[C + 1] : 0;
-            for (int c = 0; c < C; ++c) image[i * C + size_t(c)] = S(p[c] * inverse);
-            if (alpha) alpha[i] = S(p[C] * inverse);
-        }
+    for (size_t i = 0; i < plan.n_results(); ++i) {
+        const double *p = film.at(plan.target_of(i)), *q = p + values + 1;
+        double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
+        for (int c = 0; c < C; ++c) out.image[i * C + size_t(c)] = S(p[c] * inverse);
+        if (out.alpha) out.alpha[i] = S(p[C] * inverse);
+        if (!out.variance) continue;
+        for (int c = 0; c < C; ++c)
+            out.variance[i * C + size_t(c)] = S(variance_of_mean(p[c], weight, q[c], q[C + c], q[2 * C]));
+    }
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
 }
@@ -172,29 +254,91 @@ GeometryTables<double> geometry_tables(GradientSums &sums, const DerivativeCall<
             derivative.shape_wanted.data()};
 }
 
+// The identities of a batch of samples, where no paths are traced.
+template <class S>
+struct SampleColumns {
+    Arena arena;
+    uint32_t *row, *column, *pixel, *sample;
+    S *film_y, *film_x;
+
+    explicit SampleColumns(size_t capacity) {
+        arena.allocate([&](Arena &a) {
+            for (uint32_t **p : {&row, &column, &pixel, &sample}) a.column(*p, capacity + MaxWidth);
+            for (S **p : {&film_y, &film_x}) a.column(*p, capacity + MaxWidth);
+        });
+    }
+    static constexpr size_t MaxWidth = 16;
+};
+
+// Film positions of the first n samples, as PathTile::start chooses them.
+template <class F, class Columns>
+void choose_positions(const PathConfig &config, Columns &at, size_t n) {
+    for (size_t i = 0; i < n; i += size_t(Lanes<F>::Width)) {
+        Random4<F> u =
+            random4<F>(config.seed, config.sensor, load_uint<F>(at.pixel + i), load_uint<F>(at.sample + i), 0);
+        store(at.film_x + i, F(IntOf<F>(load_uint<F>(at.column + i))) + u.u[0]);
+        store(at.film_y + i, F(IntOf<F>(load_uint<F>(at.row + i))) + u.u[1]);
+    }
+}
+
+// The sum of filter weights of every wanted pixel.
+template <class F>
+std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Plan &plan, RenderStats &stats) {
+    auto film = std::make_unique<Film>(plan, FilmBlock::channels(0, 0));
+    if (call.filter.reach() == 0) {
+        for (size_t i = 0; i < plan.n_targets(); ++i) *film->at(i) = double(plan.spp());
+        return film;
+    }
+    OrderedMerge merge(plan, *film, call.threads);
+    const size_t capacity = 1024;
+    run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
+        auto at = std::make_shared<SampleColumns<ScalarOf<F>>>(capacity);
+        return [&, at](size_t item, auto &&stop) {
+            std::vector<FilmBlock> blocks = blocks_of(plan, item, 0);
+            for_batches(*at, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                choose_positions<F>(call.config, *at, n);
+                for (const Span &span : spans)
+                    for (size_t k = span.begin; k < span.end; ++k)
+                        blocks[span.unit].splat(call.filter, int32_t(at->row[k]), int32_t(at->column[k]),
+                                                double(at->film_y[k]), double(at->film_x[k]), nullptr);
+            });
+            merge.push(item, std::move(blocks), stop);
+        };
+    });
+    return film;
+}
+
+// The part of a film that the samples of an item reach, a block a unit.
+inline std::vector<FilmBlock> adjoint_blocks(const Plan &plan, size_t item, const Film &adjoint, int channels) {
+    std::vector<FilmBlock> blocks = blocks_of(plan, item, channels);
+    Units units = plan.units(item);
+    for (size_t u = 0; u < blocks.size(); ++u)
+        plan.for_targets(plan.tile(units.tile_of(u)), [&](size_t target, int y, int x) {
+            std::copy_n(adjoint.at(target), channels, blocks[u].at(y, x));
+        });
+    return blocks;
+}
+
 template <class F, int C>
 RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
     using S = ScalarOf<F>;
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
-    Tiles tiles(call.samples);
+    derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+    Plan plan = make_plan(call);
     const size_t capacity = 256;
-    // sums of filter weights
-    FilmBlock weights;
-    weights.reset(call.crop, 1);
-    auto position = [&](uint32_t y, uint32_t x, uint32_t sample, double &fy, double &fx) {
-        Random4<S> u =
-            random4<S>(call.config.seed, call.config.sensor, pixel_number(int32_t(y), int32_t(x)), sample, 0);
-        fx = double(S(int32_t(x)) + u.u[0]), fy = double(S(int32_t(y)) + u.u[1]);
-    };
-    const int reach = call.filter.reach();  // 0: the box filter, whose weights are the number of samples
-    for (int y = call.samples.y0; reach > 0 && y < call.samples.y1; ++y)
-        for (int x = call.samples.x0; x < call.samples.x1; ++x)
-            for (int64_t s = 0; s < call.spp; ++s) {
-                double fy, fx;
-                position(uint32_t(y), uint32_t(x), uint32_t(call.sample_offset + s), fy, fx);
-                weights.splat(call.filter, fy, fx, nullptr);
-            }
+    // d loss / d (sum of weighted radiances) of every wanted pixel
+    Film adjoint(plan, C);
+    {
+        std::unique_ptr<Film> weights = sum_weights<F>(call, plan, stats);
+        if (stats.interrupted) return stats;
+        for (size_t i = 0; i < plan.n_results(); ++i) {  // a pixel that was asked for twice has two
+            size_t target = plan.target_of(i);
+            double total = *weights->at(target);
+            if (total == 0) continue;
+            for (int c = 0; c < C; ++c) adjoint.at(target)[c] += double(derivative.adjoint[i * C + size_t(c)]) / total;
+        }
+    }
     struct Local {
         GradientSums sums;
         std::vector<std::vector<S>> buffers;
@@ -202,59 +346,41 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     };
     std::vector<Local> locals{size_t(call.threads)};
     std::mutex mutex;
-    run_tiles(tiles.size(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
-        Local &local = locals[size_t(thread)];
-        local.sums.reset(derivative.n_constants, derivative.geometry_sizes);
-        for (size_t i = 0; i < derivative.gradients.size(); ++i) {
-            local.buffers.emplace_back();
-            if (derivative.gradients[i]) local.buffers[i].assign(size_t(derivative.sizes[i]), S(0));
-            local.pointers.push_back(derivative.gradients[i] ? local.buffers[i].data() : nullptr);
-        }
-        auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
-        tile->set_bsdf_wanted(derivative.bsdf_wanted);
-        return [&, tile](size_t index, auto &&stop) {
-            Rect r = tiles.rect(index);
-            for_batches(*tile, call, r, capacity, stop, [&](size_t n) {
-                for (size_t k = 0; k < n; ++k) {
-                    if (reach == 0) {
-                        int y = int32_t(tile->row[k]), x = int32_t(tile->column[k]);
-                        bool inside = call.crop.contains(y, x);
-                        const S *a = derivative.adjoint;
-                        if (inside)
-                            a += (size_t(y - call.crop.y0) * size_t(call.crop.width()) + size_t(x - call.crop.x0)) * C;
-                        for (int c = 0; c < C; ++c) tile->delta[c][k] = inside ? a[c] / S(call.spp) : S(0);
-                        continue;
-                    }
-                    double fy, fx, d[C] = {};
-                    position(tile->row[k], tile->column[k], tile->sample[k], fy, fx);
-                    int py = int(std::floor(fy)), px = int(std::floor(fx));
-                    for (int y = py - reach; y <= py + reach; ++y)
-                        for (int x = px - reach; x <= px + reach; ++x) {
-                            if (!call.crop.contains(y, x)) continue;
-                            double w = call.filter(y + 0.5 - fy) * call.filter(x + 0.5 - fx);
-                            double total = *weights.at(y, x);
-                            if (w == 0 || total == 0) continue;
-                            const S *a =
-                                derivative.adjoint +
-                                (size_t(y - call.crop.y0) * size_t(call.crop.width()) + size_t(x - call.crop.x0)) * C;
-                            for (int c = 0; c < C; ++c) d[c] += w / total * double(a[c]);
+    run_items(
+        plan.n_items(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
+            Local &local = locals[size_t(thread)];
+            local.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+            for (size_t i = 0; i < derivative.gradients.size(); ++i) {
+                local.buffers.emplace_back();
+                if (derivative.gradients[i]) local.buffers[i].assign(size_t(derivative.sizes[i]), S(0));
+                local.pointers.push_back(derivative.gradients[i] ? local.buffers[i].data() : nullptr);
+            }
+            auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
+            tile->set_bsdf_wanted(derivative.bsdf_wanted);
+            return [&, tile](size_t item, auto &&stop) {
+                std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
+                for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                    choose_positions<F>(call.config, *tile, n);
+                    for (const Span &span : spans)
+                        for (size_t k = span.begin; k < span.end; ++k) {
+                            double d[C];
+                            blocks[span.unit].collect(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
+                                                      double(tile->film_y[k]), double(tile->film_x[k]), d);
+                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c]);
                         }
-                    for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c]);
-                }
-                tile->start(n, true);
-                tile->template run<true>();
-                ReverseSink<F, C> sink;
-                sink.constants = local.sums.constants.data();
-                sink.geometry = geometry_tables(local.sums, derivative);
-                sink.tensors = local.pointers.data();
-                tile->sweep(sink, false);
-            });
-            std::lock_guard<std::mutex> lock(mutex);
-            sum_stats<S>(stats, tile->stats);
-            tile->stats = {};
-        };
-    });
-    derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+                    tile->start(n, true);
+                    tile->template run<true>();
+                    ReverseSink<F, C> sink;
+                    sink.constants = local.sums.constants.data();
+                    sink.geometry = geometry_tables(local.sums, derivative);
+                    sink.tensors = local.pointers.data();
+                    tile->sweep(sink, false);
+                });
+                std::lock_guard<std::mutex> lock(mutex);
+                sum_stats<S>(stats, tile->stats);
+                tile->stats = {};
+            };
+        });
     for (Local &local : locals) {
         if (local.sums.constants.empty()) continue;  // a thread that never started
         derivative.sums.add(local.sums);
@@ -280,15 +406,15 @@ struct PacketOf<float> {
 }  // namespace detail
 
 template <class S, int C>
-RenderStats render_primal(const RenderCall<S> &call, bool packets, S *image, S *alpha) {
-    if (packets) return detail::splat_paths<typename detail::PacketOf<S>::type, C, false>(call, nullptr, image, alpha);
-    return detail::splat_paths<S, C, false>(call, nullptr, image, alpha);
+RenderStats render_primal(const RenderCall<S> &call, bool packets, const RenderOutput<S> &out) {
+    if (packets) return detail::splat_paths<typename detail::PacketOf<S>::type, C, false>(call, nullptr, out);
+    return detail::splat_paths<S, C, false>(call, nullptr, out);
 }
 template <class S, int C>
 RenderStats render_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image) {
-    if (packets)
-        return detail::splat_paths<typename detail::PacketOf<S>::type, C, true>(call, &derivative, image, nullptr);
-    return detail::splat_paths<S, C, true>(call, &derivative, image, nullptr);
+    RenderOutput<S> out{image, nullptr, nullptr};
+    if (packets) return detail::splat_paths<typename detail::PacketOf<S>::type, C, true>(call, &derivative, out);
+    return detail::splat_paths<S, C, true>(call, &derivative, out);
 }
 template <class S, int C>
 RenderStats render_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative) {

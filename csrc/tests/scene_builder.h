@@ -131,7 +131,7 @@ RenderCall<S> make_call(const SceneData<S> &scene, const Settings &s) {
 template <class S, int C>
 std::vector<S> render(const SceneData<S> &scene, const Settings &s, RenderStats *stats = nullptr) {
     std::vector<S> image(size_t(s.height * s.width * C)), alpha(size_t(s.height * s.width));
-    RenderStats result = render_primal<S, C>(make_call(scene, s), s.packets, image.data(), alpha.data());
+    RenderStats result = render_primal<S, C>(make_call(scene, s), s.packets, {image.data(), alpha.data()});
     if (stats) *stats = result;
     return image;
 }

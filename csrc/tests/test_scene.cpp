@@ -155,8 +155,7 @@ static void check_everything(bool packets) {
     Settings s;
     s.packets = packets;
     for (FilterKind filter : {FilterKind::Box, FilterKind::Tent, FilterKind::Gaussian}) {
-        s.filter.kind = filter;
-        s.filter.parameter = filter == FilterKind::Tent ? 1 : 0.5;
+        s.filter = Filter(filter, filter == FilterKind::Tent ? 1 : 0.5);
         s.hide_emitters = filter == FilterKind::Tent;
         RenderStats stats;
         auto image = render<S, C>(scene, s, &stats);
@@ -288,7 +287,7 @@ TR_TEST(an_interruption_stops) {
     RenderCall<float> call = make_call(scene, s);
     call.interrupted = [] { return true; };
     std::vector<float> image(size_t(s.height * s.width * 3));
-    CHECK((render_primal<float, 3>(call, true, image.data(), nullptr).interrupted));
+    CHECK((render_primal<float, 3>(call, true, {image.data()}).interrupted));
 }
 
 // ------------------------------------------------------------------------------------------------------- bad input
