@@ -118,7 +118,7 @@ class _Packer:
     def alias(self, plugin: Plugin, name: str, limits: Limits) -> None:
         """Further names of parameters that are already packed."""
         for field_name, declared in plugin.fields().items():
-            own = limits.also(declared.derivative)
+            own = limits.also(plugin.derivative_of(declared))
             if plugin._leaf(declared):
                 if (id(plugin), field_name) in self.layout.slot_of:
                     self.slot(plugin, field_name, f"{name}.{field_name}", declared.kind, own)
@@ -129,7 +129,7 @@ class _Packer:
 
     def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, limits: Limits) -> int:
         kind = declared.kind
-        own = limits.also(declared.derivative)
+        own = limits.also(plugin.derivative_of(declared))
         if kind == "int":
             if plugin.type == "mesh_attribute" and field_name == "name":
                 return self.attribute_id(plugin.__dict__["name"])

@@ -248,6 +248,10 @@ class Plugin(nn.Module):
             return ENUMERATIONS[name][value]
         return value
 
+    def derivative_of(self, field: Field) -> str:
+        """The declaration of the derivative with respect to a field, as it holds for this object."""
+        return field.derivative
+
     def encode(self, name: str) -> int:
         """The static field `name` as the integer that the core takes."""
         value = getattr(self, name)

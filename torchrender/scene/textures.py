@@ -76,6 +76,11 @@ class Bitmap(Plugin):
     def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
         return values.image(value, ctx)
 
+    def derivative_of(self, field: Field) -> str:
+        if field.name == "to_uv" and self.filter_type == "nearest":
+            return "none: moves the edges of nearest texels, a discontinuity that is not implemented yet"
+        return super().derivative_of(field)
+
 
 @register
 class MeshAttribute(Plugin):

@@ -10,7 +10,7 @@ struct Dielectric {
     enum { Reflectance = 0, Transmittance = 1 };  // of color[]
     static constexpr Field fields[] = {
         {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3,
-         "interior, without the motion of edges seen through the surface: 0 where there are none, or both sides of "
+         "interior, without the motion of edges seen through the surface; zero where there are none or both sides of "
          "them are of equal colour",
          "index of refraction inside (below the surface) over outside"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},

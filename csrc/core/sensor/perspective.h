@@ -8,8 +8,9 @@ namespace tr {
 struct Perspective {
     enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect };
     static constexpr const char *Edges =
-        "interior, without the motion of visible edges: 0 where silhouettes, shadows and jumps of normals are out of "
-        "view or of equal colour on both sides";
+        "interior, without the motion of visible edges; zero where silhouettes, creases, shadows and jumps of textures "
+        "are "
+        "out of view or both sides of them are of equal colour";
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Edges, "pose: camera frame to world, no scale"},
         {"x_fov", Kind::Float, None, 0, 180, Edges, "horizontal field of view of the full film, degrees"},

@@ -6,9 +6,8 @@
 namespace tr {
 
 constexpr const char *GeometryEdges =
-    "interior, without the motion of silhouettes, of shadow edges and of creases seen directly: 0 where there are "
-    "none, "
-    "or both sides of them are of equal colour";
+    "interior, without the motion of silhouettes, of shadow edges, and of creases and jumps of textures that are seen "
+    "directly; zero where there are none or both sides of them are of equal colour";
 
 struct MeshModel {
     enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex };
@@ -16,7 +15,9 @@ struct MeshModel {
         {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "positions (V, 3), world space"},
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
         {"normals", Kind::Tensor, -1, -INFINITY, INFINITY, "interior", "vertex normals (V, 3), world space"},
-        {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY, "interior", "texture coordinates (V, 2)"},
+        {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY,
+         "interior, without the jumps of nearest and checkerboard textures; zero where textures are bilinear",
+         "texture coordinates (V, 2)"},
         {"face_normals", Kind::Int, 0, 0, 1, "", "shade flat although there are vertex normals"},
         {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},

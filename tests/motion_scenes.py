@@ -1,0 +1,165 @@
+"""Scenes for the derivatives of what moves: geometry, cameras, coordinates, indices of refraction.
+
+None has silhouettes, shadows or jumps of normals or textures in view or in its light, so that the derivative of the
+image is the term inside surfaces: everything moves, but continuously.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from torchrender import Mesh, Transform
+
+
+def smooth_texture(height: int, width: int) -> torch.Tensor:
+    """Texels (H, W, 3) in [0.2, 0.8], smooth, periodic in u, and without u at the poles of a sphere."""
+    v = (torch.arange(height, dtype=torch.float64) + 0.5) / height
+    u = (torch.arange(width, dtype=torch.float64) + 0.5) / width
+    v, u = torch.meshgrid(v, u, indexing="ij")
+    waves = [torch.sin(2 * math.pi * k * u + i) for i, k in enumerate((1, 2, 1))]
+    return 0.5 + 0.3 * torch.sin(math.pi * v).square()[..., None] * torch.stack(waves, dim=-1)
+
+
+def bitmap(height: int = 16, width: int = 16, factor: float = 1.0, **settings) -> dict:
+    return {"type": "bitmap", "data": smooth_texture(height, width) * factor, "raw": True, **settings}
+
+
+def camera(origin, target, fov: float) -> dict:
+    film = {"type": "hdrfilm", "width": 6, "height": 6, "rfilter": {"type": "box"}}
+    return {"type": "perspective", "fov": fov, "to_world": Transform.look_at(origin, target), "film": film}
+
+
+def scene(depth: int, camera: dict, **objects) -> dict:
+    integrator = {"type": "path", "max_depth": depth, "rr_depth": 99}
+    return {"type": "scene", "integrator": integrator, "camera": camera, **objects}
+
+
+def floor(bsdf: dict | None = None) -> dict:
+    """A rectangle that fills the view of `above`."""
+    to_world = Transform.rotate([1, 0, 0], -70) @ Transform.scale(4.0)
+    return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf or {"type": "diffuse", "reflectance": bitmap()}}
+
+
+def above() -> dict:
+    return camera([0.3, 1, 4], [0, 0, 0], 20)
+
+
+def black_room(radius: float = 5.0) -> dict:
+    """A sphere around everything that emits and does not reflect."""
+    light = {"type": "area", "radiance": bitmap(32, 64, 2.0)}
+    black = {"type": "diffuse", "reflectance": 0.0}
+    return {"type": "sphere", "radius": radius, "flip_normals": True, "bsdf": black, "emitter": light}
+
+
+def ball(bsdf: dict) -> dict:
+    return {"type": "sphere", "center": [0.05, 0, -0.1], "radius": 0.9, "bsdf": bsdf}
+
+
+def at_ball() -> dict:
+    return camera([0, 0.3, 4], [0, 0, 0], 10)
+
+
+def mesh_ball(bsdf: dict, attributes: dict | None = None, smooth: bool = True) -> Mesh:
+    """A ball of triangles, shaded smooth, with texture coordinates that have no seam."""
+    import trimesh
+
+    shape = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    vertices = torch.tensor(shape.vertices, dtype=torch.float64)
+    texcoords = vertices[:, :2] * 0.4 + 0.5
+    normals = vertices if smooth else None
+    return Mesh(vertices, shape.faces, normals, texcoords, bsdf=bsdf, attributes=attributes)
+
+
+def attribute_plane() -> dict:
+    """Two triangles seen frontally, coloured by their vertices."""
+    corners = torch.tensor([[-3, -3, 0], [3, -3, 0.2], [3, 3, 0], [-3, 3, -0.2]], dtype=torch.float64)
+    colours = torch.tensor([[0.2, 0.5, 0.8], [0.7, 0.3, 0.2], [0.4, 0.9, 0.1], [0.6, 0.6, 0.6]], dtype=torch.float64)
+    attribute = {"type": "mesh_attribute", "name": "vertex_color", "scale": 0.9}
+    # smooth normals: the crease between the triangles is no edge of the image
+    up = torch.tensor([[0.0, 0, 1]]).expand(4, 3)
+    mesh = Mesh(
+        corners,
+        [[0, 1, 2], [0, 2, 3]],
+        vertex_normals=up,
+        bsdf={"type": "diffuse", "reflectance": attribute},
+        attributes={"vertex_color": colours},
+    )
+    return scene(
+        3,
+        camera([0.2, 0.1, 4], [0, 0, 0], 20),
+        plane=mesh,
+        lamp={"type": "point", "position": [0.5, 1, 2], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
+    )
+
+
+def lamp(kind: str) -> dict:
+    """An area light over the floor, facing it."""
+    light = {"type": "area", "radiance": bitmap(16, 16, 5.0)}
+    if kind == "sphere":
+        return {"type": "sphere", "center": [0.5, 3, 1], "radius": 0.4, "emitter": light}
+    to_world = Transform.look_at([0.5, 3, 1], [0, 0, 0], [0, 0, 1]) @ Transform.scale(0.5)
+    return {"type": kind, "to_world": to_world, "emitter": light}
+
+
+METAL = {
+    "type": "conductor",
+    "eta": {"type": "rgb", "value": [0.2, 0.9, 1.1]},
+    "k": {"type": "rgb", "value": [3.9, 2.4, 2.2]},
+}
+GLASS = {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0}
+PAINT = {"type": "diffuse", "reflectance": bitmap()}
+
+
+def environment() -> dict:
+    return {"type": "envmap", "data": smooth_texture(16, 32), "to_world": Transform.rotate([0, 1, 0], 30)}
+
+
+SCENES = {
+    "point_light": lambda: scene(
+        3,
+        above(),
+        floor=floor(),
+        lamp={"type": "point", "position": [0.5, 2, 1], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
+    ),
+    "rectangle_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("rectangle")),
+    "disk_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("disk")),
+    "sphere_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("sphere")),
+    "two_sided": lambda: scene(2, above(), floor=floor({"type": "twosided", "bsdf": PAINT}), lamp=lamp("rectangle")),
+    "disk_floor": lambda: scene(
+        2,
+        above(),
+        floor={**floor(), "type": "disk", "bsdf": {"type": "diffuse", "reflectance": 0.6}},
+        lamp=lamp("disk"),
+    ),
+    "attribute": attribute_plane,
+    "painted_ball": lambda: scene(2, at_ball(), ball=ball(PAINT), room=black_room()),
+    "metal_ball": lambda: scene(3, at_ball(), ball=ball(METAL), room=black_room()),
+    "metal_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(METAL), room=black_room()),
+    "painted_mesh": lambda: scene(2, at_ball(), ball=mesh_ball(PAINT), room=black_room()),
+    "room": lambda: scene(
+        3,
+        camera([0.3, 0.1, 0.4], [2, 0.1, 0], 60),
+        room={
+            "type": "sphere",
+            "center": [0.1, 0, 0],
+            "radius": 2.0,
+            "flip_normals": True,
+            "to_world": Transform.rotate([0, 0, 1], 20),
+            "bsdf": {"type": "diffuse", "reflectance": bitmap(32, 64)},
+            "emitter": {"type": "area", "radiance": bitmap(32, 64, 2.0)},
+        },
+    ),
+    "hole": lambda: scene(
+        4,
+        above(),
+        hole={**floor({"type": "null"}), "to_world": Transform.translate([0, 0, 1])},
+        floor=floor(),
+        lamp={"type": "point", "position": [0.5, 1, 0.8], "intensity": 9.0},
+    ),
+    "glass_ball": lambda: scene(4, at_ball(), ball=ball(GLASS), sky=environment()),
+    "glass_in_room": lambda: scene(4, at_ball(), ball=ball(GLASS), room=black_room()),
+    "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
+    "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
+}

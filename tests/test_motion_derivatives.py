@@ -1,0 +1,231 @@
+"""Derivatives with respect to everything that moves: against finite differences, and forward against reverse mode.
+
+Three classes. Smooth: what only looks up values, in test_parameters_derivatives.py. Moving but continuous: scenes
+without edges in view or in their light (motion_scenes.py), where the term inside surfaces is the whole derivative.
+Discontinuous: silhouettes and shadows move, whose term is missing; those tests are expected to fail.
+
+Derivative and differences use the same samples, so that most of the noise of a seed cancels in their difference. What
+is tested is the mean of that difference over the seeds (Student).
+"""
+
+from __future__ import annotations
+
+import functools
+import warnings
+
+import motion_scenes
+import pytest
+import reference_scenes
+import torch
+
+import torchrender as tr
+from torchrender.scene.declaration import models
+from torchrender.testing.statistics import sidak, student_p_value
+
+SIGNIFICANCE = 0.01  # of all tests of this file together
+SEEDS = 8
+# fields that say where something is, not how it looks
+MOVING = {
+    ("shape", "mesh"): {"vertex_positions", "vertex_normals", "vertex_texcoords"},
+    ("shape", "sphere"): {"to_world", "center", "radius"},
+    ("shape", "disk"): {"to_world"},
+    ("shape", "rectangle"): {"to_world"},
+    ("texture", "bitmap"): {"to_uv"},
+    ("texture", "mesh_attribute"): {"scale"},
+    ("emitter", "envmap"): {"to_world"},
+    ("emitter", "point"): {"position"},
+    ("bsdf", "dielectric"): {"eta"},
+    ("sensor", "perspective"): {
+        "to_world",
+        "x_fov",
+        "principal_point_offset_x",
+        "principal_point_offset_y",
+        "pixel_aspect",
+    },
+}
+
+
+@functools.cache
+def load(name: str) -> tr.Scene:
+    return tr.load_dict(motion_scenes.SCENES[name](), dtype=torch.float64)
+
+
+def moving_parameters(scene: tr.Scene) -> dict[str, tuple[str, str, str]]:
+    """Name of each parameter that moves something, and its model and field."""
+    found = {}
+    layout = scene.layout()
+    for name, index in layout.by_name.items():
+        slot = layout.slots[index]
+        key = (slot.module.category, slot.module.model().type)
+        if slot.attribute in MOVING.get(key, ()) and not slot.refusal:
+            found.setdefault(name, (*key, slot.attribute))
+    return found
+
+
+CASES = [(name, parameter) for name in motion_scenes.SCENES for parameter in moving_parameters(load(name))]
+
+
+def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
+    """A change of the parameter: matrices turn, move and stretch a little, without touching their last row."""
+    generator = torch.Generator().manual_seed(11)
+    if value.ndim == 2 and value.shape[0] == value.shape[1] and parameter.endswith(("to_world", "to_uv")):
+        rigid = parameter.endswith("to_world")
+        n = value.shape[0]
+        change = torch.randn(n, n, generator=generator, dtype=torch.float64) * 0.3
+        if rigid:
+            change[:3, :3] = change[:3, :3] - change[:3, :3].T
+        change[-1] = 0
+        return change @ value
+    return torch.randn(value.shape, generator=generator, dtype=torch.float64)
+
+
+def compare(scene, parameter: str, seeds: int, spp: int, step: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Derivatives and finite differences of the weighted mean of the image, by seed."""
+    film = scene.sensors[0].film
+    weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
+    value = scene.get_parameter(parameter).detach()
+    direction = direction_of(parameter, value)
+
+    def f(x, seed):
+        image = tr.render(scene, spp=spp, seed=seed, seed_grad=seed, correlated=True, params={parameter: x})
+        return (image * weight).mean()
+
+    derivatives, differences = [], []
+    for seed in range(seeds):
+        x = value.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(f(x, seed), x)
+        derivatives.append(float((gradient * direction).sum()))
+        with torch.no_grad():
+            change = f(value + step * direction, seed) - f(value - step * direction, seed)
+        differences.append(float(change) / (2 * step))
+    return torch.tensor(derivatives), torch.tensor(differences)
+
+
+def agrees(derivatives: torch.Tensor, differences: torch.Tensor, rtol: float, tests: int) -> tuple[bool, str]:
+    n = len(derivatives)
+    gap = derivatives - differences
+    error = gap.std() / n**0.5
+    # rays start a little off the surface, by an amount whose derivative is left out: 1e-4 of the distances
+    excess = (gap.mean().abs() - rtol * differences.mean().abs() - 5e-5).clamp_min(0)
+    p = 1.0 if excess == 0 else float(student_p_value(excess / error, n - 1)) if error > 0 else 0.0
+    text = f"derivative {derivatives.mean():.5g}, differences {differences.mean():.5g} +- {error:.2g}, p = {p:.2g}"
+    return p >= sidak(SIGNIFICANCE, tests), text
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize(("name", "parameter"), CASES)
+def test_moving_but_continuous(name, parameter):
+    scene = load(name)
+    # A ray that is refracted in one image and reflected in the other, or meets a light in one of them only, is rare and
+    # weighs much: steps long enough that every seed has some of these.
+    glass = "glass" in name
+    step = 0.2 if parameter.endswith("fov") else 0.02 if glass and not parameter.endswith("to_uv") else 2e-3
+    derivatives, differences = compare(scene, parameter, SEEDS, 400 if glass else 64, step)
+    passed, text = agrees(derivatives, differences, 0.02 if glass else 5e-3, len(CASES))
+    assert passed, f"{name} {parameter}: {text}"
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize("name", list(motion_scenes.SCENES))
+def test_forward_and_reverse_mode_agree(name):
+    scene = load(name)
+    names = list(moving_parameters(scene))
+    values = [scene.get_parameter(n).detach() for n in names]
+
+    def f(*tensors):
+        return tr.render(scene, spp=2, seed=5, params=dict(zip(names, tensors)))
+
+    result = tr.testing.dot_product_test(f, values, rtol=1e-10)
+    assert result, result.message
+    assert result.forward != 0
+
+
+def test_every_declared_parameter_that_moves_something_is_tested():
+    """A new model with such a field needs a line in MOVING and a scene; the others are in the reference scenes."""
+    tested = {moving_parameters(load(name))[parameter] for name, parameter in CASES}
+    for (category, kind), fields in MOVING.items():
+        for field in fields:
+            assert (category, kind, field) in tested, f"{category} {kind}: {field} is in no scene"
+    appearance = {"spectrum", "texture"}
+    for (category, kind), model in models().items():
+        for field in model.fields:
+            if not field.differentiable or field.derivative.startswith("none") or field.kind in appearance:
+                continue
+            names = {field.name, f"vertex_{field.name}", f"vertex_{field.name}".replace("vertices", "positions")}
+            looks = (category, kind, field.name) in {
+                ("texture", "bitmap", "data"),
+                ("emitter", "envmap", "data"),
+                ("emitter", "envmap", "scale"),
+                ("attribute", "attribute", "data"),
+            }
+            assert looks or names & MOVING.get((category, kind), set()), f"{category} {kind}: {field.name}"
+
+
+# ----------------------------------------------------------------------------------------------------- discontinuous
+def silhouette() -> tr.Scene:
+    """A ball and its shadow."""
+    return tr.load_dict(
+        motion_scenes.scene(
+            2,
+            motion_scenes.camera([0, 1, 4], [0, 0, 0], 40),
+            floor=motion_scenes.floor(),
+            ball={"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse", "reflectance": 0.1}},
+            lamp={"type": "point", "position": [0.5, 3, 1], "intensity": 9.0},
+        ),
+        dtype=torch.float64,
+    )
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.xfail(reason="the term from moving silhouettes and shadows is missing", strict=True)
+@pytest.mark.parametrize("parameter", ["ball.radius", "ball.center", "ball.to_world", "camera.to_world"])
+def test_discontinuous(parameter):
+    derivatives, differences = compare(silhouette(), parameter, SEEDS, 256, 0.02)
+    passed, text = agrees(derivatives, differences, 0.02, 4)
+    assert passed, text
+
+
+# ------------------------------------------------------------------------------------------------------ closed forms
+def test_light_above_a_plane_in_closed_form():
+    """A small square light straight above the point that is seen: L A / pi rho / h^2, so d log I / dh = -2 / h."""
+    size, height = 0.01, 2.0
+    scene = tr.load_dict(
+        motion_scenes.scene(
+            2,
+            motion_scenes.camera([0, 0.5, 1], [0, 0, 0], 0.1),
+            floor={
+                "type": "rectangle",
+                "to_world": tr.Transform.rotate([1, 0, 0], -90) @ tr.Transform.scale(3),
+                "bsdf": {"type": "diffuse", "reflectance": 0.5},
+            },
+            lamp={
+                "type": "rectangle",
+                "to_world": tr.Transform.translate([0, height, 0])
+                @ tr.Transform.rotate([1, 0, 0], 90)
+                @ tr.Transform.scale(size),
+                "emitter": {"type": "area", "radiance": 1e4},
+            },
+        ),
+        dtype=torch.float64,
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", tr.MissingTermWarning)
+        (matrix,) = scene.train_only("lamp.to_world")
+        image = tr.render(scene, spp=64, seed=1)
+        (gradient,) = torch.autograd.grad(image.mean(), matrix)
+    value = float(image.detach().mean())
+    assert value == pytest.approx(1e4 * (2 * size) ** 2 * 0.5 / torch.pi / height**2, rel=1e-3)
+    assert float(gradient[1, 3]) == pytest.approx(-2 / height * value, rel=2e-3)
+    # stretching the light along one of its axes makes its area, and so the image, grow alike
+    assert float(gradient[0, 0]) * size == pytest.approx(value, rel=2e-3)
+
+
+def test_one_clear_warning_names_the_missing_term():
+    fresh = tr.load_dict(motion_scenes.SCENES["painted_ball"](), dtype=torch.float64)
+    fresh.train_only("ball.center", "camera.to_world")
+    with pytest.warns(tr.MissingTermWarning, match=r"ball\.center.*silhouettes.*zero where") as caught:
+        tr.render(fresh, spp=1, seed=0).sum().backward()
+    assert len(caught) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tr.render(fresh, spp=1, seed=0).sum().backward()
