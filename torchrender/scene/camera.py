@@ -289,10 +289,10 @@ class PerspectiveCamera(Plugin):
 
 def _check_intrinsics(K: torch.Tensor, oblong: bool, ctx: Context) -> None:
     fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
-    if not oblong and not abs(fx - fy) <= 1e-3 * fx:
-        ctx.error(f"needs square pixels, got fx={fx:.6g}, fy={fy:.6g}")
     if not (fx > 0 and fy > 0 and abs(skew) <= 1e-3 * fx):
         ctx.error(f"needs fx > 0, fy > 0 and no skew, got fx={fx:.6g}, fy={fy:.6g}, skew={skew:.6g}")
+    if not oblong and not abs(fx - fy) <= 1e-3 * fx:
+        ctx.error(f"needs square pixels, got fx={fx:.6g}, fy={fy:.6g}")
 
 
 def _rigid(linear: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
