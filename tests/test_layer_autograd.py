@@ -388,8 +388,8 @@ def test_missing_terms_are_warned_about_once():
     assert len(caught) == 1 and caught[0].filename == __file__
     text = str(caught[0].message)
     (declared,) = [f.derivative for f in models()["emitter", "point"].fields if f.name == "position"]
-    missing = declared.removeprefix("interior, without ").partition(";")[0]
-    assert "lamp.position" in text and missing in text and "zero" in text
+    missing = declared.removeprefix("interior, without ").partition(":")[0]
+    assert "lamp.position" in text and missing in text and "which is 0 where" in text
     image.sum().backward()
     assert bool((position.grad != 0).any())
     with warnings.catch_warnings():
@@ -405,9 +405,9 @@ def test_missing_terms_are_warned_about_once():
 
 
 def test_words_of_the_declaration():
-    lacking = COMPLETE.also("interior, without moving edges; zero for flat things")
-    assert (lacking.refusal, lacking.caveat) == ("", "moving edges; zero for flat things")
-    assert COMPLETE.also("interior, without moving edges").caveat.startswith("moving edges; zero where")
+    lacking = COMPLETE.also("interior, without moving edges: 0 for flat things")
+    assert (lacking.refusal, lacking.caveat) == ("", "moving edges: 0 for flat things")
+    assert COMPLETE.also("interior, without moving edges").caveat.startswith("moving edges: 0 where")
     assert COMPLETE.also("interior") == COMPLETE
     assert lacking.also("none: it is a name").refusal == "it is a name"
     assert COMPLETE.also("none").refusal
