@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import importlib
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from . import backends, integrators
 from .autograd import reattach
@@ -26,6 +26,19 @@ from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
 from .transform import Transform
 from .versions import count_fused_steps
+
+if TYPE_CHECKING:  # what __getattr__ below finds
+    from . import constraints as constraints
+    from . import io as io
+    from . import optim as optim
+    from . import rotation as rotation
+    from . import testing as testing
+    from . import typing as typing
+    from ._plugins import *  # noqa: F403
+    from .image import show as show
+    from .image import tonemap as tonemap
+    from .queries import ray_intersect as ray_intersect
+    from .queries import ray_occluded as ray_occluded
 
 __version__ = "0.1.0"
 
@@ -71,7 +84,7 @@ __all__ = [
 ]
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "io", "optim", "rotation", "testing")
+_LAZY_MODULES = ("constraints", "io", "optim", "rotation", "testing", "typing")
 _LAZY_NAMES = {"tonemap": "image", "show": "image", "ray_intersect": "queries", "ray_occluded": "queries"}
 
 

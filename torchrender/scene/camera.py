@@ -223,7 +223,7 @@ class PerspectiveCamera(Plugin):
         rotation = as_matrix(R, 3, "PerspectiveCamera.from_opencv: R")
         offset = values.vector(t, ctx.at("t")).double()
         fx, fy = intrinsics[0, 0], intrinsics[1, 1]
-        _check_intrinsics(intrinsics.detach(), "pixel_aspect" in cls.fields(), ctx.at("K"))
+        _check_intrinsics(intrinsics.detach(), ctx.at("K"))
         # Our +x is left and +y up: both are turned around with respect to OpenCV's.
         flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
         to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
@@ -233,7 +233,7 @@ class PerspectiveCamera(Plugin):
             principal_point_offset_x=0.5 - intrinsics[0, 2] / width,
             principal_point_offset_y=0.5 - intrinsics[1, 2] / height,
             film=_film((height, width), filter),
-            **({"pixel_aspect": fx / fy} if "pixel_aspect" in cls.fields() else {}),
+            pixel_aspect=fx / fy,
             **properties,
         )
         return made
@@ -277,8 +277,7 @@ class PerspectiveCamera(Plugin):
         cx = (0.5 - self.principal_point_offset_x) * self.film.width
         cy = (0.5 - self.principal_point_offset_y) * self.film.height
         zero, one = torch.zeros_like(fx), torch.ones_like(fx)
-        fy = fx / self.pixel_aspect if "pixel_aspect" in self.fields() else fx
-        return torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
+        return torch.stack([fx, zero, cx, zero, fx / self.pixel_aspect, cy, zero, zero, one]).reshape(3, 3)
 
     @property
     def world_to_camera(self) -> torch.Tensor:
@@ -287,10 +286,8 @@ class PerspectiveCamera(Plugin):
         return flip @ torch.linalg.inv(self.to_world)
 
 
-def _check_intrinsics(K: torch.Tensor, oblong: bool, ctx: Context) -> None:
+def _check_intrinsics(K: torch.Tensor, ctx: Context) -> None:
     fx, fy, skew = float(K[0, 0]), float(K[1, 1]), float(K[0, 1])
-    if not oblong and not abs(fx - fy) <= 1e-3 * fx:
-        ctx.error(f"needs square pixels, got fx={fx:.6g}, fy={fy:.6g}")
     if not (fx > 0 and fy > 0 and abs(skew) <= 1e-3 * fx):
         ctx.error(f"needs fx > 0, fy > 0 and no skew, got fx={fx:.6g}, fy={fy:.6g}, skew={skew:.6g}")
 

@@ -1,7 +1,7 @@
 """Which derivatives a parameter has, read from the native declaration, and what is said when one is asked for.
 
-The declaration says for each field ``"interior"`` (complete), ``"interior, without X"`` (the term X is missing; words
-after a semicolon say when X is zero) or ``"none: reason"``.
+The declaration says for each field ``"interior"`` (complete), ``"interior, without X: 0 where Y"`` (the term X is
+missing; the words after the colon say when it is zero) or ``"none: reason"``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
-ZERO = "zero where no such edge is seen to move across the image or what lights it"
+ZERO = "0 where no such edge is in view"
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Limits:
     """What limits the derivative of a parameter: why there is none, or which term it lacks; both empty if complete."""
 
     refusal: str = ""
-    caveat: str = ""  # the missing term, and after a semicolon when it is zero
+    caveat: str = ""  # the missing term, and after a colon when it is zero
 
     def also(self, derivative: str) -> Limits:
         """These limits, and those of a field with this declaration: a texture has those of the field it sits in."""
@@ -35,8 +35,8 @@ class Limits:
         if derivative.startswith("none"):
             refusal = derivative.partition(":")[2].strip() or "its derivative is not implemented"
         elif derivative.startswith(WITHOUT):
-            missing, _, zero = derivative.removeprefix(WITHOUT).partition(";")
-            caveat = f"{missing.strip()}; {zero.strip() or ZERO}"
+            missing, _, zero = derivative.removeprefix(WITHOUT).partition(":")
+            caveat = f"{missing.strip()}: {zero.strip() or ZERO}"
         return Limits(self.refusal or refusal, self.caveat or caveat)
 
 
@@ -47,7 +47,7 @@ def describe_derivative(refusal: str, caveat: str) -> str:
     """One phrase for a table: which modes there are and what they lack, or why there is no derivative."""
     if refusal:
         return f"no derivative ({refusal})"
-    return "forward, reverse" + (f", without {caveat.partition(';')[0]}" if caveat else "")
+    return "forward, reverse" + (f", without {caveat.partition(':')[0]}" if caveat else "")
 
 
 @dataclass
@@ -74,9 +74,13 @@ class Wanted:
                 lacking.setdefault(slot.caveat, []).append(slot.name)
         if lacking:
             self.warned.update(*lacking.values())
-            clauses = [f"{_listing(names)} (without {caveat})" for caveat, names in lacking.items()]
-            text = "the derivative lacks a term with respect to " + ", ".join(clauses)
-            warnings.warn(text, MissingTermWarning, stacklevel=_depth_outside())
+            clauses = []
+            for caveat, names in lacking.items():
+                missing, _, zero = caveat.partition(": ")
+                clauses.append(
+                    f"the derivative with respect to {_listing(names)} is without {missing}, which is {zero}"
+                )
+            warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=_depth_outside())
 
     def _source(self, index: int) -> int | None:
         """For computed normals the positions that they follow: whoever asks for those has not asked for these."""

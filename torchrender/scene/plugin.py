@@ -18,6 +18,7 @@ from ..errors import describe, nearest
 from . import values
 from .context import Context, Reference
 from .declaration import CHILD_KINDS, TENSOR_KINDS, Field, Model, models
+from .signatures import LazySignature
 
 BOOLEANS = frozenset({"flip_normals", "face_normals", "per_face"})
 ENUMERATIONS: dict[str, tuple[str, ...]] = {
@@ -41,6 +42,7 @@ def structure_changed() -> None:
 class Plugin(nn.Module):
     """Base of all scene objects. Keyword arguments are the model's parameters under their names in a scene dict."""
 
+    __signature__ = LazySignature()
     category: ClassVar[str] = ""
     type: ClassVar[str] = ""
     renames: ClassVar[dict[str, str]] = {}  # native field -> name in Python

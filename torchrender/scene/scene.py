@@ -270,7 +270,8 @@ class Scene(nn.Module):
         """Let exactly the parameters that match one of the glob `patterns` require gradients, and return them.
 
         ``scene.train_only("*.reflectance.*")``; called without patterns nothing requires gradients any more. Of the
-        parameters that a pattern matches, those that have derivatives are chosen: a bitmap's ``data``, not ``to_uv``.
+        parameters that a pattern matches, those that have derivatives are chosen. The ``to_uv`` of a texture is chosen
+        by a pattern that names it only: ``"*.reflectance.*"`` means colours.
 
         Raises:
             ValueError: a pattern matches nothing.
@@ -289,6 +290,8 @@ class Scene(nn.Module):
             if not found:
                 raise ValueError(f"train_only: no parameter matches {pattern!r}; {nearest(pattern, names)}")
             usable = [n for n in found if not refusals.get(n)]
+            if not pattern.rpartition(".")[2].strip("*?"):
+                usable = [n for n in usable if not n.endswith(".to_uv")] or usable
             if not usable:
                 raise NotDifferentiableError(
                     f"train_only: {pattern!r} matches only parameters without a derivative: {', '.join(found)} "

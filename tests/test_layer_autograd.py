@@ -1,0 +1,522 @@
+"""A rendering among torch's derivatives: every mode that autograd has, and what is refused in words."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+import torch
+from torch.autograd import forward_ad
+
+import torchrender as tr
+from torchrender.scene.declaration import models
+from torchrender.scene.derivatives import COMPLETE
+
+COLOUR, TEXELS = "red.reflectance.value", "ball.bsdf.reflectance.data"
+
+
+def make(**settings) -> tr.Scene:
+    return tr.load_dict(
+        {
+            "type": "scene",
+            # No roulette: which paths live depends on the colours, and finite differences would see other samples.
+            "integrator": {"type": "path", "max_depth": 3, "rr_depth": 100},
+            "sensor": {
+                "type": "perspective",
+                "fov": 45,
+                "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0]),
+                "film": {"type": "hdrfilm", "width": 8, "height": 6, "rfilter": {"type": "box"}},
+                "sampler": {"type": "independent", "sample_count": 2},
+            },
+            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
+            "wall": {"type": "rectangle", "bsdf": {"type": "ref", "id": "red"}},
+            "ball": {
+                "type": "sphere",
+                "radius": 0.5,
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)}},
+            },
+            "lamp": {"type": "point", "position": [0, 1, 3], "intensity": 3.0},
+            "sky": {"type": "constant"},
+        },
+        **settings,
+    )
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return make()
+
+
+@pytest.fixture(scope="module")
+def double():
+    return make(dtype=torch.float64)
+
+
+def picture(scene, value=None, name=COLOUR, **settings):
+    params = {} if value is None else {"params": {name: value}}
+    return tr.render(scene, **{"seed": 1, **params, **settings})
+
+
+def rand(*shape, dtype=torch.float32, seed=0):
+    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
+
+
+# ------------------------------------------------------------------------------------------------------------ modes
+@pytest.mark.parametrize(("name", "shape", "fast"), [(COLOUR, (3,), False), (TEXELS, (4, 4, 3), True)])
+def test_gradcheck(double, name, shape, fast):
+    """Deterministic: both derivatives are of the same samples, with correlated=True."""
+    value = rand(*shape, dtype=torch.float64).requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda x: picture(double, x, name, correlated=True),
+        (value,),
+        check_forward_ad=True,
+        check_undefined_grad=True,
+        fast_mode=fast,
+    )
+
+
+def test_function_transforms_are_the_eager_derivatives(scene):
+    value, tangent = rand(3), rand(3, seed=1)
+    leaf = value.clone().requires_grad_()
+    image = picture(scene, leaf)
+    (expected,) = torch.autograd.grad(image.square().sum(), leaf)
+
+    assert torch.equal(torch.func.grad(lambda x: picture(scene, x).square().sum())(value), expected)
+    same, pull = torch.func.vjp(lambda x: picture(scene, x), value)
+    assert torch.equal(same, image)
+    assert torch.equal(pull(2 * image.detach())[0], expected)
+
+    primal, derivative = torch.func.jvp(lambda x: picture(scene, x), (value,), (tangent,))
+    assert torch.equal(primal, image)
+    with forward_ad.dual_level():
+        dual = picture(scene, forward_ad.make_dual(value, tangent))
+        assert torch.equal(forward_ad.unpack_dual(dual).tangent, derivative)
+    # Forward and reverse mode differentiate the same samples.
+    torch.testing.assert_close((derivative * 2 * image.detach()).sum(), (expected * tangent).sum(), rtol=1e-4, atol=0)
+
+
+def test_jacobians_row_by_row(scene):
+    def mean(x):
+        return picture(scene, x).mean((0, 1))
+
+    value = rand(3)
+    jacobian = torch.autograd.functional.jacobian(mean, value)
+    assert torch.equal(torch.func.jacrev(mean, chunk_size=1)(value), jacobian)
+    # Red light depends on the red albedo only.
+    assert float(jacobian.diagonal().min()) > 0
+    assert float((jacobian - jacobian.diagonal().diag()).abs().max()) == 0
+
+
+@pytest.mark.parametrize(
+    "batched",
+    [
+        lambda f, x: torch.func.vmap(f)(torch.stack([x, x])),
+        lambda f, x: torch.func.jacrev(f)(x),
+        lambda f, x: torch.func.jacfwd(f)(x),
+        lambda f, x: torch.autograd.functional.jacobian(f, x, vectorize=True),
+        lambda f, x: torch.autograd.grad(f(x.requires_grad_()), x, torch.ones(2, 6, 8, 3), is_grads_batched=True),
+    ],
+    ids=["vmap", "jacrev", "jacfwd", "vectorize", "is_grads_batched"],
+)
+def test_batches_of_torch_are_refused_in_words(scene, batched):
+    with pytest.raises(
+        tr.NotDifferentiableError, match=r"vmap does not reach.*loop over the inputs.*sensor=\[\.\.\.\]"
+    ):
+        batched(lambda x: picture(scene, x), rand(3))
+
+
+@pytest.mark.parametrize("how", ["create_graph", "hessian", "grad of grad", "forward over reverse"])
+def test_second_derivatives_are_refused_in_words(scene, how):
+    def f(x):
+        return picture(scene, x).square().sum()
+
+    value = rand(3).requires_grad_()
+    with pytest.raises(tr.NotDifferentiableError, match="first derivatives only"):
+        if how == "create_graph":
+            (gradient,) = torch.autograd.grad(f(value), value, create_graph=True)
+            gradient.sum().backward()
+        elif how == "hessian":
+            torch.autograd.functional.hessian(f, value)
+        elif how == "grad of grad":
+            torch.func.grad(lambda x: torch.func.grad(f)(x).sum())(value.detach())
+        else:
+            torch.func.jvp(torch.func.grad(f), (value.detach(),), (torch.ones(3),))
+
+
+# ------------------------------------------------------------------------------------------------------------ modes
+def test_pixels_do_not_depend_on_the_mode(scene):
+    plain = picture(scene)
+    assert not plain.requires_grad
+    scene.train_only("*.reflectance.*")
+    try:
+        recorded = picture(scene)
+        with torch.no_grad():
+            silent = picture(scene)
+        with torch.inference_mode():
+            inference = picture(scene)
+        with torch.set_grad_enabled(False), torch.enable_grad():
+            again = picture(scene)
+    finally:
+        scene.train_only()
+    assert recorded.requires_grad and again.requires_grad and not silent.requires_grad
+    assert inference.is_inference()
+    for image in (recorded, silent, inference, again):
+        assert torch.equal(image.detach(), plain)
+
+
+def test_scene_made_in_inference_mode():
+    with torch.inference_mode():
+        scene = make()
+        image = picture(scene)
+        scene.lamp.intensity.value.mul_(2)
+        brighter = picture(scene)
+    assert torch.equal(picture(make()), image)
+    assert not torch.equal(brighter, image)
+
+
+def test_backward_twice_and_retain_graph(scene):
+    value = rand(3).requires_grad_()
+    loss = picture(scene, value).square().sum()
+    (first,) = torch.autograd.grad(loss, value, retain_graph=True)
+    (second,) = torch.autograd.grad(loss, value)
+    assert torch.equal(first, second)
+    with pytest.raises(RuntimeError, match="second time"):
+        loss.backward()
+
+
+def test_gradients_add_up_over_calls(scene):
+    (colour,) = scene.train_only(COLOUR)
+    try:
+        singles = []
+        for seed in (1, 2):
+            singles.append(torch.autograd.grad(picture(scene, seed=seed).sum(), colour)[0])
+        colour.grad = None
+        for seed in (1, 2):
+            picture(scene, seed=seed).sum().backward()
+        assert torch.equal(colour.grad, singles[0] + singles[1])
+    finally:
+        colour.grad = None
+        scene.train_only()
+
+
+def test_hooks_and_retained_gradients(scene):
+    value = rand(3).requires_grad_()
+    image = picture(scene, value)
+    image.retain_grad()
+    image.register_hook(lambda g: 2 * g)
+    image.sum().backward()
+    assert torch.equal(image.grad, torch.full_like(image, 2.0))
+    (expected,) = torch.autograd.grad(picture(scene, leaf := value.detach().requires_grad_()).sum(), leaf)
+    torch.testing.assert_close(value.grad, 2 * expected)
+
+
+def test_anomaly_detection(scene):
+    value = rand(3).requires_grad_()
+    with torch.autograd.detect_anomaly(check_nan=True):
+        picture(scene, value).sum().backward()
+    assert bool((value.grad > 0).all())
+
+
+# ----------------------------------------------------------------------------------------------- edits in between
+def test_edits_in_place_between_forward_and_backward():
+    scene = make()
+    (colour,) = scene.train_only(COLOUR)
+    for edited in (colour, scene.sky.radiance.value, scene.ball.bsdf.reflectance.data):
+        loss = picture(scene).sum()
+        with torch.no_grad():
+            edited.mul_(0.9)
+        with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+            loss.backward()
+
+
+def test_faces_edited_between_forward_and_backward():
+    scene = make()
+    scene["mesh"] = tr.Mesh([[-1, -1, 1], [1, -1, 1], [0, 1, 1]], [[0, 1, 2]], bsdf={"type": "ref", "id": "red"})
+    scene.train_only(COLOUR)
+    loss = picture(scene).sum()
+    scene.mesh.faces[0] = torch.tensor([2, 1, 0])
+    with pytest.raises(RuntimeError, match=r"faces .* modified by an inplace operation"):
+        loss.backward()
+
+
+def test_steps_between_forward_and_backward_of_another_parameter():
+    """Edits that replace (structure, new tensors) leave the image's derivative what it was."""
+    scene = make()
+    (colour,) = scene.train_only(COLOUR)
+    (expected,) = torch.autograd.grad(picture(scene).sum(), colour)
+    loss = picture(scene).sum()
+    scene.ball.bsdf.reflectance.data = rand(5, 5, 3)
+    scene["more"] = tr.Disk()
+    del scene["lamp"]
+    picture(scene)
+    assert torch.equal(torch.autograd.grad(loss, colour)[0], expected)
+
+
+# ----------------------------------------------------------------------------------------------- autocast, dtypes
+def test_autocast_changes_nothing(scene):
+    (colour,) = scene.train_only(COLOUR)
+    try:
+        image = picture(scene)
+        (gradient,) = torch.autograd.grad(image.sum(), colour)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            inside = picture(scene)
+            (gradient_inside,) = torch.autograd.grad(inside.sum(), colour)
+    finally:
+        scene.train_only()
+    assert inside.dtype == torch.float32
+    assert torch.equal(inside, image) and torch.equal(gradient_inside, gradient)
+
+
+def test_a_network_under_autocast(scene):
+    torch.manual_seed(0)
+    network = torch.nn.Linear(2, 3)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        colour = torch.sigmoid(network(torch.ones(2)))
+        assert colour.dtype == torch.bfloat16
+        image = picture(scene, colour)
+    image.sum().backward()
+    assert image.dtype == torch.float32
+    assert network.weight.grad.dtype == torch.float32 and bool((network.weight.grad != 0).all())
+
+
+@pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16, torch.float32, torch.float64])
+def test_gradients_have_the_dtype_of_what_was_given(scene, double, dtype):
+    for renderer, expected in ((scene, torch.float32), (double, torch.float64)):
+        value = torch.tensor([0.5, 0.25, 0.125], dtype=dtype, requires_grad=True)  # exact in all of them
+        image = picture(renderer, value)
+        image.sum().backward()
+        assert image.dtype == expected and value.grad.dtype == dtype
+        assert torch.equal(image.detach(), picture(renderer, value.detach().double()))
+
+
+# ---------------------------------------------------------------------------------------------------------- params=
+def test_every_kind_of_tensor_is_taken(scene):
+    """Leaf, result of a computation, view, expanded, not contiguous: gradients arrive where they came from."""
+    texels = rand(4, 4, 3)
+
+    def run(leaf, image_of):
+        leaf = leaf.clone().requires_grad_()
+        image = image_of(leaf)
+        image.sum().backward()
+        return image.detach(), leaf.grad
+
+    image, gradient = run(texels, lambda x: picture(scene, x, TEXELS))
+    for leaf, view, back in [
+        (texels.permute(2, 0, 1).contiguous(), lambda x: x.permute(1, 2, 0), lambda g: g.permute(1, 2, 0)),
+        (texels.flatten(), lambda x: x.view(4, 4, 3), lambda g: g.view(4, 4, 3)),
+        (texels.repeat(1, 2, 1), lambda x: x[:, :4], lambda g: g[:, :4]),
+        (texels.repeat_interleave(2, dim=0), lambda x: x[::2], lambda g: g[::2]),
+        (2 * texels, lambda x: x / 2, lambda g: 2 * g),
+    ]:
+        other, pulled = run(leaf, lambda x, view=view: picture(scene, view(x), TEXELS))
+        assert torch.equal(other, image)
+        assert torch.equal(back(pulled), gradient)
+    _, grey = run(torch.tensor([0.3]), lambda x: picture(scene, x.expand(3)))
+    _, colour = run(torch.full((3,), 0.3), lambda x: picture(scene, x))
+    torch.testing.assert_close(grey, colour.sum()[None])
+
+
+def test_one_tensor_for_two_parameters(scene):
+    value = torch.tensor(0.5, requires_grad=True)
+    image = picture(scene, None, params={COLOUR: value, "sky.radiance.value": value})
+    image.sum().backward()
+    parts = []
+    for name, other in ((COLOUR, "sky.radiance.value"), ("sky.radiance.value", COLOUR)):
+        leaf = torch.tensor(0.5, requires_grad=True)
+        picture(scene, None, params={name: leaf, other: leaf.detach()}).sum().backward()
+        parts.append(leaf.grad)
+    torch.testing.assert_close(value.grad, parts[0] + parts[1])
+
+
+def test_a_parameter_under_two_names_is_given_once(scene):
+    both = {COLOUR: rand(3), "wall.bsdf.reflectance.value": rand(3)}
+    with pytest.raises(ValueError, match=r"wall\.bsdf\.reflectance\.value: the parameter 'red\.reflectance\.value'"):
+        picture(scene, None, params=both)
+
+
+def test_devices_are_named(scene):
+    with pytest.raises(ValueError, match=r"red\.reflectance\.value: lies on meta, but the scene on cpu"):
+        picture(scene, torch.zeros(3, device="meta"))
+    other = make()
+    other.sky.to("meta")
+    with pytest.raises(ValueError, match=r"sky\.radiance\.value: lies on meta, but the scene on cpu"):
+        picture(other)
+    with pytest.raises(ValueError, match="lies on meta"):
+        picture(make().to("meta"))
+
+
+# --------------------------------------------------------------------------------------------------- torch.compile
+@pytest.mark.parametrize("backend", ["eager", "aot_eager"])
+def test_compiled_is_eager(backend):
+    scene = make()
+    renderer = tr.Renderer(scene, spp=2)
+    network = torch.nn.Linear(2, 3)
+
+    def step(inputs, seed):
+        colour = torch.sigmoid(network(inputs))
+        image = renderer(seed=seed, params={COLOUR: colour}) * 2
+        return image.mean((0, 1))
+
+    torch._dynamo.reset()
+    compiled = torch.compile(step, backend=backend)
+    for seed in (1, 2):
+        results = []
+        for function in (step, compiled):
+            loss = function(torch.ones(2), seed)
+            results.append((loss.detach(), *torch.autograd.grad(loss.sum(), list(network.parameters()))))
+        assert all(torch.equal(a, b) for a, b in zip(*results))
+    assert torch.equal(torch.compile(renderer, backend=backend)(seed=3), renderer(seed=3))
+
+
+def test_compilation_breaks_the_graph_once():
+    torch._dynamo.reset()
+    scene = make()
+    explained = torch._dynamo.explain(lambda x: picture(scene, torch.sigmoid(x)).square().mean())(rand(3))
+    assert explained.graph_break_count == 1 and explained.graph_count == 2
+
+
+# --------------------------------------------------------------------------------------- what has no derivative
+def with_derivative(kind: str) -> list[str]:
+    return [f"{t}.{f.name}" for (_, t), m in models().items() for f in m.fields if f.derivative.startswith(kind)]
+
+
+def test_missing_terms_are_warned_about_once():
+    scene = make()
+    (position,) = scene.train_only("lamp.position")
+    with pytest.warns(tr.MissingTermWarning) as caught:
+        image = picture(scene)
+    assert len(caught) == 1 and caught[0].filename == __file__
+    text = str(caught[0].message)
+    (declared,) = [f.derivative for f in models()["emitter", "point"].fields if f.name == "position"]
+    missing = declared.removeprefix("interior, without ").partition(":")[0]
+    assert "lamp.position" in text and missing in text and "which is 0 where" in text
+    image.sum().backward()
+    assert bool((position.grad != 0).any())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        picture(scene)  # once for a parameter of a scene
+        with torch.no_grad():
+            picture(make())
+        other = make()
+        other.train_only(COLOUR)
+        picture(other)
+    with pytest.warns(tr.MissingTermWarning), forward_ad.dual_level():
+        picture(make(), forward_ad.make_dual(torch.zeros(3), torch.ones(3)), "lamp.position")
+
+
+def test_words_of_the_declaration():
+    lacking = COMPLETE.also("interior, without moving edges: 0 for flat things")
+    assert (lacking.refusal, lacking.caveat) == ("", "moving edges: 0 for flat things")
+    assert COMPLETE.also("interior, without moving edges").caveat.startswith("moving edges: 0 where")
+    assert COMPLETE.also("interior") == COMPLETE
+    assert lacking.also("none: it is a name").refusal == "it is a name"
+    assert COMPLETE.also("none").refusal
+    # Every continuous field says in one of these ways what it has.
+    said = {f.derivative.split(",")[0].split(":")[0] for m in models().values() for f in m.fields}
+    assert said <= {"interior", "none"}
+    assert with_derivative("interior, without") and with_derivative("none")
+
+
+def graph(value):
+    """A tensor like `value` that is part of a graph, and its leaf."""
+    leaf = torch.as_tensor(value, dtype=torch.float32).clone().requires_grad_()
+    return leaf * 1, leaf
+
+
+GIVEN = {
+    "fov": (lambda x: tr.PerspectiveCamera(fov=x), 40.0, "x_fov"),
+    "fov of y": (lambda x: tr.PerspectiveCamera(fov=x, fov_axis="y"), 40.0, "x_fov"),
+    "focal length": (lambda x: tr.PerspectiveCamera(focal_length=x), 35.0, "x_fov"),
+    "look_at fov": (lambda x: tr.PerspectiveCamera.look_at([0, 0, 4], [0, 0, 0], fov=x), 40.0, "x_fov"),
+    "look_at origin": (lambda x: tr.PerspectiveCamera.look_at(x, [0, 0, 0]), [0.0, 1.0, 4.0], "to_world"),
+    "look_at target": (lambda x: tr.PerspectiveCamera.look_at([0, 0, 4], x), [0.0, 1.0, 0.0], "to_world"),
+    "opengl matrix": (lambda x: tr.PerspectiveCamera.from_opengl(x, 40, (4, 4)), torch.eye(4), "to_world"),
+    "opengl fov": (lambda x: tr.PerspectiveCamera.from_opengl(torch.eye(4), x, (4, 4)), 40.0, "x_fov"),
+    "transform": (lambda x: tr.Rectangle(to_world=tr.Transform.translate(x)), [0.0, 1.0, 0.0], "to_world"),
+    "rotation angle": (lambda x: tr.Disk(to_world=tr.Transform.rotate([0, 0, 1], x)), 40.0, "to_world"),
+    "list of numbers": (lambda x: tr.Sphere(center=[x, 0.0, x]), 0.5, "center"),
+    "radius": (lambda x: tr.Sphere(radius=x), 0.5, "radius"),
+    "index of refraction": (lambda x: tr.Dielectric(int_ior=x), 1.5, "eta"),
+    "index outside": (lambda x: tr.Dielectric(ext_ior=x), 1.1, "eta"),
+    "point light's matrix": (lambda x: tr.PointLight(to_world=x), torch.eye(4), "position"),
+    "vertices": (lambda x: tr.Mesh(x, [[0, 1, 2]]), torch.eye(3), "vertex_positions"),
+    "mesh's matrix": (lambda x: tr.Mesh(torch.eye(3), [[0, 1, 2]], to_world=x), torch.eye(4), "vertex_positions"),
+    "cube's matrix": (lambda x: tr.Cube(to_world=x), torch.eye(4), "vertex_positions"),
+    "bitmap": (lambda x: tr.Bitmap(data=x), torch.ones(2, 2, 3), "data"),
+    "to_uv": (lambda x: tr.Bitmap(data=torch.ones(2, 2, 3), to_uv=x), torch.eye(3), "to_uv"),
+}
+
+
+@pytest.mark.parametrize("name", GIVEN)
+def test_objects_keep_the_graph_of_what_they_are_made_from(name):
+    build, value, field = GIVEN[name]
+    given, leaf = graph(value)
+    made = getattr(build(given), field)
+    weight = torch.arange(1.0, made.numel() + 1).reshape(made.shape)
+    (gradient,) = torch.autograd.grad((made * weight).sum(), leaf)
+    assert bool((gradient != 0).any())
+
+
+def test_colours_keep_their_graph_through_every_form():
+    for form in (
+        lambda x: tr.Diffuse(reflectance=x),
+        lambda x: {"type": "diffuse", "reflectance": x},
+        lambda x: {"type": "diffuse", "reflectance": {"type": "rgb", "value": x}},
+        lambda x: {"type": "diffuse", "reflectance": {"type": "rgb", "value": [x[0], x[1], 0.5]}},
+        lambda x: {"type": "diffuse", "reflectance": {"type": "bitmap", "data": x.expand(2, 2, 3), "raw": True}},
+    ):
+        for settings in ({}, {"dtype": torch.float64}, {"variant": "mono"}):
+            given, leaf = graph([0.6, 0.3, 0.2])
+            scene = tr.load_dict(
+                {
+                    "type": "scene",
+                    "sensor": {"type": "perspective", "film": {"type": "hdrfilm", "width": 2, "height": 2}},
+                    "wall": {"type": "rectangle", "to_world": tr.Transform.look_at([0, 0, 3], [0, 0, 0])}
+                    | {"bsdf": form(given)},
+                    "sky": {"type": "constant"},
+                },
+                **settings,
+            )
+            picture(scene).sum().backward()
+            assert bool((leaf.grad[:2] != 0).all())
+
+
+def test_computed_normals_follow_positions_that_have_derivatives(tmp_path):
+    """A file without normals is shaded with normals that follow its positions: they belong to the derivative."""
+    (tmp_path / "tent.ply").write_text(
+        "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 2\nproperty list uchar int vertex_indices\nend_header\n"
+        "0 0 1\n0 1 1\n-1 0 0\n1 0 0\n3 0 1 2\n3 1 0 3\n"
+    )
+    scene = make(dtype=torch.float64)
+    scene["tent"] = {"type": "ply", "filename": str(tmp_path / "tent.ply")}
+    layout = scene.layout()
+    slot = layout.slot_of[id(scene.tent), "vertex_normals"]
+    plain = tr.scene.gather.gather(scene, layout, None)[slot]
+    positions = scene.tent.vertex_positions.requires_grad_()
+    attached = tr.scene.gather.gather(scene, layout, None)[slot]
+    assert torch.equal(attached, plain) and not plain.requires_grad
+    weight = rand(4, 3, dtype=torch.float64)
+    (gradient,) = torch.autograd.grad((attached * weight).sum(), positions)
+    direction = rand(4, 3, dtype=torch.float64, seed=1)
+    with torch.no_grad():
+        step = 1e-6 * direction
+        high = (scene.tent.normals_from_positions(positions + step) * weight).sum()
+        low = (scene.tent.normals_from_positions(positions - step) * weight).sum()
+    assert float((gradient * direction).sum()) == pytest.approx(float(high - low) / 2e-6, rel=1e-6)
+    # Asked for by themselves too, they get what is theirs.
+    normals = scene.tent.vertex_normals.requires_grad_()
+    both = tr.scene.gather.gather(scene, layout, None)[slot]
+    first, second = torch.autograd.grad((both * weight).sum(), [positions, normals])
+    assert torch.equal(first, gradient) and torch.equal(second, weight)
+
+
+def test_every_required_leaf_gets_a_gradient(scene):
+    """What DistributedDataParallel waits for: no leaf that requires a gradient stays without one."""
+    leaves = scene.train_only("*.reflectance.*", "*.radiance.*", "*.intensity.*")
+    try:
+        picture(scene, crop=(0, 0, 1, 1)).sum().backward()  # a corner that hardly anything reaches
+        assert len(leaves) == 4 and all(leaf.grad is not None for leaf in leaves)
+    finally:
+        scene.zero_grad(set_to_none=True)
+        scene.train_only()
