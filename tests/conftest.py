@@ -9,6 +9,7 @@ PYTHON_ONLY = {
     "test_backends",
     "test_bench",
     "test_constraints",
+    "test_endurance",  # takes long, and its subject is what is kept between calls
     "test_geometry_files",
     "test_docs",
     "test_io",

@@ -58,7 +58,6 @@ bool SceneData<S>::same_geometry(const SceneData &other) const {
 template <class S>
 void SceneData<S>::take_over(SceneData &previous) {
     counters_ = previous.counters();
-    counters_.accel = {};
     rebuilt_ = true;
     if (previous.all_dirty_ || constants_.size() != previous.constants_.size()) return;
     all_dirty_ = false;
@@ -69,6 +68,7 @@ void SceneData<S>::take_over(SceneData &previous) {
         previous.environment_dirty_ = true;
     }
     if (!previous.geometry_dirty_ && same_geometry(previous)) {
+        counters_.accel = previous.counters_.accel;  // the structure brings its own
         std::swap(accel_, previous.accel_);
         std::swap(shapes_, previous.shapes_);
         for (auto member : {&SceneData::positions_, &SceneData::normals_, &SceneData::texcoords_, &SceneData::matrices_,
