@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import functools
 import warnings
 
@@ -13,6 +12,7 @@ import torch
 from oracle.bsdfs import BSDFS
 from oracle.emitters import EMITTERS
 from oracle.film import FILTERS
+from oracle.scenes import SCENES, SIZE
 from oracle.sensors import SENSORS
 from oracle.shapes import SHAPES
 from oracle.textures import TEXTURES
@@ -22,7 +22,7 @@ from torchrender.scene.declaration import models
 from torchrender.scene.film import FILTERS as NATIVE_FILTERS
 
 ENTRIES = {"bsdf": BSDFS, "emitter": EMITTERS, "texture": TEXTURES, "sensor": SENSORS, "shape": SHAPES}
-SIZE, SPP = 8, 4
+SPP = 4
 RTOL = 1e-9  # of the largest number of an image or gradient,
 ATOL = 1e-15  # since derivatives may cancel to zero
 
@@ -36,27 +36,18 @@ def test_every_filter_has_an_entry():
     assert set(FILTERS) == set(NATIVE_FILTERS)
 
 
-def small(scene: dict) -> dict:
-    """A reference scene with a film of 8 x 8 pixels."""
-    scene = copy.deepcopy(scene)
-    film = scene["sensor"]["film"]
-    if "crop_width" in film:
-        film.update(width=12, height=10, crop_offset_x=2, crop_offset_y=1, crop_width=SIZE, crop_height=SIZE)
-    else:
-        film.update(width=SIZE, height=SIZE)
-    return scene
-
-
-SCENES = {
-    name: functools.partial(lambda n: small(reference_scenes.SCENES[n]().scene), name)
-    for name in reference_scenes.SCENES
-}
 CASES = [(name, variant) for name in SCENES for variant in ("rgb", "mono")]
 
 
 @functools.cache
 def scene_of(name: str, variant: str) -> tr.Scene:
     return tr.load_dict(SCENES[name](), dtype=torch.float64, variant=variant)
+
+
+def test_scenes_contain_every_model():
+    packed = [scene_of(name, "rgb").layout().objects for name in SCENES]
+    used = {(category, row[0]) for objects in packed for category in objects for row in objects[category]}
+    assert used == set(models())
 
 
 def assert_equal(native: torch.Tensor, expected: torch.Tensor, what: str) -> None:

@@ -237,6 +237,23 @@ def test_what_is_accepted():
     assert grad.shape == (3,) and grad.abs().max() > 0
 
 
+def test_autocast_changes_nothing():
+    scene = scene_of(torch.float32)
+    origins, directions = grid(7, torch.float32)
+    camera = tr.PerspectiveCamera.look_at((0.5, 1.0, 6.0), (0.0, 0.0, 0.0), size=(4, 4))
+    parameters = [scene.get_parameter(n).requires_grad_() for n in ("ball.center", "card.to_world")]
+
+    def results():
+        hits = tr.ray_intersect(scene, origins, directions)
+        return [hits.t, *torch.autograd.grad(hits.position[hits.valid].sum(), parameters), camera.rays().directions]
+
+    expected = results()
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        found = results()
+    for a, b in zip(found, expected, strict=True):
+        assert torch.equal(a, b)
+
+
 def test_empty_batches():
     scene = scene_of()
     origins = torch.zeros(0, 3, requires_grad=True)

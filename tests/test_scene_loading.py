@@ -326,3 +326,10 @@ def test_opencv_tensors_keep_their_gradient():
     camera = tr.PerspectiveCamera.from_opencv([[50, 0, 16], [0, 50, 16], [0, 0, 1]], torch.eye(3), t, (32, 32))
     camera.to_world[:3, 3].sum().backward()
     assert t.grad.tolist() == [-1.0, -1.0, -1.0]  # the camera stands at -R^T t
+
+
+def test_attributes_of_a_built_mesh_become_luminance_in_mono():
+    colours = torch.tensor([[1.0, 0, 0], [0, 1, 0], [0, 0, 1]])
+    mesh = tr.Mesh(torch.eye(3), [[0, 1, 2]], attributes={"vertex_color": colours})
+    scene = tr.load_dict({"type": "scene", "a": mesh}, variant="mono")
+    torch.testing.assert_close(scene.a.vertex_color.detach(), torch.tensor(LUMINANCE)[:, None])

@@ -91,7 +91,7 @@ class Surfaces:
                     matrix = _placed(matrix, tensors[value["center"]], tensors[value["radius"]])
             if kind == "rectangle":
                 square = torch.tensor(CORNERS, **real)
-                corners = square @ matrix[:3, :2].T + matrix[:3, 3]
+                corners = transform_point(matrix, torch.nn.functional.pad(square, (0, 1)))
                 indices = torch.tensor(RECTANGLE_FACES)
                 has_texcoords = True
                 normals.append(torch.zeros(4, 3, **real))
@@ -177,9 +177,9 @@ class Surfaces:
 
     def _on_quadrics(self, shape: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
         matrix = self.to_world[shape]
-        inverse = torch.linalg.inv(matrix)
+        inverse = inverse_linear(matrix)
         sphere = self.kind[shape] == SPHERE
-        lo, ld = transform_point(inverse, o), transform_vector(inverse, d)
+        lo, ld = transform_vector(inverse, o - matrix[:, :3, 3]), transform_vector(inverse, d)
         a = dot(ld, ld)
         middle = -dot(lo, ld) / a
         left = 1 - dot(lo + ld * middle[:, None], lo + ld * middle[:, None])
@@ -200,9 +200,9 @@ class Surfaces:
 
 def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
     """`matrix` after moving and scaling the unit sphere."""
-    linear = matrix[:, :3] * radius
-    offset = matrix[:, :3] @ center + matrix[:, 3]
-    return torch.cat([linear, offset[:, None]], 1)
+    # sums of products instead of matrix products, here and below: autocast leaves those their precision
+    offset = (matrix[:, :3] * center).sum(1) + matrix[:, 3]
+    return torch.cat([matrix[:, :3] * radius, offset[:, None]], 1)
 
 
 def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor) -> torch.Tensor:
@@ -238,6 +238,14 @@ def transform_point(matrix: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
 
 def transform_vector(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     return (matrix[..., :3, :3] * v[..., None, :]).sum(-1)
+
+
+def inverse_linear(matrix: torch.Tensor) -> torch.Tensor:
+    """The inverse (..., 3, 3) of the linear part of affine matrices (..., 4, 4)."""
+    a, b, c = matrix[..., :3, :3].unbind(-1)
+    bc = torch.linalg.cross(b, c)
+    rows = torch.stack([bc, torch.linalg.cross(c, a), torch.linalg.cross(a, b)], -2)
+    return rows / dot(a, bc)[..., None, None]
 
 
 def transform_normal(inverse: torch.Tensor, n: torch.Tensor) -> torch.Tensor:

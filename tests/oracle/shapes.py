@@ -10,7 +10,13 @@ from dataclasses import dataclass
 
 import torch
 
-from torchrender.surface import curved_coordinates, transform_normal, transform_point
+from torchrender.surface import (
+    curved_coordinates,
+    inverse_linear,
+    transform_normal,
+    transform_point,
+    transform_vector,
+)
 
 from . import numbers
 from .geometry import Frame, Rows, dot, normalize
@@ -59,7 +65,7 @@ class Quadric(Triangles):
 
     def __init__(self, world: World, index: int) -> None:
         self.matrix = world.surfaces.to_world[index].detach()
-        self.inverse = torch.linalg.inv(self.matrix)
+        self.inverse = inverse_linear(self.matrix)
         self.flipped = bool(world.surfaces.flip[index])
         self.sign = -1.0 if self.flipped else 1.0
 
@@ -104,7 +110,7 @@ class Sphere(Quadric):
         along = distance * local[:, 2]
         t = along - torch.sqrt((self.radius**2 - (distance**2 - along**2)).clamp(min=0.0))
         normal = normalize(d * t[:, None] - axis * distance[:, None])
-        seen = self.at(normalize(transform_point(self.inverse, self.center + normal * self.radius)), True)
+        seen = self.at(normalize(transform_vector(self.inverse, normal * self.radius)), True)
         position = torch.where(outside[:, None], self.center + normal * self.radius, uniform.position)
         return LightPoint(
             position,

@@ -57,7 +57,7 @@ def perspective_rays(
     y = 2 * (positions[:, 1] * (1 / height) + offset_y)
     local = torch.stack([(1 - x) * tangent, (1 - y) * (tangent * height / width), torch.ones_like(x)], 1)
     local = local / torch.linalg.vector_norm(local, dim=1, keepdim=True)
-    directions = local @ to_world[:3, :3].T
+    directions = (to_world[:3, :3] * local[:, None]).sum(2)  # not a matrix product, which autocast would round
     directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
     stretch = 1 / local[:, 2]
     origins = to_world[:3, 3] + directions * (stretch * near_clip)[:, None]

@@ -166,6 +166,14 @@ class Mesh(Shape):
                 normals.copy_(_native_normals(positions, self.faces) if computed is None else computed)
         self.__dict__["_normals_stamp"] = stamp
 
+    def adapt(self, ctx: Context) -> None:
+        if self._color != ctx.color and ctx.color == "mono":
+            for name in self.attribute_names:
+                colours = self._parameters.get(name)
+                if colours is not None and colours.shape[-1] == 3:
+                    colours.data = values.luminance(colours.data)
+        super().adapt(ctx)
+
     def bounds(self) -> torch.Tensor:
         positions = self.vertex_positions.detach()
         return torch.stack([positions.amin(0), positions.amax(0)])

@@ -1,0 +1,147 @@
+"""Scenes of 8 x 8 pixels that together contain every model: the reference scenes, and some whose geometry matters."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+
+import numpy as np
+import reference_scenes as r
+
+import torchrender as tr
+
+SIZE = 8
+MIRROR = r.scale(-1, 1, 1)
+
+
+def small(scene: dict) -> dict:
+    """A reference scene with a film of 8 x 8 pixels."""
+    scene = copy.deepcopy(scene)
+    film = scene["sensor"]["film"]
+    if "crop_width" in film:
+        film.update(width=12, height=10, crop_offset_x=2, crop_offset_y=1, crop_width=SIZE, crop_height=SIZE)
+    else:
+        film.update(width=SIZE, height=SIZE)
+    return scene
+
+
+def _tube(rows: int = 4, columns: int = 6, **more) -> tr.Mesh:
+    vertices, normals, colours, faces, face_colours = r.twisted_mesh(rows, columns)
+    attributes = {"vertex_color": colours, "face_color": face_colours}
+    texcoords = np.stack([vertices[:, 0] * 0.4 + vertices[:, 2], vertices[:, 1]], 1)
+    return tr.Mesh(vertices, faces, vertex_normals=normals, vertex_texcoords=texcoords, attributes=attributes, **more)
+
+
+def _smoothed(mesh: tr.Mesh) -> tr.Mesh:
+    """The mesh with normals that follow its positions, as one from a file without normals has."""
+    mesh.__dict__["computed_normals"] = True
+    mesh._install_tensor("vertex_normals", None, mesh.normals_from_positions(mesh.vertex_positions.detach()))
+    return mesh
+
+
+def moving() -> dict:
+    """Smooth, flat and recomputed normals; textures over texture coordinates and attributes; all lights but the sky."""
+    return r._scene(
+        {"type": "path", "max_depth": 4, "rr_depth": 2},
+        r._camera(fov=50),
+        left=_tube(
+            to_world=r.translate(-1.2, 0, 0) @ r.rotate("y", 20),
+            bsdf=r._diffuse(r._bitmap(31, 4, 5, to_uv=r.TO_UV, wrap_mode="mirror")),
+        ),
+        middle=_smoothed(
+            _tube(
+                to_world=r.translate(0.1, 0, -0.6) @ r.scale(0.8),
+                bsdf=r._diffuse({"type": "mesh_attribute", "name": "vertex_color", "scale": 0.7}),
+            )
+        ),
+        right=_tube(
+            face_normals=True,
+            flip_normals=True,
+            to_world=r.translate(1.2, 0, 0.3) @ r.rotate("x", 30),
+            bsdf={"type": "twosided", "bsdf": r._diffuse({"type": "mesh_attribute", "name": "face_color"})},
+        ),
+        floor=r._floor(r._bitmap(32, 6, 4)),
+        lamp=r._lamp(r._bitmap(33, 3, 4, 1.0, 9.0)),
+        bulb={"type": "point", "position": [1.0, 2.0, 2.0], "intensity": r._rgb(5.0, 4.0, 3.0)},
+    )
+
+
+def glass() -> dict:
+    """Chains of refraction and reflection between a textured floor and a turned sky."""
+    return r._scene(
+        {"type": "path", "max_depth": 7, "rr_depth": 3},
+        r._camera(),
+        ball={"type": "sphere", "center": [-0.9, -0.1, 0.2], "radius": 0.7, "bsdf": {"type": "dielectric"}},
+        tube=_tube(
+            to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
+            bsdf={"type": "dielectric", "int_ior": 1.3, "specular_transmittance": r._bitmap(34, 3, 3)},
+        ),
+        metal={
+            "type": "sphere",
+            "center": [0.5, 0.2, -1.2],
+            "radius": 0.8,
+            "bsdf": {"type": "conductor", "material": "Cu", "specular_reflectance": r._bitmap(35, 4, 4)},
+        },
+        mirror={
+            "type": "disk",
+            "to_world": r.translate(-1.6, 0.2, -1.0) @ r.rotate("y", 40),
+            "bsdf": {"type": "twosided", "bsdf": {"type": "conductor", "eta": 0.2, "k": 3.0}},
+        },
+        curtain={"type": "rectangle", "to_world": r.translate(0, 0, 2) @ r.scale(0.7), "bsdf": {"type": "null"}},
+        floor=r._floor(r._bitmap(36, 5, 5)),
+        lamp=r._lamp(r._bitmap(37, 3, 4, 1.0, 9.0)),
+        sky={"type": "envmap", "data": r._noise(38, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )
+
+
+def lights() -> dict:
+    """Emitting disk, mesh, mirrored rectangle, sphere from outside and from inside; the camera does not see them."""
+
+    def light(seed: int) -> dict:
+        return {"type": "area", "radiance": r._bitmap(seed, 3, 4, 0.5, 4.0)}
+
+    return r._scene(
+        {"type": "path", "max_depth": 3, "hide_emitters": True},
+        r._camera(far_clip=30.0),
+        ball={"type": "sphere", "radius": 0.8, "bsdf": r._diffuse(r._bitmap(41, 4, 6))},
+        floor=r._floor({"type": "checkerboard", "color0": r._bitmap(42, 3, 3), "color1": 0.2, "to_uv": r.TO_UV}),
+        dome={"type": "sphere", "radius": 9.0, "flip_normals": True, "emitter": light(43)},
+        plate={
+            "type": "disk",
+            "to_world": r.translate(-1.2, 1.5, 0.5) @ r.rotate("x", 80) @ r.scale(0.4, 0.6, 1),
+            "emitter": light(44),
+        },
+        glow={
+            "type": "sphere",
+            "center": [1.5, 0.6, 0.5],
+            "radius": 0.3,
+            "emitter": {**light(45), "sampling_weight": 3},
+        },
+        sheet={
+            "type": "rectangle",
+            "to_world": r.translate(1.0, 2.0, 0) @ MIRROR @ r.rotate("x", 100) @ r.scale(0.4),
+            "emitter": light(46),
+        },
+        tube=_tube(
+            to_world=r.translate(-1.3, -0.4, 1.0) @ r.scale(0.3),
+            emitter={"type": "area", "radiance": {"type": "mesh_attribute", "name": "vertex_color", "scale": 5.0}},
+        ),
+    )
+
+
+def splits() -> dict:
+    """Direct illumination with several samples of each kind, a tent filter, light from a map seen directly."""
+    return r._scene(
+        {"type": "direct", "emitter_samples": 1, "bsdf_samples": 3},
+        r._camera(film={"rfilter": {"type": "tent", "radius": 1.3}, "sample_border": True}),
+        left=_tube(to_world=r.translate(-0.8, 0, 0), bsdf=r._diffuse(0.6)),
+        glow={"type": "sphere", "center": [0.8, 0.2, 0.0], "radius": 0.6, "emitter": {"type": "area", "radiance": 2.0}},
+        floor=r._floor(r._bitmap(51, 4, 4, filter_type="nearest", wrap_mode="clamp")),
+        sky={"type": "envmap", "data": r._noise(52, 5, 7, 0.1, 2.0), "to_world": r.rotate("x", 50)},
+    )
+
+
+SCENES: dict[str, Callable[[], dict]] = {
+    **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
+    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, lights, splits)},
+}
