@@ -78,4 +78,18 @@ struct LaneSet {
     }
 };
 
+// Adds a colour a lane to the columns of a colour; several lanes may have one slot.
+template <class F, int C, class S>
+TR_INLINE void add_to_slots(S *const *columns, const UIntOf<F> &slot, const Color<F, C> &value, const MaskOf<F> &m) {
+    constexpr int W = Lanes<F>::Width;
+    alignas(64) uint32_t s[W], set[W];
+    alignas(64) S v[C][W];
+    store(&s[0], slot);
+    store(&set[0], select(mask<UIntOf<F>>(m), UIntOf<F>(1u), UIntOf<F>(0u)));
+    for (int c = 0; c < C; ++c) store(&v[c][0], value[c]);
+    for (int i = 0; i < W; ++i)
+        if (set[i])
+            for (int c = 0; c < C; ++c) columns[c][s[i]] += v[c][i];
+}
+
 }  // namespace tr

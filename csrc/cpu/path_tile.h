@@ -6,9 +6,8 @@
 #include <algorithm>
 #include <chrono>
 
-#include "core/adjoint/camera.h"
 #include "render.h"
-#include "tape.h"
+#include "tape_sweep.h"
 
 namespace tr {
 
@@ -19,7 +18,7 @@ class PathTile {
     using I = IntOf<F>;
     using M = MaskOf<F>;
     static constexpr int W = Lanes<F>::Width;
-    static constexpr int Miss = Bsdfs::Size, BySide = -1, Ignore = -2;
+    static constexpr int Miss = Segment::Miss, BySide = -1, Ignore = -2;
 
 public:
     // by path of the tile (`slot`), set before `run`
@@ -57,7 +56,7 @@ public:
     // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
     void start(size_t n, bool skip_zero_adjoint) {
         Front<S, C> &front = fronts_[0];
-        slots_in_use_ = n;
+        n_slots_ = n;
         const Record &record = scene_.sensors[call_.config.sensor];
         front.n = 0;
         for (size_t i = 0; i < n; i += W) {
@@ -110,21 +109,14 @@ public:
         }
     }
 
-    // Runs over the tape from its end, see core/adjoint/sweep.h. In forward mode, where adjoints of numbers are sums
-    // over channels, every channel has a sweep of its own.
+    // Runs over the tape from its end; `forward`: all adjoints are one.
     template <class Sink>
     void sweep(Sink &sink, bool forward) {
-        if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>) {
-            if (derivative_->wanted.numbers()) {
-                for (int channel = 0; channel < C; ++channel) {
-                    for (int c = 0; c < C; ++c) std::fill_n(delta[c], slots_in_use_, S(c == channel ? 1 : 0));
-                    sink.channel = channel;
-                    sweep_levels(sink, false);
-                }
-                return;
-            }
-        }
-        sweep_levels(sink, forward);
+        TapeSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, {delta, radiance, film_x, film_y, n_slots_});
+        sweep.run(sink, forward);
+        stats.non_finite += sink.non_finite;
+        if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
+        sink.non_finite = 0;
     }
 
 private:
@@ -270,7 +262,8 @@ private:
             level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, e.point.at, e);
             put_ray_that_left(front, lanes, i);
         } else {
-            add_radiance(slot, beta * e.radiance, finite(e.radiance, lanes.active, "environment", e.point.emitter));
+            add_to_slots<F>(radiance, slot, beta * e.radiance,
+                            finite(e.radiance, lanes.active, "environment", e.point.emitter));
         }
     }
 
@@ -323,8 +316,8 @@ private:
                                                mask<F>(from.pdf == F(0)));
             }
         } else if (any(active && mask<F>(e.weight > F(0)))) {
-            add_radiance(slot, beta * e.radiance,
-                         finite(e.radiance, active && mask<F>(e.weight > F(0)), "emitter", e.point.emitter));
+            add_to_slots<F>(radiance, slot, beta * e.radiance,
+                            finite(e.radiance, active && mask<F>(e.weight > F(0)), "emitter", e.point.emitter));
         }
         U seen = lanes.get(front.seen);
         if (!Derivative && kind != NullKind) see(slot, seen, active);
@@ -449,17 +442,6 @@ private:
         f.n += size_t(count(m));
     }
 
-    void add_radiance(const U &slot, const Color<F, C> &value, const M &m) {
-        alignas(64) uint32_t s[W], set[W];
-        alignas(64) S v[C][W];
-        store(&s[0], slot);
-        store(&set[0], select(mask<U>(m), U(1u), U(0u)));
-        for (int c = 0; c < C; ++c) store(&v[c][0], value[c]);
-        for (int i = 0; i < W; ++i)
-            if (set[i])
-                for (int c = 0; c < C; ++c) radiance[c][s[i]] += v[c][i];
-    }
-
     void see(const U &slot, const U &seen, const M &active) {
         M first = active && mask<F>(seen == 0u);
         if (!any(first)) return;
@@ -484,92 +466,6 @@ private:
         return usable;
     }
 
-    // --------------------------------------------------------------------------------------------------------- sweep
-    template <class Sink>
-    void sweep_levels(Sink &sink, bool unit_adjoint) {
-        for (int l = n_levels_ - 1; l >= 0; --l) {
-            TapeLevel<S, C> &level = *levels_[size_t(l)];
-            for (const Segment &segment : level.segments)
-                if (segment.kind == Miss || !level.scatters)
-                    sweep_segment<void>(level, segment, sink, unit_adjoint);
-                else
-                    dispatch(Bsdfs{}, segment.kind,
-                             [&](auto m) { sweep_segment<decltype(m)>(level, segment, sink, unit_adjoint); });
-        }
-        stats.non_finite += sink.non_finite;
-        if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
-        sink.non_finite = 0;
-    }
-
-    template <class Model, class Sink>
-    void sweep_segment(TapeLevel<S, C> &level, const Segment &segment, Sink &sink, bool unit_adjoint) {
-        constexpr bool scattering = !std::is_void_v<Model>;
-        const Wanted &wanted = derivative_->wanted;
-        for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
-            M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
-            VertexRecord<F, C> v = level.template get<F>(i, scattering);
-            if (wanted.geometry) level.template get_motion<F>(i, v);
-            U slot = select(mask<U>(active), load_uint<F>(level.slot + i), U(0u));
-            Color<F, C> a = v.beta;
-            if (!unit_adjoint)
-                for (int c = 0; c < C; ++c) a[c] = a[c] * gather<F>(delta[c], slot, active);
-            sink.begin();
-            HitAdjoint<F> hit;
-            Vec3<F> d_bar{F(0), F(0), F(0)};
-            Color<F, C> r = v.emission_radiance;
-            M lit = active && mask<F>(v.emission_weight > F(0));
-            if ((wanted.emitter || wanted.geometry) && any(lit))
-                sweep_emitter(scene_, v.emission, v.d, a * v.emission_weight, wanted, lit, hit.at, d_bar, sink);
-            if constexpr (scattering)
-                r = r + sweep_scattering<Model, C>(scene_, v, a, level.template get_next<F>(i, wanted.geometry), wanted,
-                                                   active, hit, d_bar, sink);
-            TapeLevel<S, C> *parents = level.parent_level >= 0 ? levels_[size_t(level.parent_level)].get() : nullptr;
-            if (parents) hand_to_parent(*parents, level.parent + i, r, active);
-            if (wanted.geometry) {
-                RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
-                Vec3<F> u{F(0), F(0), F(0)};
-                if (segment.kind != Miss) {
-                    Arrival<F> in{v.attached, v.d, v.t, v.segment, d_bar, channel_sum(a * r)};
-                    ray = sweep_surface(scene_, v.at, v.p, in, hit, active, sink);
-                    F squared = squared_norm(v.segment);
-                    auto glued = active && !v.attached && mask<F>(squared > F(0));
-                    u = v.segment * select(glued, F(1) / squared, F(0));
-                }
-                if (parents)
-                    hand_motion(*parents, level, i, ray, u, active);
-                else if (wanted.camera)
-                    sweep_camera(scene_, scene_.sensors[call_.config.sensor], gather<F>(film_x, slot, active),
-                                 gather<F>(film_y, slot, active), S(call_.film_width), S(call_.film_height), ray,
-                                 active, sink);
-            }
-            if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>) add_radiance(slot, sink.derivative, active);
-        }
-    }
-
-    void hand_motion(TapeLevel<S, C> &parents, const TapeLevel<S, C> &level, uint32_t entry, const RayAdjoint<F> &ray,
-                     const Vec3<F> &u, const M &active) {
-        const F *numbers[9] = {&ray.o.x, &ray.o.y, &ray.o.z, &ray.d.x, &ray.d.y, &ray.d.z, &u.x, &u.y, &u.z};
-        alignas(64) S v[9][W];
-        for (int k = 0; k < 9; ++k) store(&v[k][0], *numbers[k]);
-        uint32_t n = uint32_t(count(active));
-        for (uint32_t i = 0; i < n; ++i) {
-            uint32_t to = level.parent[entry + i], from = entry + i;
-            for (int k = 0; k < 9; ++k) (k < 6 ? parents.ray_bar[k] : parents.next_segment[k - 6])[to] = v[k][i];
-            for (int k = 0; k < 3; ++k) parents.next_p[k][to] = level.p[k][from];
-            parents.next_b[0][to] = level.b1[from], parents.next_b[1][to] = level.b2[from];
-            parents.next_shape[to] = level.shape[from], parents.next_primitive[to] = level.primitive[from];
-        }
-    }
-
-    // every entry has at most one child
-    void hand_to_parent(TapeLevel<S, C> &parents, const uint32_t *parent, const Color<F, C> &r, const M &active) {
-        alignas(64) S v[C][W];
-        for (int c = 0; c < C; ++c) store(&v[c][0], r[c]);
-        int n = count(active);  // active lanes come first
-        for (int i = 0; i < n; ++i)
-            for (int c = 0; c < C; ++c) parents.suffix[c][parent[i]] = v[c][i];
-    }
-
     TapeLevel<S, C> &level() { return *levels_[size_t(n_levels_ - 1)]; }
     const int32_t *bsdf_wanted() const { return bsdf_wanted_.data(); }
 
@@ -585,7 +481,7 @@ private:
     ShadowRays<S, C> shadow_;
     std::vector<std::unique_ptr<TapeLevel<S, C>>> levels_;
     int n_levels_ = 0;
-    size_t slots_in_use_ = 0;
+    size_t n_slots_ = 0;
     std::vector<Segment> segments_;
     std::vector<int> leaf_kind_;
     std::vector<int32_t> bsdf_wanted_;

@@ -51,6 +51,7 @@ struct ShadowRays {
 
 // Entries that one BSDF model (or, last, the environment) handles.
 struct Segment {
+    static constexpr int Miss = Bsdfs::Size;
     int kind;
     uint32_t begin, count;
 };
