@@ -161,6 +161,21 @@ def test_every_declared_parameter_that_moves_something_is_tested():
             assert looks or names & MOVING.get((category, kind), set()), f"{category} {kind}: {field.name}"
 
 
+@pytest.mark.core
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize("name", [n for n in motion_scenes.SCENES if n != "hole"])
+def test_packets_of_single_precision_give_the_gradients_of_double(name):
+    gradients = []
+    for dtype in (torch.float32, torch.float64):
+        scene = tr.load_dict(motion_scenes.SCENES[name](), dtype=dtype)
+        parameters = [scene.get_parameter(n).requires_grad_() for n in moving_parameters(scene)]
+        image = tr.render(scene, spp=16, seed=1)
+        weight = torch.from_numpy(reference_scenes.weight(*image.shape[:2])).to(dtype)
+        gradients.append(torch.autograd.grad((image * weight).mean(), parameters))
+    for single, double in zip(*gradients):
+        assert float((single.double() - double).norm()) <= 5e-3 * float(double.norm()) + 1e-9
+
+
 # ----------------------------------------------------------------------------------------------------- discontinuous
 def silhouette() -> tr.Scene:
     """A ball and its shadow."""
