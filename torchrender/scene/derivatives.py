@@ -64,15 +64,25 @@ class Wanted:
     warned: set[str]
 
     def check(self, indices: Iterable[int]) -> None:
-        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them."""
+        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
+
+        Objects that no image depends on, such as a material that no shape has, are warned about too.
+        """
         lacking: dict[str, list[str]] = {}
+        unused: list[str] = []
         asked = list(indices)
         for i in asked:
             slot = self.layout.slots[i]
+            if id(slot.module) not in self.layout.used and slot.name not in self.warned:
+                unused.append(slot.name)
             if slot.refusal:
                 refuse(slot.name, slot.refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
                 lacking.setdefault(slot.caveat, []).append(slot.name)
+        if unused:
+            self.warned.update(unused)
+            text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
+            warnings.warn(text, UserWarning, stacklevel=_depth_outside())
         if lacking:
             self.warned.update(*lacking.values())
             clauses = []
