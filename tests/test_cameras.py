@@ -162,3 +162,17 @@ def test_oblong_pixels():
     scene = tr.load_dict({"type": "scene", "sky": {"type": "constant"}, "ball": ball})
     alpha = tr.render(scene, sensor=camera, outputs=("alpha",), spp=64, seed=0).alpha
     assert int(alpha.argmax()) == 7 * 30 + 22
+
+
+def test_precision_is_that_of_what_is_given():
+    plain = tr.PerspectiveCamera.from_opencv([[50, 0, 16], [0, 50, 16], [0, 0, 1]], torch.eye(3), [0, 0, 4], (32, 32))
+    looking = tr.PerspectiveCamera.look_at([0, 0, 4], torch.zeros(3), fov=torch.tensor(40.0))
+    given = tr.PerspectiveCamera(fov=40)
+    wide = tr.PerspectiveCamera.from_opencv(intrinsics(), torch.eye(3), torch.zeros(3), (32, 32))
+    for camera, dtype in (
+        (plain, torch.float32),
+        (looking, torch.float32),
+        (given, torch.float32),
+        (wide, torch.double),
+    ):
+        assert {p.dtype for p in camera.parameters()} == {dtype}

@@ -404,6 +404,20 @@ def test_missing_terms_are_warned_about_once():
         picture(make(), forward_ad.make_dual(torch.zeros(3), torch.ones(3)), "lamp.position")
 
 
+def test_parameters_that_reach_no_image_are_warned_about():
+    scene = make()
+    scene["spare"] = {"type": "diffuse", "reflectance": 0.5}
+    (spare,) = scene.train_only("spare.*")
+    with pytest.warns(UserWarning, match=r"spare\.reflectance\.value: nothing in the scene uses this"):
+        picture(scene).sum().backward()
+    assert spare.grad.item() == 0
+    scene.wall.bsdf = scene.spare
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        picture(scene).sum().backward()
+    assert spare.grad.item() > 0
+
+
 def test_words_of_the_declaration():
     lacking = COMPLETE.also("interior, without moving edges: 0 for flat things")
     assert (lacking.refusal, lacking.caveat) == ("", "moving edges: 0 for flat things")

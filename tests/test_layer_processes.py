@@ -107,7 +107,7 @@ import threading
 found = []
 def work():
     scene = make()
-    scene.train_only("ball.*")
+    scene.train_only("ball.bsdf.*")
     image = tr.render(scene, spp=4, seed=1)
     image.sum().backward()
     found.append((scene, image.detach()))
@@ -120,7 +120,7 @@ print(torch.equal(tr.render(scene, spp=4, seed=1), image))
 
 def test_the_interpreter_is_free_while_it_renders():
     scene = make(64)
-    scene.train_only("ball.*")
+    scene.train_only("ball.bsdf.*")
     ticks, stop = [], threading.Event()
 
     def tick() -> None:
@@ -275,7 +275,7 @@ def test_import_order(order):
         "\n".join(lines)
         + SCENE
         + (
-            "\nscene = make(); scene.train_only('ball.*')"
+            "\nscene = make(); scene.train_only('ball.bsdf.*')"
             "\nimage = tr.render(scene, spp=4, seed=3); image.sum().backward()"
             "\nimport json; print(json.dumps(image.flatten().tolist()))"
         )

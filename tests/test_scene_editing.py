@@ -179,8 +179,10 @@ def test_train_only_chooses_by_pattern():
     assert scene.train_only() == []
     with pytest.raises(ValueError, match="reflectance"):
         scene.train_only("red.reflectanse.value")
-    with pytest.raises(tr.NotDifferentiableError, match=r"ball\.radius"):
-        scene.train_only("ball.radius")
+    with pytest.raises(tr.NotDifferentiableError, match=r"sky\.sampling_weight"):
+        scene.train_only("sky.sampling_weight")
+    (to_uv,) = scene.train_only("*.to_uv")  # by name only: "*.reflectance.*" means colours
+    assert to_uv is scene.ball.bsdf.reflectance.to_uv
 
 
 def test_get_parameter_names_the_nearest():
@@ -196,7 +198,7 @@ def test_summary_lists_parameters():
     text = repr(make())
     for part in ("variant rgb", "float32", "red.reflectance.value", "[0.1, 0.6]", "4x4x3", "10 x 12 pixels"):
         assert part in text
-    line = next(row for row in text.splitlines() if "ball.radius" in row)
+    line = next(row for row in text.splitlines() if "sensor.near_clip" in row)
     assert "no derivative" in line
 
 

@@ -314,7 +314,7 @@ def test_opencv_opengl_and_look_at_agree():
     K = torch.tensor([[focal, 0, size[1] / 2 + 3], [0, focal, size[0] / 2 - 2], [0, 0, 1]])
     from_cv = tr.PerspectiveCamera.from_opencv(K, cv[:3, :3], cv[:3, 3], size)
     for camera in (from_gl, from_cv):
-        torch.testing.assert_close(camera.to_world.detach(), ours.to_world.detach(), atol=1e-5, rtol=0)
+        torch.testing.assert_close(camera.to_world.detach().float(), ours.to_world.detach(), atol=1e-5, rtol=0)
         assert float(camera.x_fov) == pytest.approx(fov, rel=1e-5)
         assert (camera.film.height, camera.film.width) == size
     assert float(from_cv.principal_point_offset_x) == pytest.approx(-3 / size[1], rel=1e-4)

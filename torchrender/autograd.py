@@ -206,7 +206,7 @@ class RenderVjpFunction(_Derivative):
 
     @staticmethod
     def forward(call: RenderCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *params: torch.Tensor) -> Any:
-        _refuse_batches(adjoint)
+        refuse_batches(adjoint)
         call.check_indices()
         adjoint = adjoint.detach().to(dtype=call.native.dtype).contiguous()
         if call.passes > 1:
@@ -220,11 +220,14 @@ class RenderVjpFunction(_Derivative):
         return tuple(grads)
 
 
-def _refuse_batches(tensor: torch.Tensor) -> None:
-    """``is_grads_batched`` and ``vectorize=True`` use a vmap that asks no `Function` whether it has a rule."""
-    is_batched = getattr(torch._C._functorch, "is_legacy_batchedtensor", None)
-    if is_batched is not None and is_batched(tensor):
-        raise NotDifferentiableError(BATCHED)
+def refuse_batches(tensor: Any) -> None:
+    """Words for what torch itself would say less clearly: random seeds inside of `vmap`, and ``is_grads_batched`` and
+    ``vectorize=True``, which use a vmap that asks no `Function` whether it has a rule.
+    """
+    for name in ("is_batchedtensor", "is_legacy_batchedtensor"):
+        is_batched = getattr(torch._C._functorch, name, None)
+        if is_batched is not None and isinstance(tensor, torch.Tensor) and is_batched(tensor):
+            raise NotDifferentiableError(BATCHED)
 
 
 class _Reattach(Function):

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from .autograd import MASK, RenderCall, RenderFunction, mix
+from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
 from .errors import describe, nearest
 from .integrators import Integrator, PathTracer
@@ -91,6 +91,8 @@ def render(
     passes = _count("passes", passes)
     packed = scene.layout()
     cameras, batched = _cameras(scene, packed, sensor)
+    for value in params.values() if isinstance(params, Mapping) else ():
+        refuse_batches(value)
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
     tensors = gather(scene, packed, params)
     images, alphas = [], []

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import torch
@@ -113,21 +112,23 @@ class PerspectiveCamera(Plugin):
         if len(ways) > 1:
             ctx.error(f"perspective: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
         if "fov" in properties:
-            fov = _angle(properties.pop("fov"), ctx.at("fov"))
-            properties["x_fov"] = x_fov_of(fov, axis, aspect)
+            given = properties.pop("fov")
+            fov = x_fov_of(_angle(given, ctx.at("fov")), axis, aspect)
+            properties["x_fov"] = values.rounded(fov, given, ctx)
         elif "x_fov" in properties:
             _angle(properties["x_fov"], ctx.at("x_fov"))
         else:
-            millimetres = _millimetres(properties.pop("focal_length", "50mm"), ctx.at("focal_length"))
+            given = properties.pop("focal_length", "50mm")
+            millimetres = _millimetres(given, ctx.at("focal_length"))
             diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
-            properties["x_fov"] = x_fov_of(diagonal, "diagonal", aspect)
+            properties["x_fov"] = values.rounded(x_fov_of(diagonal, "diagonal", aspect), given, ctx)
         if "to_world" in properties:
             matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
             gram = matrix[:3, :3].T @ matrix[:3, :3]
             if float((gram - torch.eye(3, dtype=torch.float64)).abs().max()) > 1e-3:
                 ctx.at("to_world").error("a camera's matrix may turn and move, but not scale or shear")
-        near = _plain_number(properties.get("near_clip", 1e-2), ctx.at("near_clip"))
-        far = _plain_number(properties.get("far_clip", 1e4), ctx.at("far_clip"))
+        near = float(values.double(properties.get("near_clip", 1e-2), ctx.at("near_clip")).detach())
+        far = float(values.double(properties.get("far_clip", 1e4), ctx.at("far_clip")).detach())
         if not 0 < near < far:
             ctx.error(f"perspective: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
         return properties
@@ -194,7 +195,8 @@ class PerspectiveCamera(Plugin):
         """
         matrix = Transform.look_at(origin, target, up).matrix
         film = _film(size, filter)
-        return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, **properties)
+        precision = _precision(cls, origin, target, up, fov)
+        return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, _context=precision, **properties)
 
     @classmethod
     def from_opencv(
@@ -227,16 +229,16 @@ class PerspectiveCamera(Plugin):
         # Our +x is left and +y up: both are turned around with respect to OpenCV's.
         flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
         to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
-        made = cls(
+        return cls(
             to_world=to_world,
             x_fov=torch.rad2deg(2 * torch.atan(width / (2 * fx))),
             principal_point_offset_x=0.5 - intrinsics[0, 2] / width,
             principal_point_offset_y=0.5 - intrinsics[1, 2] / height,
             film=_film((height, width), filter),
             pixel_aspect=fx / fy,
+            _context=_precision(cls, K, R, t),
             **properties,
         )
-        return made
 
     @classmethod
     def from_opengl(
@@ -266,7 +268,14 @@ class PerspectiveCamera(Plugin):
         matrix = as_matrix(matrix, 4, "PerspectiveCamera.from_opengl: camera_to_world")
         flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
         film = _film((height, width), filter)
-        return cls(to_world=matrix @ flip, fov=fov, fov_axis=fov_axis, film=film, **properties)
+        return cls(
+            to_world=matrix @ flip,
+            fov=fov,
+            fov_axis=fov_axis,
+            film=film,
+            _context=_precision(cls, camera_to_world, fov),
+            **properties,
+        )
 
     # ------------------------------------------------------------------------------------------- and back again
     @property
@@ -284,6 +293,12 @@ class PerspectiveCamera(Plugin):
         """(4, 4), the rows [R | t] and 0 0 0 1 of OpenCV's convention (+y down, +z forward); attached to `to_world`."""
         flip = torch.diag(self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0]))
         return flip @ torch.linalg.inv(self.to_world)
+
+
+def _precision(cls: type, *given: Any) -> Context:
+    """float64 if a tensor among the arguments is, else torch's default."""
+    wide = any(isinstance(value, torch.Tensor) and value.dtype == torch.float64 for value in given)
+    return Context(dtype=torch.float64 if wide else torch.get_default_dtype(), path=(cls.__name__,))
 
 
 def _check_intrinsics(K: torch.Tensor, ctx: Context) -> None:
@@ -310,17 +325,8 @@ def _film(size: Any, filter: str | ReconstructionFilter) -> Film:
     return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
 
 
-def _double(value: Any, ctx: Context) -> torch.Tensor:
-    """A number in float64, rounded to the scene's precision only at the end, with its gradient."""
-    return values.number(value, replace(ctx, dtype=torch.float64))
-
-
-def _plain_number(value: Any, ctx: Context) -> float:
-    return float(_double(value, ctx).detach())
-
-
 def _angle(value: Any, ctx: Context) -> torch.Tensor:
-    angle = _double(value, ctx)
+    angle = values.double(value, ctx)
     if not 0 < float(angle.detach()) < 180:
         ctx.error(f"expected an angle between 0 and 180 degrees, got {float(angle.detach()):g}")
     return angle
@@ -333,7 +339,7 @@ def _millimetres(value: Any, ctx: Context) -> torch.Tensor:
             value = float(text[:-2] if text.endswith("mm") else text)
         except ValueError:
             ctx.error(f"expected a length like '50mm', got {value!r}")
-    length = _double(value, ctx)
+    length = values.double(value, ctx)
     if not 0 < float(length.detach()) < float("inf"):
         ctx.error(f"expected a positive length, got {float(length.detach()):g}")
     return length

@@ -10,6 +10,7 @@ import sys
 import warnings
 from collections.abc import Iterable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import MissingTermWarning, NotDifferentiableError
@@ -63,15 +64,25 @@ class Wanted:
     warned: set[str]
 
     def check(self, indices: Iterable[int]) -> None:
-        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them."""
+        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
+
+        Objects that no image depends on, such as a material that no shape has, are warned about too.
+        """
         lacking: dict[str, list[str]] = {}
+        unused: list[str] = []
         asked = list(indices)
         for i in asked:
             slot = self.layout.slots[i]
+            if id(slot.module) not in self.layout.used and slot.name not in self.warned:
+                unused.append(slot.name)
             if slot.refusal:
                 refuse(slot.name, slot.refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
                 lacking.setdefault(slot.caveat, []).append(slot.name)
+        if unused:
+            self.warned.update(unused)
+            text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
+            warnings.warn(text, UserWarning, stacklevel=_depth_outside())
         if lacking:
             self.warned.update(*lacking.values())
             clauses = []
@@ -91,7 +102,7 @@ class Wanted:
 
 
 def _listing(names: list[str], most: int = 6) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} others" if len(names) > most else "")
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def _depth_outside() -> int:
@@ -108,3 +119,51 @@ def refuse(name: str, reason: str) -> None:
         f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
         "switch its requires_grad off"
     )
+
+
+PAGE = """# Which derivatives there are
+
+Made from the native declaration of the models, by
+`python -c "from torchrender.scene import derivatives; derivatives.write_page()"`.
+
+*Complete* derivatives are the derivatives of the expected image, in forward and reverse mode. Where a term is missing,
+the rest of the derivative is there, and asking for it gives one `tr.MissingTermWarning`. Where there is none, asking
+for it raises `tr.NotDifferentiableError`. The parameters of a texture have what the parameter has that the texture
+stands for. `print(scene)` says the same for the parameters of one scene."""
+
+
+def page() -> str:
+    """The page docs/derivatives.md: a table of all continuous parameters of all models."""
+    from .declaration import TENSOR_KINDS, models
+    from .registry import plugin_class
+
+    parts = [PAGE]
+    category = ""
+    for (group, kind), model in models().items():
+        names = {f.name: f.name for f in model.fields}
+        if (group, kind) != ("attribute", "attribute"):
+            names.update({f.name: name for name, f in plugin_class(group, kind).fields().items()})
+        fields = [f for f in model.fields if f.kind in (*TENSOR_KINDS, "texture")]
+        if not fields:
+            continue
+        if group != category:
+            category = group
+            parts.append(f"\n## {'mesh attribute' if group == 'attribute' else group}\n")
+            parts.append("| model | parameter | derivative | |\n|---|---|---|---|")
+        for field in fields:
+            limits = COMPLETE.also(field.derivative)
+            if limits.refusal:
+                cells = "no derivative", limits.refusal
+            elif limits.caveat:
+                missing, _, zero = limits.caveat.partition(": ")
+                cells = f"without {missing}", zero
+            else:
+                cells = "complete", ""
+            parts.append(f"| `{kind}` | `{names[field.name]}` | {cells[0]} | {cells[1]} |")
+    return "\n".join(parts) + "\n"
+
+
+def write_page() -> None:
+    """Write docs/derivatives.md of a checkout."""
+    path = Path(__file__).resolve().parents[2] / "docs" / "derivatives.md"
+    path.write_text(page())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -59,7 +58,7 @@ def refractive_index(value: Any, ctx: Context) -> torch.Tensor:
         if name not in REFRACTIVE_INDICES:
             ctx.error(f"unknown material {value!r}; {nearest(name, REFRACTIVE_INDICES)}")
         value = REFRACTIVE_INDICES[name]
-    index = values.number(value, replace(ctx, dtype=torch.float64))
+    index = values.double(value, ctx)
     if not 0 < float(index.detach()) < float("inf"):
         ctx.error(f"an index of refraction is positive, got {float(index.detach()):g}")
     return index
@@ -88,9 +87,9 @@ class Dielectric(Plugin):
         if given and "eta" in properties:
             ctx.error(f"dielectric: give eta, or {' and '.join(given)}, but not both")
         if "eta" not in properties:
-            inside = refractive_index(properties.pop("int_ior", "bk7"), ctx.at("int_ior"))
-            outside = refractive_index(properties.pop("ext_ior", "air"), ctx.at("ext_ior"))
-            properties["eta"] = inside / outside
+            inside, outside = properties.pop("int_ior", "bk7"), properties.pop("ext_ior", "air")
+            eta = refractive_index(inside, ctx.at("int_ior")) / refractive_index(outside, ctx.at("ext_ior"))
+            properties["eta"] = values.rounded(eta, inside, ctx)
         return properties
 
 

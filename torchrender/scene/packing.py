@@ -67,6 +67,7 @@ class Layout:
     by_name: dict[str, int] = field(default_factory=dict)
     sensors: list[Plugin] = field(default_factory=list)
     smooth_meshes: list[Mesh] = field(default_factory=list)  # those whose normals follow from their positions
+    used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
 
     def index_key(self) -> list[tuple[int, int, int]]:
         """Tells whether the index arrays are still those that a native scene was built with."""
@@ -180,6 +181,23 @@ def top_level(scene: Scene) -> Iterator[tuple[str, Plugin]]:
     return iter(sorted(found, key=lambda item: ORDER.index(item[1].category)))
 
 
+def _used(scene: Scene) -> set[int]:
+    """Ids of shapes, lights, cameras and of all that they refer to: a material that nothing has is not among them."""
+    found: set[int] = set()
+
+    def walk(module: nn.Module) -> None:
+        if id(module) not in found:
+            found.add(id(module))
+            for child in module._modules.values():
+                if child is not None:
+                    walk(child)
+
+    for _, plugin in top_level(scene):
+        if plugin.category in ("shape", "sensor") or (plugin.category == "emitter" and plugin.type != "area"):
+            walk(plugin)
+    return found
+
+
 def pack(scene: Scene, free_camera: Plugin) -> Layout:
     """The layout of `scene`, with one more sensor that stands for cameras that are no part of it."""
     packer = _Packer()
@@ -196,6 +214,7 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
     packer.add(free_camera, "camera")
     layout = packer.layout
     layout.sensors.append(free_camera)
+    layout.used = _used(scene) | {id(free_camera)}
     # It is no part of the scene, so nothing of it can be asked for by name.
     layout.by_name = {n: i for n, i in layout.by_name.items() if layout.slots[i].module is not free_camera}
     return layout

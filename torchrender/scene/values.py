@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -65,6 +66,16 @@ def matrix(value: Any, size: int, ctx: Context) -> torch.Tensor:
     with ctx.located():
         made = as_matrix(value, size, "transform")
     return made.to(dtype=ctx.dtype or _dtype_of(value), device=ctx.device)
+
+
+def double(value: Any, ctx: Context) -> torch.Tensor:
+    """A number in float64, for computations before it is `rounded`."""
+    return number(value, replace(ctx, dtype=torch.float64))
+
+
+def rounded(result: torch.Tensor, given: Any, ctx: Context) -> torch.Tensor:
+    """`result`, computed in float64 from `given`, in the precision that `given` itself would have been taken in."""
+    return result.to(ctx.dtype or _dtype_of(given))
 
 
 def _dtype_of(value: Any) -> torch.dtype:
