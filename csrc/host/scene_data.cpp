@@ -36,6 +36,7 @@ void SceneData<S>::allocate_geometry() {
     texcoords_.assign(layout_.has_texcoords ? n_vertices * 2 : 0, S(0));
     matrices_.assign(n_shapes * 24, S(0));
     areas_.assign(n_shapes, S(0));
+    dark_.assign(n_shapes, 0);
     area_cdf_.assign(size_t(layout_.n_cdf_faces), S(0));
 }
 
@@ -71,6 +72,7 @@ void SceneData<S>::take_over(SceneData &previous) {
         counters_.accel = previous.counters_.accel;  // the structure brings its own
         std::swap(accel_, previous.accel_);
         std::swap(shapes_, previous.shapes_);
+        std::swap(dark_, previous.dark_);
         for (auto member : {&SceneData::positions_, &SceneData::normals_, &SceneData::texcoords_, &SceneData::matrices_,
                             &SceneData::areas_, &SceneData::area_cdf_})
             std::swap(this->*member, previous.*member);
@@ -183,6 +185,16 @@ void SceneData<S>::update_emitters() {
     if (!(total > 0))
         bad_value(path("emitter", 0) + ": field 'sampling_weight'", "an emitter with a positive weight",
                   "0 for all of them");
+    // lights that have shrunk to nothing are not chosen while there are others
+    std::vector<double> seen = weights;
+    for (size_t i = 0; i < records.size(); ++i)
+        if (records[i].kind == int32_t(EmitterKind::Area) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
+            seen[i] = 0;
+    double total_seen = build_cdf(seen.data(), seen.size(), emitter_cdf_.data());
+    if (total_seen > 0)
+        weights = seen, total = total_seen;
+    else
+        build_cdf(weights.data(), weights.size(), emitter_cdf_.data());
     for (size_t i = 0; i < weights.size(); ++i) emitter_pmf_[i] = S(weights[i] / total);
 }
 

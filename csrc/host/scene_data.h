@@ -87,6 +87,7 @@ private:
     std::vector<S> positions_, normals_, texcoords_;
     std::vector<ShapeInfo> shapes_;
     std::vector<S> matrices_, areas_, area_cdf_;
+    std::vector<uint8_t> dark_;  // emitting meshes without any area
     std::vector<S> emitter_cdf_, emitter_pmf_;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};

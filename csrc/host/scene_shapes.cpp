@@ -93,9 +93,10 @@ void SceneData<S>::set_mesh(const MeshSource &mesh, bool first) {
                                         e1[0] * e2[1] - e1[1] * e2[0]);
         }
         double total = build_cdf(areas.data(), n_faces, &area_cdf_[size_t(info.cdf_offset)]);
-        if (!(total > 0))
-            bad_value(path("shape", mesh.shape), "an emitting mesh with a positive area", "only degenerate faces");
-        areas_[size_t(mesh.shape)] = S(total);
+        // Without an area nothing arrives from it: its faces have no side that a point could be on. Any positive number
+        // keeps densities finite, see update_emitters.
+        dark_[size_t(mesh.shape)] = !(S(total) > 0);
+        areas_[size_t(mesh.shape)] = S(total) > 0 ? S(total) : S(1);
     }
     const uint32_t *given = first ? faces.data() : nullptr;
     if constexpr (sizeof(S) == 4) {

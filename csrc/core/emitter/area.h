@@ -77,12 +77,13 @@ TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const U
         SphereCone<F> cone = sphere_cone(scene, shape, p, active);
         if (any(cone.valid)) {
             Vec3<F> local = square_to_cone(u1, u2, cone.cutoff);
-            Vec3<F> d = make_frame(cone.axis).to_world(local);
-            // nearer intersection with the sphere along d
-            F b = cone.distance * local.z;
-            F h = max(cone.radius * cone.radius - (cone.distance * cone.distance - b * b), F(0));
-            F t = b - sqrt(h);
-            Vec3<F> n = normalize(d * t - cone.axis * cone.distance);
+            // the nearer intersection with the sphere along it, in the frame of the axis; neither the distance along
+            // the ray nor the centre's is subtracted from anything, so that small spheres far away keep their shape
+            F sine = local.x * local.x + local.y * local.y;
+            F half = sqrt(max(cone.radius * cone.radius - cone.distance * cone.distance * sine, F(0)));
+            F t = cone.distance * local.z - half;
+            Vec3<F> n{local.x * t, local.y * t, -(cone.distance * sine + local.z * half)};
+            n = make_frame(cone.axis).to_world(normalize(n));
             Vec3<F> q = p + cone.axis * cone.distance + n * cone.radius;
             F to_object[12];
             gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, cone.valid, to_object);
