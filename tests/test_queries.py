@@ -314,7 +314,7 @@ def test_camera_rays():
 def test_camera_rays_are_differentiable():
     camera = tr.PerspectiveCamera.look_at((0.5, 1.0, 6.0), (0.0, 0.0, 0.0), fov=50.0, size=(6, 8)).double()
     positions = torch.rand(5, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64) * 6
-    names = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y")
+    names = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y", "pixel_aspect")
     values = [getattr(camera, n).detach().clone().requires_grad_() for n in names]
 
     def f(positions, *values):

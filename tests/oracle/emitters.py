@@ -9,6 +9,7 @@ import torch
 
 from . import numbers
 from .geometry import Rows, dot, normalize, reattach
+from .glued import glue
 from .shapes import SHAPES
 from .textures import bilinear
 from .world import At, Record, World
@@ -28,17 +29,6 @@ class Light(Rows):
     pdf: torch.Tensor
     value: torch.Tensor
     delta: torch.Tensor
-
-
-def solid_angle(x: torch.Tensor, y: torch.Tensor, normal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Direction from x to the fixed point y, and the solid angle at x of a small area there, which is 1 in value and
-    attached to x: the factor J / det(J) of what slides along a line. (N, 3), (N,)."""
-    towards = y.detach() - x
-    w = normalize(towards)
-    cosine, square = dot(normal.detach(), w).abs(), dot(towards, towards)
-    usable = (cosine > 0) & (square > 0)
-    j = torch.where(usable, cosine, 1.0) / torch.where(usable, square, 1.0)
-    return w, j / j.detach()
 
 
 class Emitter:
@@ -76,13 +66,12 @@ class Area(Emitter):
         distance = torch.linalg.vector_norm(y.position - p, dim=1)
         d = normalize(y.position - p)
         pdf = torch.where(dot(y.normal, d) < 0, self.geometry.pdf(p, y.normal, d, distance), 0.0)
-        direction, ratio = solid_angle(x, y.position, y.normal)
-        # the point slides along the line through p when the light moves
+        # the point is glued to the light
         shape = torch.full((len(p),), self.shape)
-        moved = self.world.surfaces.meet(shape, y.primitive, p, d, distance)
-        b = reattach(y.barycentric, moved.barycentric)
-        value = self.radiance(At(shape, y.primitive, b, moved.uv))
-        return Light(direction, distance, pdf, value * ratio[:, None], torch.zeros(len(p), dtype=torch.bool))
+        moved = glue(self.world.surfaces, shape, y.primitive, y.barycentric, y.position, y.barycentric)
+        value = self.radiance(At(shape, y.primitive, y.barycentric, moved.uv)) * moved.solid_angle(x)[:, None]
+        direction = reattach(d, normalize(moved.position - x))
+        return Light(direction, distance, pdf, value, torch.zeros(len(p), dtype=torch.bool))
 
 
 class Constant(Emitter):

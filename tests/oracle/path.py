@@ -1,9 +1,10 @@
 """The path tracer: csrc/core/integrator/path.h and csrc/cpu/path_tile.h, N paths a step at a time.
 
-What is attached. The first point is the attached intersection of the attached camera ray. A direction sampled at a
-smooth vertex is detached, and so is the ray that follows; the next point x' slides along it, so that the direction seen
-from the moving vertex x is normalize(det(x') - x), and the weight gets the ratio J / det(J) of solid angles. The ray
-after a delta lobe is an attached function of the one before, and so is the point that it hits.
+What is attached. The first point is the attached intersection of the attached camera ray: it slides over the surface
+when that or the camera moves. The point that a ray sampled at a smooth vertex hits, or that is sampled on a light, is
+glued to its surface, and the measure is area: the direction is that from the one moving point to the other, and the
+weight gets the ratio J / det(J) of solid angles. The ray after a delta lobe is an attached function of the one before,
+and so is the point that it hits.
 """
 
 from __future__ import annotations
@@ -19,12 +20,14 @@ from torchrender.render import _film_config
 
 from . import numbers
 from .bsdfs import BSDFS, resolve
-from .emitters import Lights, solid_angle
+from .emitters import Lights
 from .film import develop, reach
 from .geometry import Frame, Rows, dot, normalize, reattach
+from .glued import glue
 from .sensors import SENSORS
 from .world import At, World
 
+GLUED = ("position", "normal", "shading_normal", "uv")
 OFFSET, SHADOW_EPSILON = 8.9406967e-5, 8.9406967e-4
 
 
@@ -224,7 +227,8 @@ class PathTracer:
         bsdf = BSDFS[record.type](self.world, record, paths.at)
         flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], 1)
         wo = s.wo[rows]
-        d = normalize(frame.to_world(wo * flip))
+        d = frame.to_world(wo * flip)
+        d = reattach(normalize(d), d)
         position, normal = paths.position.detach(), paths.normal.detach()
         o = offset_origin(position, normal, d.detach())
         if bsdf.smooth:
@@ -234,12 +238,10 @@ class PathTracer:
         hits = self.world.intersect(o, d)
         factor = (inverse * keep)[rows][:, None]
         if bsdf.smooth:
-            # seen from the moving vertex
-            target = torch.where(hits.valid[:, None], hits.position.detach(), position + d)
-            towards, ratio = solid_angle(paths.position, target, torch.where(hits.valid[:, None], hits.normal, d))
+            hits, ratio, towards = self.glued(hits, paths.position)
             d = torch.where(hits.valid[:, None], reattach(d, towards), d)
             wo = frame.to_local(d) * flip
-            factor = factor * torch.where(hits.valid, ratio, 1.0)[:, None]
+            factor = factor * ratio[:, None]
         return Paths(
             lane=paths.lane,
             d=d,
@@ -251,6 +253,21 @@ class PathTracer:
             seen=paths.seen,
             **arrival(hits),
         )
+
+    def glued(self, hits: tr.queries.Hits, x: torch.Tensor) -> tuple[tr.queries.Hits, torch.Tensor, torch.Tensor]:
+        """The hits, glued to their surfaces; J / det(J) and directions as seen from the points x they came from."""
+        rows = hits.valid.nonzero()[:, 0]
+        shape, primitive = hits.shape_id.long()[rows], hits.prim_id.long()[rows]
+        at = glue(self.world.surfaces, shape, primitive, hits.barycentric[rows], hits.position[rows], hits.uv[rows])
+
+        def put(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
+            return old.detach().index_put((rows,), reattach(old[rows], new))
+
+        moved = {name: put(getattr(hits, name), getattr(at, name)) for name in GLUED}
+        hits = hits._replace(**moved, t=hits.t.detach(), barycentric=hits.barycentric.detach())
+        ratio = torch.ones_like(hits.t).index_put((rows,), at.solid_angle(x[rows]))
+        towards = torch.zeros_like(x).index_put((rows,), normalize(at.position - x[rows]))
+        return hits, ratio, towards
 
     def sample_lights(
         self,

@@ -12,7 +12,7 @@ from .world import Record, World
 
 
 def perspective(world: World, record: Record, size: tuple[int, int], positions: torch.Tensor) -> Rays:
-    names = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y", "near_clip", "far_clip")
+    names = "to_world x_fov principal_point_offset_x principal_point_offset_y near_clip far_clip pixel_aspect".split()
     return perspective_rays(*(world.tensor("sensor", record, n) for n in names), size, positions)
 
 

@@ -46,6 +46,7 @@ def perspective_rays(
     offset_y: torch.Tensor,
     near_clip: torch.Tensor,
     far_clip: torch.Tensor,
+    pixel_aspect: torch.Tensor,
     size: tuple[int, int],
     positions: torch.Tensor,
 ) -> Rays:
@@ -54,7 +55,7 @@ def perspective_rays(
     tangent = torch.tan(x_fov * (math.pi / 360))
     x = 2 * (positions[:, 0] * (1 / width) + offset_x)
     y = 2 * (positions[:, 1] * (1 / height) + offset_y)
-    local = torch.stack([(1 - x) * tangent, (1 - y) * (tangent * height / width), torch.ones_like(x)], 1)
+    local = torch.stack([(1 - x) * tangent, (1 - y) * (tangent * height / width * pixel_aspect), torch.ones_like(x)], 1)
     local = local / torch.linalg.vector_norm(local, dim=1, keepdim=True)
     directions = (to_world[:3, :3] * local[:, None]).sum(2)  # not a matrix product, which autocast would round
     directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
@@ -166,6 +167,7 @@ class PerspectiveCamera(Plugin):
             self.principal_point_offset_y,
             self.near_clip,
             self.far_clip,
+            self.pixel_aspect,
             (self.film.height, self.film.width),
             positions.to(self.to_world),
         )
