@@ -50,7 +50,7 @@ CASES = [
     ({"integrator": "pth"}, ValueError, "integrator: unknown type 'pth'; did you mean 'path'"),
     ({"integrator": "volpath"}, ValueError, "'volpath' is not supported"),
     ({"outputs": "rgb"}, TypeError, "outputs: expected a sequence"),
-    ({"outputs": ("rgb", "depth")}, ValueError, "'depth' is not supported by this version.*rgb, alpha"),
+    ({"outputs": ("rgb", "dept")}, ValueError, "unknown name 'dept'; did you mean 'depth'"),
     ({"outputs": ("alpa",)}, ValueError, "unknown name 'alpa'; did you mean 'alpha'"),
     ({"outputs": ("rgb", "rgb")}, ValueError, "twice"),
     ({"pixels": torch.zeros(1, 2)}, TypeError, "pixels: expected integers"),

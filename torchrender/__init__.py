@@ -12,7 +12,7 @@ from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
 from .errors import MissingTermWarning, NotDifferentiableError, RenderError
-from .integrators import DirectIllumination, Integrator, PathTracer
+from .integrators import AOV, DirectIllumination, Integrator, PathTracer
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
 from .render import Renderer, render
@@ -45,6 +45,7 @@ __version__ = "0.1.0"
 count_fused_steps()
 
 __all__ = [
+    "AOV",
     "Bitmap",
     "Checkerboard",
     "Conductor",

@@ -48,6 +48,7 @@ class RenderCall:
     nan: str
     pixels: Any  # the array to whose memory `config` points
     alpha: bool
+    variance: bool
     statistics: dict[str, Any]
     wanted: Wanted  # what is said about derivatives that are asked for
 
@@ -96,31 +97,32 @@ def _passes(configs: list[dict[str, Any]]) -> Any:
 
 
 class RenderFunction(Function):
-    """``image[, alpha] = RenderFunction.apply(call, *parameters)``."""
+    """``image[, alpha][, variance] = RenderFunction.apply(call, *parameters)``."""
 
     @staticmethod
     def forward(call: RenderCall, *params: torch.Tensor) -> Any:
-        dtype = call.native.dtype
-        image = torch.empty(call.shape(), dtype=dtype, device="cpu")
-        alpha = torch.empty(call.size, dtype=dtype, device="cpu") if call.alpha else None
-        configs = call.configs(derivative=False)
+        real = {"dtype": call.native.dtype, "device": "cpu"}
+        shapes = {"image": call.shape()}
+        if call.alpha:
+            shapes["alpha"] = call.size
+        if call.variance:
+            shapes["variance"] = call.shape()
+        total = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
         all_stats = []
-        total_image, total_alpha = image, alpha
-        for i, config in enumerate(_passes(configs)):
+        out = total
+        for i, config in enumerate(_passes(call.configs(derivative=False))):
             if i == 1:
-                image, alpha = torch.empty_like(image), None if alpha is None else torch.empty_like(alpha)
-            out = {"image": image.data_ptr(), "alpha": 0 if alpha is None else alpha.data_ptr()}
-            all_stats.append(call.native.call("render", list(params), config, out))
+                out = {name: torch.empty_like(tensor) for name, tensor in total.items()}
+            addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
+            all_stats.append(call.native.call("render", list(params), config, addresses))
             if i:
-                total_image += image
-                if total_alpha is not None:
-                    total_alpha += alpha
+                for name, tensor in total.items():
+                    tensor += out[name]
         if call.passes > 1:
-            total_image /= call.passes
-            if total_alpha is not None:
-                total_alpha /= call.passes
+            for name, tensor in total.items():
+                tensor /= call.passes**2 if name == "variance" else call.passes
         call.finish("render", all_stats)
-        return total_image if total_alpha is None else (total_image, total_alpha)
+        return tuple(total.values()) if len(total) > 1 else total["image"]
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -129,9 +131,9 @@ class RenderFunction(Function):
         ctx.save_for_backward(*params)
         ctx.save_for_forward(*params)
         ctx.set_materialize_grads(False)
-        if call.alpha:
+        if isinstance(output, tuple):
             # Coverage does not depend on what has derivatives: colours, textures, lights.
-            ctx.mark_non_differentiable(output[1])
+            ctx.mark_non_differentiable(*output[1:])
 
     @staticmethod
     def backward(ctx: Any, grad_image: torch.Tensor | None, *_: Any) -> Any:
@@ -147,7 +149,7 @@ class RenderFunction(Function):
         params = ctx.saved_tensors
         call.wanted.check(i for i, given in enumerate(tangents) if given is not None)
         tangent = RenderJvpFunction.apply(call, *params, *tangents)
-        return (tangent, None) if call.alpha else tangent
+        return (tangent, *(None,) * (call.alpha + call.variance)) if call.alpha or call.variance else tangent
 
     @staticmethod
     def vmap(info: Any, in_dims: Any, *_: Any) -> Any:

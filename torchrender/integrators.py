@@ -5,8 +5,10 @@ They hold settings only; the work is done by the native core.
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
+import torch
 from torch import nn
 
 from .errors import describe, nearest
@@ -120,6 +122,93 @@ class DirectIllumination(Integrator):
         )
 
 
+class AOV(Integrator):
+    """Outputs besides radiance as further channels of the image, in Mitsuba's way of asking for them.
+
+    The image is (H, W, C + n): that of the nested integrator, if there is one, then the channels of `aovs` in their
+    order. As there, and other than with ``render(..., outputs=...)``, they are averages over all samples of a pixel, to
+    which those that hit nothing add zeros, and ``depth`` is the length of the ray from the near plane. ``prim_index``
+    and ``shape_index`` are those of the ray through the pixel's centre, -1 where it hits nothing.
+
+    Args:
+        aovs: comma-separated pairs ``"name:type"``; types are ``depth``, ``position``, ``uv``, ``geo_normal``,
+            ``sh_normal``, ``albedo``, ``prim_index``, ``shape_index``.
+        integrator: the nested one; without it there is no radiance.
+    """
+
+    kind = "aov"
+    # Mitsuba's name: (ours, suffixes of its channels)
+    QUANTITIES: ClassVar[dict[str, tuple[str, str]]] = {
+        "depth": ("ray_length", "T"),
+        "position": ("position", "XYZ"),
+        "uv": ("uv", "UV"),
+        "geo_normal": ("normal", "XYZ"),
+        "sh_normal": ("shading_normal", "XYZ"),
+        "albedo": ("albedo", "RGB"),
+        "prim_index": ("prim_id", "I"),
+        "shape_index": ("shape_id", "I"),
+    }
+    UNSUPPORTED: ClassVar[tuple[str, ...]] = ("dp_du", "dp_dv", "duv_dx", "duv_dy", "boundary_test")
+
+    def __init__(self, aovs: str, integrator: Integrator | None = None) -> None:
+        super().__init__()
+        self.aovs = aovs
+        if integrator is not None and (not isinstance(integrator, Integrator) or isinstance(integrator, AOV)):
+            raise TypeError(f"AOV: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
+        self.integrator = integrator
+        self.pairs()
+
+    def pairs(self) -> list[tuple[str, str]]:
+        """Names and types, checked."""
+        if not isinstance(self.aovs, str):
+            raise TypeError(f"AOV: aovs: expected a string such as 'dd:depth,nn:sh_normal', got {describe(self.aovs)}")
+        found = []
+        for pair in self.aovs.split(","):
+            name, colon, kind = (part.strip() for part in pair.partition(":"))
+            if not (name and colon and kind):
+                raise ValueError(f"AOV: aovs: expected pairs 'name:type', got {pair.strip()!r}")
+            if kind in self.UNSUPPORTED:
+                raise ValueError(
+                    f"AOV: aovs: {kind!r} is not supported by this version; supported are: {', '.join(self.QUANTITIES)}"
+                )
+            if kind not in self.QUANTITIES:
+                raise ValueError(f"AOV: aovs: unknown type {kind!r}; {nearest(kind, self.QUANTITIES)}")
+            found.append((name, kind))
+        return found
+
+    def config(self) -> dict[str, Any]:
+        return (self.integrator or PathTracer()).config()
+
+    def outputs(self) -> list[str]:
+        """The names of `torchrender.outputs` that the channels are made of."""
+        return [self.QUANTITIES[kind][0] for _, kind in self.pairs()]
+
+    def wants_alpha(self, film: Any) -> bool:
+        """Whether coverage follows radiance: the film's pixel format says so."""
+        return self.integrator is not None and film.formats.get("pixel_format") in ("rgba", "luminance_alpha", "xyza")
+
+    def stacked(self, found: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """One image of the outputs by name, channels last."""
+        names = [n for n in ("rgb", "alpha") if n in found] + self.outputs()
+        plain = ("alpha", "ray_length", "prim_id", "shape_id")
+        parts = [found[n].unsqueeze(-1) if n in plain else found[n] for n in names]
+        real = next((p.dtype for p in parts if p.is_floating_point()), torch.float32)
+        return torch.cat([p.to(real) for p in parts], dim=-1)
+
+    def channel_names(self, channels: int = 3, alpha: bool = False) -> list[str]:
+        """Names of the image's channels as in Mitsuba: ``"R"``, ``"G"``, ``"B"``, ``"dd.T"``, ``"nn.X"``, ...
+
+        `channels` is the number of a colour's, `alpha` says whether coverage is among them.
+        """
+        color = "RGB" if channels == 3 else "Y"
+        first = [] if self.integrator is None else [*color, *("A" if alpha else "")]
+        suffixes = [(n, color if kind == "albedo" else self.QUANTITIES[kind][1]) for n, kind in self.pairs()]
+        return first + [f"{name}.{suffix}" for name, some in suffixes for suffix in some]
+
+    def __repr__(self) -> str:
+        return f"AOV(aovs={self.aovs!r}, integrator={self.integrator!r})"
+
+
 _PATH = ("max_depth", "rr_depth", "hide_emitters")
 _DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters")
 
@@ -131,9 +220,10 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "prb_projective": (PathTracer, _PATH, {"max_depth": 6}),
     "direct": (DirectIllumination, _DIRECT, {}),
     "direct_projective": (DirectIllumination, ("hide_emitters",), {}),
+    "aov": (AOV, ("aovs",), {}),
 }
 DOCUMENTED = (
-    "aov depth emission moment ptracer stokes volpath volpathmis prbvolpath direct_reparam prb_reparam bdpt"
+    "depth emission moment ptracer stokes volpath volpathmis prbvolpath direct_reparam prb_reparam bdpt"
 ).split()
 
 
@@ -142,10 +232,32 @@ def from_dict(properties: dict[str, Any], path: str) -> Integrator:
     properties = {k: v for k, v in properties.items() if k != "id"}
     kind = properties.pop("type")
     cls, accepted, defaults = TYPES[kind]
+    nested = {}
+    if kind == "aov":
+        nested = _nested(properties, path)
+        properties = {k: v for k, v in properties.items() if k not in nested}
+        if "aovs" not in properties:
+            raise ValueError(f"{path}: aov needs the parameter 'aovs', such as 'dd:depth,nn:sh_normal'")
     for name in properties:
         if name not in accepted:
             raise ValueError(f"{path}: {kind} has no parameter {name!r}; {nearest(name, accepted)}")
     try:
-        return cls(**{**defaults, **properties})
+        return cls(**{**defaults, **properties}, **({"integrator": next(iter(nested.values()))} if nested else {}))
     except (TypeError, ValueError) as error:
         raise type(error)(f"{path}: {error}") from None
+
+
+def _nested(properties: Mapping[str, Any], path: str) -> dict[str, Integrator]:
+    """The one integrator among the values, by its key."""
+    found: dict[str, Integrator] = {}
+    for name, value in properties.items():
+        if isinstance(value, Integrator):
+            found[name] = value
+        elif isinstance(value, Mapping):
+            kind = value.get("type")
+            if kind not in TYPES or kind == "aov":
+                raise ValueError(f"{path}.{name}: expected an integrator, one of {', '.join(TYPES)}, got {kind!r}")
+            found[name] = from_dict(dict(value), f"{path}.{name}")
+    if len(found) > 1:
+        raise ValueError(f"{path}: one nested integrator is supported, got {', '.join(found)}")
+    return found

@@ -15,7 +15,8 @@ from torch import nn
 from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
 from .errors import describe, nearest
-from .integrators import Integrator, PathTracer
+from .integrators import AOV, Integrator, PathTracer
+from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, first_hits
 from .progress import progress
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
@@ -25,8 +26,6 @@ from .scene.gather import gather, substitute
 from .scene.packing import Layout
 from .scene.scene import Scene, default_sample_count
 
-OUTPUTS = ("rgb", "alpha")
-LATER_OUTPUTS = ("depth", "position", "shading_normal", "uv", "albedo", "shape_id", "variance")
 PACKETS = True  # false renders a path at a time: slower, for tests
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
 # What tells the derivative's seed from the image's.
@@ -65,7 +64,16 @@ def render(
         seed_grad: seed of the derivative; None takes a hash of `seed`, so that image and derivative are independent.
         passes: number of independent passes, each of `spp` and `spp_grad`, that are averaged in constant memory.
         params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
-        outputs: names of what is wanted; a named tuple of tensors comes back. Here: ``"rgb"``, ``"alpha"`` (H, W).
+        outputs: names of what is wanted; a named tuple of tensors comes back. Radiance ``"rgb"`` (H, W, C), coverage
+            ``"alpha"`` (H, W), and ``"variance"`` (H, W, C) of the values of rgb. Of the first surface that is seen:
+            ``"depth"`` along the camera's axis and ``"distance"`` from the camera (H, W); ``"position"``, geometric
+            ``"normal"`` and ``"shading_normal"`` in world space, ``"normal_camera"`` and ``"shading_normal_camera"`` in
+            the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"`` (H, W, 2); ``"albedo"``
+            (H, W, C): reflectance of diffuse surfaces, ``specular_reflectance`` of conductors,
+            ``specular_transmittance`` of dielectrics, 1 for null. These are averages over the samples that hit
+            something, weighted by the filter; where none does, depth, distance and position are infinite, the others 0.
+            ``"shape_id"`` and ``"prim_id"`` (H, W), int32, belong to the ray through the pixel's centre: position
+            among the scene's shapes and face, -1 at a miss. See `torchrender.outputs`.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N. Not with `crop`.
@@ -80,8 +88,10 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
-    integrator_config = _integrator(scene, integrator)
-    names = _outputs(outputs)
+    chosen_integrator = _integrator(scene, integrator)
+    integrator_config = chosen_integrator.config()
+    names = ("rgb",) if outputs is None else check_names(outputs)
+    stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, AOV) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     if layout not in LAYOUTS:
@@ -95,7 +105,7 @@ def render(
         refuse_batches(value)
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
     tensors = gather(scene, packed, params)
-    images, alphas = [], []
+    views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
         film = camera.film
@@ -127,22 +137,32 @@ def render(
             passes=passes,
             nan=nan,
             pixels=chosen,
-            alpha="alpha" in names,
+            alpha="alpha" in names or (stack is not None and stack.wants_alpha(film)),
+            variance="variance" in names,
             statistics=scene.statistics,
             wanted=Wanted(packed, scene.warned),
         )
         _check_derivatives(call, used)
-        result = RenderFunction.apply(call, *used)
-        image, alpha = result if call.alpha else (result, None)
-        images.append(image)
-        alphas.append(alpha)
-    found = {
-        "rgb": _arrange(images, batched, layout, channels=True),
-        "alpha": _arrange(alphas, batched, layout, channels=False) if "alpha" in names else None,
-    }
-    if outputs is None:
-        return found["rgb"]
-    return namedtuple("Outputs", names)(*(found[n] for n in names))
+        views.append(_view(call, names, stack, used))
+    if stack is not None:
+        return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
+    found = [_arrange([v[n] for v in views], batched, layout, channels=OUTPUTS[n] != 0) for n in names]
+    return found[0] if outputs is None else namedtuple("Outputs", names)(*found)
+
+
+def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor]) -> dict[str, Any]:
+    """The outputs of one sensor by name."""
+    found: dict[str, torch.Tensor] = {}
+    if stack is not None:
+        found.update(first_hits(call, stack.outputs(), tensors, zero_at_misses=True))
+    if (stack is None and any(n in PATH_OUTPUTS for n in names)) or (stack is not None and stack.integrator):
+        result = RenderFunction.apply(call, *tensors)
+        kinds = ("rgb", *(("alpha",) if call.alpha else ()), *(("variance",) if call.variance else ()))
+        found.update(zip(kinds, result if isinstance(result, tuple) else (result,), strict=True))
+    others = [n for n in names if n not in PATH_OUTPUTS]
+    if others:
+        found.update(first_hits(call, others, tensors))
+    return found
 
 
 def _views(cameras: list[Any]) -> Any:
@@ -158,7 +178,7 @@ def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: b
     return image
 
 
-def _integrator(scene: Scene, integrator: Any) -> dict[str, Any]:
+def _integrator(scene: Scene, integrator: Any) -> Integrator:
     if integrator is None:
         integrator = scene.integrator or PathTracer()
     elif isinstance(integrator, (Mapping, str)):
@@ -175,24 +195,7 @@ def _integrator(scene: Scene, integrator: Any) -> dict[str, Any]:
         integrator = from_dict(given, "render: integrator")
     if not isinstance(integrator, Integrator):
         raise TypeError(f"render: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
-    return integrator.config()
-
-
-def _outputs(outputs: Any) -> tuple[str, ...]:
-    if outputs is None:
-        return ("rgb",)
-    if isinstance(outputs, str) or not isinstance(outputs, Sequence) or not outputs:
-        raise TypeError(f"render: outputs: expected a sequence of names such as ('rgb', 'alpha'), got {outputs!r}")
-    for name in outputs:
-        if name in LATER_OUTPUTS:
-            raise ValueError(
-                f"render: outputs: {name!r} is not supported by this version; supported are: {', '.join(OUTPUTS)}"
-            )
-        if name not in OUTPUTS:
-            raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
-    if len(set(outputs)) != len(outputs):
-        raise ValueError(f"render: outputs: a name comes twice in {tuple(outputs)!r}")
-    return tuple(outputs)
+    return integrator
 
 
 def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:

@@ -6,6 +6,7 @@
 #include <mutex>
 #include <optional>
 
+#include "cpu/aov.h"
 #include "cpu/render.h"
 #include "host/dependence.h"
 #include "host/normals.h"
@@ -29,6 +30,8 @@ struct Config {
     int64_t spp, sample_offset;
     bool packets;
     std::optional<std::vector<Pixel>> pixels;
+    std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
+    bool zero_at_misses;
 };
 
 Rect rect(const py::handle &h) {
@@ -65,6 +68,8 @@ Config read_config(const py::dict &d) {
     c.spp = d["spp"].cast<int64_t>();
     c.sample_offset = d["sample_offset"].cast<int64_t>();
     c.packets = d["packet"].cast<bool>();
+    if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
+    c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
     return c;
 }
 
@@ -109,6 +114,13 @@ public:
                                 uintptr_t adjoint, const Addresses &gradients) = 0;
     virtual RenderStats forward(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
                                 const Addresses &tangents, uintptr_t image) = 0;
+    // outputs besides radiance, by name; shape_id and prim_id are int32
+    virtual RenderStats aov(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                            const Arrays &out) = 0;
+    virtual RenderStats aov_reverse(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                                    const Arrays &adjoints, const Addresses &gradients) = 0;
+    virtual RenderStats aov_forward(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
+                                    const Addresses &tangents, const Arrays &out) = 0;
     virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const std::map<std::string, uintptr_t> &out,
                            const Addresses &params, const std::vector<uint8_t> &dirty) = 0;
     virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const Addresses &params,
@@ -156,23 +168,10 @@ public:
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
-        DerivativeCall<S> d = derivative(c, gradients);
+        DerivativeCall<S> d = reverse_call(c, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
-        d.gradients.assign(gradients.size(), nullptr);
-        std::vector<S *> tensors(gradients.size(), nullptr);
-        for (const ParameterUse &use : data_.layout().tensors)
-            tensors[size_t(use.slot)] = reinterpret_cast<S *>(gradients[size_t(use.slot)]);
-        d.gradients = tensors;
-        for (const MeshSource &mesh : data_.layout().meshes)  // these have tables of their own
-            for (int slot : {mesh.vertices, mesh.normals, mesh.texcoords})
-                if (slot >= 0) d.gradients[size_t(slot)] = nullptr;
         RenderStats stats = render_reverse<S, C>(call(c), c.packets, d);
-        if (d.wanted.geometry) data_.spread_geometry(d.sums, tensors);
-        for (const ConstantEntry &e : data_.constant_entries()) {
-            S *to = reinterpret_cast<S *>(gradients[size_t(e.slot)]);
-            if (!to) continue;
-            for (int i = 0; i < e.stored; ++i) to[e.count == 1 ? 0 : i] += S(d.sums.constants[size_t(e.offset + i)]);
-        }
+        add_gradients(d, gradients);
         return stats;
     }
 
@@ -180,16 +179,35 @@ public:
                         const Addresses &tangents, uintptr_t image) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
-        DerivativeCall<S> d = derivative(c, tangents);
-        GeometryArrays<S> arrays;
-        std::vector<TensorView<S>> tensors;
-        data_.fill_values(pointers(tangents), arrays.constants, tensors);
-        if (d.wanted.geometry) data_.fill_geometry(pointers(tangents), d.geometry_sizes, arrays);
-        auto table = [](const std::vector<S> &v) { return v.empty() ? nullptr : v.data(); };
-        d.tangent = {arrays.constants.data(), tensors.data()};
-        d.geometry_tangent = {table(arrays.positions), table(arrays.normals), table(arrays.texcoords), d.matrices,
-                              d.shape_wanted.data()};
+        Tangents storage;
+        DerivativeCall<S> d = forward_call(c, tangents, storage);
         return render_forward<S, C>(call(c), c.packets, d, reinterpret_cast<S *>(image));
+    }
+
+    RenderStats aov(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
+                    const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        return render_aov<S, C>(call(c), c.packets, outputs(c, out));
+    }
+
+    RenderStats aov_reverse(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
+                            const Arrays &adjoints, const Addresses &gradients) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        DerivativeCall<S> d = reverse_call(c, gradients);
+        RenderStats stats = reverse_aov<S, C>(call(c), c.packets, outputs(c, adjoints), d);
+        add_gradients(d, gradients);
+        return stats;
+    }
+
+    RenderStats aov_forward(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
+                            const Addresses &tangents, const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        data_.update(pointers(params), dirty);
+        Tangents storage;
+        DerivativeCall<S> d = forward_call(c, tangents, storage);
+        return forward_aov<S, C>(call(c), c.packets, outputs(c, out), d);
     }
 
     void intersect(size_t n, const std::array<uintptr_t, 3> &in, const std::map<std::string, uintptr_t> &out,
@@ -319,6 +337,69 @@ private:
         return call;
     }
 
+    static AovOutput<S> outputs(const Config &c, const Arrays &given) {
+        AovOutput<S> out;
+        for (const auto &[name, address] : given) {
+            int kind = 0;
+            while (kind < AovCount && name != aov_names[kind].name) ++kind;
+            if (kind < AovCount)
+                out.data[size_t(kind)] = reinterpret_cast<S *>(address);
+            else if (name == "shape_id")
+                out.shape = reinterpret_cast<int32_t *>(address);
+            else if (name == "prim_id")
+                out.primitive = reinterpret_cast<int32_t *>(address);
+            else
+                throw std::invalid_argument("outputs: unknown: " + name);
+        }
+        out.seeds = c.seeds;
+        out.zero_at_misses = c.zero_at_misses;
+        return out;
+    }
+
+    // Gradients of large tensors are added to where they lie, the others by add_gradients.
+    DerivativeCall<S> reverse_call(const Config &c, const Addresses &gradients) {
+        DerivativeCall<S> d = derivative(c, gradients);
+        d.gradients = tensors(gradients);
+        for (const MeshSource &mesh : data_.layout().meshes)  // these have tables of their own
+            for (int slot : {mesh.vertices, mesh.normals, mesh.texcoords})
+                if (slot >= 0) d.gradients[size_t(slot)] = nullptr;
+        return d;
+    }
+
+    void add_gradients(DerivativeCall<S> &d, const Addresses &gradients) {
+        if (d.sums.constants.empty()) return;
+        if (d.wanted.geometry) data_.spread_geometry(d.sums, tensors(gradients));
+        for (const ConstantEntry &e : data_.constant_entries()) {
+            S *to = reinterpret_cast<S *>(gradients[size_t(e.slot)]);
+            if (!to) continue;
+            for (int i = 0; i < e.stored; ++i) to[e.count == 1 ? 0 : i] += S(d.sums.constants[size_t(e.offset + i)]);
+        }
+    }
+
+    std::vector<S *> tensors(const Addresses &addresses) const {
+        std::vector<S *> r(addresses.size(), nullptr);
+        for (const ParameterUse &use : data_.layout().tensors)
+            r[size_t(use.slot)] = reinterpret_cast<S *>(addresses[size_t(use.slot)]);
+        return r;
+    }
+
+    // Tangents in the layouts that the core reads them in.
+    struct Tangents {
+        GeometryArrays<S> arrays;
+        std::vector<TensorView<S>> tensors;
+    };
+    DerivativeCall<S> forward_call(const Config &c, const Addresses &tangents, Tangents &storage) {
+        DerivativeCall<S> d = derivative(c, tangents);
+        GeometryArrays<S> &arrays = storage.arrays;
+        data_.fill_values(pointers(tangents), arrays.constants, storage.tensors);
+        if (d.wanted.geometry) data_.fill_geometry(pointers(tangents), d.geometry_sizes, arrays);
+        auto table = [](const std::vector<S> &v) { return v.empty() ? nullptr : v.data(); };
+        d.tangent = {arrays.constants.data(), storage.tensors.data()};
+        d.geometry_tangent = {table(arrays.positions), table(arrays.normals), table(arrays.texcoords), d.matrices,
+                              d.shape_wanted.data()};
+        return d;
+    }
+
     DerivativeCall<S> derivative(const Config &c, const Addresses &addresses) {
         const SceneLayout &layout = data_.layout();
         DerivativeCall<S> d;
@@ -434,6 +515,39 @@ void declare_scene(py::module_ &m) {
                  {
                      py::gil_scoped_release release;
                      stats = self.forward(c, params, read_dirty(dirty), tangents, image);
+                 }
+                 return to_dict(stats);
+             })
+        .def("render_aov",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const Arrays &out) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.aov(c, params, read_dirty(dirty), out);
+                 }
+                 return to_dict(stats);
+             })
+        .def("aov_vjp",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const Arrays &adjoints, const Addresses &gradients) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.aov_reverse(c, params, read_dirty(dirty), adjoints, gradients);
+                 }
+                 return to_dict(stats);
+             })
+        .def("aov_jvp",
+             [](SceneBase &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const Addresses &tangents, const Arrays &out) {
+                 Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.aov_forward(c, params, read_dirty(dirty), tangents, out);
                  }
                  return to_dict(stats);
              })

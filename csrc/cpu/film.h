@@ -78,8 +78,10 @@ struct FilmBlock {
             for (int c = 0; c < values; ++c) p[c] += w * value[c];
             p[values] += w;
             if (moments == 0) return;
+            // no product is shared, so that a compiler that fuses products and sums does so in every copy of the loop
             double *q = p + values + 1, w2 = w * w;
-            for (int c = 0; c < moments; ++c) q[c] += w2 * value[c] * value[c], q[moments + c] += w2 * value[c];
+            for (int c = 0; c < moments; ++c) q[c] += w2 * (value[c] * value[c]);
+            for (int c = 0; c < moments; ++c) q[moments + c] += w2 * value[c];
             q[2 * moments] += w2;
         });
     }

@@ -10,6 +10,8 @@ import torch
 from .. import backends
 from .packing import Layout
 
+_WITH_CONFIG = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp")
+
 
 class NativeScene:
     """One built scene of the core. Immutable in structure: another structure gets another object.
@@ -66,12 +68,8 @@ class NativeScene:
             dirty = self._dirty(params)
             addresses = [t.data_ptr() for t in params]
             try:
-                if function == "render":
-                    return self.handle.render(args[0], addresses, dirty, *args[1:])
-                if function == "render_vjp":
-                    return self.handle.render_vjp(args[0], addresses, dirty, *args[1:])
-                if function == "render_jvp":
-                    return self.handle.render_jvp(args[0], addresses, dirty, *args[1:])
+                if function in _WITH_CONFIG:
+                    return getattr(self.handle, function)(args[0], addresses, dirty, *args[1:])
                 return getattr(self.handle, function)(*args, addresses, dirty)
             except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.

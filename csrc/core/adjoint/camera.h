@@ -6,9 +6,11 @@
 
 namespace tr {
 
+// `direction_bar`: of Film::direction, where more than the ray depends on it.
 template <class F, class S, class Sink>
 TR_NOINLINE void sweep_camera(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width,
-                              S height, const RayAdjoint<F> &g, const MaskOf<F> &active, Sink &sink) {
+                              S height, const RayAdjoint<F> &g, const Vec3<F> &direction_bar, const MaskOf<F> &active,
+                              Sink &sink) {
     Perspective::Film<F, S> film(scene, record, x, y, width, height);
     Vec3<F> u = film.direction();
     F inverse = F(1) / norm(u);
@@ -25,7 +27,7 @@ TR_NOINLINE void sweep_camera(const SceneView<S> &scene, const Record &record, c
         sink.scalar(IntOf<F>(to_world + 4 * i + 3), move[i], active);
     }
 
-    Vec3<F> u_bar = unnormalize(local, transform_normal(film.to_world, m_bar), inverse);
+    Vec3<F> u_bar = unnormalize(local, transform_normal(film.to_world, m_bar), inverse) + direction_bar;
     auto add = [&](int field, const F &value) { sink.scalar(IntOf<F>(record.field[field]), value, active); };
     F by_x = u_bar.x * film.slope, by_y = u_bar.y * film.rise;
     add(Perspective::OffsetX, by_x * F(-2));
@@ -33,6 +35,12 @@ TR_NOINLINE void sweep_camera(const SceneView<S> &scene, const Record &record, c
     add(Perspective::Aspect, by_y * film.b * (S(1) / film.constants[record.field[Perspective::Aspect]]));
     S degrees = (S(1) + film.slope * film.slope) / film.slope * S(Pi / 360);  // d slope / d fov, over slope
     add(Perspective::Fov, (by_x * film.a + by_y * film.b) * degrees);
+}
+
+template <class F, class S, class Sink>
+TR_INLINE void sweep_camera(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width, S height,
+                            const RayAdjoint<F> &g, const MaskOf<F> &active, Sink &sink) {
+    sweep_camera(scene, record, x, y, width, height, g, Vec3<F>{F(0), F(0), F(0)}, active, sink);
 }
 
 }  // namespace tr

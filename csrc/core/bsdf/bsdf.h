@@ -2,6 +2,7 @@
 //
 //   static constexpr Field fields[];  static constexpr Model model;
 //   static constexpr bool Smooth, Delta;      has a part with a density / has delta lobes
+//   static constexpr int Albedo;              the field, a texture, that is the output `albedo`; -1: white
 //   template <class T, int C> struct Params;  the parameters at a point, for a scalar type T (a Float or a dual number)
 //   Params<T, C> params(const T *numbers)     (see ParamList)
 //   eval(params, wi, wo, lobe)   f |cos| of the lobe: smooth lobes by value, delta lobes the weight of the lobe times

@@ -14,6 +14,7 @@ struct Conductor {
     };
     static constexpr Model model = {"bsdf", "conductor", "Smooth conductor, one-sided.", fields, 3};
     static constexpr bool Smooth = false, Delta = true;
+    static constexpr int Albedo = 2;
 
     template <int C, class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &) {

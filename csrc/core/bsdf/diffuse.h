@@ -11,6 +11,7 @@ struct Diffuse {
     };
     static constexpr Model model = {"bsdf", "diffuse", "Ideal diffuse (Lambertian) reflection, one-sided.", fields, 1};
     static constexpr bool Smooth = true, Delta = false;
+    static constexpr int Albedo = 0;
 
     template <int C, class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &) {

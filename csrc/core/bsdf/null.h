@@ -9,6 +9,7 @@ struct NullBsdf {
     static constexpr Field fields[] = {{nullptr, Kind::Int, 0, 0, 0, "", ""}};
     static constexpr Model model = {"bsdf", "null", "Rays pass through unchanged.", fields, 0};
     static constexpr bool Smooth = false, Delta = true;
+    static constexpr int Albedo = -1;
 
     template <int C, class P, class F>
     TR_INLINE static auto eval(const P &, const Vec3<F> &, const Vec3<F> &, const IntOf<F> &) {

@@ -1,0 +1,108 @@
+// The derivative of what the camera sees first, its place and its normals, with respect to the surface and the camera.
+#pragma once
+
+#include "camera.h"
+
+namespace tr {
+
+// The camera's frame in the world: x is left in the image, y up, z into it.
+template <class S>
+struct CameraFrame {
+    Vec3<S> origin, axis[3];
+    S length[3];  // of the matrix's columns, 1 up to rounding
+
+    CameraFrame(const SceneView<S> &scene, const Record &record) {
+        const S *m = scene.values.constants + record.field[Perspective::ToWorld];
+        origin = {m[3], m[7], m[11]};
+        for (int k = 0; k < 3; ++k) {
+            axis[k] = {m[k], m[4 + k], m[8 + k]};
+            length[k] = norm(axis[k]);
+            axis[k] = axis[k] * (S(1) / length[k]);
+        }
+    }
+};
+
+template <class F, class S>
+TR_INLINE Vec3<F> widen(const Vec3<S> &v) {
+    return {F(v.x), F(v.y), F(v.z)};
+}
+
+// Adjoints of the quantities of a hit.
+template <class F>
+struct OutputAdjoint {
+    F depth{0}, distance{0}, ray_length{0};
+    Vec3<F> position{F(0), F(0), F(0)}, normal{position}, shading_normal{position}, normal_camera{position},
+        shading_normal_camera{position};
+    CoordinateAdjoint<F> at;  // texture coordinates, and what is looked up there
+};
+
+// The geometric normal of a mesh, which is that of the triangle; elsewhere it is the shading normal.
+template <class F, class S, class Sink>
+TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &n_bar,
+                                 const MaskOf<F> &mesh, Sink &sink) {
+    using Tables = decltype(sink.geometry);
+    auto wanted = mesh && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(mesh)) != 0);
+    if (!any(wanted)) return;
+    Triangle<F, S> tri(scene, global_face<F>(scene, at.shape, at.primitive, wanted), wanted);
+    Vec3<F> area = cross(tri.e1, tri.e2);
+    F squared = squared_norm(area);
+    wanted = wanted && mask<F>(squared > F(0));
+    F inverse = F(1) / sqrt(select(wanted, squared, F(1)));
+    Vec3<F> area_bar = unnormalize(area * inverse, n_bar, inverse);
+    Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
+    sweep_vertex(&Tables::positions, tri.i0, -(e1_bar + e2_bar), wanted, sink);
+    sweep_vertex(&Tables::positions, tri.i1, e1_bar, wanted, sink);
+    sweep_vertex(&Tables::positions, tri.i2, e2_bar, wanted, sink);
+}
+
+// `d`: the camera ray's direction, (x, y): its position on the film.
+template <class F, class S, class Sink>
+TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, const CameraFrame<S> &camera,
+                               const F &x, const F &y, S width, S height, const Vec3<F> &d, const Interaction<F> &si,
+                               const OutputAdjoint<F> &g, bool camera_wanted, const MaskOf<F> &active, Sink &sink) {
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    Vec3<F> axis[3] = {widen<F>(camera.axis[0]), widen<F>(camera.axis[1]), widen<F>(camera.axis[2])};
+    Vec3<F> from = si.p - widen<F>(camera.origin), axis_bar[3] = {zero, zero, zero};
+    F t = norm(from);
+    Vec3<F> apart = axis[2] * g.depth + from * ((g.distance + g.ray_length) / select(active, t, F(1)));
+    axis_bar[2] = from * g.depth;
+
+    HitAdjoint<F> hit;
+    hit.at = g.at;
+    hit.p = g.position + apart;
+    Vec3<F> face = g.normal;
+    hit.n = g.shading_normal;
+    const F face_camera[3] = {g.normal_camera.x, g.normal_camera.y, g.normal_camera.z};
+    const F turned[3] = {g.shading_normal_camera.x, g.shading_normal_camera.y, g.shading_normal_camera.z};
+    for (int k = 0; k < 3; ++k) {
+        face = face + axis[k] * face_camera[k];
+        hit.n = hit.n + axis[k] * turned[k];
+        axis_bar[k] = axis_bar[k] + si.ng * face_camera[k] + si.frame.n * turned[k];
+    }
+    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, si.at.shape, active);
+    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    if (any(mesh)) {
+        IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, si.at.shape, mesh);
+        auto flip = mask<F>((flags & int32_t(FlipNormals)) != 0);
+        sweep_face_normal(scene, si.at, select(flip, -face, face), mesh, sink);
+    }
+    hit.n = select(mesh, hit.n, hit.n + face);
+
+    Arrival<F> in{active, d, t, zero, zero, F(0)};
+    RayAdjoint<F> ray = sweep_surface(scene, si.at, si.p, in, hit, active, sink);
+    if (!camera_wanted) return;
+    ray.o = ray.o - apart;
+    int32_t to_world = record.field[Perspective::ToWorld];
+    for (int k = 0; k < 3; ++k) {
+        Vec3<F> column = unnormalize(axis[k], axis_bar[k], F(S(1) / camera.length[k]));
+        const F rows[3] = {column.x, column.y, column.z};
+        for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + k), rows[i], active);
+    }
+    // the near plane is met at near |u| along the ray
+    Perspective::Film<F, S> film(scene, record, x, y, width, height);
+    Vec3<F> u = film.direction();
+    F near(-film.constants[record.field[Perspective::Near]]);
+    sweep_camera(scene, record, x, y, width, height, ray, u * (g.ray_length * near / norm(u)), active, sink);
+}
+
+}  // namespace tr

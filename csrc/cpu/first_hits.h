@@ -1,0 +1,260 @@
+// The first hits of a batch of camera rays, and the outputs that are functions of them.
+#pragma once
+
+#include "aov.h"
+#include "core/adjoint/outputs.h"
+#include "core/integrator/path.h"
+#include "items.h"
+
+namespace tr {
+
+namespace detail {
+
+// The texture that is the albedo of a BSDF; -1 where it is white.
+template <class F, class S, class... Models>
+TR_INLINE IntOf<F> albedo_texture(TypeList<Models...>, const SceneView<S> &scene, const IntOf<F> &bsdf,
+                                  const MaskOf<F> &active) {
+    using I = IntOf<F>;
+    I kind = record_kind<F>(scene.bsdfs, bsdf, active), texture(-1);
+    int k = 0;
+    auto look = [&](auto model) {
+        using Model = decltype(model);
+        auto same = active && mask<F>(kind == k++);
+        if constexpr (Model::Albedo >= 0)
+            if (any(same))
+                texture = select(mask<I>(same), record_field<F>(scene.bsdfs, Model::Albedo, bsdf, same), texture);
+    };
+    (look(Models{}), ...);
+    return texture;
+}
+
+template <class F, int C>
+class FirstHits {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using I = IntOf<F>;
+    using M = MaskOf<F>;
+    static constexpr size_t W = size_t(Lanes<F>::Width);
+
+public:
+    // by ray; the first four are set before `trace`
+    uint32_t *row, *column, *pixel, *sample;
+    S *film_y, *film_x, *value[MaxAovChannels];  // value: one column a channel of the layout
+    uint32_t *shape, *primitive;                 // shape = Miss: nothing was hit
+    uint64_t rays = 0;
+    static constexpr uint32_t Miss = Accel::Miss;
+
+    FirstHits(const RenderCall<S> &call, const AovLayout &layout, size_t capacity)
+        : call_(call), layout_(layout), scene_(*call.scene), camera_(scene_, scene_.sensors[call.config.sensor]) {
+        size_t n = capacity + 2 * W;
+        arena_.allocate([&](Arena &a) {
+            for (uint32_t **p : {&row, &column, &pixel, &sample, &shape, &primitive}) a.column(*p, n);
+            for (S **p : {&film_y, &film_x, &length_, &t_, &b1_, &b2_}) a.column(*p, n);
+            a.column(o_, n);
+            a.column(d_, n);
+            a.column(first_, n);
+            for (int k = 0; k < layout.n; ++k) a.column(value[k], n);
+            if (sizeof(S) == 8) a.column(single_, n);
+        });
+    }
+
+    // Rays through the samples' film positions (choose_positions), or through the centres of their pixels.
+    void trace(const PathConfig &config, size_t n, bool centres) {
+        const Record &record = scene_.sensors[config.sensor];
+        if (!centres) choose_positions<F>(config, *this, n);
+        for (size_t i = 0; i < n; i += W) {
+            F y = centres ? F(I(load_uint<F>(row + i))) + F(0.5) : load<F>(film_y + i);
+            F x = centres ? F(I(load_uint<F>(column + i))) + F(0.5) : load<F>(film_x + i);
+            F length;
+            Vec3<F> center;
+            Ray<F> ray =
+                Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length, center);
+            put(o_, i, ray.o);
+            put(first_, i, ray.o);
+            put(d_, i, ray.d);
+            store(length_ + i, length);
+        }
+        query(n);
+        if (config.hide_emitters) skip_emitters(n);
+    }
+
+    // Calls visit(first entry, active lanes, ray, hit) for packets in which something was hit.
+    template <class Visit>
+    void for_hits(size_t n, Visit &&visit) {
+        for (size_t i = 0; i < n; i += W) {
+            U at = load_uint<F>(shape + i);
+            M active = mask<F>(at != Miss) && mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(n)));
+            if (!any(active)) continue;
+            SurfacePoint<F> point{select(mask<U>(active), at, U(0u)),
+                                  select(mask<U>(active), load_uint<F>(primitive + i), U(0u)), load<F>(b1_ + i),
+                                  load<F>(b2_ + i)};
+            Ray<F> ray{get(o_, i), get(d_, i)};
+            visit(i, active, ray, make_interaction<F>(scene_, ray, point, load<F>(t_ + i), active));
+        }
+    }
+
+    // The values of the layout's channels; zero at misses.
+    void evaluate(size_t n) {
+        for (int k = 0; k < layout_.n; ++k) std::memset(value[k], 0, n * sizeof(S));
+        for_hits(n, [&](size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si) {
+            auto put_number = [&](int kind, int c, const F &x) {
+                store(value[layout_.offset[kind] + c] + i, select(active, x, F(0)));
+            };
+            auto put_vector = [&](int kind, const Vec3<F> &v) {
+                put_number(kind, 0, v.x), put_number(kind, 1, v.y), put_number(kind, 2, v.z);
+            };
+            auto put_turned = [&](int kind, const Vec3<F> &v) {
+                put_vector(kind, {dot(v, axis(0)), dot(v, axis(1)), dot(v, axis(2))});
+            };
+            Vec3<F> from = si.p - Vec3<F>{F(camera_.origin.x), F(camera_.origin.y), F(camera_.origin.z)};
+            if (wants(AovDepth)) put_number(AovDepth, 0, dot(from, axis(2)));
+            if (wants(AovDistance)) put_number(AovDistance, 0, norm(from));
+            if (wants(AovRayLength)) put_number(AovRayLength, 0, dot(si.p - get(first_, i), ray.d));
+            if (wants(AovPosition)) put_vector(AovPosition, si.p);
+            if (wants(AovNormal)) put_vector(AovNormal, si.ng);
+            if (wants(AovShadingNormal)) put_vector(AovShadingNormal, si.frame.n);
+            if (wants(AovNormalCamera)) put_turned(AovNormalCamera, si.ng);
+            if (wants(AovShadingNormalCamera)) put_turned(AovShadingNormalCamera, si.frame.n);
+            if (wants(AovUv)) {
+                Vec2<F> uv = texture_coordinates<F>(scene_, si.at, active);
+                put_number(AovUv, 0, uv.x), put_number(AovUv, 1, uv.y);
+            }
+            if (wants(AovAlbedo)) {
+                I texture = albedo(ray, si, active);
+                M textured = active && mask<F>(texture >= 0);
+                Color<F, C> color = select(textured, eval_texture<C>(scene_, scene_.values, texture, si.at, textured),
+                                           uniform_color<C>(F(1)));
+                for (int c = 0; c < C; ++c) put_number(AovAlbedo, c, color[c]);
+            }
+        });
+    }
+
+    // The derivative: with ReverseSink `value` holds the adjoints of the channels, with ForwardSink their derivatives
+    // are written there.
+    template <class Sink>
+    void sweep(size_t n, const Wanted &wanted, Sink &sink) {
+        constexpr bool forward = std::is_same_v<Sink, ForwardSink<F, C>>;
+        if (forward)
+            for (int k = 0; k < layout_.n; ++k) std::memset(value[k], 0, n * sizeof(S));
+        for_hits(n, [&](size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si) {
+            I texture(-1);
+            M textured(false);
+            if (wants(AovAlbedo)) {
+                texture = albedo(ray, si, active);
+                textured = active && mask<F>(texture >= 0);
+            }
+            if (any(textured) && wanted.bsdf) {
+                S *const *to = value + layout_.offset[AovAlbedo];
+                Color<F, C> g = uniform_color<C>(F(1));
+                if (!forward)
+                    for (int c = 0; c < C; ++c) g[c] = load<F>(to[c] + i);
+                sink.begin();
+                sink.texture(scene_, texture, si.at, g, textured);
+                if constexpr (forward)
+                    for (int c = 0; c < C; ++c) store(to[c] + i, select(active, sink.derivative[c], F(0)));
+            }
+            if (!wanted.geometry) return;
+            if constexpr (forward) {
+                sink.channel = 0;  // one number after the other, whatever it is
+                for (int k = 0; k < layout_.n; ++k) {
+                    sink.begin();
+                    sweep_motion(i, active, ray, si, texture, textured, wanted, sink,
+                                 [&](int channel) { return F(channel == k ? S(1) : S(0)); });
+                    store(value[k] + i, load<F>(value[k] + i) + select(active, sink.derivative[0], F(0)));
+                }
+            } else {
+                sweep_motion(i, active, ray, si, texture, textured, wanted, sink,
+                             [&](int channel) { return load<F>(value[channel] + i); });
+            }
+        });
+    }
+
+private:
+    bool wants(int kind) const { return layout_.wants(kind); }
+    Vec3<F> axis(int k) const { return {F(camera_.axis[k].x), F(camera_.axis[k].y), F(camera_.axis[k].z)}; }
+
+    I albedo(const Ray<F> &ray, const Interaction<F> &si, const M &active) const {
+        M back = mask<F>(dot(si.frame.n, ray.d) > F(0));
+        I bsdf = shape_info<F>(scene_.shapes, &ShapeInfo::bsdf, si.at.shape, active);
+        return albedo_texture<F>(Bsdfs{}, scene_, resolve_bsdf<F>(scene_, bsdf, back, active).bsdf, active);
+    }
+
+    // What moves the hit, its normals or the look-up there; given(channel) is the adjoint of a channel.
+    template <class Sink, class Given>
+    void sweep_motion(size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si, const I &texture,
+                      const M &textured, const Wanted &wanted, Sink &sink, Given &&given) {
+        auto number = [&](int kind, int c) { return wants(kind) ? given(layout_.offset[kind] + c) : F(0); };
+        auto vector = [&](int kind) { return Vec3<F>{number(kind, 0), number(kind, 1), number(kind, 2)}; };
+        OutputAdjoint<F> g;
+        g.depth = number(AovDepth, 0);
+        g.distance = number(AovDistance, 0);
+        g.ray_length = number(AovRayLength, 0);
+        g.position = vector(AovPosition);
+        g.normal = vector(AovNormal);
+        g.shading_normal = vector(AovShadingNormal);
+        g.normal_camera = vector(AovNormalCamera);
+        g.shading_normal_camera = vector(AovShadingNormalCamera);
+        g.at.uv = {number(AovUv, 0), number(AovUv, 1)};
+        if (any(textured)) {
+            Color<F, C> color;
+            for (int c = 0; c < C; ++c) color[c] = number(AovAlbedo, c);
+            sweep_lookup<C>(scene_, texture, si.at, color, textured, g.at, sink);
+        }
+        sweep_outputs(scene_, scene_.sensors[call_.config.sensor], camera_, load<F>(film_x + i), load<F>(film_y + i),
+                      S(call_.film_width), S(call_.film_height), ray.d, si, g, wanted.camera, active, sink);
+    }
+
+    static void put(S *const (&to)[3], size_t i, const Vec3<F> &v) {
+        store(to[0] + i, v.x);
+        store(to[1] + i, v.y);
+        store(to[2] + i, v.z);
+    }
+    static Vec3<F> get(S *const (&from)[3], size_t i) {
+        return {load<F>(from[0] + i), load<F>(from[1] + i), load<F>(from[2] + i)};
+    }
+
+    void query(size_t n) {
+        rays += n;
+        if constexpr (sizeof(S) == 4) {
+            call_.accel->intersect({{o_[0], o_[1], o_[2]}, {d_[0], d_[1], d_[2]}, length_},
+                                   {shape, primitive, t_, b1_, b2_}, n, true);
+        } else {
+            const S *from[7] = {o_[0], o_[1], o_[2], d_[0], d_[1], d_[2], length_};
+            for (int k = 0; k < 7; ++k)
+                for (size_t i = 0; i < n; ++i) single_[k][i] = float(from[k][i]);
+            call_.accel->intersect(
+                {{single_[0], single_[1], single_[2]}, {single_[3], single_[4], single_[5]}, single_[6]},
+                {shape, primitive, single_[7], single_[8], single_[9]}, n, true);
+            for (size_t i = 0; i < n; ++i) t_[i] = single_[7][i], b1_[i] = single_[8][i], b2_[i] = single_[9][i];
+        }
+    }
+
+    // Rays pass through shapes that emit, as those of the path tracer do.
+    void skip_emitters(size_t n) {
+        for (int pass = 0; pass < 256; ++pass) {
+            bool again = false;
+            for (size_t i = 0; i < n; ++i) {
+                if (shape[i] == Miss || scene_.shapes[shape[i]].emitter < 0) continue;
+                Vec3<S> d{d_[0][i], d_[1][i], d_[2][i]}, p = Vec3<S>{o_[0][i], o_[1][i], o_[2][i]} + d * t_[i];
+                S behind = offset_amount(p);
+                o_[0][i] = p.x + d.x * behind, o_[1][i] = p.y + d.y * behind, o_[2][i] = p.z + d.z * behind;
+                length_[i] -= t_[i] + behind;
+                again = true;
+            }
+            if (!again) return;
+            query(n);
+        }
+    }
+
+    const RenderCall<S> &call_;
+    const AovLayout &layout_;
+    const SceneView<S> &scene_;
+    CameraFrame<S> camera_;
+    Arena arena_;
+    S *o_[3], *d_[3], *first_[3], *length_, *t_, *b1_, *b2_;
+    float *single_[10];
+};
+
+}  // namespace detail
+
+}  // namespace tr

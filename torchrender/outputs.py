@@ -1,0 +1,173 @@
+"""Outputs besides radiance: depth, normals, albedo, identifiers and so on of the first surface that the camera sees.
+
+They are averages over the camera's samples of a pixel, the same samples that radiance is estimated from, weighted by
+the reconstruction filter; those that hit nothing are left out. Surfaces of every material count, `null` included;
+with an integrator's `hide_emitters` shapes that emit do not. Only primary visibility matters: no light is involved.
+
+``variance`` is that of the image's values, estimated from the samples x of weights w that a value I = sum(w x) / sum(w)
+is made of: sum(w^2 (x - I)^2) / sum(w)^2 * n / (n - 1) with n = sum(w)^2 / sum(w^2), which for the box filter is the
+sample variance over the number of samples. It is infinite for a single sample; of several passes it is that of their
+average. Filters that reach over several pixels make it too large at edges (about a sixth, where there are many): each
+pixel has its fixed number of samples, which varies less than samples drawn from all of them would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch.autograd import Function
+
+from .autograd import BATCHED, RenderCall, _Derivative, _refuse_batches
+from .errors import NotDifferentiableError, nearest
+
+# What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
+PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
+FIRST_HIT_OUTPUTS = {
+    "depth": 0,
+    "distance": 0,
+    "position": 3,
+    "normal": 3,
+    "shading_normal": 3,
+    "normal_camera": 3,
+    "shading_normal_camera": 3,
+    "uv": 2,
+    "albedo": -1,
+    "shape_id": 0,
+    "prim_id": 0,
+}
+OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS}
+IDENTIFIERS = ("shape_id", "prim_id")
+_CHANNELS = {**FIRST_HIT_OUTPUTS, "ray_length": 0}
+
+
+def check_names(outputs: Any) -> tuple[str, ...]:
+    """`outputs` of `render` as a tuple of known names."""
+    if isinstance(outputs, str) or not isinstance(outputs, Sequence) or not outputs:
+        raise TypeError(f"render: outputs: expected a sequence of names such as ('rgb', 'alpha'), got {outputs!r}")
+    for name in outputs:
+        if name not in OUTPUTS:
+            raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
+    if len(set(outputs)) != len(outputs):
+        raise ValueError(f"render: outputs: a name comes twice in {tuple(outputs)!r}")
+    return tuple(outputs)
+
+
+@dataclass
+class FirstHitCall:
+    """What `FirstHitFunction` needs besides tensors.
+
+    Attributes:
+        render: the rendering that these outputs belong to.
+        names: of the outputs, keys of FIRST_HIT_OUTPUTS or ``"ray_length"``, the distance from the near plane.
+        zero_at_misses: average over all samples, taking zero for those that hit nothing.
+    """
+
+    render: RenderCall
+    names: tuple[str, ...]
+    zero_at_misses: bool = False
+
+    def config(self, derivative: bool) -> dict[str, Any]:
+        configs = self.render.configs(derivative)
+        return {**configs[0], "seeds": [c["seed"] for c in configs], "zero_at_misses": self.zero_at_misses}
+
+    def empty(self, name: str) -> torch.Tensor:
+        channels = _CHANNELS[name] if _CHANNELS[name] >= 0 else self.render.native.channels
+        shape = self.render.size if channels == 0 else (*self.render.size, channels)
+        dtype = torch.int32 if name in IDENTIFIERS else self.render.native.dtype
+        return torch.empty(shape, dtype=dtype, device="cpu")
+
+
+class FirstHitFunction(Function):
+    """``outputs = FirstHitFunction.apply(call, *parameters)``, a tuple in the order of ``call.names``."""
+
+    @staticmethod
+    def forward(call: FirstHitCall, *params: torch.Tensor) -> Any:
+        out = {name: call.empty(name) for name in call.names}
+        addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
+        stats = call.render.native.call("render_aov", list(params), call.config(False), addresses)
+        call.render.finish("outputs", [stats])
+        return tuple(out.values())
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        call, *params = inputs
+        ctx.call = call
+        ctx.save_for_backward(*params)
+        ctx.save_for_forward(*params)
+        ctx.set_materialize_grads(False)
+        ctx.mark_non_differentiable(*(t for n, t in zip(call.names, output, strict=True) if n in IDENTIFIERS))
+
+    @staticmethod
+    def backward(ctx: Any, *grads: torch.Tensor | None) -> Any:
+        params = ctx.saved_tensors
+        needed = ctx.needs_input_grad[1:]
+        if not any(needed) or all(g is None for g in grads):
+            return (None,) * (1 + len(params))
+        return (None, *FirstHitVjpFunction.apply(ctx.call, needed, *grads, *params))
+
+    @staticmethod
+    def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
+        ctx.call.render.wanted.check(i for i, given in enumerate(tangents) if given is not None)
+        found = FirstHitJvpFunction.apply(ctx.call, *ctx.saved_tensors, *tangents)
+        real = iter(found if isinstance(found, tuple) else (found,))
+        return tuple(None if name in IDENTIFIERS else next(real) for name in ctx.call.names)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(BATCHED)
+
+
+class FirstHitJvpFunction(_Derivative):
+    """``tangents = FirstHitJvpFunction.apply(call, *parameters, *tangents)``, of all outputs but identifiers."""
+
+    @staticmethod
+    def forward(call: FirstHitCall, *tensors: torch.Tensor | None) -> Any:
+        count = len(tensors) // 2
+        params, tangents = list(tensors[:count]), tensors[count:]
+        dense = [
+            None if t is None else t.detach().to(dtype=call.render.native.dtype).expand(p.shape).contiguous()
+            for t, p in zip(tangents, params, strict=True)
+        ]
+        out = {name: call.empty(name) for name in call.names if name not in IDENTIFIERS}
+        if out:
+            given = [0 if t is None else t.data_ptr() for t in dense]
+            addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
+            stats = call.render.native.call("aov_jvp", params, call.config(True), given, addresses)
+            call.render.finish("outputs_jvp", [stats])
+        return tuple(out.values())
+
+
+class FirstHitVjpFunction(_Derivative):
+    """``gradients = FirstHitVjpFunction.apply(call, needed, *adjoints, *parameters)``."""
+
+    @staticmethod
+    def forward(call: FirstHitCall, needed: tuple[bool, ...], *tensors: torch.Tensor | None) -> Any:
+        adjoints, params = tensors[: len(call.names)], list(tensors[len(call.names) :])
+        for adjoint in adjoints:
+            if adjoint is not None:
+                _refuse_batches(adjoint)
+        call.render.check_indices()
+        dtype = call.render.native.dtype
+        dense = {
+            name: g.detach().to(dtype=dtype).contiguous()
+            for name, g in zip(call.names, adjoints, strict=True)
+            if g is not None and name not in IDENTIFIERS
+        }
+        grads = [torch.zeros_like(p) if n else None for p, n in zip(params, needed, strict=True)]
+        if dense:
+            addresses = {name: tensor.data_ptr() for name, tensor in dense.items()}
+            to = [0 if g is None else g.data_ptr() for g in grads]
+            stats = call.render.native.call("aov_vjp", params, call.config(True), addresses, to)
+            call.render.finish("outputs_vjp", [stats])
+        return tuple(grads)
+
+
+def first_hits(
+    call: RenderCall, names: Sequence[str], params: list[torch.Tensor], zero_at_misses: bool = False
+) -> dict[str, torch.Tensor]:
+    """Outputs by name, each (H, W) or (H, W, channels), or (N,) and (N, channels) for a list of pixels."""
+    names = tuple(dict.fromkeys(names))
+    return dict(zip(names, FirstHitFunction.apply(FirstHitCall(call, names, zero_at_misses), *params), strict=True))
