@@ -1,0 +1,217 @@
+// What is rendered and in which order: plans, items on threads, merging, filters.
+#include <map>
+#include <random>
+#include <stdexcept>
+
+#include "cpu/items.h"
+#include "harness.h"
+
+namespace tr::testing {
+
+namespace {
+
+using Sample = std::array<int64_t, 3>;  // row, column, number
+
+struct Columns {
+    std::vector<uint32_t> storage;
+    uint32_t *row, *column, *pixel, *sample;
+    explicit Columns(size_t n) : storage(4 * n) {
+        row = storage.data(), column = row + n, pixel = column + n, sample = pixel + n;
+    }
+};
+
+RenderCall<float> call_of(const Rect &crop, const Rect &window, int64_t spp, const Filter &filter) {
+    RenderCall<float> call{};
+    call.crop = crop, call.samples = window;
+    call.filter = filter;
+    call.spp = spp;
+    call.threads = 1;
+    return call;
+}
+
+// All samples of a call in their order, with the number of the unit that each is summed into.
+std::vector<std::pair<Sample, size_t>> samples_of(const RenderCall<float> &call, size_t capacity, size_t *items) {
+    Plan plan = detail::make_plan(call);
+    Columns to(capacity);
+    std::vector<std::pair<Sample, size_t>> all;
+    size_t units = 0;
+    for (size_t item = 0; item < plan.n_items(); ++item) {
+        detail::for_batches(
+            to, call, plan, item, capacity, [] { return false; },
+            [&](size_t n, const std::vector<detail::Span> &spans) {
+                size_t covered = 0;
+                for (const detail::Span &s : spans) {
+                    CHECK(s.begin == covered && s.end > s.begin);
+                    covered = s.end;
+                    for (size_t k = s.begin; k < s.end; ++k)
+                        all.push_back({{int32_t(to.row[k]), int32_t(to.column[k]), to.sample[k]}, units + s.unit});
+                }
+                CHECK(covered == n && n <= capacity);
+            });
+        units += plan.units(item).size();
+    }
+    if (items) *items = plan.n_items();
+    return all;
+}
+
+const Filter box(FilterKind::Box, 0.5), tent(FilterKind::Tent, 1.5);
+
+}  // namespace
+
+TR_TEST(every_sample_is_drawn_once) {
+    for (int64_t spp : {1, 7, 64, 65, 200})
+        for (Rect crop : {Rect{0, 0, 1, 1}, Rect{0, 0, 37, 21}, Rect{13, 30, 19, 35}, Rect{-2, -3, 5, 9}}) {
+            std::map<Sample, int> times;
+            for (auto &[s, unit] : samples_of(call_of(crop, crop, spp, box), 100, nullptr)) ++times[s];
+            CHECK(times.size() == size_t(crop.height() * crop.width()) * size_t(spp));
+            for (auto &[s, n] : times) CHECK(n == 1 && crop.contains(int(s[0]), int(s[1])) && s[2] < spp);
+        }
+}
+
+// What a part of a film draws for its pixels comes in the same order, summed in the same groups, as in the whole.
+TR_TEST(parts_keep_the_order_of_the_whole) {
+    const Rect film{0, 0, 40, 50};
+    std::mt19937 random(3);
+    for (const Filter &filter : {box, tent})
+        for (int64_t spp : {3, 130}) {
+            auto whole = samples_of(call_of(film, film, spp, filter), 1024, nullptr);
+            std::vector<Pixel> list;
+            for (int i = 0; i < 30; ++i) list.push_back({int32_t(random() % 40), int32_t(random() % 50)});
+            RenderCall<float> calls[2] = {call_of({11, 14, 20, 36}, film, spp, filter),
+                                          call_of(film, film, spp, filter)};
+            calls[1].pixels = &list;
+            for (const RenderCall<float> &call : calls) {
+                auto part = samples_of(call, 77, nullptr);
+                size_t at = 0;
+                std::map<size_t, size_t> unit_of;  // a unit of the part is within one of the whole
+                for (auto &[s, unit] : part) {
+                    while (at < whole.size() && whole[at].first != s) ++at;
+                    CHECK(at < whole.size());
+                    if (at == whole.size()) return;
+                    auto known = unit_of.emplace(unit, whole[at].second);
+                    CHECK(known.first->second == whole[at].second);
+                }
+                std::map<size_t, int> uses;  // and no two of the part are in one
+                for (auto &[unit, in_whole] : unit_of) CHECK(++uses[in_whole] == 1);
+            }
+        }
+}
+
+TR_TEST(a_list_has_what_its_pixels_need) {
+    const Rect film{0, 0, 300, 300};
+    std::vector<Pixel> list = {{299, 299}, {7, 100}, {7, 100}, {0, 0}, {8, 101}};
+    RenderCall<float> call = call_of(film, film, 2, tent);
+    call.pixels = &list;
+    Plan plan = detail::make_plan(call);
+    CHECK(plan.n_results() == 5 && plan.n_targets() == 4);
+    for (size_t i = 0; i < list.size(); ++i) {
+        Pixel p = plan.target(plan.target_of(i));
+        CHECK(p.y == list[i].y && p.x == list[i].x);
+    }
+    std::map<Sample, int> drawn;
+    for (auto &[s, unit] : samples_of(call, 1024, nullptr)) ++drawn[{s[0], s[1], 0}];
+    size_t near = 0;
+    for (int y = 0; y < 300; ++y)
+        for (int x = 0; x < 300; ++x) {
+            bool wanted = false;
+            for (Pixel p : list) wanted |= std::abs(p.y - y) <= 1 && std::abs(p.x - x) <= 1;
+            near += wanted;
+            CHECK(drawn.count({y, x, 0}) == size_t(wanted));
+        }
+    CHECK(drawn.size() == near);
+}
+
+TR_TEST(items_are_neither_tiny_nor_many) {
+    size_t items = 0;
+    // scattered single pixels share items
+    std::vector<Pixel> list;
+    for (int i = 0; i < 1000; ++i) list.push_back({17 * i, 31 * i});
+    RenderCall<float> call = call_of({0, 0, 40000, 40000}, {0, 0, 40000, 40000}, 4, box);
+    call.pixels = &list;
+    CHECK(samples_of(call, 1024, &items).size() == 4000);
+    CHECK(items <= 8);
+    // one pixel with many samples is divided, without a table of its parts
+    Plan plan({0, 0, 1, 1}, {0, 0, 1, 1}, 0, int64_t(1) << 32);
+    CHECK(plan.n_items() == (size_t(1) << 32) / BatchSize);
+    Units last = plan.units(plan.n_items() - 1);
+    CHECK((last.chunk + last.chunks) * ChunkSize == int64_t(1) << 32);
+}
+
+TR_TEST(filters_are_splatted_and_collected_alike) {
+    std::mt19937 random(5);
+    std::uniform_real_distribution<double> uniform(0, 1);
+    for (const Filter &filter : {box, tent, Filter(FilterKind::Tent, 0.3), Filter(FilterKind::Gaussian, 0.5)}) {
+        FilmBlock a, b;
+        const Rect rect{10, 20, 16, 27};
+        a.reset(rect, 2);
+        b.reset(rect, 2);
+        for (double &x : b.sum) x = uniform(random);
+        for (int i = 0; i < 50; ++i) {
+            int row = 8 + int(random() % 10), column = 18 + int(random() % 11);
+            double y = row + uniform(random), x = column + uniform(random), v[2] = {uniform(random), 1}, w[2];
+            std::fill(a.sum.begin(), a.sum.end(), 0.0);
+            a.splat(filter, row, column, y, x, v);
+            b.collect(filter, row, column, y, x, w);
+            double forward = 0, total = 0;
+            for (int j = rect.y0; j < rect.y1; ++j)
+                for (int k = rect.x0; k < rect.x1; ++k) {
+                    for (int c = 0; c < 2; ++c) forward += a.at(j, k)[c] * b.at(j, k)[c];
+                    total += a.at(j, k)[2];
+                    double expected = filter.reach() == 0 ? double(j == row && k == column)
+                                                          : filter(j + 0.5 - y) * filter(k + 0.5 - x);
+                    CHECK_NEAR(a.at(j, k)[2], expected, 1e-15);
+                }
+            CHECK_NEAR(forward, v[0] * w[0] + v[1] * w[1], 1e-12);
+            CHECK(total >= 0);
+        }
+    }
+}
+
+TR_TEST(an_exception_on_any_thread_is_the_callers) {
+    for (int thrower : {0, 1, 3}) {
+        bool interrupted = false;
+        std::atomic<size_t> done{0};
+        auto run = [&] {
+            detail::run_items(
+                1 << 20, 4, detail::Schedule::Interleaved, [] { return false; }, interrupted,
+                [&](int thread) {
+                    return [&, thread](size_t, auto &&) {
+                        if (thread == thrower) throw std::runtime_error("of a thread");
+                        ++done;
+                    };
+                });
+        };
+        CHECK_THROWS(run(), std::runtime_error, "of a thread");
+        CHECK(!interrupted);
+    }
+}
+
+// The calling thread may have nothing to do while others are at work.
+TR_TEST(an_idle_caller_polls) {
+    bool interrupted = false;
+    std::atomic<bool> asked{false};
+    auto begin = std::chrono::steady_clock::now();
+    detail::run_items(
+        2, 2, detail::Schedule::Interleaved, [&] { return asked = true; }, interrupted,
+        [&](int thread) {
+            return [&, thread](size_t, auto &&stop) {
+                if (thread == 1)
+                    while (!stop() && std::chrono::steady_clock::now() - begin < std::chrono::seconds(20))
+                        std::this_thread::sleep_for(std::chrono::milliseconds(1));
+            };
+        });
+    CHECK(interrupted && asked);
+    CHECK(std::chrono::steady_clock::now() - begin < std::chrono::seconds(10));
+}
+
+TR_TEST(variance_of_equal_weights_is_that_of_samples) {
+    const double x[4] = {1, 2, 4, 9};
+    double sum = 0, squares = 0;
+    for (double v : x) sum += v, squares += v * v;
+    CHECK_NEAR(variance_of_mean(sum, 4, squares, sum, 4), (9 + 4 + 0 + 25) / 3.0 / 4.0, 1e-12);
+    CHECK_NEAR(variance_of_mean(0.5 * sum, 2, 0.25 * squares, 0.25 * sum, 1), (9 + 4 + 0 + 25) / 3.0 / 4.0, 1e-12);
+    CHECK(std::isinf(variance_of_mean(3, 1, 9, 3, 1)));
+    CHECK(std::isinf(variance_of_mean(0, 0, 0, 0, 0)));
+}
+
+}  // namespace tr::testing
