@@ -278,6 +278,23 @@ def test_shapes_in_layouts_and_batches():
     assert mono.albedo.shape == (6, 6, 1) and mono.variance.shape == (6, 6, 1) and mono.normal.shape == (6, 6, 3)
 
 
+def test_outputs_are_pickled_and_are_a_tree_to_torch():
+    scene = square()
+    found = tr.render(scene, spp=2, seed=1, outputs=("rgb", "depth", "shape_id"))
+    other = pickle.loads(pickle.dumps(found))
+    assert other._fields == found._fields and all(torch.equal(a, b) for a, b in zip(other, found, strict=True))
+    reflectance = scene.get_parameter("plate.bsdf.reflectance.value").detach()
+
+    def outputs(value):
+        return tr.render(
+            scene, spp=2, seed=1, outputs=("albedo", "rgb"), params={"plate.bsdf.reflectance.value": value}
+        )
+
+    values, tangents = torch.func.jvp(outputs, (reflectance,), (torch.ones_like(reflectance),))
+    assert tangents._fields == values._fields == ("albedo", "rgb")
+    assert float(tangents.albedo.max()) == 1
+
+
 def test_passes_average_over_all_hits():
     """Not over the averages of passes: a pixel that only one pass hits has its value."""
     scene = square(size=14)

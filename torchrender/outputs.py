@@ -13,6 +13,8 @@ pixel has its fixed number of samples, which varies less than samples drawn from
 
 from __future__ import annotations
 
+import functools
+from collections import namedtuple
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -41,6 +43,19 @@ FIRST_HIT_OUTPUTS = {
 OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS}
 IDENTIFIERS = ("shape_id", "prim_id")
 _CHANNELS = {**FIRST_HIT_OUTPUTS, "ray_length": 0}
+
+
+@functools.cache
+def outputs_type(names: tuple[str, ...]) -> Any:
+    """The named tuple of these outputs. Made once, which takes longer than a small rendering; can be pickled."""
+    made = namedtuple("Outputs", names)
+    made.__reduce__ = lambda self: (collect, (self._fields, tuple(self)))
+    return made
+
+
+def collect(names: tuple[str, ...], values: Sequence[torch.Tensor]) -> Any:
+    """A named tuple of outputs."""
+    return outputs_type(names)(*values)
 
 
 def check_names(outputs: Any) -> tuple[str, ...]:

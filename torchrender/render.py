@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,7 +15,7 @@ from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
 from .errors import describe, nearest
 from .integrators import AOV, Integrator, PathTracer
-from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, first_hits
+from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
 from .progress import progress
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
@@ -147,7 +146,7 @@ def render(
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=OUTPUTS[n] != 0) for n in names]
-    return found[0] if outputs is None else namedtuple("Outputs", names)(*found)
+    return found[0] if outputs is None else collect(names, found)
 
 
 def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor]) -> dict[str, Any]:
