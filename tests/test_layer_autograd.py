@@ -16,6 +16,7 @@ COLOUR, TEXELS = "red.reflectance.value", "ball.bsdf.reflectance.data"
 
 
 def make(**settings) -> tr.Scene:
+    texels = torch.full((4, 4, 3), 0.5, device="cpu")
     return tr.load_dict(
         {
             "type": "scene",
@@ -33,7 +34,7 @@ def make(**settings) -> tr.Scene:
             "ball": {
                 "type": "sphere",
                 "radius": 0.5,
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)}},
+                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels}},
             },
             "lamp": {"type": "point", "position": [0, 1, 3], "intensity": 3.0},
             "sky": {"type": "constant"},
@@ -534,3 +535,50 @@ def test_every_required_leaf_gets_a_gradient(scene):
     finally:
         scene.zero_grad(set_to_none=True)
         scene.train_only()
+
+
+def test_default_devices_and_dtypes_change_nothing(scene):
+    """Programs that compute on a GPU set torch's default device; what is made here lies where the scene lies."""
+    expected = picture(scene)
+    torch.set_default_device("meta")
+    try:
+        made = make()
+        image = picture(made)
+        made["more"] = tr.Cube(to_world=tr.Transform.scale(0.1))
+        made.red.reflectance = [0.2, 0.3, 0.4]
+        camera = tr.PerspectiveCamera.look_at([0, 0, 4], [0, 0, 0], size=(4, 4))
+        matrix = [[40, 0, 2], [0, 40, 2], [0, 0, 1]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]], [0, 0, 4]
+        other = tr.PerspectiveCamera.from_opencv(*matrix, (4, 4))
+        images = tr.render(made, sensor=[camera, other], spp=1, seed=None)
+        assert "red" in repr(made) and made.bounding_box().device.type == "cpu"
+    finally:
+        torch.set_default_device("cpu")
+    assert torch.equal(image, expected) and images.device.type == "cpu"
+    with pytest.raises(ValueError, match=r"red\.reflectance: .*meta device"):
+        tr.load_dict({"type": "scene", "red": {"type": "diffuse", "reflectance": torch.zeros(3, device="meta")}})
+    torch.set_default_dtype(torch.float64)
+    try:
+        assert torch.equal(picture(make()), expected)
+    finally:
+        torch.set_default_dtype(torch.float32)
+
+
+def test_sparse_tensors_are_refused(scene):
+    with pytest.raises(TypeError, match=r"red\.reflectance\.value: expected a dense tensor, got layout"):
+        picture(scene, torch.ones(3).to_sparse())
+
+
+def test_checkpointing(scene):
+    """torch's checkpoints render again in backward(), with the random state of the first time."""
+    from torch.utils.checkpoint import checkpoint
+
+    def f(x):
+        return picture(scene, x.sigmoid(), seed=None).square()
+
+    results = []
+    for call in (f, lambda x: checkpoint(f, x, use_reentrant=False)):
+        torch.manual_seed(5)
+        value = rand(3).requires_grad_()
+        image = call(value)
+        results.append((image.detach(), torch.autograd.grad(image.sum(), value)[0]))
+    assert torch.equal(results[0][0], results[1][0]) and torch.equal(results[0][1], results[1][1])

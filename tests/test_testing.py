@@ -218,15 +218,20 @@ def test_finite_differences():
 def test_check_gradients(direction):
     x = torch.tensor([0.3, -0.8, 1.2], dtype=torch.float64)
     options = {"direction": direction, "step": 1e-3, "seeds": range(200)}
-    assert check_gradients(estimator, x, **options)
+    right = check_gradients(estimator, x, **options)
+    assert right
     result = check_gradients(lambda x, seed: estimator(x, seed, wrong=1.2), x, **options)
     assert not result and "finite differences" in result.message
+    # Standard normal for a right gradient: beyond 5 once in 10^6; a wrong one is far out.
+    assert float(right.z_score.abs().max()) < 5 < float(result.z_score.abs().max())
     assert not check_gradients(lambda x, seed: estimator(x, seed, wrong=math.nan), x, **options)
 
 
 def test_check_gradients_without_noise():
     x = torch.tensor([0.3, -0.8], dtype=torch.float64)
     assert check_gradients(lambda x, seed: torch.exp(x).sum(), x, step=1e-4, seeds=range(2))
+    linear = check_gradients(lambda x, seed: (2 * x).sum(), x, step=0.5, seeds=range(2))
+    assert linear and bool((linear.z_score == 0).all())
     assert not check_gradients(lambda x, seed: torch.exp(x.detach() * 0.01 + x).sum(), x, step=1e-2, seeds=range(2))
     with pytest.raises(ValueError, match="no gradient"):
         check_gradients(lambda x, seed: x.detach().sum(), x, seeds=range(2))

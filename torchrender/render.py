@@ -208,7 +208,7 @@ def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> i
 
 def _seed(name: str, value: Any) -> int:
     if isinstance(value, torch.Generator):
-        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value))
+        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value, device=value.device))
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
     value = value.__index__()
@@ -220,7 +220,7 @@ def _seed(name: str, value: Any) -> int:
 def _seeds(seed: Any, seed_grad: Any, correlated: Any) -> tuple[int, int]:
     if not isinstance(correlated, bool):
         raise TypeError(f"render: correlated: expected True or False, got {describe(correlated)}")
-    first = int(torch.randint(0, (1 << 63) - 1, (1,))) if seed is None else _seed("seed", seed)
+    first = int(torch.randint(0, (1 << 63) - 1, (1,), device="cpu")) if seed is None else _seed("seed", seed)
     if correlated:
         if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
             raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")

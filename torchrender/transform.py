@@ -5,6 +5,7 @@ A `Transform` acts on column vectors: ``(A @ B)`` applies `B` first. Angles are 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,6 +13,17 @@ from typing import Any
 import torch
 
 from .errors import describe
+
+
+def on_cpu(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorator: what `function` makes without naming a device lies on the CPU, whatever torch's default is."""
+
+    @functools.wraps(function)
+    def call(*args: Any, **kwargs: Any) -> Any:
+        with torch.device("cpu"):
+            return function(*args, **kwargs)
+
+    return call
 
 
 class _Chainable:
@@ -25,6 +37,7 @@ class _Chainable:
         self.__doc__ = function.__doc__
 
     def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:
+        @on_cpu
         def make(*args: Any, **kwargs: Any) -> Transform:
             made = owner(self.function(*args, **kwargs))
             return made if instance is None else instance @ made
@@ -52,7 +65,9 @@ class Transform:
     """
 
     def __init__(self, matrix: Any = None) -> None:
-        self.matrix = torch.eye(4, dtype=torch.float64) if matrix is None else as_matrix(matrix, 4, "Transform")
+        self.matrix = (
+            torch.eye(4, dtype=torch.float64, device="cpu") if matrix is None else as_matrix(matrix, 4, "Transform")
+        )
 
     def __matmul__(self, other: Any) -> Transform:
         return Transform(self.matrix @ as_matrix(other, 4, "Transform @"))
@@ -149,7 +164,8 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
     else:
         inner = getattr(value, "matrix", value)  # objects of other libraries that wrap a matrix
         try:
-            matrix = torch.as_tensor(_plain(inner), dtype=torch.float64)
+            with torch.device("cpu"):
+                matrix = torch.as_tensor(_plain(inner), dtype=torch.float64)
         except (TypeError, ValueError, RuntimeError):
             raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}") from None
     if matrix.ndim == 1 and matrix.numel() in (9, 16):

@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import torch
 
 from ..errors import describe
-from ..transform import Transform, as_matrix
+from ..transform import Transform, as_matrix, on_cpu
 from . import values
 from .context import Context
 from .film import Film, ReconstructionFilter, Sampler, film_from, sampler_from
@@ -174,6 +174,7 @@ class PerspectiveCamera(Plugin):
 
     # ------------------------------------------------------------------------------------------- constructors
     @classmethod
+    @on_cpu
     def look_at(
         cls,
         origin: Any,
@@ -201,6 +202,7 @@ class PerspectiveCamera(Plugin):
         return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, _context=precision, **properties)
 
     @classmethod
+    @on_cpu
     def from_opencv(
         cls,
         K: Any,
@@ -243,6 +245,7 @@ class PerspectiveCamera(Plugin):
         )
 
     @classmethod
+    @on_cpu
     def from_opengl(
         cls,
         camera_to_world: Any,

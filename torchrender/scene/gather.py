@@ -40,6 +40,8 @@ def gather(
                 )
             if not isinstance(tensor, torch.Tensor):
                 raise TypeError(f"{function}: params: {name}: expected a tensor, got {describe(tensor)}")
+            if tensor.layout is not torch.strided:
+                raise TypeError(f"{function}: params: {name}: expected a dense tensor, got layout {tensor.layout}")
             if not tensor.is_floating_point():
                 raise TypeError(f"{function}: params: {name}: expected floating-point numbers, got {describe(tensor)}")
             layout.slots[index].check_shape(tensor, scene.channels, f"{function}: params: {name}")

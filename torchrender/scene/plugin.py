@@ -56,7 +56,8 @@ class Plugin(nn.Module):
         self.__dict__["_references"] = []
         self.__dict__["_color"] = context.color
         self.__dict__["_built"] = False
-        self._setup(properties, context)
+        with context.device:  # whatever torch's default is
+            self._setup(properties, context)
         self.__dict__["_built"] = True
 
     # ---------------------------------------------------------------------------------------------- declaration
@@ -303,7 +304,8 @@ class Plugin(nn.Module):
             kept = self._parameters.get(name)
             stores = (self._parameters, self._modules, self._buffers, self.__dict__)
             before = [(store, store[name]) for store in stores if name in store]
-            self._install(name, field, value, ctx)
+            with ctx.device:
+                self._install(name, field, value, ctx)
             try:
                 self.check(Context(path=(type(self).__name__,)))
             except ValueError:

@@ -58,9 +58,9 @@ class Rectangle(Shape):
     type = "rectangle"
 
     def corners(self) -> torch.Tensor:
-        square = torch.tensor([[-1.0, -1, 0, 1], [1, -1, 0, 1], [1, 1, 0, 1], [-1, 1, 0, 1]])
         matrix = self.to_world.detach()
-        return (square.to(matrix) @ matrix.T)[:, :3]
+        square = matrix.new_tensor([[-1.0, -1, 0, 1], [1, -1, 0, 1], [1, 1, 0, 1], [-1, 1, 0, 1]])
+        return (square @ matrix.T)[:, :3]
 
     def bounds(self) -> torch.Tensor:
         points = self.corners()

@@ -27,7 +27,7 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
         if isinstance(value, (str, bytes, Mapping)) or value is None:
             ctx.error(f"expected numbers, got {describe(value)}")
         try:
-            tensor = torch.as_tensor(_plain(value), dtype=torch.float64)
+            tensor = torch.as_tensor(_plain(value), dtype=torch.float64, device=ctx.device)
         except (TypeError, ValueError, RuntimeError):
             ctx.error(f"expected numbers, got {describe(value)}")
         if ctx.dtype is None and str(given) not in ("float64",):
@@ -36,6 +36,8 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
         ctx.error(f"expected a dense tensor, got layout {tensor.layout}")
     if tensor.is_complex():
         ctx.error(f"expected real numbers, got {describe(value)}")
+    if tensor.is_meta and ctx.device.type != "meta":
+        ctx.error("expected numbers, got a tensor on the meta device, which has none")
     if ctx.dtype is not None:
         target = ctx.dtype
     elif tensor.dtype in (torch.float32, torch.float64):

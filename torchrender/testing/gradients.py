@@ -51,6 +51,12 @@ class GradientResult:
     def __bool__(self) -> bool:
         return self.passed
 
+    @property
+    def z_score(self) -> torch.Tensor:
+        """``gradient - expected`` in standard errors; infinite where a difference has no noise to explain it."""
+        difference = self.gradient - self.expected
+        return torch.where(difference == 0, torch.zeros_like(difference), difference / self.standard_error)
+
 
 @dataclass(frozen=True)
 class DotProductResult:
