@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from torch.autograd import Function
 
-from .autograd import BATCHED, RenderCall, _Derivative, _refuse_batches
+from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches
 from .errors import NotDifferentiableError, nearest
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
@@ -148,7 +148,7 @@ class FirstHitVjpFunction(_Derivative):
         adjoints, params = tensors[: len(call.names)], list(tensors[len(call.names) :])
         for adjoint in adjoints:
             if adjoint is not None:
-                _refuse_batches(adjoint)
+                refuse_batches(adjoint)
         call.render.check_indices()
         dtype = call.render.native.dtype
         dense = {
