@@ -112,3 +112,31 @@ def test_forward_mode(name):
         native, expected = (forward_ad.unpack_dual(image).tangent for image in render_both(scene, dual))
     assert expected.abs().max() > 0.01
     assert_equal(native, expected, "tangent of the image")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_outputs_and_their_gradients(name):
+    """What is known of the first hit, and its derivative in every parameter at once."""
+    scene = scene_of(name, "rgb")
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
+    expected = oracle.first_hits(scene, spp=SPP, seed=5, params=values)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about moving edges, which are no part of either
+        native = tr.render(scene, spp=SPP, seed=5, correlated=True, params=values, outputs=tuple(expected))
+    generator = torch.Generator().manual_seed(3)
+    given = wanted = torch.zeros(())
+    for output, image in expected.items():
+        hit = torch.isfinite(image)
+        assert torch.equal(torch.isfinite(getattr(native, output)), hit)
+        assert_equal(getattr(native, output)[hit], image[hit], output)
+        weight = torch.rand(image.shape, generator=generator, dtype=image.dtype)[hit]
+        given = given + (getattr(native, output)[hit] * weight).sum()
+        wanted = wanted + (image[hit] * weight).sum()
+    for parameter, a, b in zip(
+        values,
+        torch.autograd.grad(given, list(values.values()), allow_unused=True),
+        torch.autograd.grad(wanted, list(values.values()), allow_unused=True),
+        strict=True,
+    ):
+        b = torch.zeros_like(values[parameter]) if b is None else b
+        assert_equal(torch.zeros_like(b) if a is None else a, b, parameter)
