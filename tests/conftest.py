@@ -16,6 +16,7 @@ PYTHON_ONLY = {
     "test_layer_processes",
     "test_optim",
     "test_project",
+    "test_queries",
     "test_testing",
     "test_tutorials",
     "test_xml",

@@ -16,6 +16,7 @@ from oracle.scenes import SCENES, SIZE
 from oracle.sensors import SENSORS
 from oracle.shapes import SHAPES
 from oracle.textures import TEXTURES
+from torch.autograd import forward_ad
 
 import torchrender as tr
 from torchrender.scene.declaration import models
@@ -66,24 +67,76 @@ def test_image(name, variant):
     assert_equal(native.alpha, alpha, "alpha")
 
 
+def differentiable(scene: tr.Scene) -> dict[str, torch.Tensor]:
+    """Values of the parameters that have a derivative, by name."""
+    layout = scene.layout()
+    names = [n for n, i in layout.by_name.items() if not layout.slots[i].refusal]
+    return {n: scene.get_parameter(n).detach().clone() for n in names}
+
+
+def render_both(scene: tr.Scene, values: dict[str, torch.Tensor]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Native and expected image, attached to `values`."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about moving edges, which are no part of either
+        native = tr.render(scene, spp=SPP, seed=5, correlated=True, params=values)
+    return native, oracle.render(scene, spp=SPP, seed=5, params=values, derivative=True)[0]
+
+
 @pytest.mark.parametrize(("name", "variant"), CASES)
 def test_gradients(name, variant):
     """Reverse mode of every parameter that has a derivative."""
     scene = scene_of(name, variant)
-    layout = scene.layout()
-    names = [n for n, i in layout.by_name.items() if not layout.slots[i].refusal]
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
     weight = torch.from_numpy(reference_scenes.weight(SIZE, SIZE, scene.channels))
-    values = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in names}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        native = tr.render(scene, spp=SPP, seed=5, correlated=True, params=values)
-    expected, _ = oracle.render(scene, spp=SPP, seed=5, params=values, derivative=True)
+    native, expected = render_both(scene, values)
     given = torch.autograd.grad((native * weight).mean(), list(values.values()), allow_unused=True)
     wanted = torch.autograd.grad((expected * weight).mean(), list(values.values()), allow_unused=True)
     seen = 0
-    for parameter, a, b in zip(names, given, wanted, strict=True):
+    for parameter, a, b in zip(values, given, wanted, strict=True):
         b = torch.zeros_like(values[parameter]) if b is None else b
         assert a is not None, parameter
         assert_equal(a, b, parameter)
         seen += bool(b.any())
-    assert seen > len(names) / 3
+    assert seen > len(values) / 3
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_forward_mode(name):
+    """The derivative of the image along one direction in all parameters."""
+    scene = scene_of(name, "rgb")
+    generator = torch.Generator().manual_seed(9)
+    values = differentiable(scene)
+    tangents = {n: torch.randn(v.shape, generator=generator, dtype=v.dtype) for n, v in values.items()}
+    with forward_ad.dual_level():
+        dual = {n: forward_ad.make_dual(v, tangents[n]) for n, v in values.items()}
+        native, expected = (forward_ad.unpack_dual(image).tangent for image in render_both(scene, dual))
+    assert expected.abs().max() > 0.01
+    assert_equal(native, expected, "tangent of the image")
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_outputs_and_their_gradients(name):
+    """What is known of the first hit, and its derivative in every parameter at once."""
+    scene = scene_of(name, "rgb")
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
+    expected = oracle.first_hits(scene, spp=SPP, seed=5, params=values)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about moving edges, which are no part of either
+        native = tr.render(scene, spp=SPP, seed=5, correlated=True, params=values, outputs=tuple(expected))
+    generator = torch.Generator().manual_seed(3)
+    given = wanted = torch.zeros(())
+    for output, image in expected.items():
+        hit = torch.isfinite(image)
+        assert torch.equal(torch.isfinite(getattr(native, output)), hit)
+        assert_equal(getattr(native, output)[hit], image[hit], output)
+        weight = torch.rand(image.shape, generator=generator, dtype=image.dtype)[hit]
+        given = given + (getattr(native, output)[hit] * weight).sum()
+        wanted = wanted + (image[hit] * weight).sum()
+    for parameter, a, b in zip(
+        values,
+        torch.autograd.grad(given, list(values.values()), allow_unused=True),
+        torch.autograd.grad(wanted, list(values.values()), allow_unused=True),
+        strict=True,
+    ):
+        b = torch.zeros_like(values[parameter]) if b is None else b
+        assert_equal(torch.zeros_like(b) if a is None else a, b, parameter)

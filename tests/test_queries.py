@@ -311,6 +311,35 @@ def test_camera_rays():
         camera.rays(torch.zeros(3))
 
 
+def test_a_head_light():
+    """An integrator in three lines: the light at the camera, whose gradient in the radius is known in the middle."""
+    camera = tr.PerspectiveCamera.look_at((0, 0, 4), (0, 0, 0), fov=20.0, size=(3, 3))
+    scene = tr.load_dict({"type": "scene", "camera": camera, "ball": {"type": "sphere"}}, dtype=torch.float64)
+    (radius,) = scene.train_only("ball.radius")
+    rays = scene.sensors[0].rays()
+    hits = tr.ray_intersect(scene, *rays)
+    image = -(hits.shading_normal * rays.directions).sum(1)
+    # sin(angle of incidence) = distance of the ray from the centre over the radius
+    axis = rays.directions @ rays.directions.new_tensor([0.0, 0.0, -1.0])
+    sine = 4 * torch.sqrt(1 - axis**2)
+    torch.testing.assert_close(image, torch.sqrt(1 - (sine / radius) ** 2))
+    (grad,) = torch.autograd.grad(image.sum(), radius)
+    torch.testing.assert_close(grad, (sine**2 / torch.sqrt(1 - sine**2)).sum().detach())
+
+
+def test_compiled_equals_eager():
+    scene = scene_of(torch.float32)
+    origins, directions = grid(7, torch.float32)
+
+    def f(origins):
+        hits = tr.ray_intersect(scene, origins * 1.0, directions)
+        return torch.where(hits.valid, hits.t * 2, 0.0).sum()
+
+    expected = torch.autograd.grad(f(origins.requires_grad_()), origins)[0]
+    compiled = torch.compile(f, backend="eager")
+    assert torch.equal(torch.autograd.grad(compiled(origins), origins)[0], expected)
+
+
 def test_camera_rays_are_differentiable():
     camera = tr.PerspectiveCamera.look_at((0.5, 1.0, 6.0), (0.0, 0.0, 0.0), fov=50.0, size=(6, 8)).double()
     positions = torch.rand(5, 2, generator=torch.Generator().manual_seed(2), dtype=torch.float64) * 6

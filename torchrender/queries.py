@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch.autograd import Function
 
+from .compiling import opaque
 from .errors import describe
 from .scene.gather import gather, has_derivative
 from .scene.packing import Layout
@@ -23,6 +24,7 @@ Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's l
 CONTINUOUS = Hits._fields[:6]
 
 
+@opaque
 def ray_intersect(
     scene: Scene,
     origins: Any,
@@ -33,7 +35,11 @@ def ray_intersect(
 ) -> Hits:
     """The nearest surface along each ray, differentiable in the rays and in the scene's geometry.
 
-    ``hits = tr.ray_intersect(scene, *scene.sensors[0].rays())`` is what a camera sees.
+    What a camera sees, lit from where it stands::
+
+        rays = scene.sensors[0].rays()
+        hits = tr.ray_intersect(scene, *rays)
+        image = -(hits.shading_normal * rays.directions).sum(1)  # one number a pixel, 0 where nothing is hit
 
     Derivatives are those of the intersection with the triangle, sphere or disk that is hit: the point slides along the
     ray as the surface moves. That a ray may come to hit something else, at a silhouette, is no part of them. They exist
@@ -73,6 +79,7 @@ def ray_intersect(
     return hits._replace(**attached)
 
 
+@opaque
 def ray_occluded(
     scene: Scene,
     origins: Any,
@@ -83,7 +90,8 @@ def ray_occluded(
 ) -> torch.Tensor:
     """Whether anything lies along each ray, closer than `tmax`: (N,) bool. Arguments as for `ray_intersect`.
 
-    The answer is piecewise constant and has no derivative; tensors that require gradients are accepted.
+    The answer is piecewise constant and has no derivative; tensors that require gradients are accepted. Shadow rays
+    start a little off the surface: at ``hits.position + 1e-4 * (1 + hits.position.abs().amax(1, True)) * hits.normal``.
     """
     scene, origins, directions, limits = _rays("ray_occluded", scene, origins, directions, tmax)
     layout = scene.layout()

@@ -10,6 +10,7 @@ Each native model has a class or function here, in the file of its category, reg
 
 from __future__ import annotations
 
+from .outputs import first_hits
 from .path import render
 
-__all__ = ["render"]
+__all__ = ["first_hits", "render"]

@@ -31,6 +31,7 @@ class Bsdf:
     """A BSDF with its parameters at N points."""
 
     smooth = False
+    albedo: str | None = None  # the texture that is the output `albedo`; None is white
 
     def __init__(self, world: World, record: Record, at: At) -> None:
         self.channels = world.channels
@@ -45,6 +46,7 @@ class Bsdf:
 
 class Diffuse(Bsdf):
     smooth = True
+    albedo = "reflectance"
 
     def read(self, color, number) -> None:
         self.reflectance = color("reflectance")
@@ -63,6 +65,8 @@ class Diffuse(Bsdf):
 
 
 class Conductor(Bsdf):
+    albedo = "specular_reflectance"
+
     def read(self, color, number) -> None:
         self.eta, self.k, self.reflectance = color("eta"), color("k"), color("specular_reflectance")
 
@@ -77,6 +81,8 @@ class Conductor(Bsdf):
 
 class Dielectric(Bsdf):
     """Lobe 0 reflects, lobe 1 refracts."""
+
+    albedo = "specular_transmittance"
 
     def read(self, color, number) -> None:
         self.eta = number("eta")

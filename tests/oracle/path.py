@@ -17,6 +17,7 @@ import torch
 
 import torchrender as tr
 from torchrender.render import _film_config
+from torchrender.scene.camera import Rays
 
 from . import numbers
 from .bsdfs import BSDFS, resolve
@@ -96,7 +97,7 @@ class PathTracer:
         self.derivative = derivative
 
     # ----------------------------------------------------------------------------------------------------- whole paths
-    def trace(self, rays: tr.scene.camera.Rays, pixel: torch.Tensor, sample: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def trace(self, rays: Rays, pixel: torch.Tensor, sample: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Radiance (N, C) and alpha (N,) along camera rays."""
         n, channels = len(pixel), self.world.channels
         self.pixel, self.sample = pixel, sample
@@ -125,7 +126,7 @@ class PathTracer:
                 depth += 1
         return self.radiance, self.alpha
 
-    def first_hits(self, rays: tr.scene.camera.Rays) -> tr.queries.Hits:
+    def first_hits(self, rays: Rays) -> tr.queries.Hits:
         o, d, length = rays
         hits = self.world.intersect(o, d, length)
         while self.hide_emitters:  # the camera looks through shapes that emit
@@ -318,8 +319,19 @@ def render(
     throughput that never vanishes.
     """
     assert scene.dtype == torch.float64
-    world = World(scene, params)
-    record, film = world.records["sensor"][sensor], scene.sensors[sensor].film
+    world, film = World(scene, params), scene.sensors[sensor].film
+    positions, rays, pixel, sample = camera_samples(world, seed, spp, sensor)
+    config = (integrator or scene.integrator or tr.PathTracer()).config()
+    radiance, alpha = PathTracer(world, config, seed, sensor, derivative).trace(rays, pixel, sample)
+    image = develop(film, positions, torch.cat([radiance, alpha[:, None]], 1))
+    return image[..., :-1], image[..., -1].detach()
+
+
+def camera_samples(
+    world: World, seed: int, spp: int, sensor: int
+) -> tuple[torch.Tensor, Rays, torch.Tensor, torch.Tensor]:
+    """Film positions (N, 2), their rays, and numbers of pixel and sample (N,)."""
+    record, film = world.records["sensor"][sensor], world.scene.sensors[sensor].film
     y0, x0, height, width = film.window
     sampled = _film_config(film, None)[2]["window"]
     k = reach(film)  # samples that reach no pixel are not drawn
@@ -331,8 +343,4 @@ def render(
     pixel = ((y + 32768) << 16) | (x + 32768)
     u = numbers.random4(seed, sensor, pixel, sample, 0)
     positions = torch.stack([x + u[:, 0], y + u[:, 1]], 1)
-    rays = SENSORS[record.type](world, record, (film.height, film.width), positions)
-    config = (integrator or scene.integrator or tr.PathTracer()).config()
-    radiance, alpha = PathTracer(world, config, seed, sensor, derivative).trace(rays, pixel, sample)
-    image = develop(film, positions, torch.cat([radiance, alpha[:, None]], 1))
-    return image[..., :-1], image[..., -1].detach()
+    return positions, SENSORS[record.type](world, record, (film.height, film.width), positions), pixel, sample

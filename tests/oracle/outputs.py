@@ -1,0 +1,71 @@
+"""Outputs of the first hit: depth, normals, coordinates and albedo, averaged over the samples that hit something."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+
+import torchrender as tr
+
+from .bsdfs import BSDFS, resolve
+from .film import develop
+from .geometry import dot, normalize
+from .path import PathTracer, camera_samples
+from .world import At, World
+
+
+def albedo(world: World, hits: tr.queries.Hits, d: torch.Tensor) -> torch.Tensor:
+    """Albedo (N, C) of the BSDFs at hits."""
+    at = At(hits.shape_id.long(), hits.prim_id.long(), hits.barycentric, hits.uv)
+    leaf, _ = resolve(world, world.shape_field("bsdf")[at.shape], dot(hits.shading_normal, d).detach() > 0)
+    result = torch.ones(len(at), world.channels, dtype=torch.float64)
+    for number in leaf.unique().tolist():
+        rows = (leaf == number).nonzero()[:, 0]
+        record = world.records["bsdf"][number]
+        name = BSDFS[record.type].albedo
+        if name is not None:
+            result = result.index_put((rows,), world.color("bsdf", record, name, at[rows]))
+    return result
+
+
+def first_hits(
+    scene: tr.Scene,
+    *,
+    seed: int,
+    spp: int,
+    integrator: tr.integrators.Integrator | None = None,
+    sensor: int = 0,
+    params: Mapping[str, torch.Tensor] | None = None,
+) -> dict[str, torch.Tensor]:
+    """Outputs by name, (H, W) or (H, W, K); infinite depth, distance and position where nothing is hit, else zero."""
+    world = World(scene, params)
+    positions, rays, _, _ = camera_samples(world, seed, spp, sensor)
+    config = (integrator or scene.integrator or tr.PathTracer()).config()
+    hits = PathTracer(world, config, seed, sensor, False).first_hits(rays)
+    to_world = world.tensor("sensor", world.records["sensor"][sensor], "to_world")
+    axes = normalize(to_world[:3, :3].T)
+    rows = hits.valid.nonzero()[:, 0]
+    hits, d = tr.queries.Hits(*(x[rows] for x in hits)), rays.directions[rows]
+    away = hits.position - to_world[:3, 3]
+    found = {
+        "depth": dot(away, axes[2])[:, None],
+        "distance": torch.sqrt(dot(away, away))[:, None],
+        "position": hits.position,
+        "normal": hits.normal,
+        "shading_normal": hits.shading_normal,
+        "normal_camera": hits.normal @ axes.T,
+        "shading_normal_camera": hits.shading_normal @ axes.T,
+        "uv": hits.uv,
+        "albedo": albedo(world, hits, d),
+    }
+    images = {}
+    for name, value in found.items():
+        columns = torch.cat([value, torch.ones(len(rows), 1, dtype=torch.float64)], 1)
+        columns = torch.zeros(len(positions), columns.shape[1], dtype=torch.float64).index_put((rows,), columns)
+        sums = develop(scene.sensors[sensor].film, positions, columns)
+        share = sums[..., -1:]
+        nothing = float("inf") if name in ("depth", "distance", "position") else 0.0
+        image = torch.where(share > 0, sums[..., :-1] / torch.where(share > 0, share, 1.0), nothing)
+        images[name] = image[..., 0] if name in ("depth", "distance") else image
+    return images
