@@ -84,9 +84,10 @@ public:
         }
     }
 
-    // Traces the paths to their ends.
-    template <bool Derivative>
-    void run() {
+    // Traces the paths to their ends. Without a limit of depth a path may go on for ever: `stop` is asked at every
+    // vertex, and ends the paths.
+    template <bool Derivative, class Stop>
+    void run(Stop &&stop) {
         n_levels_ = 0;
         const PathConfig &config = call_.config;
         if (config.max_depth == 0 || fronts_[0].n == 0) return;
@@ -98,7 +99,7 @@ public:
             if (index > 0) trace(fronts_[0]);
             Front<S, C> *current = &fronts_[0], *next = &fronts_[1], *spare = &fronts_[2];
             step<Derivative>(*current, *next, 0, index, scatters, -1);
-            for (int depth = 1; next->n > 0 && (config.max_depth < 0 || depth < config.max_depth); ++depth) {
+            for (int depth = 1; next->n > 0 && !stop() && (config.max_depth < 0 || depth < config.max_depth); ++depth) {
                 current = next;
                 std::swap(next, spare);
                 trace(*current);

@@ -30,7 +30,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             std::vector<FilmBlock> blocks = blocks_of(plan, item, values, moments);
             for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                 tile->start(n, false);
-                tile->template run<Forward>();
+                tile->template run<Forward>(stop);
                 if constexpr (Forward) {
                     ForwardSink<F, C> sink;
                     sink.tangent = derivative->tangent;
@@ -105,7 +105,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                             for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c]);
                         }
                     tile->start(n, true);
-                    tile->template run<true>();
+                    tile->template run<true>(stop);
                     ReverseSink<F, C> sink;
                     local.connect(derivative, sink);
                     tile->sweep(sink, false);
