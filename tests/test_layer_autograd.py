@@ -389,8 +389,8 @@ def test_missing_terms_are_warned_about_once():
     assert len(caught) == 1 and caught[0].filename == __file__
     text = str(caught[0].message)
     (declared,) = [f.derivative for f in models()["emitter", "point"].fields if f.name == "position"]
-    missing = declared.removeprefix("interior, without ").partition(":")[0]
-    assert "lamp.position" in text and missing in text and "which is 0 where" in text
+    missing = COMPLETE.also(declared).caveat.partition(":")[0]
+    assert "lamp.position" in text and missing in text and " where " in text
     image.sum().backward()
     assert bool((position.grad != 0).any())
     with warnings.catch_warnings():
@@ -422,7 +422,10 @@ def test_parameters_that_reach_no_image_are_warned_about():
 def test_words_of_the_declaration():
     lacking = COMPLETE.also("interior, without moving edges: 0 for flat things")
     assert (lacking.refusal, lacking.caveat) == ("", "moving edges: 0 for flat things")
-    assert COMPLETE.also("interior, without moving edges").caveat.startswith("moving edges: 0 where")
+    assert COMPLETE.also("interior, without moving edges").caveat.startswith("moving edges: zero where")
+    assert COMPLETE.also("interior, without moving edges; zero for flat things").caveat.endswith(
+        ": zero for flat things"
+    )
     assert COMPLETE.also("interior") == COMPLETE
     assert lacking.also("none: it is a name").refusal == "it is a name"
     assert COMPLETE.also("none").refusal
@@ -552,7 +555,7 @@ def test_default_devices_and_dtypes_change_nothing(scene):
         images = tr.render(made, sensor=[camera, other], spp=1, seed=None)
         assert "red" in repr(made) and made.bounding_box().device.type == "cpu"
     finally:
-        torch.set_default_device("cpu")
+        torch.set_default_device(None)
     assert torch.equal(image, expected) and images.device.type == "cpu"
     with pytest.raises(ValueError, match=r"red\.reflectance: .*meta device"):
         tr.load_dict({"type": "scene", "red": {"type": "diffuse", "reflectance": torch.zeros(3, device="meta")}})

@@ -1,11 +1,12 @@
 """Which derivatives a parameter has, read from the native declaration, and what is said when one is asked for.
 
-The declaration says for each field ``"interior"`` (complete), ``"interior, without X: 0 where Y"`` (the term X is
-missing; the words after the colon say when it is zero) or ``"none: reason"``.
+The declaration says for each field ``"interior"`` (complete), ``"interior, without X; zero where Y"`` (the term X is
+missing; the words after the semicolon say when it is zero) or ``"none: reason"``.
 """
 
 from __future__ import annotations
 
+import re
 import sys
 import warnings
 from collections.abc import Iterable
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
-ZERO = "0 where no such edge is in view"
+ZERO = "zero where no such edge is in view"
 
 
 @dataclass(frozen=True)
@@ -36,8 +37,8 @@ class Limits:
         if derivative.startswith("none"):
             refusal = derivative.partition(":")[2].strip() or "its derivative is not implemented"
         elif derivative.startswith(WITHOUT):
-            missing, _, zero = derivative.removeprefix(WITHOUT).partition(":")
-            caveat = f"{missing.strip()}: {zero.strip() or ZERO}"
+            missing, *zero = re.split("[:;]", derivative.removeprefix(WITHOUT), maxsplit=1)
+            caveat = f"{missing.strip()}: {zero[0].strip() if zero else ZERO}"
         return Limits(self.refusal or refusal, self.caveat or caveat)
 
 
