@@ -15,7 +15,8 @@ def count_fused_steps() -> None:
     ``torch.optim.Adam(..., fused=True)`` writes into parameters without advancing their version counters, so that
     neither autograd nor this package would notice that a mesh has moved.
     """
-    register_optimizer_step_post_hook(_after_step)
+    if hasattr(torch.autograd.graph, "increment_version"):  # older versions have no fused optimisers on the CPU
+        register_optimizer_step_post_hook(_after_step)
 
 
 def _after_step(optimizer: Optimizer, _args: Any, _kwargs: Any) -> None:
