@@ -176,3 +176,20 @@ def test_precision_is_that_of_what_is_given():
         (wide, torch.double),
     ):
         assert {p.dtype for p in camera.parameters()} == {dtype}
+
+
+def test_derivatives_of_an_image_in_pose_and_intrinsics():
+    """An environment that fills the view has no edges: the derivative is complete, and the samples are the same."""
+    texels = torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    scene = tr.load_dict({"type": "scene", "sky": {"type": "envmap", "data": texels}}, dtype=torch.float64)
+    R = pose()[0]
+
+    def f(turn, focal, centre):
+        K = torch.stack([focal[0], 0 * focal[0], centre[0], 0 * focal[0], focal[1], centre[1]]).reshape(2, 3)
+        K = torch.cat([K, IDENTITY[2:]])
+        camera = tr.PerspectiveCamera.from_opencv(K, SO3(turn) @ R, torch.zeros(3), (3, 4), filter="box")
+        return tr.render(scene, sensor=camera, spp=1, seed=0, correlated=True)
+
+    inputs = [torch.tensor(x, dtype=torch.float64) for x in ([0.1, -0.2, 0.05], [4.0, 3.0], [2.1, 1.4])]
+    with pytest.warns(tr.MissingTermWarning, match=r"camera\.to_world, camera\.x_fov.*zero where"):
+        assert torch.autograd.gradcheck(f, [x.requires_grad_() for x in inputs], check_forward_ad=True)

@@ -475,6 +475,22 @@ def test_objects_keep_the_graph_of_what_they_are_made_from(name):
     assert bool((gradient != 0).any())
 
 
+@pytest.mark.parametrize("name", GIVEN)
+def test_objects_keep_the_tangent_of_what_they_are_made_from(name):
+    build, value, field = GIVEN[name]
+    value = torch.as_tensor(value, dtype=torch.float32)
+    leaf = value.clone().requires_grad_()
+    with forward_ad.dual_level():
+        made = getattr(build(forward_ad.make_dual(value, torch.arange(1.0, value.numel() + 1).view_as(value))), field)
+        tangent = forward_ad.unpack_dual(made).tangent
+    assert tangent is not None
+    made = getattr(build(leaf * 1), field)
+    weight = torch.arange(1.0, made.numel() + 1).view_as(made)
+    (gradient,) = torch.autograd.grad((made * weight).sum(), leaf)
+    pulled = (gradient * torch.arange(1.0, value.numel() + 1).view_as(value)).sum()
+    torch.testing.assert_close((tangent * weight).sum().to(pulled), pulled, rtol=1e-4, atol=1e-4)
+
+
 def test_colours_keep_their_graph_through_every_form():
     for form in (
         lambda x: tr.Diffuse(reflectance=x),

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
-from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
 from .packing import Layout
 from .plugin import Plugin
+from .values import has_tangent
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -71,9 +71,7 @@ def gather(
 
 def has_derivative(tensor: torch.Tensor) -> bool:
     """Whether a derivative with respect to `tensor` is recorded: reverse mode, or a tangent of forward mode."""
-    if tensor.requires_grad and torch.is_grad_enabled():
-        return True
-    return forward_ad._current_level >= 0 and forward_ad.unpack_dual(tensor).tangent is not None
+    return (tensor.requires_grad and torch.is_grad_enabled()) or has_tangent(tensor)
 
 
 def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin) -> list[torch.Tensor]:

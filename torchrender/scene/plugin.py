@@ -176,7 +176,7 @@ class Plugin(nn.Module):
         self.__dict__.pop(name, None)
         if isinstance(given, nn.Parameter) and tensor is given:
             self._parameters[name] = given
-        elif tensor.requires_grad:
+        elif tensor.requires_grad or values.has_tangent(tensor):
             # A tensor that is part of a graph stays one, so that gradients reach where it came from.
             self.__dict__[name] = tensor
         else:

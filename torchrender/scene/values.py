@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import torch
+from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
 from ..transform import Transform, _plain, as_matrix
@@ -45,6 +46,11 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
     else:
         target = torch.get_default_dtype()
     return tensor.to(dtype=target, device=ctx.device)
+
+
+def has_tangent(tensor: torch.Tensor) -> bool:
+    """Whether `tensor` carries a tangent of forward mode, which no attribute of it tells."""
+    return forward_ad._current_level >= 0 and forward_ad.unpack_dual(tensor).tangent is not None
 
 
 def number(value: Any, ctx: Context) -> torch.Tensor:
