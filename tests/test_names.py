@@ -101,6 +101,7 @@ def test_camera():
             "x_fov",
             "principal_point_offset_x",
             "principal_point_offset_y",
+            "pixel_aspect",  # an addition of this package: fx / fy
             "to_world",
         )
     }
