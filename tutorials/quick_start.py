@@ -191,8 +191,8 @@ tr.show([view.movedim(0, -1) for view in batch])
 # %% [markdown]
 # ## More than colours
 #
-# `outputs=` asks for depth, position, normals, texture coordinates, albedo, identifiers of shapes, alpha, or the variance
-# of the image, and returns a named tuple. What is continuous is differentiable.
+# `outputs=` asks for depth, position, normals, texture coordinates, albedo, identifiers of shapes, alpha or the
+# variance of the image, and returns a named tuple. What is continuous is differentiable.
 
 # %%
 with torch.no_grad():
