@@ -153,9 +153,9 @@ def run(
     def picture(value: torch.Tensor) -> torch.Tensor:
         return renderer(seed=1_000_003, spp=64, params={ETA: value})
 
-    # Forward mode: how does every pixel change with the index?
-    _, derivative = torch.func.jvp(picture, (eta.detach(),), (torch.ones_like(eta),))
-    save_signed(derivative, folder, "derivative_eta")
+    # Forward mode: how does every pixel change with the index, relative to its brightness?
+    image, derivative = torch.func.jvp(picture, (eta.detach(),), (torch.ones_like(eta),))
+    save_signed(derivative / (image + 0.25), folder, "derivative_eta")
     save_curves(curves, folder / "loss.png", "Glass ball: one index of refraction")
 
     print(f"index of refraction: {start_eta:.4f} at the start, {found:.4f} found, {true_eta:.4f} true")
