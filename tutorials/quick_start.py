@@ -235,4 +235,7 @@ print(sorted(path.name for path in folder.iterdir()))
 # * `cornell_box.py`: fifteen albedos from one picture; `textured_monkey.py`: a texture of 512 x 512 texels, coarse to
 #   fine.
 # * `neural_texture.py`: the texture is the output of a network.
+# * `camera_calibration.py`: pose, field of view and principal point of a camera from one photograph.
+# * `glass_ball.py`: an index of refraction from what is seen in a ball of glass.
+# * `docs/api.md`: everything, with an example each; `docs/derivatives.md`: what is differentiable.
 # * `docs/from_mitsuba.md` and `docs/from_redner_and_pytorch3d.md`: what is called how, for people who come from there.
