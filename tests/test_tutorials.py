@@ -99,6 +99,26 @@ def test_neural_texture(tutorial, tmp_path, capsys):
     check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
 
 
+def test_camera_calibration(tutorial, tmp_path, capsys):
+    errors = tutorial("camera_calibration").run(tmp_path, height=48, steps=(6, 6))
+    # From 3.2 degrees, 0.52 units, 4 degrees and 2.1 pixels. The photograph allows 0.05 degrees, 0.005 units, 0.06
+    # degrees (standard deviations); the noise of the few samples here is larger.
+    assert errors["rotation (deg)"] < 0.5
+    assert errors["position"] < 0.05
+    assert errors["field of view (deg)"] < 0.5
+    assert errors["principal point (px)"] < 0.5
+    assert "standard deviations that the photograph allows" in capsys.readouterr().out
+    names = ["target", "start", "result", "derivative_turn", "derivative_field_of_view"]
+    check_pictures(tmp_path, names)
+
+
+def test_glass_ball(tutorial, tmp_path, capsys):
+    result = tutorial("glass_ball").run(tmp_path, resolution=48, spp=8, iterations=60, target_spp=128)
+    assert abs(result["found"] - result["true"]) < 0.01  # from 0.32 away, across the local minima of a sharp picture
+    assert "index of refraction: 1.2000 at the start" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "start", "result", "derivative_eta"])
+
+
 def test_bad_option_ends_before_any_work(tutorial, tmp_path):
     with pytest.raises(SystemExit) as ended:
         tutorial("cornell_box").main(["--iterations", "many", "--output", str(tmp_path / "none")])

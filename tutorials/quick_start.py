@@ -189,6 +189,19 @@ print(batch.shape)
 tr.show([view.movedim(0, -1) for view in batch])
 
 # %% [markdown]
+# ## More than colours
+#
+# `outputs=` asks for depth, position, normals, texture coordinates, albedo, identifiers of shapes, alpha or the
+# variance of the image, and returns a named tuple. What is continuous is differentiable.
+
+# %%
+with torch.no_grad():
+    out = tr.render(scene, spp=32, seed=6, outputs=("depth", "shading_normal", "albedo"))
+print({name: tuple(value.shape) for name, value in out._asdict().items()}, "depth of the sky:", out.depth[0, 0].item())
+nearness = (5 / out.depth).pow(3)[..., None].expand(-1, -1, 3)
+tr.show([nearness, (0.5 + 0.5 * out.shading_normal).pow(2.2), out.albedo])
+
+# %% [markdown]
 # ## Editing
 #
 # Scenes change by assignment: add, replace or delete objects, give a texture another size. There is no `update()`.
@@ -200,7 +213,7 @@ scene["cube"] = {
     "bsdf": {"type": "conductor", "material": "Au"},
 }
 with torch.no_grad():
-    edited = tr.render(scene, spp=128, seed=6)
+    edited = tr.render(scene, spp=128, seed=7)
 tr.show(edited)
 
 # %% [markdown]
@@ -222,4 +235,7 @@ print(sorted(path.name for path in folder.iterdir()))
 # * `cornell_box.py`: fifteen albedos from one picture; `textured_monkey.py`: a texture of 512 x 512 texels, coarse to
 #   fine.
 # * `neural_texture.py`: the texture is the output of a network.
+# * `camera_calibration.py`: pose, field of view and principal point of a camera from one photograph.
+# * `glass_ball.py`: an index of refraction from what is seen in a ball of glass.
+# * `docs/api.md`: everything, with an example each; `docs/derivatives.md`: what is differentiable.
 # * `docs/from_mitsuba.md` and `docs/from_redner_and_pytorch3d.md`: what is called how, for people who come from there.
