@@ -63,6 +63,16 @@ def test_pixels_and_crops_equal_the_whole(rfilter, spp):
             assert torch.equal(one, whole[pixels[:1, 0], pixels[:1, 1]])
 
 
+def test_samples_stay_in_their_pixels():
+    """In single precision a film position such as 700 + 0.99999 is 701: such samples still belong to pixel 700.
+
+    Of 50000 samples a pixel about two are concerned in each direction.
+    """
+    scene = lit_room({"type": "box"}, height=1024, width=1024)
+    around = tr.render(scene, spp=50_000, seed=1, crop=(799, 699, 3, 3))
+    assert torch.equal(tr.render(scene, spp=50_000, seed=1, crop=(800, 700, 1, 1)), around[1:2, 1:2])
+
+
 @pytest.mark.parametrize("sample_border", [False, True])
 def test_pixels_count_from_the_corner_of_the_films_own_crop(sample_border):
     window = {"crop_offset_x": 9, "crop_offset_y": 14, "crop_width": 20, "crop_height": 11}
@@ -159,11 +169,11 @@ def test_one_pixel_with_many_samples_uses_all_threads():
     scene = lit_room({"type": "box"}, height=1, width=1)
     with threads(4):
         all_threads, this_thread = time.process_time(), time.thread_time()
-        first = tr.render(scene, spp=100_000, seed=1)
+        first = tr.render(scene, spp=200_000, seed=1)
         others = time.process_time() - all_threads - (time.thread_time() - this_thread)
-        assert others > 0.3 * (time.process_time() - all_threads)  # expected: three quarters
+        assert others > 0.2 * (time.process_time() - all_threads)  # expected: three quarters
     with threads(1):
-        assert torch.equal(tr.render(scene, spp=100_000, seed=1), first)
+        assert torch.equal(tr.render(scene, spp=200_000, seed=1), first)
 
 
 @pytest.mark.parametrize("derivative", [False, True])
