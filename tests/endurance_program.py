@@ -129,11 +129,8 @@ def refused() -> dict[str, float]:
     return endure(step, 300)
 
 
-def many_samples(derivative: bool) -> dict[str, object]:
-    """10^9 samples a pixel, and a Ctrl-C half a second after the start."""
-    scene = make_scene()
-    scene.camera.film.width = scene.camera.film.height = 32
-    scene.train_only(TEXTURE)
+def interrupted(scene: tr.Scene, run: Callable[[], object]) -> dict[str, object]:
+    """A Ctrl-C half a second after the start of something that would not end."""
     reference = tr.render(scene, spp=1, seed=0)
     before, sent, peak = resident(), [], []
 
@@ -144,14 +141,11 @@ def many_samples(derivative: bool) -> dict[str, object]:
         sent.append(time.perf_counter())
         os.kill(os.getpid(), signal.SIGINT)
 
-    image = tr.render(scene, spp=1, spp_grad=10**9, seed=0) if derivative else None
     thread = threading.Thread(target=interrupt)
     thread.start()
     try:
-        if image is not None:
-            image.sum().backward()
-        else:
-            tr.render(scene, spp=10**9, seed=0)
+        run()
+        raise AssertionError("it ended by itself")
     except KeyboardInterrupt:
         stopped = time.perf_counter()
     thread.join()
@@ -162,11 +156,43 @@ def many_samples(derivative: bool) -> dict[str, object]:
     }
 
 
+def many_samples(derivative: bool, filter_type: str = "box") -> dict[str, object]:
+    scene = make_scene()
+    film = scene.camera.film
+    film.width = film.height = 32
+    film.filter = tr.ReconstructionFilter(filter_type)
+    scene.train_only(TEXTURE)
+    if not derivative:
+        return interrupted(scene, lambda: tr.render(scene, spp=10**9, seed=0))
+    loss = tr.render(scene, spp=1, spp_grad=10**9, seed=0).sum()
+    return interrupted(scene, loss.backward)
+
+
+def endless_paths() -> dict[str, object]:
+    """Inside a white ball, without Russian roulette, no path ends."""
+    scene = tr.load_dict(
+        {
+            "type": "scene",
+            "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+            "ball": {
+                "type": "sphere",
+                "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 1.0}},
+            },
+            "bulb": {"type": "point", "position": [0, 0, 0.5]},
+            "integrator": {"type": "path", "max_depth": 4},
+        }
+    )
+    endless = tr.PathTracer(max_depth=-1, rr_depth=10**9)
+    return interrupted(scene, lambda: tr.render(scene, spp=4, seed=0, integrator=endless))
+
+
 def main() -> None:
     torch.set_num_threads(2)
     cases: dict[str, Callable[[], dict]] = {
         "many samples": lambda: many_samples(False),
         "many samples, derivative": lambda: many_samples(True),
+        "many samples, derivative, wide filter": lambda: many_samples(True, "gaussian"),
+        "endless paths": endless_paths,
         "texture step": texture_step,
         "moving vertices": moving_vertices,
         "builds": builds,

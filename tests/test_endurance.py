@@ -251,7 +251,10 @@ def test_time_of_an_iteration_stays_constant(endured, case):
     assert endured[case]["late over early"] < 1.6, endured[case]
 
 
-@pytest.mark.parametrize("case", ["many samples", "many samples, derivative"])
+@pytest.mark.parametrize(
+    "case",
+    ["many samples", "many samples, derivative", "many samples, derivative, wide filter", "endless paths"],
+)
 def test_endless_renderings_can_be_interrupted(endured, case):
     measured = endured[case]
     assert measured["seconds until it stopped"] < 0.5, measured
