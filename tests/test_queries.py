@@ -182,8 +182,7 @@ def test_normals_follow_positions():
     """The normals of a mesh that came without any are functions of its positions, by name and as a leaf alike."""
     vertices, _, _, faces, _ = reference_scenes.twisted_mesh(4, 6)
     mesh = tr.Mesh(vertices, faces)
-    mesh.__dict__["computed_normals"] = True
-    mesh._install_tensor("vertex_normals", None, mesh.normals_from_positions(mesh.vertex_positions.detach()))
+    mesh.compute_normals()
     scene = tr.load_dict({"type": "scene", "tube": mesh}, dtype=torch.float64)
     origins, directions = grid(9)
     name = "tube.vertex_positions"

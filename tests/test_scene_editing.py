@@ -251,3 +251,47 @@ def test_a_refused_edit_changes_nothing():
     with pytest.raises(ValueError, match="reflectance"):
         scene.red.reflectance = 1.5
     assert torch.equal(picture(scene), before)
+
+
+@pytest.mark.parametrize("what", ["vertices", "smooth vertices", "texcoords", "environment", "texels", "colour"])
+@pytest.mark.parametrize("way", ["data", "numpy"])
+def test_edits_that_no_version_counter_shows_are_seen(what, way):
+    """Writes through `.data` or an array that shares the memory: also to what other things are derived from."""
+
+    def build(edited: bool) -> tr.Scene:
+        side = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.3]])
+        texels = torch.rand(4, 4, 3, generator=torch.Generator().manual_seed(1))
+        sky = torch.rand(4, 8, 3, generator=torch.Generator().manual_seed(2))
+        mesh = tr.Mesh(
+            side,
+            [[0, 1, 2], [0, 2, 3]],
+            vertex_texcoords=side[:, :2] / 2 + 0.5,
+            bsdf={"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}},
+        )
+        if what == "smooth vertices":
+            mesh.compute_normals()
+        wall = {"type": "rectangle", "to_world": tr.Transform.translate([0, 0, -2]).scale(5), "bsdf": tr.Diffuse()}
+        camera = {"type": "perspective", "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0])}
+        camera["film"] = {"type": "hdrfilm", "width": 8, "height": 8}
+        scene = tr.load_dict(
+            {"type": "scene", "c": camera, "mesh": mesh, "wall": wall, "sky": {"type": "envmap", "data": sky}}
+        )
+        if not edited:
+            tr.render(scene, spp=4, seed=0)
+        tensor = {
+            "texcoords": scene.mesh.vertex_texcoords,
+            "environment": scene.sky.data,
+            "texels": scene.mesh.bsdf.reflectance.data,
+            "colour": scene.wall.bsdf.reflectance.value,
+        }.get(what, scene.mesh.vertex_positions)
+        if edited:
+            with torch.no_grad():
+                tensor.mul_(0.5)
+        elif way == "data":
+            tensor.data.mul_(0.5)
+        else:
+            array = tensor.detach().numpy()
+            array *= 0.5
+        return scene
+
+    assert torch.equal(tr.render(build(False), spp=4, seed=0), tr.render(build(True), spp=4, seed=0))

@@ -20,6 +20,7 @@ struct EnvironmentTables {
     int columns = 0, rows = 0;
     std::vector<S> marginal;     // of rows
     std::vector<S> conditional;  // of the columns in each row
+    std::vector<S> texels;       // a copy of what they were made from
 
     void build(const TensorView<S> &data);
 };

@@ -102,7 +102,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
         if (!params[i] && layout_.slot_sizes[i] > 0) bad_value("parameter " + std::to_string(i), "an address", "null");
 
     // until the end is reached nothing counts as up to date
-    const std::vector<uint8_t> all(params.size(), 1), &changed = all_dirty_ ? all : dirty;
+    const std::vector<uint8_t> all(params.size(), 1), changed = all_dirty_ ? all : with_silent_changes(params, dirty);
     bool first = all_dirty_ || geometry_dirty_, new_environment = all_dirty_ || environment_dirty_;
     all_dirty_ = true;
     for (const ParameterUse &use : layout_.tensors)
@@ -111,10 +111,31 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     std::vector<S> old = constants_;
     read_constants(params);
     update_shapes(params, first ? all : changed, old, first);
-    update_environment(new_environment ? all : changed);
+    update_environment(params, new_environment ? all : changed);
     update_emitters();
     refresh_view();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
+}
+
+// `dirty`, and what was written without a word (through `.data` in torch, or an array that shares the memory) of the
+// tensors that something is derived from.
+template <class S>
+std::vector<uint8_t> SceneData<S>::with_silent_changes(const std::vector<const S *> &params,
+                                                       std::vector<uint8_t> dirty) const {
+    auto compare = [&](int slot, size_t n, const S *copy) {
+        if (slot >= 0 && !dirty[size_t(slot)]) dirty[size_t(slot)] = !std::equal(copy, copy + n, params[size_t(slot)]);
+    };
+    for (const MeshSource &mesh : layout_.meshes) {
+        size_t first = size_t(mesh.first_vertex), n = size_t(mesh.n_vertices);
+        if (mesh.vertices >= 0) compare(mesh.vertices, 3 * n, &positions_[3 * first]);
+        if (mesh.normals >= 0) compare(mesh.normals, 3 * n, &normals_[3 * first]);
+        if (mesh.texcoords >= 0) compare(mesh.texcoords, 2 * n, &texcoords_[2 * first]);
+    }
+    if (layout_.environment >= 0 && !environment_.texels.empty()) {
+        const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];
+        compare(record.field[EnvironmentMap::Data], environment_.texels.size(), environment_.texels.data());
+    }
+    return dirty;
 }
 
 template <class S>
@@ -148,7 +169,7 @@ void SceneData<S>::fill_values(const std::vector<const S *> &tangents, std::vect
 }
 
 template <class S>
-void SceneData<S>::update_environment(const std::vector<uint8_t> &dirty) {
+void SceneData<S>::update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty) {
     if (layout_.environment < 0) return;
     const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];
     Affine to_world{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
@@ -157,6 +178,8 @@ void SceneData<S>::update_environment(const std::vector<uint8_t> &dirty) {
         int slot = record.field[EnvironmentMap::Data];
         if (dirty[size_t(slot)]) {
             environment_.build(tensors_[size_t(slot)]);
+            const S *texels = params[size_t(slot)];
+            environment_.texels.assign(texels, texels + layout_.slot_sizes[size_t(slot)]);
             ++counters_.environments;
         }
     }

@@ -104,7 +104,8 @@ private:
     void update_quadric(int shape);
     Affine set_matrices(int shape);
     void set_mesh(const MeshSource &mesh, bool first);
-    void update_environment(const std::vector<uint8_t> &dirty);
+    void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
+    std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
     void refresh_view();
 };

@@ -34,8 +34,7 @@ def _tube(rows: int = 4, columns: int = 6, **more) -> tr.Mesh:
 
 def _smoothed(mesh: tr.Mesh) -> tr.Mesh:
     """The mesh with normals that follow its positions, as one from a file without normals has."""
-    mesh.__dict__["computed_normals"] = True
-    mesh._install_tensor("vertex_normals", None, mesh.normals_from_positions(mesh.vertex_positions.detach()))
+    mesh.compute_normals()
     return mesh
 
 

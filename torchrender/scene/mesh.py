@@ -155,16 +155,23 @@ class Mesh(Shape):
         """Vertex normals (V, 3) of the mesh with other `positions`, weighted by the angles at each corner."""
         return vertex_normals(positions, self.faces)
 
+    def compute_normals(self) -> None:
+        """Shade smooth, with normals that are computed from the positions and follow them from now on."""
+        positions = self.vertex_positions.detach()
+        self._install_tensor("vertex_normals", None, self.normals_from_positions(positions))
+        self.__dict__["computed_normals"] = True
+        self.__dict__["_normals_of"] = positions.clone()
+
     def refresh_normals(self, computed: torch.Tensor | None = None) -> None:
         """Bring computed normals up to date after an edit of the positions; `computed` are they, if known already."""
-        positions, normals = self.vertex_positions, self.vertex_normals
-        stamp = (positions.data_ptr(), -1 if positions.is_inference() else positions._version, positions.dtype)
-        if self.__dict__.get("_normals_stamp") == stamp and stamp[1] >= 0:
+        positions, normals = self.vertex_positions.detach(), self.vertex_normals
+        # Numbers are compared, not version counters, which writes through `.data` do not advance.
+        known = self.__dict__["_normals_of"]
+        if known.dtype == positions.dtype and torch.equal(known, positions):
             return
-        if self.__dict__.get("_normals_stamp") is not None:
-            with torch.no_grad():
-                normals.copy_(_native_normals(positions, self.faces) if computed is None else computed)
-        self.__dict__["_normals_stamp"] = stamp
+        with torch.no_grad():
+            normals.copy_(_native_normals(positions, self.faces) if computed is None else computed)
+        self.__dict__["_normals_of"] = positions.clone()
 
     def adapt(self, ctx: Context) -> None:
         if self._color != ctx.color and ctx.color == "mono":
@@ -324,9 +331,7 @@ def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plug
     )
     if loaded.get("vertex_normals") is None and not face_normals:
         # A file without normals is shaded smooth, with normals that follow the positions from now on.
-        mesh.__dict__["computed_normals"] = True
-        mesh._install_tensor("vertex_normals", None, mesh.normals_from_positions(mesh.vertex_positions.detach()))
-        mesh.refresh_normals()
+        mesh.compute_normals()
     return mesh
 
 
