@@ -209,7 +209,7 @@ tr.show([nearness, (0.5 + 0.5 * out.shading_normal).pow(2.2), out.albedo])
 # %%
 scene["cube"] = {
     "type": "cube",
-    "to_world": tr.Transform.translate([0.1, 0.3, 1.5]).rotate([0, 1, 0], 30).scale(0.3),
+    "to_world": tr.Transform.translate([0.0, 0.25, 0.9]).rotate([0, 1, 0], 20).scale(0.25),
     "bsdf": {"type": "conductor", "material": "Au"},
 }
 with torch.no_grad():
