@@ -142,6 +142,7 @@ DerivativeCall<S> make_derivative(const SceneData<S> &scene) {
     d.n_constants = scene.n_constants();
     d.sizes = scene.layout().slot_sizes;
     d.bsdf_wanted.assign(scene.layout().records.at("bsdf").size(), 1);
+    d.wanted = {true, true, true, false, false};  // no motion
     return d;
 }
 
@@ -158,7 +159,7 @@ std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s
     render_reverse<S, C>(make_call(scene, s), s.packets, d);
     for (const ConstantEntry &e : scene.constant_entries())
         for (int i = 0; i < e.stored; ++i)
-            gradients[size_t(e.slot)][size_t(e.count == 1 ? 0 : i)] += S(d.constant_gradient[size_t(e.offset + i)]);
+            gradients[size_t(e.slot)][size_t(e.count == 1 ? 0 : i)] += S(d.sums.constants[size_t(e.offset + i)]);
     return gradients;
 }
 
