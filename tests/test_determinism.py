@@ -180,3 +180,15 @@ def test_image_and_derivative_have_samples_of_their_own():
     differ = ((derivative - image).abs() > 1e-3).float().mean()
     assert differ > 0.3
     assert torch.equal(derivative, both()[1])
+
+
+@pytest.mark.parametrize("left", [0, 32760, 65520])
+def test_rows_of_very_wide_films_have_noise_of_their_own(left):
+    # Light that is sampled from all around: neighbours, which see nearly the same point, differ by their noise alone.
+    film = {"type": "hdrfilm", "width": 65536, "height": 8, "rfilter": {"type": "box"}}
+    floor = {"type": "rectangle", "to_world": tr.Transform.scale(9)}
+    sky = {"type": "envmap", "data": torch.rand(8, 16, 3, generator=torch.Generator().manual_seed(0))}
+    scene = tr.load_dict({"type": "scene", "camera": {**SENSOR, "film": film}, "sky": sky, "floor": floor})
+    part = tr.render(scene, spp=1, seed=0, crop=(0, left, 8, 16)).mean(-1)
+    close = [(part[a] - part[b]).abs().max() < 1e-3 for a, b in itertools.combinations(range(8), 2)]
+    assert not any(close)

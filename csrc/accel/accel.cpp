@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <cstring>
 #include <limits>
 #include <map>
@@ -284,8 +285,9 @@ void Accel::commit(bool fast) {
 const Accel::Counters &Accel::counters() const { return impl_->counters; }
 
 void Accel::bounds(float out[6]) const {
-    rtc::Bounds box;
-    impl_->api().GetSceneBounds(impl_->scene, &box);
+    rtc::Bounds box{{INFINITY, INFINITY, INFINITY}, 0, {-INFINITY, -INFINITY, -INFINITY}, 0};
+    // asking before the first commit would be an error of the device, which others would hear of
+    if (impl_->stage != Impl::Stage::Unbuilt) impl_->api().GetSceneBounds(impl_->scene, &box);
     for (int i = 0; i < 3; ++i) {
         out[i] = box.lower[i];
         out[3 + i] = box.upper[i];

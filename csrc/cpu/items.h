@@ -145,7 +145,7 @@ void sum_stats(RenderStats &to, const RenderStats &from) {
 }
 
 // Pixels are numbered alike whatever is rendered of a film, those outside of it included.
-inline uint32_t pixel_number(int y, int x) { return uint32_t(y + 32768) << 16 | uint32_t(x + 32768); }
+inline uint32_t pixel_number(int y, int x) { return (uint32_t(y + 32768) << 16) + uint32_t(x + 32768); }
 
 // Paths begin .. end of a batch belong to one unit of the item.
 struct Span {
