@@ -91,16 +91,16 @@ def test_script_is_split_at_its_marks(tutorial):
 
 
 def test_neural_texture(tutorial, tmp_path, capsys):
-    result = tutorial("neural_texture").run(tmp_path, resolution=48, height=32, iterations=80, target_spp=64)
+    result = tutorial("neural_texture").run(tmp_path, resolution=40, height=24, iterations=60, target_spp=64)
     assert result["start"] < 12
-    assert result["end"] > 18
+    assert result["end"] > 17
     assert result["new view"] > 25
     assert "PSNR of a picture from a new side" in capsys.readouterr().out
     check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
 
 
 def test_camera_calibration(tutorial, tmp_path, capsys):
-    errors = tutorial("camera_calibration").run(tmp_path, height=48, steps=(6, 6))
+    errors = tutorial("camera_calibration").run(tmp_path, height=48, steps=(5, 5))
     # From 3.2 degrees, 0.52 units, 4 degrees and 2.1 pixels. The photograph allows 0.05 degrees, 0.005 units, 0.06
     # degrees (standard deviations); the noise of the few samples here is larger.
     assert errors["rotation (deg)"] < 0.5

@@ -172,12 +172,14 @@ def run(
 
     Args:
         folder: where the pictures go.
-        height: rows of the photograph, divisible by 2 ** (len(steps) - 1).
+        height: rows of the photograph, divisible by 3 * 2 ** (len(steps) - 1), so that every resolution has whole pixels.
         spp: samples a pixel of the pictures; two of them make a step.
         steps: of Gauss-Newton at each resolution, from coarse to fine, each twice as fine as the one before. Coarse
             pictures are blurred, so that a step finds its way from further off.
         noise: standard deviation of the photograph's noise, relative to each pixel's light.
     """
+    if height % (3 * 2 ** (len(steps) - 1)):
+        raise ValueError(f"height: expected a multiple of {3 * 2 ** (len(steps) - 1)}, got {height}")
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_scene()
     # Direct light only: what the slopes send each other would end at the rim of the valley, an edge.
@@ -266,7 +268,7 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="a smaller photograph: well under a minute")
-    parser.add_argument("--height", type=int, help="rows of the photograph, divisible by 4")
+    parser.add_argument("--height", type=int, help="rows of the photograph, a multiple of 12")
     parser.add_argument("--spp", type=int, default=8, help="samples a pixel and picture (default 8)")
     parser.add_argument("--output", type=Path, default=Path("output/camera_calibration"), help="folder of the pictures")
     options = parser.parse_args(argv)
