@@ -172,7 +172,7 @@ def run(
 
     Args:
         folder: where the pictures go.
-        height: rows of the photograph, divisible by 3 * 2 ** (len(steps) - 1), so that every resolution has whole pixels.
+        height: rows of the photograph, divisible by 3 * 2 ** (len(steps) - 1): every resolution has whole pixels.
         spp: samples a pixel of the pictures; two of them make a step.
         steps: of Gauss-Newton at each resolution, from coarse to fine, each twice as fine as the one before. Coarse
             pictures are blurred, so that a step finds its way from further off.
