@@ -96,9 +96,15 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             return [&, tile](size_t item, auto &&stop) {
                 std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                    choose_positions<F>(call.config, *tile, n);
+                    // the box filter asks for pixels only, whose samples follow each other
+                    const bool box = call.filter.reach() == 0;
+                    if (!box) choose_positions<F>(call.config, *tile, n);
                     for (const Span &span : spans)
                         for (size_t k = span.begin; k < span.end; ++k) {
+                            if (box && k > span.begin && tile->pixel[k] == tile->pixel[k - 1]) {
+                                for (int c = 0; c < C; ++c) tile->delta[c][k] = tile->delta[c][k - 1];
+                                continue;
+                            }
                             double d[C];
                             blocks[span.unit].collect(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
                                                       double(tile->film_y[k]), double(tile->film_x[k]), d);
