@@ -6,41 +6,19 @@ import warnings
 
 import pytest
 import torch
+from small_scene import COLOUR, TEXELS, ball_and_wall
 from torch.autograd import forward_ad
 
 import torchrender as tr
 from torchrender.scene.declaration import models
 from torchrender.scene.derivatives import COMPLETE
 
-COLOUR, TEXELS = "red.reflectance.value", "ball.bsdf.reflectance.data"
-
 
 def make(**settings) -> tr.Scene:
-    texels = torch.full((4, 4, 3), 0.5, device="cpu")
-    return tr.load_dict(
-        {
-            "type": "scene",
-            # No roulette: which paths live depends on the colours, and finite differences would see other samples.
-            "integrator": {"type": "path", "max_depth": 3, "rr_depth": 100},
-            "sensor": {
-                "type": "perspective",
-                "fov": 45,
-                "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0]),
-                "film": {"type": "hdrfilm", "width": 8, "height": 6, "rfilter": {"type": "box"}},
-                "sampler": {"type": "independent", "sample_count": 2},
-            },
-            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
-            "wall": {"type": "rectangle", "bsdf": {"type": "ref", "id": "red"}},
-            "ball": {
-                "type": "sphere",
-                "radius": 0.5,
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels}},
-            },
-            "lamp": {"type": "point", "position": [0, 1, 3], "intensity": 3.0},
-            "sky": {"type": "constant"},
-        },
-        **settings,
-    )
+    # No roulette: which paths live depends on the colours, and finite differences would see other samples.
+    integrator = {"type": "path", "max_depth": 3, "rr_depth": 100}
+    lamp = {"type": "point", "position": [0, 1, 3], "intensity": 3.0}
+    return tr.load_dict(ball_and_wall(integrator=integrator, lamp=lamp), **settings)
 
 
 @pytest.fixture(scope="module")

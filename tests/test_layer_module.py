@@ -7,42 +7,18 @@ import io
 
 import pytest
 import torch
+from small_scene import COLOUR, TEXELS, ball_and_wall
 from torch import nn
 
 import torchrender as tr
 
-COLOUR, TEXELS = "red.reflectance.value", "ball.bsdf.reflectance.data"
 MESH = ([[-1.0, -1, 1], [1, -1, 1], [0, 1, 1]], [[0, 1, 2]])
 
 
 def make(**settings) -> tr.Scene:
-    return tr.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {
-                "type": "perspective",
-                "fov": 45,
-                "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0]),
-                "film": {"type": "hdrfilm", "width": 8, "height": 6, "rfilter": {"type": "box"}},
-                "sampler": {"type": "independent", "sample_count": 2},
-            },
-            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
-            "wall": {"type": "rectangle", "bsdf": {"type": "ref", "id": "red"}},
-            "roof": {
-                "type": "rectangle",
-                "to_world": tr.Transform.translate([0, 1, 0]) @ tr.Transform.rotate([1, 0, 0], 90),
-                "bsdf": {"type": "ref", "id": "red"},
-            },
-            "ball": {
-                "type": "sphere",
-                "radius": 0.5,
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)}},
-            },
-            "sky": {"type": "constant"},
-        },
-        **settings,
-    )
+    turned = tr.Transform.translate([0, 1, 0]) @ tr.Transform.rotate([1, 0, 0], 90)
+    roof = {"type": "rectangle", "to_world": turned, "bsdf": {"type": "ref", "id": "red"}}
+    return tr.load_dict(ball_and_wall(roof=roof), **settings)
 
 
 def picture(scene, **settings):

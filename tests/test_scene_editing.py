@@ -8,33 +8,13 @@ import pickle
 
 import pytest
 import torch
+from small_scene import ball_and_wall
 
 import torchrender as tr
 
 
 def make(**settings) -> tr.Scene:
-    return tr.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {
-                "type": "perspective",
-                "fov": 45,
-                "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0]),
-                "film": {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": "box"}},
-                "sampler": {"type": "independent", "sample_count": 4},
-            },
-            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
-            "wall": {"type": "rectangle", "bsdf": {"type": "ref", "id": "red"}},
-            "ball": {
-                "type": "sphere",
-                "radius": 0.5,
-                "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": torch.full((4, 4, 3), 0.5)}},
-            },
-            "sky": {"type": "constant", "radiance": 1.0},
-        },
-        **settings,
-    )
+    return tr.load_dict(ball_and_wall(10, 12, 4), **settings)
 
 
 def picture(scene, **settings) -> torch.Tensor:

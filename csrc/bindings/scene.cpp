@@ -2,10 +2,9 @@
 
 #include <pybind11/stl.h>
 
-#include <chrono>
 #include <mutex>
-#include <optional>
 
+#include "config.h"
 #include "cpu/aov.h"
 #include "cpu/render.h"
 #include "host/dependence.h"
@@ -21,85 +20,6 @@ namespace {
 
 using Addresses = std::vector<uintptr_t>;
 using Arrays = std::map<std::string, uintptr_t>;
-
-struct Config {
-    PathConfig path;
-    Filter filter;
-    int height, width, threads;
-    Rect crop, window;
-    int64_t spp, sample_offset;
-    bool packets;
-    std::optional<std::vector<Pixel>> pixels;
-    std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
-    bool zero_at_misses;
-};
-
-Rect rect(const py::handle &h) {
-    auto r = h.cast<std::array<int, 4>>();
-    return {r[0], r[1], r[0] + r[2], r[1] + r[3]};
-}
-
-Config read_config(const py::dict &d) {
-    Config c{};
-    c.path.max_depth = d["max_depth"].cast<int>();
-    c.path.rr_depth = d["rr_depth"].cast<int>();
-    c.path.hide_emitters = d["hide_emitters"].cast<bool>();
-    c.path.emitter_samples = d["emitter_samples"].cast<int>();
-    c.path.bsdf_samples = d["bsdf_samples"].cast<int>();
-    c.path.seed = d["seed"].cast<uint64_t>();
-    c.path.sensor = d["sensor"].cast<uint32_t>();
-    auto size = d["film_size"].cast<std::array<int, 2>>();
-    c.height = size[0], c.width = size[1];
-    c.crop = rect(d["crop"]);
-    c.window = d.contains("window") ? rect(d["window"]) : c.crop;
-    std::string filter = d["filter"].cast<std::string>();
-    c.filter = Filter(filter == "box"    ? FilterKind::Box
-                      : filter == "tent" ? FilterKind::Tent
-                                         : FilterKind::Gaussian,
-                      d["filter_param"].cast<double>());
-    if (d.contains("pixels")) {  // (n, 2) rows and columns of the crop, int64
-        auto [address, n] = d["pixels"].cast<std::pair<uintptr_t, size_t>>();
-        const int64_t *p = reinterpret_cast<const int64_t *>(address);
-        c.pixels.emplace(n);
-        for (size_t i = 0; i < n; ++i)
-            (*c.pixels)[i] = {c.crop.y0 + int32_t(p[2 * i]), c.crop.x0 + int32_t(p[2 * i + 1])};
-    }
-    c.threads = std::max(1, d["threads"].cast<int>());
-    c.spp = d["spp"].cast<int64_t>();
-    c.sample_offset = d["sample_offset"].cast<int64_t>();
-    c.packets = d["packet"].cast<bool>();
-    if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
-    c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
-    return c;
-}
-
-// Asks Python, a few times a second, whether Ctrl-C was pressed. The error stays set in the thread's state.
-class Interruption {
-public:
-    bool operator()() {
-        auto now = std::chrono::steady_clock::now();
-        if (now - last_ < std::chrono::milliseconds(50)) return false;
-        last_ = now;
-        py::gil_scoped_acquire acquire;
-        return PyErr_CheckSignals() != 0;
-    }
-
-private:
-    std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
-};
-
-py::dict to_dict(const RenderStats &s) {
-    if (s.interrupted) throw py::error_already_set();
-    py::dict d;
-    d["nonfinite"] = s.non_finite;
-    d["nonfinite_where"] = s.non_finite_where;
-    d["closest_rays"] = s.closest_rays;
-    d["shadow_rays"] = s.shadow_rays;
-    d["seconds"] = s.seconds;
-    d["seconds_trace"] = s.seconds_trace;
-    d["lanes"] = s.lane_slots ? double(s.lanes) / double(s.lane_slots) : 0.0;
-    return d;
-}
 
 class SceneBase {
 public:

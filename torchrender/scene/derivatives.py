@@ -130,7 +130,12 @@ Made from the native declaration of the models, by
 *Complete* derivatives are the derivatives of the expected image, in forward and reverse mode. Where a term is missing,
 the rest of the derivative is there, and asking for it gives one `tr.MissingTermWarning`. Where there is none, asking
 for it raises `tr.NotDifferentiableError`. The parameters of a texture have what the parameter has that the texture
-stands for. `print(scene)` says the same for the parameters of one scene."""
+stands for. `print(scene)` says the same for the parameters of one scene.
+
+How things move: what a ray of the camera, or one that was reflected or refracted smoothly, has hit slides over the
+surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material form
+of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). So the derivative with
+respect to the place of an area light, or of a wall of a convex room, is complete but for the edges of shadows."""
 
 
 def page() -> str:
