@@ -244,3 +244,14 @@ def test_one_clear_warning_names_the_missing_term():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         tr.render(fresh, spp=1, seed=0).sum().backward()
+
+
+def test_normals_of_a_mirror_lack_the_edges_that_are_seen_in_it():
+    for name, lacking in (("metal_mesh", True), ("painted_mesh", False)):
+        fresh = tr.load_dict(motion_scenes.SCENES[name](), dtype=torch.float64)
+        fresh.train_only("ball.vertex_normals")
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            tr.render(fresh, spp=1, seed=0).sum().backward()
+        missing = [w for w in caught if issubclass(w.category, tr.MissingTermWarning)]
+        assert len(missing) == int(lacking), name

@@ -133,9 +133,11 @@ for it raises `tr.NotDifferentiableError`. The parameters of a texture have what
 stands for. `print(scene)` says the same for the parameters of one scene.
 
 How things move: what a ray of the camera, or one that was reflected or refracted smoothly, has hit slides over the
-surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material form
-of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). So the derivative with
-respect to the place of an area light, or of a wall of a convex room, is complete but for the edges of shadows."""
+surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material
+form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). So the
+derivative with respect to the place of an area light, or of a wall of a convex room, is complete but for the edges of
+shadows. What depends on the object: `to_uv` of a bitmap with nearest texels has no derivative; that of
+`vertex_normals` is complete on diffuse surfaces."""
 
 
 def page() -> str:

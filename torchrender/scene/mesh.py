@@ -151,6 +151,15 @@ class Mesh(Shape):
             self.__dict__["computed_normals"] = False
         super()._install(name, field, value, ctx)
 
+    def derivative_of(self, field: Field) -> str:
+        if field.name == "normals" and all(kind in ("diffuse", "twosided") for kind in self._bsdf_types()):
+            return "interior"  # nothing is seen through the surface
+        return super().derivative_of(field)
+
+    def _bsdf_types(self) -> list[str]:
+        bsdf = self._modules.get("bsdf")
+        return [m.type for m in bsdf.modules() if isinstance(m, Plugin) and m.category == "bsdf"] if bsdf else []
+
     def normals_from_positions(self, positions: torch.Tensor) -> torch.Tensor:
         """Vertex normals (V, 3) of the mesh with other `positions`, weighted by the angles at each corner."""
         return vertex_normals(positions, self.faces)

@@ -14,7 +14,11 @@ struct MeshModel {
     static constexpr Field fields[] = {
         {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "positions (V, 3), world space"},
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
-        {"normals", Kind::Tensor, -1, -INFINITY, INFINITY, "interior", "vertex normals (V, 3), world space"},
+        {"normals", Kind::Tensor, -1, -INFINITY, INFINITY,
+         "interior, without the motion of edges seen through smooth reflection or refraction; zero where there are "
+         "none "
+         "or both sides of them are of equal colour",
+         "vertex normals (V, 3), world space"},
         {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY,
          "interior, without the jumps of nearest and checkerboard textures; zero where textures are bilinear",
          "texture coordinates (V, 2)"},
