@@ -255,3 +255,16 @@ def test_normals_of_a_mirror_lack_the_edges_that_are_seen_in_it():
             tr.render(fresh, spp=1, seed=0).sum().backward()
         missing = [w for w in caught if issubclass(w.category, tr.MissingTermWarning)]
         assert len(missing) == int(lacking), name
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+def test_an_index_of_one_has_the_derivative_of_its_neighbours():
+    """Where nothing is refracted yet: the natural start of a search for an index."""
+    scene = load("glass_ball")
+    found = []
+    for eta in (1.0, 1.0 + 1e-4):
+        x = torch.tensor(eta, dtype=torch.float64, requires_grad=True)
+        image = tr.render(scene, spp=16, seed=1, params={"ball.bsdf.eta": x})
+        weight = torch.from_numpy(reference_scenes.weight(*image.shape[:2]))
+        found.append(float(torch.autograd.grad((image * weight).mean(), x)[0]))
+    assert found[0] == pytest.approx(found[1], rel=0.02)

@@ -1,6 +1,7 @@
 #include "tree_cost.h"
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -47,7 +48,8 @@ void TreeCost::reset(const float *positions, const uint32_t *faces, size_t n_fac
     float scale[3];
     for (int k = 0; k < 3; ++k) {
         float extent = all.upper[k] - all.lower[k];
-        scale[k] = extent > 0 && extent < std::numeric_limits<float>::max() ? 1023 / extent : 0;
+        float s = extent > 0 && extent < std::numeric_limits<float>::max() ? 1023 / extent : 0;
+        scale[k] = std::isfinite(s) ? s : 0;
     }
     std::vector<std::pair<uint32_t, uint32_t>> keys(n_faces);
     for (size_t f = 0; f < n_faces; ++f) {

@@ -49,7 +49,7 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const Plan &plan, con
     }
 }
 
-// Hands the channels of the film's pixels out: averages, or `miss` where nothing was hit.
+// Hands the channels of the film's pixels out: averages, or infinity or zero where nothing was hit.
 template <class S>
 void write_outputs(const Plan &plan, const AovLayout &layout, const Film &film, const AovOutput<S> &out,
                    bool derivative) {

@@ -38,7 +38,6 @@ public:
     void column(T *(&pointers)[N], size_t n) {
         for (T *&p : pointers) column(p, n);
     }
-    bool empty() const { return !memory_; }
 
 private:
     struct Free {

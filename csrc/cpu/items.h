@@ -133,8 +133,7 @@ inline std::vector<FilmBlock> blocks_of(const Plan &plan, size_t item, int value
     return blocks;
 }
 
-template <class S>
-void sum_stats(RenderStats &to, const RenderStats &from) {
+inline void sum_stats(RenderStats &to, const RenderStats &from) {
     to.non_finite += from.non_finite;
     to.closest_rays += from.closest_rays;
     to.shadow_rays += from.shadow_rays;

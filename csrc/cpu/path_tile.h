@@ -49,6 +49,7 @@ public:
         });
         for (auto &f : fronts_) f.allocate(n);
         shadow_.allocate(n);
+        if (derivative) bsdf_wanted_.assign(derivative->bsdf_wanted.begin(), derivative->bsdf_wanted.end());
         leaf_kind_.resize(size_t(scene_.n_bsdfs));
         for (int b = 0; b < scene_.n_bsdfs; ++b) leaf_kind_[size_t(b)] = leaf_kind(b);
     }
@@ -95,7 +96,7 @@ public:
         if (config.hide_emitters) skip_emitters(fronts_[0]);
         bool scatters = config.max_depth < 0 || config.max_depth > 1;
         int splits = scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
-        for (int index = 0; index < splits; ++index) {
+        for (int index = 0; index < splits && !stop(); ++index) {
             if (index > 0) trace(fronts_[0]);
             Front<S, C> *current = &fronts_[0], *next = &fronts_[1], *spare = &fronts_[2];
             step<Derivative>(*current, *next, 0, index, scatters, -1);
@@ -470,10 +471,6 @@ private:
     TapeLevel<S, C> &level() { return *levels_[size_t(n_levels_ - 1)]; }
     const int32_t *bsdf_wanted() const { return bsdf_wanted_.data(); }
 
-public:
-    void set_bsdf_wanted(const std::vector<uint8_t> &w) { bsdf_wanted_.assign(w.begin(), w.end()); }
-
-private:
     const RenderCall<S> &call_;
     const SceneView<S> &scene_;
     const DerivativeCall<S> *derivative_;

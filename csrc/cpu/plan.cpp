@@ -55,28 +55,30 @@ Plan::Plan(const std::vector<Pixel> &wanted, const Rect &window, int reach, int6
         if (i == 0 || !keys[i].same_pixel(keys[i - 1])) wanted_.push_back({keys[i].y, keys[i].x});
         results_[keys[i].index] = uint32_t(wanted_.size() - 1);
     }
-    // what is sampled: all pixels within reach of a wanted one
-    if (reach > 0) {
-        keys.clear();
-        for (size_t i = 0; i < wanted_.size(); ++i) {
-            Rect r = intersect(window, grown({wanted_[i].y, wanted_[i].x, wanted_[i].y + 1, wanted_[i].x + 1}, reach));
-            for (int y = r.y0; y < r.y1; ++y)
-                for (int x = r.x0; x < r.x1; ++x) keys.push_back(key_of(y, x, i));
-        }
-        std::sort(keys.begin(), keys.end());
+    // what is sampled: all pixels within reach of a wanted one, tile by tile
+    auto reached = [&](Pixel p) { return intersect(window, grown({p.y, p.x, p.y + 1, p.x + 1}, reach)); };
+    keys.clear();
+    for (size_t i = 0; i < wanted_.size(); ++i) {
+        Rect r = reached(wanted_[i]);
+        if (r.height() <= 0 || r.width() <= 0) continue;
+        for (int y = floor_div(r.y0, TileSize); y <= floor_div(r.y1 - 1, TileSize); ++y)
+            for (int x = floor_div(r.x0, TileSize); x <= floor_div(r.x1 - 1, TileSize); ++x)
+                keys.push_back({y, x, 0, 0, uint32_t(i)});
     }
-    for (size_t i = 0; i < keys.size(); ++i) {
-        if (i == 0 || !keys[i].same_tile(keys[i - 1])) {
-            sampled_begin_.push_back(sampled_.size());
-            targets_begin_.push_back(targets_.size());
+    std::stable_sort(keys.begin(), keys.end());
+    for (size_t begin = 0, end = 0; begin < keys.size(); begin = end) {
+        sampled_begin_.push_back(sampled_.size());
+        targets_begin_.push_back(targets_.size());
+        int y0 = keys[begin].tile_y * TileSize, x0 = keys[begin].tile_x * TileSize;
+        bool sampled[TileSize][TileSize] = {};
+        for (; end < keys.size() && keys[end].same_tile(keys[begin]); ++end) {
+            targets_.push_back(keys[end].index);
+            Rect r = intersect(reached(wanted_[keys[end].index]), {y0, x0, y0 + TileSize, x0 + TileSize});
+            for (int y = r.y0; y < r.y1; ++y) std::fill_n(&sampled[y - y0][r.x0 - x0], size_t(r.width()), true);
         }
-        if (i == 0 || !keys[i].same_pixel(keys[i - 1])) sampled_.push_back({keys[i].y, keys[i].x});
-        targets_.push_back(reach > 0 ? keys[i].index : results_[keys[i].index]);
-        if (i + 1 == keys.size() || !keys[i + 1].same_tile(keys[i])) {  // every target once
-            auto begin = targets_.begin() + std::ptrdiff_t(targets_begin_.back());
-            std::sort(begin, targets_.end());
-            targets_.erase(std::unique(begin, targets_.end()), targets_.end());
-        }
+        for (int y = 0; y < TileSize; ++y)
+            for (int x = 0; x < TileSize; ++x)
+                if (sampled[y][x]) sampled_.push_back({y0 + y, x0 + x});
     }
     sampled_begin_.push_back(sampled_.size());
     targets_begin_.push_back(targets_.size());

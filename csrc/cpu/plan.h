@@ -55,7 +55,6 @@ public:
     Plan(const std::vector<Pixel> &wanted, const Rect &window, int reach, int64_t spp);
 
     int64_t spp() const { return spp_; }
-    bool is_list() const { return is_list_; }
     size_t n_targets() const { return is_list_ ? wanted_.size() : area(rect_); }
     size_t n_results() const { return is_list_ ? results_.size() : area(rect_); }
     // The wanted pixel of a result: results are in the order in which they were asked for.

@@ -25,7 +25,6 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     const size_t capacity = Forward ? 256 : 1024;
     run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<PathTile<F, C>>(call, capacity, derivative);
-        if (Forward) tile->set_bsdf_wanted(derivative->bsdf_wanted);
         return [&, tile](size_t item, auto &&stop) {
             std::vector<FilmBlock> blocks = blocks_of(plan, item, values, moments);
             for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -48,7 +47,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             });
             merge.push(item, std::move(blocks), stop);
             std::lock_guard<std::mutex> lock(mutex);
-            sum_stats<S>(stats, tile->stats);
+            sum_stats(stats, tile->stats);
             tile->stats = {};
         };
     });
@@ -92,7 +91,6 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             GradientBuffers<S> &local = locals[size_t(thread)];
             local.allocate(derivative);
             auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
-            tile->set_bsdf_wanted(derivative.bsdf_wanted);
             return [&, tile](size_t item, auto &&stop) {
                 std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -117,7 +115,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                     tile->sweep(sink, false);
                 });
                 std::lock_guard<std::mutex> lock(mutex);
-                sum_stats<S>(stats, tile->stats);
+                sum_stats(stats, tile->stats);
                 tile->stats = {};
             };
         });

@@ -10,13 +10,15 @@ namespace tr {
 Dependence::Dependence(const SceneLayout &layout, const std::vector<bool> &wanted) : layout_(layout), wanted_(wanted) {
     for (const ConstantEntry &e : layout.entries)
         if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
+    std::sort(offsets_.begin(), offsets_.end());
+    moved_meshes_.assign(layout.shapes.size(), 0);
+    for (const MeshSource &mesh : layout.meshes)
+        moved_meshes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
 }
 
-bool Dependence::number(int32_t offset) const {
-    return std::find(offsets_.begin(), offsets_.end(), offset) != offsets_.end();
-}
+bool Dependence::number(int32_t offset) const { return std::binary_search(offsets_.begin(), offsets_.end(), offset); }
 
-bool Dependence::any_number(const char *category, size_t index, std::vector<Kind> kinds) const {
+bool Dependence::any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const {
     const Record &record = layout_.records.at(category)[index];
     const Model &model = model_of(category, record);
     for (int f = 0; f < model.n_fields; ++f)
@@ -47,18 +49,14 @@ bool Dependence::point_position() const {
 }
 
 bool Dependence::shape(size_t index) const {
-    if (any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float})) return true;
-    for (const MeshSource &mesh : layout_.meshes)
-        if (mesh.shape == int(index) && (tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords)))
-            return true;
-    return false;
+    return moved_meshes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
 }
 
 bool Dependence::motion(size_t sensor) const {
     if (camera(sensor)) return true;
     for (size_t i = 0; i < layout_.shapes.size(); ++i)
         if (shape(i)) return true;
-    auto any = [&](const char *category, std::vector<Kind> kinds) {
+    auto any = [&](const char *category, std::initializer_list<Kind> kinds) {
         for (size_t i = 0; i < layout_.records.at(category).size(); ++i)
             if (any_number(category, i, kinds)) return true;
         return false;

@@ -1,6 +1,7 @@
 // Which parts of a derivative a call needs: what depends on the parameters that are differentiated.
 #pragma once
 
+#include <initializer_list>
 #include <string>
 #include <vector>
 
@@ -29,11 +30,12 @@ public:
 private:
     const SceneLayout &layout_;
     const std::vector<bool> &wanted_;
-    std::vector<int32_t> offsets_;
+    std::vector<int32_t> offsets_;       // sorted: in the block of small parameters
+    std::vector<uint8_t> moved_meshes_;  // by shape
 
     bool number(int32_t offset) const;
     bool tensor(int32_t slot) const { return slot >= 0 && wanted_[size_t(slot)]; }
-    bool any_number(const char *category, size_t index, std::vector<Kind> kinds) const;
+    bool any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const;
 };
 
 }  // namespace tr

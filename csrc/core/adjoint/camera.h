@@ -6,12 +6,12 @@
 
 namespace tr {
 
-// `direction_bar`: of Film::direction, where more than the ray depends on it.
+// `direction_bar`: of FilmPoint::direction, where more than the ray depends on it.
 template <class F, class S, class Sink>
 TR_NOINLINE void sweep_camera(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width,
                               S height, const RayAdjoint<F> &g, const Vec3<F> &direction_bar, const MaskOf<F> &active,
                               Sink &sink) {
-    Perspective::Film<F, S> film(scene, record, x, y, width, height);
+    Perspective::FilmPoint<F, S> film(scene, record, x, y, width, height);
     Vec3<F> u = film.direction();
     F inverse = F(1) / norm(u);
     Vec3<F> local = u * inverse;

@@ -99,7 +99,7 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
         for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + k), rows[i], active);
     }
     // the near plane is met at near |u| along the ray
-    Perspective::Film<F, S> film(scene, record, x, y, width, height);
+    Perspective::FilmPoint<F, S> film(scene, record, x, y, width, height);
     Vec3<F> u = film.direction();
     F near(-film.constants[record.field[Perspective::Near]]);
     sweep_camera(scene, record, x, y, width, height, ray, u * (g.ray_length * near / norm(u)), active, sink);

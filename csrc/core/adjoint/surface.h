@@ -22,8 +22,8 @@ struct RayAdjoint {
 };
 
 // How a ray came to a point: where `attached`, along the unit vector d from t away; else from a point that is glued to
-// its own surface, D away. `d_bar` is the adjoint of the unit direction, and `jacobian`, of glued points, that of
-// log J, J = |N.D| / |D|^3, N being the area vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit
+// its own surface, D away. `d_bar` is the adjoint of the unit direction, and `log_jacobian_bar`, of glued points, that
+// of log J, J = |N.D| / |D|^3, N being the area vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit
 // shape.
 template <class F>
 struct Arrival {
@@ -31,7 +31,7 @@ struct Arrival {
     Vec3<F> d;
     F t;
     Vec3<F> D, d_bar;
-    F jacobian;
+    F log_jacobian_bar;
 };
 
 // Adjoint of v where only its direction counts: n = v / length.
@@ -54,7 +54,7 @@ template <class F>
 TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
     F inverse_squared = F(1) / squared_norm(in.D), inverse = sqrt(inverse_squared);
     return unnormalize(in.D * inverse, in.d_bar, inverse) +
-           (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.jacobian;
+           (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.log_jacobian_bar;
 }
 
 template <class F, class S, class Sink>
@@ -77,7 +77,7 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     auto wanted = usable && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(usable)) != 0);
 
     // normal: of the vertices or of the face
-    Vec3<F> area_bar = select(glued, in.D * (in.jacobian / cosine), zero);
+    Vec3<F> area_bar = select(glued, in.D * (in.log_jacobian_bar / cosine), zero);
     auto smooth = usable && mask<F>((flags & int32_t(HasNormals)) != 0);
     if (any(smooth)) {
         Vec3<F> n0 = gather_vec3<F>(scene.normals, tri.i0, smooth), n1 = gather_vec3<F>(scene.normals, tri.i1, smooth),
@@ -184,7 +184,7 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     Vec3<F> moved = g.p - q, from_segment = zero;
     if (any(glued)) {
         from_segment = sweep_segment(in, n, cosine);
-        up_bar = select(glued, up_bar + in.D * (in.jacobian * inverse / cosine), up_bar);
+        up_bar = select(glued, up_bar + in.D * (in.log_jacobian_bar * inverse / cosine), up_bar);
         q = select(glued, g.p + from_segment, q);
     }
     auto wanted = usable && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(usable)) != 0);
@@ -192,7 +192,7 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
         Vec3<F> a = transform_vector(to_object, up_bar);
         const F row[3] = {q.x, q.y, q.z}, column[3] = {local.x, local.y, local.z}, ups[3] = {up.x, up.y, up.z},
                 as[3] = {a.x, a.y, a.z};
-        F determinant = select(glued, in.jacobian, F(0));  // d log det(M) = tr(M^-1 dM)
+        F determinant = select(glued, in.log_jacobian_bar, F(0));  // d log det(M) = tr(M^-1 dM)
         F matrix[12];
         for (int i = 0; i < 3; ++i) {
             for (int j = 0; j < 3; ++j)

@@ -33,15 +33,15 @@ struct VertexRecord {
     // emitter sample; light_weight = 0 where there was none or it was in shadow
     EmitterPoint<F> light;
     Vec3<F> wo_light;
-    F light_weight;
+    F light_weight, light_distance;
     Color<F, C> emitted;
     // BSDF sample; inverse_pdf = 1 / (p q)
     Vec3<F> wo;
     IntOf<F> lobe;
     F inverse_pdf;
     // the local frame: shading normal, and -1 where z is turned round (the back of `twosided`)
-    F light_distance, mirror;
     Vec3<F> normal;
+    F mirror;
     // only where something moves: the ray that arrived, and D = x_k - x_{k-1} (0 for rays that left the scene)
     Vec3<F> d, p, segment;
     F t;
@@ -49,10 +49,10 @@ struct VertexRecord {
 };
 
 struct Wanted {
-    bool bsdf, emitter, position;
+    bool bsdf, emitter, light_position;
     bool geometry;  // anything that moves rays, hits or look-ups
     bool camera;
-    bool numbers() const { return position || geometry; }  // adjoints that are sums over channels
+    bool numbers() const { return light_position || geometry; }  // adjoints that are sums over channels
 };
 
 // What a vertex gets from the next one: R_{k+1}, the adjoint of the ray to it (behind a smooth BSDF that of x_k only);
@@ -251,7 +251,7 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
                     g[c] = g[c] * a[c];
                 }
                 IntOf<F> field = record_field<F>(scene.bsdfs, i, v.bsdf, active);
-                if (Model::fields[i].kind == Kind::Float) {
+                if ((ParamCount<Model>::NumberFields >> i) & 1) {
                     sink.number(scene, field, g, active);
                 } else {
                     if (wanted.bsdf) sink.texture(scene, field, v.at, g, active);

@@ -129,6 +129,17 @@ TR_INLINE Dual<F, N> log(const Dual<F, N> &a) {
     return chain(log(a.v), F(1) / a.v, a);
 }
 
+// x with another value: the derivative stays.
+template <class F>
+TR_INLINE F with_value(const F &, const F &value) {
+    return value;
+}
+template <class F, int N>
+TR_INLINE Dual<F, N> with_value(Dual<F, N> x, const F &value) {
+    x.v = value;
+    return x;
+}
+
 // The value without its derivative.
 template <class F>
 TR_INLINE const F &value_of(const F &x) {

@@ -32,7 +32,8 @@ TR_INLINE Fresnel<T> fresnel_dielectric(const T &cos_i, const T &eta) {
     value = select(matched, T(0), select(grazing, T(1), value));
     r.reflectance = value;
     r.cos_t = select(outside, -ct, ct);
-    r.cos_t = select(matched, -cos_i, r.cos_t);
+    // a ray goes straight on to the last bit; its derivative is that of Snell's law
+    r.cos_t = with_value(r.cos_t, select(matched, -value_of(cos_i), value_of(r.cos_t)));
     return r;
 }
 

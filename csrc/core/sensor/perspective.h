@@ -27,12 +27,12 @@ struct Perspective {
     // (x, y): position on the film in pixels, the whole film being width x height. The direction in the camera's frame
     // is (a x slope, b y slope, 1), normalised.
     template <class F, class S>
-    struct Film {
+    struct FilmPoint {
         const S *constants, *to_world;
         S slope, rise;  // tangents of half the fields of view along x and y
         F a, b;
 
-        TR_INLINE Film(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width, S height)
+        TR_INLINE FilmPoint(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width, S height)
             : constants(scene.values.constants), to_world(constants + record.field[ToWorld]) {
             slope = std::tan(constants[record.field[Fov]] * S(Pi / 360));
             rise = slope * height / width * constants[record.field[Aspect]];
@@ -47,7 +47,7 @@ struct Perspective {
     template <class F, class S>
     TR_INLINE static Ray<F> ray(const SceneView<S> &scene, const Record &record, const F &x, const F &y, S width,
                                 S height, F &length, Vec3<F> &center) {
-        Film<F, S> film(scene, record, x, y, width, height);
+        FilmPoint<F, S> film(scene, record, x, y, width, height);
         S near = film.constants[record.field[Near]], far = film.constants[record.field[Far]];
         Vec3<F> local = normalize(film.direction());
         F inverse_z = F(1) / local.z;
