@@ -333,6 +333,7 @@ private:
         Random4<F> ue = random4<F>(config.seed, config.sensor, path_pixel, path_sample, EmitterBlock + block);
         Random4<F> ub = random4<F>(config.seed, config.sensor, path_pixel, path_sample, BsdfBlock + block);
         Scattering<F, C> s;
+        if constexpr (W == 1) s = {};  // a compiler cannot know that there is a model of this kind
         dispatch(Bsdfs{}, kind, [&](auto m) {
             s = scatter<decltype(m), C>(scene_, config, si, wi, leaf, index, depth, ue, ub, active);
         });
