@@ -8,8 +8,8 @@ from a file) is a subclass that overrides `Plugin.prepare`.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, ClassVar, NoReturn
 
 import torch
 from torch import nn
@@ -172,12 +172,12 @@ class Plugin(nn.Module):
             self._modules[name] = child
 
     def _install_tensor(self, name: str, given: Any, tensor: torch.Tensor) -> None:
-        self._parameters.pop(name, None)
         self.__dict__.pop(name, None)
         if isinstance(given, nn.Parameter) and tensor is given:
             self._parameters[name] = given
         elif tensor.requires_grad or values.has_tangent(tensor):
             # A tensor that is part of a graph stays one, so that gradients reach where it came from.
+            self._parameters.pop(name, None)
             self.__dict__[name] = tensor
         else:
             self._parameters[name] = nn.Parameter(tensor.detach().clone().contiguous(), requires_grad=False)
@@ -203,10 +203,10 @@ class Plugin(nn.Module):
         ctx.error(f"{self.type}: more than {len(names)} nested objects of category {child.category}")
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
-        """Replace references by the objects that `lookup` finds; `check` is left to the caller."""
-        pending, self.__dict__["_references"] = self._references, []
-        for name, reference in pending:
-            target = lookup(reference.id, ctx.at(name or "ref"))
+        """Replace references by the objects that `lookup` finds, all or none; `check` is left to the caller."""
+        pending = [(name, r, lookup(r.id, ctx.at(name or "ref"))) for name, r in self._references]
+        self.__dict__["_references"] = []
+        for name, reference, target in pending:
             if name is None:
                 self.adopt(target, ctx)
             else:
@@ -296,28 +296,64 @@ class Plugin(nn.Module):
         if value is None:
             if self._leaf(field) and name not in self.optional:
                 ctx.error("None removes a parameter, but this one is required")
-            self._parameters.pop(name, None) if self._leaf(field) else None
             (self._parameters if self._leaf(field) else self._modules)[name] = None
         elif isinstance(value, torch.Tensor) and value.requires_grad and not value.is_leaf:
             ctx.error("a tensor that is the result of a computation is passed with render(..., params={name: tensor})")
         else:
             kept = self._parameters.get(name)
-            stores = (self._parameters, self._modules, self._buffers, self.__dict__)
-            before = [(store, store[name]) for store in stores if name in store]
-            with ctx.device:
-                self._install(name, field, value, ctx)
+            restore = self.snapshot()
+            # Of a leaf the numbers are taken and the wish for gradients: the scene's parameter stays a parameter.
+            asks = isinstance(value, torch.Tensor) and value.requires_grad and not self._same(field, value, ctx)
             try:
+                with ctx.device:
+                    self._install(name, field, value.detach() if asks else value, ctx)
+                self._settle(name, ctx)
                 self.check(Context(path=(type(self).__name__,)))
-            except ValueError:
-                for store in stores:
-                    store.pop(name, None)
-                for store, previous in before:
-                    store[name] = previous
+            except Exception:
+                restore()
                 raise
             new = self._parameters.get(name)
-            if kept is not None and new is not None and not isinstance(value, nn.Parameter):
+            if asks:
+                child = self._modules.get(name)
+                for tensor in [new] if child is None else [t for _, t in child.texels()]:
+                    tensor.requires_grad_()
+            elif kept is not None and new is not None and not isinstance(value, nn.Parameter):
                 new.requires_grad_(kept.requires_grad)
         structure_changed()
+
+    def _same(self, field: Field, value: torch.Tensor, ctx: Context) -> bool:
+        """Whether `value` is a parameter that becomes this object's own, as it is."""
+        if not isinstance(value, nn.Parameter):
+            return False
+        return not self._leaf(field) or self._convert(field, value, ctx) is value
+
+    def _settle(self, name: str, ctx: Context) -> None:
+        """After an assignment of a child: there is no scene here in which a reference could be looked up."""
+        for missing in [r for n, r in self._references if n == name and self._modules.get(name) is None]:
+            _refuse_reference(missing, ctx)
+        child = self._modules.get(name)
+        if isinstance(child, Plugin):
+            for module in child.modules():
+                if isinstance(module, Plugin) and module._references:
+                    _refuse_reference(module._references[0][1], ctx)
+            # One from before that was still waiting for its scene gives way to this child.
+            self.__dict__["_references"] = [r for r in self._references if r[0] != name]
+
+    def snapshot(self) -> Callable[[], None]:
+        """A function that gives this object its present tensors, children and references back, in their order."""
+        stores = [(store, dict(store)) for store in (self._parameters, self._modules, self._buffers)]
+        own = {n: self.__dict__[n] for n in self.fields() if n in self.__dict__}
+        references = list(self._references)
+
+        def restore() -> None:
+            for store, content in stores:
+                store.clear()
+                store.update(content)
+            for name in self.fields():
+                self.__dict__.pop(name, None)
+            self.__dict__.update(own, _references=references)
+
+        return restore
 
     def __delattr__(self, name: str) -> None:
         super().__delattr__(name)
@@ -368,6 +404,13 @@ class Plugin(nn.Module):
             if field.kind == "int":
                 lines.append(f"{name}={getattr(self, name)!r}")
         return ", ".join(lines)
+
+
+def _refuse_reference(reference: Reference, ctx: Context) -> NoReturn:
+    ctx.error(
+        f"references are looked up when a scene is loaded and in scene[NAME] = ...; "
+        f"here assign the object itself: scene[{reference.id!r}]"
+    )
 
 
 def check_range(tensor: torch.Tensor, field: Field, ctx: Context, constant: bool) -> None:

@@ -122,6 +122,7 @@ class Scene(nn.Module):
         previous = self._modules.get(name)
         if previous is not None and not resolve:
             ctx.error(f"two objects have the id {name!r}")
+        before = dict(self._modules)
         if isinstance(value, Integrator):  # there is one
             for other in [n for n, m in self._modules.items() if isinstance(m, Integrator)]:
                 del self._modules[other]
@@ -129,11 +130,9 @@ class Scene(nn.Module):
         if resolve:
             try:
                 self._resolve(self._context())
-            except ValueError:
-                del self._modules[name]
-                if previous is not None:
-                    self._modules[name] = previous
-                self._sort()
+            except Exception:
+                self._modules.clear()
+                self._modules.update(before)  # the order too: it numbers the shapes
                 raise
         if isinstance(previous, Plugin) and isinstance(value, Plugin):
             self._replace_references(previous, value)
@@ -173,13 +172,19 @@ class Scene(nn.Module):
         for name, module in self._modules.items():
             if isinstance(module, Plugin):
                 _collect_references(module, ctx.at(name), pending)
-        for module, where in pending.values():
-            module.resolve(lookup, where)
-        for name, module in self._modules.items():
-            if isinstance(module, Plugin):
-                _refuse_circles(module, ctx.at(name), set())
-        for module, where in pending.values():
-            module.check(where)
+        restores = [module.snapshot() for module, _ in pending.values()]
+        try:
+            for module, where in pending.values():
+                module.resolve(lookup, where)
+            for name, module in self._modules.items():
+                if isinstance(module, Plugin):
+                    _refuse_circles(module, ctx.at(name), set())
+            for module, where in pending.values():
+                module.check(where)
+        except Exception:
+            for restore in restores:  # objects that were to be shared can be used again, in a corrected scene
+                restore()
+            raise
         self._sort()
 
     def _sort(self) -> None:
@@ -271,7 +276,8 @@ class Scene(nn.Module):
 
         ``scene.train_only("*.reflectance.*")``; called without patterns nothing requires gradients any more. Of the
         parameters that a pattern matches, those that have derivatives are chosen. The ``to_uv`` of a texture is chosen
-        by a pattern that names it only: ``"*.reflectance.*"`` means colours.
+        by a pattern that names it only: ``"*.reflectance.*"`` means colours. So are ``vertex_normals`` that are
+        computed from the positions: they follow these, and what an optimiser writes into them is overwritten.
 
         Raises:
             ValueError: a pattern matches nothing.
@@ -282,6 +288,7 @@ class Scene(nn.Module):
         names: dict[str, nn.Parameter] = self._by_every_name()
         layout = self.layout()
         refusals = {n: layout.slots[i].refusal for n, i in layout.by_name.items()}
+        following = {id(m._parameters.get("vertex_normals")) for m in layout.smooth_meshes}
         chosen: dict[int, nn.Parameter] = {}
         for pattern in patterns:
             if not isinstance(pattern, str):
@@ -292,6 +299,8 @@ class Scene(nn.Module):
             usable = [n for n in found if not refusals.get(n)]
             if not pattern.rpartition(".")[2].strip("*?"):
                 usable = [n for n in usable if not n.endswith(".to_uv")] or usable
+            if not pattern.endswith("vertex_normals"):
+                usable = [n for n in usable if id(names[n]) not in following] or usable
             if not usable:
                 raise NotDifferentiableError(
                     f"train_only: {pattern!r} matches only parameters without a derivative: {', '.join(found)} "
