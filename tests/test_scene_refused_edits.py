@@ -11,13 +11,128 @@ from torch import nn
 
 import torchrender as tr
 
+TENT = ([[0.0, 0, 1], [0, 1, 1], [-1, 0, 0], [1, 0, 0]], [[0, 1, 2], [1, 0, 3]])
+
 
 def make(**objects) -> tr.Scene:
     return tr.load_dict(ball_and_wall(**objects))
 
 
+def tent(**settings) -> tr.Mesh:
+    mesh = tr.Mesh(*TENT, **settings)
+    mesh.compute_normals()
+    return mesh
+
+
 def picture(scene: tr.Scene, **settings) -> torch.Tensor:
     return tr.render(scene, seed=1, **settings).detach()
+
+
+# --------------------------------------------------------------------------------------------------- computed normals
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("through_data", [False, True])
+def test_an_edit_of_computed_normals_is_overwritten(moving, through_data):
+    scene = make(tent=tent())
+    scene.tent.vertex_positions.requires_grad_(moving)
+    before, normals = picture(scene), scene.tent.vertex_normals.detach().clone()
+    with torch.no_grad():
+        (scene.tent.vertex_normals.data if through_data else scene.tent.vertex_normals).neg_()
+    assert torch.equal(picture(scene), before)
+    assert torch.equal(scene.tent.vertex_normals, normals)
+    # Normals of its own do stay.
+    scene.tent.vertex_normals = -normals
+    assert not torch.equal(picture(scene), before)
+    assert torch.equal(scene.tent.vertex_normals, -normals)
+
+
+def test_computed_normals_follow_faces():
+    scene, other = make(tent=tent()), make()
+    picture(scene)
+    scene.tent.faces = [[0, 2, 1]]
+    mesh = tr.Mesh(TENT[0], [[0, 2, 1]])
+    mesh.compute_normals()
+    other["tent"] = mesh
+    picture(scene)
+    torch.testing.assert_close(scene.tent.vertex_normals, other.tent.vertex_normals, atol=1e-6, rtol=0)
+
+
+def test_substituted_normals_are_not_written_to():
+    scene = make(tent=tent())
+    given = -scene.tent.vertex_normals.detach()
+    kept = given.clone()
+    image = torch.func.functional_call(scene, {"tent.vertex_normals": given}, kwargs={"seed": 1})
+    assert torch.equal(given, kept)
+    assert torch.equal(image, picture(scene, params={"tent.vertex_normals": given}))
+    assert not torch.equal(image, picture(scene))
+
+
+def test_computed_normals_are_chosen_by_name_only():
+    scene = make(tent=tent(), own=tr.Mesh(*TENT, vertex_normals=TENT[0]))
+    for pattern in ("tent.*", "tent.vertex_*"):
+        assert [p is scene.tent.vertex_positions for p in scene.train_only(pattern) if p.shape == (4, 3)] == [True]
+        assert not scene.tent.vertex_normals.requires_grad
+    (normals,) = scene.train_only("tent.vertex_normals")
+    assert normals is scene.tent.vertex_normals
+    assert any(p is scene.own.vertex_normals for p in scene.train_only("own.vertex_*"))
+
+
+def test_a_refused_assignment_leaves_normals_computed():
+    scene = make(tent=tent())
+    for wrong in (torch.zeros(3, 3), torch.full((4, 3), float("nan")), "up"):
+        with pytest.raises(ValueError, match="vertex_normals"):
+            scene.tent.vertex_normals = wrong
+        assert scene.tent.computed_normals
+    scene.tent.vertex_normals = TENT[0]
+    assert not scene.tent.computed_normals
+
+
+def test_loaded_state_leaves_normals_computed():
+    scene, other = make(tent=tent()), make(tent=tent())
+    other.load_state_dict(scene.state_dict(), assign=True)
+    assert other.tent.computed_normals
+    with torch.no_grad():
+        scene.tent.vertex_positions[0, 2] = 2
+        other.tent.vertex_positions[0, 2] = 2
+    assert torch.equal(picture(other), picture(scene))
+
+
+# -------------------------------------------------------------------------------------------------- number of vertices
+def test_another_number_of_vertices():
+    scene = make(tent=tent())
+    picture(scene)
+    more = torch.rand(6, 3, generator=torch.Generator().manual_seed(0))
+    normals = scene.tent.vertex_normals
+    scene.tent.vertex_positions = more
+    assert scene.tent.vertex_normals is normals and normals.shape == (6, 3)
+    scene.tent.faces = [[0, 1, 2], [3, 4, 5]]
+    fresh = tr.Mesh(more, [[0, 1, 2], [3, 4, 5]])
+    fresh.compute_normals()
+    image = picture(scene)
+    torch.testing.assert_close(image, picture(make(tent=fresh)))
+    assert torch.equal(picture(copy.deepcopy(scene)), image)
+
+
+def test_vertices_that_do_not_fit_are_refused():
+    more = torch.rand(6, 3, generator=torch.Generator().manual_seed(0))
+    for what, named in (
+        ({"vertex_normals": TENT[0]}, r"6 vertices, but vertex_normals has 4 rows: assign vertex_normals = None first"),
+        ({"vertex_texcoords": torch.zeros(4, 2)}, r"vertex_texcoords has 4 rows: assign vertex_texcoords = None first"),
+        ({"attributes": {"vertex_color": torch.ones(4, 3)}}, r"vertex_color has 4 rows: .*scene\[NAME\] = Mesh"),
+    ):
+        scene = make(mesh=tr.Mesh(*TENT, **what))
+        before, names = picture(scene), [n for n, _ in scene.named_parameters()]
+        with pytest.raises(ValueError, match=r"Mesh\.vertex_positions: .*" + named):
+            scene.mesh.vertex_positions = more
+        assert torch.equal(picture(scene), before) and [n for n, _ in scene.named_parameters()] == names
+    mesh = tr.Mesh(*TENT, vertex_normals=TENT[0], attributes={"face_color": torch.ones(2, 3)})
+    with pytest.raises(ValueError, match=r"3 vertices, but faces has the index 3: assign faces"):
+        mesh.vertex_positions = more[:3]
+    with pytest.raises(ValueError, match="faces has the index"):
+        mesh.vertex_positions = torch.zeros(0, 3)
+    mesh.vertex_normals = None
+    mesh.vertex_positions = more
+    assert mesh.vertex_positions.shape == (6, 3)
 
 
 # ---------------------------------------------------------------------------------------------- references and objects

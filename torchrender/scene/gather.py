@@ -59,6 +59,7 @@ def gather(
         own = mesh._parameters.get("vertex_positions") if positions not in replaced else None
         if isinstance(own, nn.Parameter) and not has_derivative(own):
             mesh.refresh_normals()
+            tensors[normals] = _dense(scene, layout.slots[normals].name, layout.slots[normals].tensor())
             continue
         computed = mesh.normals_from_positions(tensors[positions])
         if isinstance(own, nn.Parameter):

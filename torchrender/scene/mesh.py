@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import torch
+from torch import nn
 
 from .. import backends
 from ..errors import describe, nearest
@@ -31,6 +32,11 @@ class Mesh(Shape):
         bsdf, emitter: material and area light.
         to_world: 4x4 matrix applied once, when the mesh is made.
         attributes: colours by name, ``vertex_*`` (V, C) or ``face_*`` (F, C), for `mesh_attribute` textures.
+
+    Computed normals, those of files that have none and of `compute_normals`, always follow the positions: an edit of
+    them in place is overwritten by the next rendering. Assigning ``vertex_normals`` gives the mesh normals of its own.
+    Positions of another number of vertices are taken if faces, and normals, texture coordinates and attributes that
+    the mesh has, still fit; ValueError says which of them do not.
     """
 
     type = "mesh"
@@ -147,9 +153,39 @@ class Mesh(Shape):
             value = faces_of(value, self.vertex_positions.shape[0], ctx)
             self._buffers[name] = value
             return
+        if name == "vertex_positions" and self.__dict__.get("_built", False):
+            self._check_count(_rows(value, 3, ctx).shape[0], ctx)
+        super()._install(name, field, value, ctx)
+
+    def _check_count(self, count: int, ctx: Context) -> None:
+        """ValueError if something else of the mesh does not fit to `count` new vertices."""
+        if count == self.vertex_positions.shape[0]:
+            return
+        advice = "for a mesh of another kind assign a new one: scene[NAME] = Mesh(...)"
+        if count == 0 or int(self.faces.max()) >= count:
+            ctx.error(
+                f"{count} vertices, but faces has the index {int(self.faces.max())}: assign faces of fewer vertices "
+                f"first; {advice}"
+            )
+        for name in ("vertex_normals", "vertex_texcoords", *self.attribute_names):
+            tensor = getattr(self, name, None)
+            if tensor is None or name.startswith("face_") or (name == "vertex_normals" and self.computed_normals):
+                continue
+            first = "" if name in self.attribute_names else f"assign {name} = None first, and new ones afterwards; "
+            ctx.error(f"{count} vertices, but {name} has {tensor.shape[0]} rows: {first}{advice}")
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, value)
         if name == "vertex_normals" and self.__dict__.get("_built", False):
             self.__dict__["computed_normals"] = False
-        super()._install(name, field, value, ctx)
+        elif name == "vertex_positions" and self.__dict__.get("computed_normals", False):
+            if self.vertex_normals.shape != self.vertex_positions.shape:
+                self.refresh_normals()
+
+    def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
+        computed = self.computed_normals
+        super()._load_from_state_dict(*args, **kwargs)
+        self.__dict__["computed_normals"] = computed  # loading with assign=True is no assignment of the user's
 
     def derivative_of(self, field: Field) -> str:
         if field.name == "normals" and all(kind in ("diffuse", "twosided") for kind in self._bsdf_types()):
@@ -167,20 +203,30 @@ class Mesh(Shape):
     def compute_normals(self) -> None:
         """Shade smooth, with normals that are computed from the positions and follow them from now on."""
         positions = self.vertex_positions.detach()
-        self._install_tensor("vertex_normals", None, self.normals_from_positions(positions))
+        normals = self.normals_from_positions(positions)
+        self._install_tensor("vertex_normals", None, normals)
         self.__dict__["computed_normals"] = True
-        self.__dict__["_normals_of"] = positions.clone()
+        self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), normals.clone())
+        structure_changed()
 
     def refresh_normals(self, computed: torch.Tensor | None = None) -> None:
-        """Bring computed normals up to date after an edit of the positions; `computed` are they, if known already."""
-        positions, normals = self.vertex_positions.detach(), self.vertex_normals
-        # Numbers are compared, not version counters, which writes through `.data` do not advance.
-        known = self.__dict__["_normals_of"]
-        if known.dtype == positions.dtype and torch.equal(known, positions):
+        """Computed normals after an edit of positions, faces or themselves; `computed` are they, if known already."""
+        normals = self._parameters.get("vertex_normals")
+        if not isinstance(normals, nn.Parameter):  # a substitute for one call, which is not ours to write to
             return
-        with torch.no_grad():
-            normals.copy_(_native_normals(positions, self.faces) if computed is None else computed)
-        self.__dict__["_normals_of"] = positions.clone()
+        positions = self.vertex_positions.detach()
+        # Numbers are compared, not version counters, which writes through `.data` do not advance.
+        old_positions, old_faces, known = self.__dict__["_normals_of"]
+        same = old_positions.dtype == positions.dtype and known.dtype == normals.dtype
+        if not (same and torch.equal(old_positions, positions) and torch.equal(old_faces, self.faces)):
+            known = _native_normals(positions, self.faces) if computed is None else computed.detach()
+            known = known.to(normals.dtype, copy=True)
+            self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), known)
+        if normals.shape != known.shape:  # another number of vertices
+            normals.data, normals.grad = torch.empty_like(known), None
+        if not torch.equal(normals, known):
+            with torch.no_grad():
+                normals.copy_(known)
 
     def adapt(self, ctx: Context) -> None:
         if self._color != ctx.color and ctx.color == "mono":
