@@ -49,6 +49,26 @@ def test_rotations_at_their_special_points():
         torch.testing.assert_close(SO3(tr.rotation.so3_log(SO3(v))), SO3(v), atol=1e-12, rtol=0)
 
 
+@pytest.mark.parametrize(
+    ("dtype", "below", "tolerance"),
+    [
+        (torch.float64, 1e-9, 1e-9),
+        (torch.float64, 1e-7, 1e-9),
+        (torch.float32, 1e-4, 1e-3),
+        (torch.float32, 1e-3, 1e-3),
+    ],
+)
+def test_logarithm_just_below_half_turns(dtype, below, tolerance):
+    axes = vectors(20, seed=2)
+    axes = torch.cat([axes / torch.linalg.vector_norm(axes, dim=1, keepdim=True), IDENTITY, -IDENTITY]).to(dtype)
+    for axis in axes:
+        v = axis * (math.pi - below)
+        back, jacobian = torch.func.vjp(lambda v: tr.rotation.so3_log(SO3(v)), v)
+        torch.testing.assert_close(back, v, atol=50 * torch.finfo(dtype).eps, rtol=0)
+        rows = torch.stack([jacobian(row)[0] for row in torch.eye(3, dtype=dtype)])
+        torch.testing.assert_close(rows, torch.eye(3, dtype=dtype), atol=tolerance, rtol=0)
+
+
 def test_six_numbers():
     columns = torch.randn(20, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     R = tr.rotation.from_6d(columns)
@@ -193,3 +213,12 @@ def test_derivatives_of_an_image_in_pose_and_intrinsics():
     inputs = [torch.tensor(x, dtype=torch.float64) for x in ([0.1, -0.2, 0.05], [4.0, 3.0], [2.1, 1.4])]
     with pytest.warns(tr.MissingTermWarning, match=r"camera\.to_world, camera\.x_fov.*zero where"):
         assert torch.autograd.gradcheck(f, [x.requires_grad_() for x in inputs], check_forward_ad=True)
+
+
+def test_autocast_leaves_cameras_as_they_are():
+    camera = tr.PerspectiveCamera.from_opencv(intrinsics().float(), *(x.float() for x in pose()), (36, 28))
+    expected = [camera.world_to_camera, camera.K, *camera.rays()]
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        inside = [camera.world_to_camera, camera.K, *camera.rays()]
+    for a, b in zip(inside, expected, strict=True):
+        assert a.dtype == torch.float32 and torch.equal(a, b)

@@ -458,7 +458,7 @@ def test_samples_that_overflow_are_dropped_counted_and_named_in_one_warning():
     scene = load({"bulb": bulb, "floor": FLOOR})
     with pytest.warns(RuntimeWarning, match=r"samples were not finite, first at \S+.*dropped") as caught:
         image = tr.render(scene, spp=4, seed=0)
-    assert len(caught) == 1
+    assert len(caught) == 1 and caught[0].filename == __file__
     assert torch.isfinite(image).all()
     assert scene.statistics["render"]["nonfinite"] > 0
     with pytest.raises(tr.RenderError, match="samples were not finite"):

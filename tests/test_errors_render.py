@@ -44,6 +44,8 @@ CASES = [
     ({"nan": "ignore"}, ValueError, "nan: expected 'drop' or 'raise'"),
     ({"sensor": 2}, ValueError, "sensor: index 2, but the scene has 2 cameras"),
     ({"sensor": "sensor"}, TypeError, "sensor: expected an index or a camera"),
+    ({"sensor": torch.tensor([0, 2])}, ValueError, "sensor: index 2, but the scene has 2 cameras"),
+    ({"sensor": torch.zeros(2)}, TypeError, "sensor: expected an index or a camera, got 0.0"),
     ({"sensor": []}, ValueError, "sensor: an empty list"),
     ({"sensor": [0, 1]}, ValueError, "films of one size"),
     ({"integrator": 3}, TypeError, "integrator: expected an integrator"),
@@ -52,6 +54,7 @@ CASES = [
     ({"outputs": "rgb"}, TypeError, "outputs: expected a sequence"),
     ({"outputs": ("rgb", "dept")}, ValueError, "unknown name 'dept'; did you mean 'depth'"),
     ({"outputs": ("alpa",)}, ValueError, "unknown name 'alpa'; did you mean 'alpha'"),
+    ({"outputs": ["rgb", ["depth"]]}, TypeError, r"outputs: expected names, got \['depth'\] \(list\)"),
     ({"outputs": ("rgb", "rgb")}, ValueError, "twice"),
     ({"pixels": torch.zeros(1, 2)}, TypeError, "pixels: expected integers"),
     ({"pixels": torch.zeros(2, dtype=torch.int64)}, ValueError, r"pixels: expected shape \(N, 2\)"),
@@ -84,6 +87,13 @@ def test_arguments(scene, arguments, error, message):
         tr.render(scene, **arguments)
 
 
+def test_indices_of_cameras_as_a_tensor_or_array(scene):
+    expected = tr.render(scene, sensor=[0, 0], spp=1, seed=0)
+    for indices in (torch.tensor([0, 0]), torch.tensor([0, 0]).numpy()):
+        assert torch.equal(tr.render(scene, sensor=indices, spp=1, seed=0), expected)
+    assert tr.render(scene, sensor=torch.tensor(1), spp=1).shape == (6, 9, 3)
+
+
 def test_what_is_no_scene(scene):
     with pytest.raises(TypeError, match="scene: expected a Scene"):
         tr.render({"type": "scene"})
@@ -91,6 +101,15 @@ def test_what_is_no_scene(scene):
         tr.Renderer(None)
     with pytest.raises(TypeError, match=r"unknown argument 'sp'; .*'spp'"):
         tr.Renderer(scene, sp=3)
+
+
+@pytest.mark.parametrize("name", ["spp", "passes", "layout", "nan", "outputs"])
+def test_settings_of_a_layer_are_checked_when_it_is_made(scene, name):
+    cases = [(a[name], error, message) for a, error, message in CASES if list(a) == [name]]
+    assert cases
+    for value, error, message in cases:
+        with pytest.raises(error, match=message):
+            tr.Renderer(scene, **{name: value})
 
 
 def test_a_scene_without_cameras():
@@ -151,6 +170,9 @@ def test_cameras_that_require_gradients(scene):
         ((torch.zeros(2, 3), torch.ones(3, 3)), "origins have shape"),
         ((torch.zeros(2, 3), torch.ones(2, 3), torch.ones(3)), "tmax: expected a number or shape"),
         ((torch.zeros(2, 3), torch.ones(2, 3), float("nan")), "tmax: has values that are not numbers"),
+        ((torch.zeros(2, 3, device="meta"), torch.ones(2, 3)), "origins: lies on meta; .*CPU: use .to"),
+        ((torch.zeros(2, 3), torch.ones(2, 3, device="meta")), "directions: lies on meta"),
+        ((torch.zeros(2, 3), torch.ones(2, 3), torch.ones(2, device="meta")), "tmax: lies on meta"),
     ],
 )
 def test_queries(scene, arguments, message):

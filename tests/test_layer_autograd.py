@@ -548,9 +548,15 @@ def test_default_devices_and_dtypes_change_nothing(scene):
         other = tr.PerspectiveCamera.from_opencv(*matrix, (4, 4))
         images = tr.render(made, sensor=[camera, other], spp=1, seed=None)
         assert "red" in repr(made) and made.bounding_box().device.type == "cpu"
+        rays = made.sensors[0].rays()
+        found = tr.ray_intersect(made, *rays, params={"ball.radius": torch.ones((), device="cpu", requires_grad=True)})
+        shadowed = tr.ray_occluded(made, [[0.0, 0, 4]], [[0.0, 0, -1]], 9.0)
+        found.position[found.valid].sum().backward()
+        some = tr.render(made, spp=1, pixels=[[0, 0]])
     finally:
         torch.set_default_device(None)
     assert torch.equal(image, expected) and images.device.type == "cpu"
+    assert {t.device.type for t in (*rays, *found, shadowed, some)} == {"cpu"} and bool(shadowed.all())
     with pytest.raises(ValueError, match=r"red\.reflectance: .*meta device"):
         tr.load_dict({"type": "scene", "red": {"type": "diffuse", "reflectance": torch.zeros(3, device="meta")}})
     torch.set_default_dtype(torch.float64)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+import warnings
 
 import pytest
 import reference_scenes
@@ -315,6 +316,21 @@ def test_what_has_no_derivative_says_so():
     for name in ("alpha", "variance", *IDENTIFIERS):
         assert not getattr(found, name).requires_grad, name
     assert found.rgb.requires_grad and found.albedo.requires_grad
+
+
+def test_coverage_of_moving_surfaces_is_warned_about_once():
+    scene = scene_of("area")
+    scene.train_only("floor.bsdf.reflectance.*")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tr.render(scene, spp=1, outputs=("rgb", "alpha"))  # colours do not move outlines
+    (matrix,) = scene.train_only("*.to_world")[:1]
+    with pytest.warns(tr.MissingTermWarning) as caught:
+        tr.render(scene, spp=1)
+        found = tr.render(scene, spp=1, outputs=("alpha",))
+        tr.render(scene, spp=1, outputs=("alpha",))
+    assert [("alpha carries no derivative" in str(w.message)) for w in caught] == [False, True]
+    assert matrix.requires_grad and not found.alpha.requires_grad
 
 
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])

@@ -206,3 +206,18 @@ def test_sample_numbers_have_32_bits():
     scene = lit_room({"type": "box"}, height=1, width=1)
     with pytest.raises(ValueError, match="spp: expected a number from 1 to 4294967296"):
         tr.render(scene, spp=2**32 + 1)
+
+
+@pytest.mark.parametrize("form", ["tensor", "array"])
+def test_edits_of_the_list_of_pixels_after_rendering_change_nothing(form):
+    scene = lit_room(FILTERS[0])
+    (colour,) = scene.train_only("floor.bsdf.reflectance.value")
+    gradients = []
+    for edit in (False, True):
+        pixels = torch.tensor([[30, 10], [35, 20]])
+        pixels = pixels.numpy() if form == "array" else pixels
+        image = tr.render(scene, spp=2, seed=1, pixels=pixels)
+        if edit:
+            pixels[:] = 1 << 40
+        gradients.append(torch.autograd.grad(image.sum(), colour)[0])
+    assert bool((gradients[0] != 0).any()) and torch.equal(*gradients)

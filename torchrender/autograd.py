@@ -14,7 +14,7 @@ import torch
 from torch.autograd import Function
 
 from .errors import NotDifferentiableError, RenderError
-from .scene.derivatives import Wanted
+from .scene.derivatives import Wanted, depth_outside
 from .scene.native import NativeScene
 
 MASK = (1 << 64) - 1
@@ -82,7 +82,7 @@ class RenderCall:
             text = f"{count} samples were not finite" + (f", first at {where}" if where else "")
             if self.nan == "raise":
                 raise RenderError(text)
-            warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=2)
+            warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=depth_outside())
 
     def shape(self) -> tuple[int, ...]:
         return (*self.size, self.native.channels)
@@ -132,7 +132,8 @@ class RenderFunction(Function):
         ctx.save_for_forward(*params)
         ctx.set_materialize_grads(False)
         if isinstance(output, tuple):
-            # Coverage does not depend on what has derivatives: colours, textures, lights.
+            # All of the derivative of coverage is the term of moving silhouettes, which is missing; that of variance
+            # is not implemented.
             ctx.mark_non_differentiable(*output[1:])
 
     @staticmethod

@@ -23,7 +23,7 @@ import torch
 from torch.autograd import Function
 
 from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches
-from .errors import NotDifferentiableError, nearest
+from .errors import NotDifferentiableError, describe, nearest
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
 PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
@@ -63,6 +63,8 @@ def check_names(outputs: Any) -> tuple[str, ...]:
     if isinstance(outputs, str) or not isinstance(outputs, Sequence) or not outputs:
         raise TypeError(f"render: outputs: expected a sequence of names such as ('rgb', 'alpha'), got {outputs!r}")
     for name in outputs:
+        if not isinstance(name, str):
+            raise TypeError(f"render: outputs: expected names, got {describe(name)}")
         if name not in OUTPUTS:
             raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
     if len(set(outputs)) != len(outputs):

@@ -121,7 +121,8 @@ class _Intersect(_Query):
     @staticmethod
     def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> Any:
         origins, directions, limits, *params = tensors
-        n, real = origins.shape[0], {"dtype": scene.dtype}
+        n, real = origins.shape[0], {"dtype": scene.dtype, "device": "cpu"}
+        whole = {"dtype": torch.int32, "device": "cpu"}
         out = {
             "t": torch.empty(n, **real),
             "position": torch.empty(n, 3, **real),
@@ -130,8 +131,8 @@ class _Intersect(_Query):
             "uv": torch.empty(n, 2, **real),
             "b1": torch.empty(n, **real),
             "b2": torch.empty(n, **real),
-            "shape_id": torch.empty(n, dtype=torch.int32),
-            "prim_id": torch.empty(n, dtype=torch.int32),
+            "shape_id": torch.empty(n, **whole),
+            "prim_id": torch.empty(n, **whole),
         }
         native = scene.native(layout, [tuple(p.shape) for p in params])
         rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
@@ -144,7 +145,7 @@ class _Occluded(_Query):
     @staticmethod
     def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> torch.Tensor:
         origins, directions, limits, *params = tensors
-        hit = torch.empty(origins.shape[0], dtype=torch.uint8)
+        hit = torch.empty(origins.shape[0], dtype=torch.uint8, device="cpu")
         native = scene.native(layout, [tuple(p.shape) for p in params])
         rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
         native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr())
@@ -160,12 +161,21 @@ def _geometry(layout: Layout) -> list[int]:
     return [i for i, slot in enumerate(layout.slots) if getattr(slot.module, "category", "") == "shape"]
 
 
+def _on_cpu(name: str, value: Any, dtype: torch.dtype | None = None) -> torch.Tensor:
+    """`value` as a tensor whose memory the core can read; what torch's default device is does not matter."""
+    if not isinstance(value, torch.Tensor):
+        return torch.as_tensor(value, dtype=dtype, device="cpu")
+    if value.device.type != "cpu":
+        raise ValueError(f"{name}: lies on {value.device}; this version works on the CPU: use .to('cpu')")
+    return value if dtype is None else value.to(dtype)
+
+
 def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -> tuple[Any, ...]:
     if not isinstance(scene, Scene):
         raise TypeError(f"{function}: scene: expected a Scene, got {describe(scene)}")
     made = []
     for name, value in (("origins", origins), ("directions", directions)):
-        tensor = torch.as_tensor(value)
+        tensor = _on_cpu(f"{function}: {name}", value)
         if tensor.ndim != 2 or tensor.shape[1] != 3 or tensor.is_complex():
             raise ValueError(f"{function}: {name}: expected shape (N, 3), got {describe(tensor)}")
         made.append(tensor.to(scene.dtype).contiguous())
@@ -173,7 +183,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         raise ValueError(
             f"{function}: origins have shape {tuple(made[0].shape)}, but directions {tuple(made[1].shape)}"
         )
-    limit = torch.as_tensor(float("inf") if tmax is None else tmax, dtype=scene.dtype).detach()
+    limit = _on_cpu(f"{function}: tmax", float("inf") if tmax is None else tmax, scene.dtype).detach()
     if limit.ndim > 1 or (limit.ndim == 1 and limit.shape[0] != made[0].shape[0]):
         raise ValueError(f"{function}: tmax: expected a number or shape (N,), got {describe(limit)}")
     if bool(torch.isnan(limit).any()):

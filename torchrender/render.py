@@ -54,7 +54,8 @@ def render(
 
     Args:
         scene: what to render.
-        sensor: index of a camera of the scene, a camera object, or a list of them, whose films have one size.
+        sensor: index of a camera of the scene, a camera object, or a list of them (for indices also an integer
+            tensor or array (B,)), whose films have one size.
         integrator: how; None takes the scene's own, else ``PathTracer()``.
         spp: samples a pixel; None takes the camera's own number, else 16.
         seed: an integer, a `torch.Generator`, or None, which draws from torch's default generator. The same seed gives
@@ -64,7 +65,8 @@ def render(
         passes: number of independent passes, each of `spp` and `spp_grad`, that are averaged in constant memory.
         params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
         outputs: names of what is wanted; a named tuple of tensors comes back. Radiance ``"rgb"`` (H, W, C), coverage
-            ``"alpha"`` (H, W), and ``"variance"`` (H, W, C) of the values of rgb. Of the first surface that is seen:
+            ``"alpha"`` (H, W), and ``"variance"`` (H, W, C) of the values of rgb; alpha and variance carry no
+            derivative: that of coverage consists of moving silhouettes alone. Of the first surface that is seen:
             ``"depth"`` along the camera's axis and ``"distance"`` from the camera (H, W); ``"position"``, geometric
             ``"normal"`` and ``"shading_normal"`` in world space, ``"normal_camera"`` and ``"shading_normal_camera"`` in
             the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"`` (H, W, 2); ``"albedo"``
@@ -93,10 +95,7 @@ def render(
     stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, AOV) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
-    if layout not in LAYOUTS:
-        raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
-    if nan not in ("drop", "raise"):
-        raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+    _check_words(layout, nan)
     passes = _count("passes", passes)
     packed = scene.layout()
     cameras, batched = _cameras(scene, packed, sensor)
@@ -118,6 +117,7 @@ def render(
         if index == len(packed.sensors) - 1:
             used = substitute(scene, packed, tensors, camera)
         native = scene.native(packed, [tuple(t.shape) for t in used])
+        alpha = "alpha" in names or (stack is not None and stack.wants_alpha(film))
         call = RenderCall(
             native=native,
             config={
@@ -136,10 +136,10 @@ def render(
             passes=passes,
             nan=nan,
             pixels=chosen,
-            alpha="alpha" in names or (stack is not None and stack.wants_alpha(film)),
+            alpha=alpha,
             variance="variance" in names,
             statistics=scene.statistics,
-            wanted=Wanted(packed, scene.warned),
+            wanted=Wanted(packed, scene.warned, alpha),
         )
         _check_derivatives(call, used)
         views.append(_view(call, names, stack, used))
@@ -162,6 +162,13 @@ def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: li
     if others:
         found.update(first_hits(call, others, tensors))
     return found
+
+
+def _check_words(layout: Any, nan: Any) -> None:
+    if layout not in LAYOUTS:
+        raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
+    if nan not in ("drop", "raise"):
+        raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
 
 
 def _views(cameras: list[Any]) -> Any:
@@ -238,6 +245,8 @@ def _seeds(seed: Any, seed_grad: Any, correlated: Any) -> tuple[int, int]:
 
 def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int, PerspectiveCamera]], bool]:
     """Pairs of index and camera; the last index of the packed sensors stands for cameras outside of the scene."""
+    if isinstance(sensor, (torch.Tensor, np.ndarray)) and sensor.ndim == 1:
+        sensor = sensor.tolist()
     batched = isinstance(sensor, Sequence) and not isinstance(sensor, str)
     chosen = list(sensor) if batched else [sensor]
     if not chosen:
@@ -306,7 +315,8 @@ def _pixels(pixels: Any, size: tuple[int, int]) -> np.ndarray:
             raise TypeError(f"render: pixels: expected an integer tensor (N, 2), got {pixels.dtype} {pixels.shape}")
     if pixels.ndim != 2 or pixels.shape[1] != 2:
         raise ValueError(f"render: pixels: expected shape (N, 2), rows and columns, got {pixels.shape}")
-    pixels = np.ascontiguousarray(pixels, dtype=np.int64)
+    # always a copy: backward() reads it too, whatever the caller does to theirs in the meantime
+    pixels = np.array(pixels, dtype=np.int64, order="C")
     if len(pixels) and (pixels.min() < 0 or np.any(pixels.max(0) >= size)):
         wrong = pixels[np.any((pixels < 0) | (pixels >= np.asarray(size)), axis=1)][0]
         raise ValueError(
@@ -343,6 +353,9 @@ class Renderer(nn.Module):
         for name in ("spp", "spp_grad", "passes"):
             if settings.get(name) is not None:
                 _count(name, settings[name])
+        _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"))
+        if settings.get("outputs") is not None:
+            check_names(settings["outputs"])
 
     def forward(self, **overrides: Any) -> Any:
         """Render; keyword arguments are those of `render`."""

@@ -28,13 +28,14 @@ def so3_exp(rotation_vector: torch.Tensor) -> torch.Tensor:
 def so3_log(matrix: torch.Tensor) -> torch.Tensor:
     """Axis times angle (..., 3), angles from 0 to pi, of rotation matrices (..., 3, 3): the inverse of `so3_exp`.
 
-    Differentiable for angles below pi; at pi the axis' sign is arbitrary.
+    Differentiable; at pi the sign of the axis is arbitrary, and derivatives are those from one side.
 
     Raises:
         TypeError, ValueError: not a floating-point tensor (..., 3, 3).
     """
     _check("so3_log: matrix", matrix, (3, 3))
-    # (R - R^T) / 2 = sin(a) [axis]; its length and the trace give the angle without loss of digits at either end.
+    # (R - R^T) / 2 = sin(a) [axis]; its length and the trace give the angle without loss of digits at either end, and
+    # its direction the axis, but beyond right angles `_beyond_right_angle` has more digits of that.
     skew = torch.stack(
         [
             matrix[..., 2, 1] - matrix[..., 1, 2],
@@ -50,18 +51,23 @@ def so3_log(matrix: torch.Tensor) -> torch.Tensor:
     sine = torch.where(small, torch.ones_like(square), square).sqrt()
     angle = torch.atan2(sine, cosine)
     near_zero = 1 + square / 6  # a / sin(a) for small angles
-    return skew * torch.where(small, near_zero, angle / sine)[..., None] + _half_turn(matrix, small & (cosine < 0))
+    vector = skew * torch.where(small, near_zero, angle / sine)[..., None]
+    wide = cosine < 0
+    if not bool(wide.any()):
+        return vector
+    return torch.where(wide[..., None], _beyond_right_angle(matrix, skew, cosine), vector)
 
 
-def _half_turn(matrix: torch.Tensor, where: torch.Tensor) -> torch.Tensor:
-    """Rotation vectors of half turns, 2 a a^T = R + 1; zero elsewhere."""
-    if not bool(where.any()):
-        return torch.zeros_like(matrix[..., 0])
-    outer = (matrix.detach() + torch.eye(3).to(matrix)) / 2
+def _beyond_right_angle(matrix: torch.Tensor, skew: torch.Tensor, cosine: torch.Tensor) -> torch.Tensor:
+    """Rotation vectors from the symmetric part of R, cos(a) 1 + (1 - cos(a)) axis axis^T."""
+    identity = torch.eye(3, dtype=matrix.dtype, device=matrix.device)
+    outer = (matrix + matrix.mT) / 2 - cosine[..., None, None] * identity
     column = outer.diagonal(dim1=-2, dim2=-1).argmax(-1)
     axis = torch.take_along_dim(outer, column[..., None, None].expand(*column.shape, 3, 1), dim=-1)[..., 0]
-    axis = torch.nn.functional.normalize(axis, dim=-1) * torch.pi
-    return torch.where(where[..., None], axis, torch.zeros_like(axis))
+    axis = torch.nn.functional.normalize(axis, dim=-1)
+    # axis and -axis give the same product; sin(a) axis, which is what `skew` is, tells them apart
+    axis = torch.where(((axis * skew).sum(-1) < 0)[..., None], -axis, axis)
+    return axis * torch.atan2((axis * skew).sum(-1), cosine)[..., None]
 
 
 def from_6d(columns: torch.Tensor) -> torch.Tensor:

@@ -69,6 +69,7 @@ class Surfaces:
     def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
         """The shapes with these `tensors` in the layout's slots, attached to them."""
         real = {"dtype": scene.dtype, "device": scene.device}
+        whole, truth = {**real, "dtype": torch.int64}, {**real, "dtype": torch.bool}
         identity = torch.eye(4, **real)
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
         faces, positions, normals, texcoords = [], [], [], []
@@ -92,7 +93,7 @@ class Surfaces:
             if kind == "rectangle":
                 square = torch.tensor(CORNERS, **real)
                 corners = transform_point(matrix, torch.nn.functional.pad(square, (0, 1)))
-                indices = torch.tensor(RECTANGLE_FACES)
+                indices = torch.tensor(RECTANGLE_FACES, **whole)
                 has_texcoords = True
                 normals.append(torch.zeros(4, 3, **real))
                 texcoords.append((square + 1) / 2)
@@ -110,13 +111,13 @@ class Surfaces:
             matrices.append(matrix if kind in ("sphere", "disk") else identity)
         nothing = torch.zeros(0, 3, **real)
         return cls(
-            kind=torch.tensor(kinds, dtype=torch.int64),
-            flip=torch.tensor(flips, dtype=torch.bool),
-            smooth=torch.tensor(smooth, dtype=torch.bool),
-            textured=torch.tensor(textured, dtype=torch.bool),
-            first_face=torch.tensor(first_face, dtype=torch.int64),
-            first_vertex=torch.tensor(first_vertex, dtype=torch.int64),
-            faces=torch.cat(faces) if faces else torch.zeros(0, 3, dtype=torch.int64),
+            kind=torch.tensor(kinds, **whole),
+            flip=torch.tensor(flips, **truth),
+            smooth=torch.tensor(smooth, **truth),
+            textured=torch.tensor(textured, **truth),
+            first_face=torch.tensor(first_face, **whole),
+            first_vertex=torch.tensor(first_vertex, **whole),
+            faces=torch.cat(faces) if faces else torch.zeros(0, 3, **whole),
             positions=torch.cat(positions) if positions else nothing,
             normals=torch.cat(normals) if normals else nothing,
             texcoords=torch.cat(texcoords) if texcoords else nothing[:, :2],

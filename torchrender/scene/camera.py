@@ -155,9 +155,12 @@ class PerspectiveCamera(Plugin):
         """
         if positions is None:
             y0, x0, height, width = self.film.window
-            y, x = torch.meshgrid(torch.arange(height) + (y0 + 0.5), torch.arange(width) + (x0 + 0.5), indexing="ij")
+            rows = torch.arange(height, device=self.to_world.device) + (y0 + 0.5)
+            columns = torch.arange(width, device=self.to_world.device) + (x0 + 0.5)
+            y, x = torch.meshgrid(rows, columns, indexing="ij")
             positions = torch.stack([x, y], -1).reshape(-1, 2)
-        positions = torch.as_tensor(positions)
+        if not isinstance(positions, torch.Tensor):
+            positions = torch.as_tensor(positions, device=self.to_world.device)
         if positions.ndim != 2 or positions.shape[1] != 2 or positions.is_complex():
             raise ValueError(f"rays: positions: expected shape (N, 2), got {describe(positions)}")
         return perspective_rays(
@@ -296,8 +299,8 @@ class PerspectiveCamera(Plugin):
     @property
     def world_to_camera(self) -> torch.Tensor:
         """(4, 4), the rows [R | t] and 0 0 0 1 of OpenCV's convention (+y down, +z forward); attached to `to_world`."""
-        flip = torch.diag(self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0]))
-        return flip @ torch.linalg.inv(self.to_world)
+        signs = self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0])
+        return signs[:, None] * torch.linalg.inv(self.to_world)  # not a matrix product, which autocast would round
 
 
 def _precision(cls: type, *given: Any) -> Context:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
+COVERAGE = "outputs: alpha"  # among the names that were warned about
 ZERO = "zero where no such edge is in view"
 
 
@@ -59,10 +60,12 @@ class Wanted:
     Attributes:
         layout: of the packed scene.
         warned: names that were warned about in this scene before; grows.
+        alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
     """
 
     layout: Layout
     warned: set[str]
+    alpha: bool = False
 
     def check(self, indices: Iterable[int]) -> None:
         """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
@@ -83,16 +86,26 @@ class Wanted:
         if unused:
             self.warned.update(unused)
             text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
-            warnings.warn(text, UserWarning, stacklevel=_depth_outside())
+            warnings.warn(text, UserWarning, stacklevel=depth_outside())
+        clauses = []
         if lacking:
             self.warned.update(*lacking.values())
-            clauses = []
             for caveat, names in lacking.items():
                 missing, _, zero = caveat.partition(": ")
                 clauses.append(
                     f"the derivative with respect to {_listing(names)} is without {missing}, which is {zero}"
                 )
-            warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=_depth_outside())
+        if self.alpha and COVERAGE not in self.warned and any(self._moves(i) for i in asked):
+            self.warned.add(COVERAGE)
+            clauses.append("alpha carries no derivative: that of coverage consists of moving silhouettes alone")
+        if clauses:
+            warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=depth_outside())
+
+    def _moves(self, index: int) -> bool:
+        """Whether this parameter moves outlines in the image."""
+        slot = self.layout.slots[index]
+        shading = ("vertex_normals", "vertex_texcoords")
+        return getattr(slot.module, "category", "") in ("shape", "sensor") and slot.attribute not in shading
 
     def _source(self, index: int) -> int | None:
         """For computed normals the positions that they follow: whoever asks for those has not asked for these."""
@@ -106,7 +119,7 @@ def _listing(names: list[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _depth_outside() -> int:
+def depth_outside() -> int:
     """The `stacklevel` that makes a warning of the caller point at the first line outside of this package."""
     frame, depth = sys._getframe(1), 1
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("torchrender.", "torch.")):
