@@ -263,7 +263,7 @@ for long in ({"spp": 10**8}, {"spp": 4, "spp_grad": 10**8}):
 
 
 # --------------------------------------------------------------------------------------------------------- imports
-OTHERS = ["matplotlib.pyplot", "numpy", "kornia", "trimesh", "scipy.spatial"]
+OTHERS = ["matplotlib.pyplot", "numpy", "kornia", "trimesh", "OpenEXR"]
 
 
 @pytest.mark.parametrize("order", ["first", "last"])
