@@ -5,6 +5,7 @@
 #include "core/adjoint/outputs.h"
 #include "core/integrator/path.h"
 #include "items.h"
+#include "queries.h"
 
 namespace tr {
 
@@ -75,7 +76,7 @@ public:
             store(length_ + i, length);
         }
         query(n);
-        if (config.hide_emitters) skip_emitters(n);
+        if (config.hide_emitters) pass_emitters(scene_, o_, d_, length_, shape, t_, n, [&] { query(n); });
     }
 
     // Calls visit(first entry, active lanes, ray, hit) for packets in which something was hit.
@@ -215,35 +216,13 @@ private:
 
     void query(size_t n) {
         rays += n;
-        if constexpr (sizeof(S) == 4) {
-            call_.accel->intersect({{o_[0], o_[1], o_[2]}, {d_[0], d_[1], d_[2]}, length_},
-                                   {shape, primitive, t_, b1_, b2_}, n, true);
-        } else {
-            const S *from[7] = {o_[0], o_[1], o_[2], d_[0], d_[1], d_[2], length_};
-            for (int k = 0; k < 7; ++k)
-                for (size_t i = 0; i < n; ++i) single_[k][i] = float(from[k][i]);
-            call_.accel->intersect(
-                {{single_[0], single_[1], single_[2]}, {single_[3], single_[4], single_[5]}, single_[6]},
-                {shape, primitive, single_[7], single_[8], single_[9]}, n, true);
-            for (size_t i = 0; i < n; ++i) t_[i] = single_[7][i], b1_[i] = single_[8][i], b2_[i] = single_[9][i];
-        }
-    }
-
-    // Rays pass through shapes that emit, as those of the path tracer do.
-    void skip_emitters(size_t n) {
-        for (int pass = 0; pass < 256; ++pass) {
-            bool again = false;
-            for (size_t i = 0; i < n; ++i) {
-                if (shape[i] == Miss || scene_.shapes[shape[i]].emitter < 0) continue;
-                Vec3<S> d{d_[0][i], d_[1][i], d_[2][i]}, p = Vec3<S>{o_[0][i], o_[1][i], o_[2][i]} + d * t_[i];
-                S behind = offset_amount(p);
-                o_[0][i] = p.x + d.x * behind, o_[1][i] = p.y + d.y * behind, o_[2][i] = p.z + d.z * behind;
-                length_[i] -= t_[i] + behind;
-                again = true;
-            }
-            if (!again) return;
-            query(n);
-        }
+        constexpr bool direct = sizeof(S) == 4;
+        HitBatch hits{shape, primitive, direct ? (float *)t_ : single_[7], direct ? (float *)b1_ : single_[8],
+                      direct ? (float *)b2_ : single_[9]};
+        call_.accel->intersect(ray_batch(o_, d_, length_, n, single_), hits, n, true);
+        if (!direct)
+            for (size_t i = 0; i < n; ++i)
+                t_[i] = S(single_[7][i]), b1_[i] = S(single_[8][i]), b2_[i] = S(single_[9][i]);
     }
 
     const RenderCall<S> &call_;
@@ -252,7 +231,7 @@ private:
     CameraFrame<S> camera_;
     Arena arena_;
     S *o_[3], *d_[3], *first_[3], *length_, *t_, *b1_, *b2_;
-    float *single_[10];
+    float *single_[10] = {};
 };
 
 }  // namespace detail

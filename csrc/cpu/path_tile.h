@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <chrono>
 
+#include "queries.h"
 #include "render.h"
 #include "tape_sweep.h"
 
@@ -93,7 +94,10 @@ public:
         const PathConfig &config = call_.config;
         if (config.max_depth == 0 || fronts_[0].n == 0) return;
         trace(fronts_[0]);
-        if (config.hide_emitters) skip_emitters(fronts_[0]);
+        if (config.hide_emitters) {
+            Front<S, C> &f = fronts_[0];
+            pass_emitters(scene_, f.o, f.d, f.length, hit_shape_, hit_t_, f.n, [&] { trace(f); });
+        }
         bool scatters = config.max_depth < 0 || config.max_depth > 1;
         int splits = scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
         for (int index = 0; index < splits && !stop(); ++index) {
@@ -125,7 +129,7 @@ private:
     // ------------------------------------------------------------------------------------------------------ queries
     void trace(Front<S, C> &front) {
         auto begin = std::chrono::steady_clock::now();
-        RayBatch rays = batch(front.o, front.d, front.length, front.n);
+        RayBatch rays = ray_batch(front.o, front.d, front.length, front.n, ray_);
         constexpr bool single = sizeof(S) == 4;
         HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : float_t_,
                       single ? (float *)hit_b1_ : float_b1_, single ? (float *)hit_b2_ : float_b2_};
@@ -135,38 +139,6 @@ private:
                 hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
         stats.closest_rays += front.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-    }
-
-    RayBatch batch(S *const (&o)[3], S *const (&d)[3], const S *length, size_t n) {
-        if constexpr (sizeof(S) == 4) {
-            return {{o[0], o[1], o[2]}, {d[0], d[1], d[2]}, length};
-        } else {
-            const S *from[7] = {o[0], o[1], o[2], d[0], d[1], d[2], length};
-            for (int k = 0; k < 7; ++k)
-                for (size_t i = 0; i < n; ++i) ray_[k][i] = float(from[k][i]);
-            return {{ray_[0], ray_[1], ray_[2]}, {ray_[3], ray_[4], ray_[5]}, ray_[6]};
-        }
-    }
-
-    // Camera rays pass through the shapes that emit.
-    void skip_emitters(Front<S, C> &front) {
-        for (int pass = 0; pass < 256; ++pass) {
-            bool again = false;
-            for (size_t i = 0; i < front.n; ++i) {
-                uint32_t shape = hit_shape_[i];
-                if (shape == NoHit || scene_.shapes[shape].emitter < 0) continue;
-                Vec3<S> p{front.o[0][i] + front.d[0][i] * hit_t_[i], front.o[1][i] + front.d[1][i] * hit_t_[i],
-                          front.o[2][i] + front.d[2][i] * hit_t_[i]};
-                S behind = offset_amount(p);
-                front.o[0][i] = p.x + front.d[0][i] * behind;
-                front.o[1][i] = p.y + front.d[1][i] * behind;
-                front.o[2][i] = p.z + front.d[2][i] * behind;
-                front.length[i] -= hit_t_[i] + behind;
-                again = true;
-            }
-            if (!again) return;
-            trace(front);  // rare: all rays once more, those that did not move hit the same
-        }
     }
 
     // ----------------------------------------------------------------------------------------------------- grouping
@@ -180,7 +152,7 @@ private:
 
     int kind_of(const Front<S, C> &front, size_t i, bool scatters, int depth) const {
         uint32_t shape = hit_shape_[i];
-        if (shape == NoHit)
+        if (shape == Accel::Miss)
             return scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0) ? Miss : Ignore;
         const ShapeInfo &info = scene_.shapes[shape];
         if (!scatters && info.emitter < 0 && depth > 0) return Ignore;  // the end of the path, in the dark
@@ -413,7 +385,7 @@ private:
     void trace_shadow() {
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
-        call_.accel->occluded(batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n), occluded_, shadow_.n);
+        call_.accel->occluded(ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_), occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         for (size_t k = 0; k < shadow_.n; ++k) {
@@ -489,7 +461,6 @@ private:
     float *ray_[7], *float_t_, *float_b1_, *float_b2_;
     int8_t *kind_;
     uint8_t *occluded_;
-    static constexpr uint32_t NoHit = 0xffffffffu;
     static constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{});
 };
 
