@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "embree_library.h"
+#include "face_list.h"
 #include "quadric.h"
 #include "tree_cost.h"
 
@@ -36,13 +37,17 @@ struct Mesh {
     float *positions = nullptr;  // Embree's buffers
     uint32_t *faces = nullptr;
     size_t n_vertices = 0, n_faces = 0;
-    TreeCost cost;  // of this mesh's own tree
+    TreeCost cost;       // of this mesh's own tree
+    bool listed = true;  // in the list of faces, until it is given to Embree
 };
 
 // A refitted tree is built again when its estimated cost has grown by this factor. On a mesh of 500000 triangles that
 // was twisted, folded, made wavy and noisy, queries then took at most 1.3 times as long as in a new tree, and beyond it
 // up to 3 times; building takes as long as 15 refits.
 constexpr double LargestGrowth = 1.2;
+
+// Triangles of a mesh that is listed beside larger ones: a box has 12.
+constexpr size_t LargestListed = 12;
 
 // Loads W rays, or as many as are left, and decides which take part. Returns false if none does.
 template <int W>
@@ -77,6 +82,15 @@ bool load_rays(const RayBatch &rays, size_t begin, size_t n, rtc::Ray<W> &ray, i
     return any != 0;
 }
 
+// Copies of a known size are two instructions.
+template <int W, class T>
+void put_numbers(T *to, const T *from, size_t count) {
+    if (count == W)
+        std::memcpy(to, from, W * sizeof(T));
+    else
+        std::memcpy(to, from, count * sizeof(T));
+}
+
 template <int W>
 void intersect_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays, const HitBatch &hits, size_t n,
                      bool coherent) {
@@ -92,12 +106,12 @@ void intersect_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays
             q.hit.u[i] = q.hit.v[i] = 0;
         }
         if (any) api.intersect<W>(valid, scene, q, arguments);
-        size_t bytes = std::min<size_t>(W, n - begin) * 4;
-        std::memcpy(hits.shape + begin, q.hit.geometry, bytes);
-        std::memcpy(hits.primitive + begin, q.hit.primitive, bytes);
-        std::memcpy(hits.t + begin, q.ray.tfar, bytes);
-        std::memcpy(hits.b1 + begin, q.hit.u, bytes);
-        std::memcpy(hits.b2 + begin, q.hit.v, bytes);
+        size_t count = std::min<size_t>(W, n - begin);
+        put_numbers<W>(hits.shape + begin, q.hit.geometry, count);
+        put_numbers<W>(hits.primitive + begin, q.hit.primitive, count);
+        put_numbers<W>(hits.t + begin, q.ray.tfar, count);
+        put_numbers<W>(hits.b1 + begin, q.hit.u, count);
+        put_numbers<W>(hits.b2 + begin, q.hit.v, count);
     }
 }
 
@@ -120,6 +134,9 @@ struct Accel::Impl {
     pid_t process = getpid();
     rtc::Scene scene = nullptr;
     int width = 0;
+    // Meshes of few faces, which are not in Embree's tree, and where everything else is.
+    FaceList faces;
+    Box rest;
     // Unbuilt; one good tree for everything that stands still; one made in less time; a tree for each mesh.
     enum class Stage { Unbuilt, Still, Moved, Moving } stage = Stage::Unbuilt;
     bool hurry = false;  // the first build is a fast one, too
@@ -171,7 +188,7 @@ struct Accel::Impl {
             if (!faces) throw std::runtime_error("Accel::set_mesh: a new mesh without faces");
             found = meshes.emplace(shape, new_mesh(n_vertices, n_faces)).first;
             std::memcpy(found->second.faces, faces, n_faces * 12);
-            api().AttachGeometryByID(scene, found->second.geometry, shape);
+            if (stage != Stage::Unbuilt) attach(shape, found->second);
         }
         Mesh &mesh = found->second;
         if (mesh.n_vertices != n_vertices || mesh.n_faces != n_faces)
@@ -226,10 +243,56 @@ struct Accel::Impl {
                 for (auto &[shape, mesh] : meshes) mesh.cost.reset(mesh.positions, mesh.faces, mesh.n_faces);
             }
         }
+        if (stage == Stage::Unbuilt) choose_listed();
         // whatever happens now, the next commit is not the first
         stage = next;
         api().CommitScene(scene);
         device->check("while building the acceleration structure");
+        faces.clear();
+        for (const auto &[shape, mesh] : meshes)
+            if (mesh.listed) faces.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
+        rtc::Bounds box{{INFINITY, INFINITY, INFINITY}, 0, {-INFINITY, -INFINITY, -INFINITY}, 0};
+        api().GetSceneBounds(scene, &box);
+        std::copy_n(box.lower, 3, rest.lower);
+        std::copy_n(box.upper, 3, rest.upper);
+    }
+
+    void attach(uint32_t shape, Mesh &mesh) {
+        mesh.listed = false;
+        api().AttachGeometryByID(scene, mesh.geometry, shape);
+    }
+
+    // Which meshes are in the list: all of a tiny scene, else the largest of those with few faces (walls, floors,
+    // lamps), around which a tree has little to gain. The others are Embree's; who asks for a query width wants to see
+    // Embree.
+    void choose_listed() {
+        std::vector<std::pair<float, uint32_t>> candidates;
+        FaceList all;
+        bool tiny = quadrics.empty();
+        for (const auto &[shape, mesh] : meshes) {
+            if (tiny && mesh.n_faces <= 2 * FaceList::limit())
+                all.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
+            tiny = tiny && mesh.n_faces <= 2 * FaceList::limit() && all.size() <= FaceList::limit();
+            FaceList own;
+            if (mesh.n_faces > LargestListed) continue;
+            own.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
+            candidates.push_back({own.bounds().half_area(), shape});
+        }
+        std::vector<uint32_t> chosen;
+        if (!tiny) {
+            std::sort(candidates.rbegin(), candidates.rend());
+            FaceList some;
+            for (const auto &[area, shape] : candidates) {
+                const Mesh &mesh = meshes.at(shape);
+                some.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
+                if (some.size() > FaceList::limit() / 4) break;
+                chosen.push_back(shape);
+            }
+        }
+        for (auto &[shape, mesh] : meshes) {
+            bool listed = tiny || std::find(chosen.begin(), chosen.end(), shape) != chosen.end();
+            if (requested_width != 0 || !listed) attach(shape, mesh);
+        }
     }
 
     void set_quadric(const Quadric &values) {
@@ -247,6 +310,32 @@ struct Accel::Impl {
         }
         api().CommitGeometry(geometry);
         device->check("while setting a sphere or disk");
+    }
+
+    // Embree's part of the scene
+    void intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
+        switch (width) {
+            case 16:
+                return intersect_width<16>(api(), scene, rays, hits, n, coherent);
+            case 8:
+                return intersect_width<8>(api(), scene, rays, hits, n, coherent);
+            case 4:
+                return intersect_width<4>(api(), scene, rays, hits, n, coherent);
+            default:
+                return intersect_width<1>(api(), scene, rays, hits, n, coherent);
+        }
+    }
+    void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+        switch (width) {
+            case 16:
+                return occluded_width<16>(api(), scene, rays, hit, n);
+            case 8:
+                return occluded_width<8>(api(), scene, rays, hit, n);
+            case 4:
+                return occluded_width<4>(api(), scene, rays, hit, n);
+            default:
+                return occluded_width<1>(api(), scene, rays, hit, n);
+        }
     }
 
     ~Impl() {
@@ -267,10 +356,10 @@ void Accel::set_mesh(uint32_t shape, const float *positions, size_t n_vertices, 
     impl_->set_mesh(shape, positions, n_vertices, faces, n_faces);
 }
 
-void Accel::set_quadric(uint32_t shape, int kind, const float to_world[12], const float to_object[12]) {
+void Accel::set_quadric(uint32_t shape, bool sphere, const float to_world[12], const float to_object[12]) {
     impl_->ensure_process();
     Quadric q;
-    q.sphere = kind == 1;
+    q.sphere = sphere;
     q.shape = shape;
     std::copy(to_world, to_world + 12, q.to_world);
     std::copy(to_object, to_object + 12, q.to_object);
@@ -285,40 +374,43 @@ void Accel::commit(bool fast) {
 const Accel::Counters &Accel::counters() const { return impl_->counters; }
 
 void Accel::bounds(float out[6]) const {
-    rtc::Bounds box{{INFINITY, INFINITY, INFINITY}, 0, {-INFINITY, -INFINITY, -INFINITY}, 0};
-    // asking before the first commit would be an error of the device, which others would hear of
-    if (impl_->stage != Impl::Stage::Unbuilt) impl_->api().GetSceneBounds(impl_->scene, &box);
+    const Box &listed = impl_->faces.bounds();
     for (int i = 0; i < 3; ++i) {
-        out[i] = box.lower[i];
-        out[3 + i] = box.upper[i];
+        out[i] = std::min(impl_->rest.lower[i], listed.lower[i]);
+        out[3 + i] = std::max(impl_->rest.upper[i], listed.upper[i]);
     }
 }
 
 void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
-    const rtc::Api &api = impl_->api();
-    switch (impl_->width) {
-        case 16:
-            return intersect_width<16>(api, impl_->scene, rays, hits, n, coherent);
-        case 8:
-            return intersect_width<8>(api, impl_->scene, rays, hits, n, coherent);
-        case 4:
-            return intersect_width<4>(api, impl_->scene, rays, hits, n, coherent);
-        default:
-            return intersect_width<1>(api, impl_->scene, rays, hits, n, coherent);
+    if (impl_->faces.size() == 0) return impl_->intersect(rays, hits, n, coherent);
+    impl_->faces.intersect(rays, hits, n);
+    if (impl_->rest.empty()) return;
+    NearRays near;
+    RayBatch until{{rays.o[0], rays.o[1], rays.o[2]}, {rays.d[0], rays.d[1], rays.d[2]}, hits.t};
+    for (size_t begin = 0; begin < n; begin += NearRays::Capacity) {
+        near.take(until, begin, n, nullptr, impl_->rest);
+        impl_->intersect(near.rays(), near.hits(), near.n, coherent);
+        for (size_t k = 0; k < near.n; ++k) {
+            if (near.shape[k] == Miss) continue;
+            size_t i = near.index[k];
+            hits.shape[i] = near.shape[k];
+            hits.primitive[i] = near.primitive[k];
+            hits.t[i] = near.t[k];
+            hits.b1[i] = near.b1[k];
+            hits.b2[i] = near.b2[k];
+        }
     }
 }
 
 void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
-    const rtc::Api &api = impl_->api();
-    switch (impl_->width) {
-        case 16:
-            return occluded_width<16>(api, impl_->scene, rays, hit, n);
-        case 8:
-            return occluded_width<8>(api, impl_->scene, rays, hit, n);
-        case 4:
-            return occluded_width<4>(api, impl_->scene, rays, hit, n);
-        default:
-            return occluded_width<1>(api, impl_->scene, rays, hit, n);
+    if (impl_->faces.size() == 0) return impl_->occluded(rays, hit, n);
+    impl_->faces.occluded(rays, hit, n);
+    if (impl_->rest.empty()) return;
+    NearRays near;
+    for (size_t begin = 0; begin < n; begin += NearRays::Capacity) {
+        near.take(rays, begin, n, hit, impl_->rest);
+        impl_->occluded(near.rays(), near.occluded, near.n);
+        for (size_t k = 0; k < near.n; ++k) hit[near.index[k]] = near.occluded[k];
     }
 }
 

@@ -32,8 +32,8 @@ public:
     // Copies a mesh: positions (n_vertices, 3), faces (n_faces, 3) counted from this mesh's first vertex. A shape may
     // be set again, with the same numbers of vertices and faces; `faces` null then says that they are the same.
     void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces);
-    // The unit sphere (kind 1) or the unit disk in z = 0 (kind 2, see ShapeKind); matrices of 3 rows of 4.
-    void set_quadric(uint32_t shape, int kind, const float to_world[12], const float to_object[12]);
+    // The unit sphere or the unit disk in z = 0; matrices of 3 rows of 4.
+    void set_quadric(uint32_t shape, bool sphere, const float to_world[12], const float to_object[12]);
     // Makes the changes visible to queries. The first build is the best one (`fast`: a faster one), that after a first
     // motion a faster one. Where things move again, every mesh has a tree of its own, which then follows the vertices
     // (is refitted), and is built again when it has become bad by it.

@@ -3,6 +3,7 @@
 #pragma once
 
 #include "color/color.h"
+#include "math/rows.h"
 #include "model.h"
 
 namespace tr {
@@ -21,13 +22,20 @@ struct Values {
     const TensorView<S> *tensors;  // by slot in the flat parameter list
 };
 
-enum ShapeFlags : int32_t { HasNormals = 1, HasTexcoords = 2, FlipNormals = 4 };
-enum class ShapeKind : int32_t { Mesh = 0, Sphere = 1, Disk = 2 };
+// A shape is a mesh unless it is curved.
+enum ShapeFlags : int32_t {
+    HasNormals = 1,
+    HasTexcoords = 2,
+    FlipNormals = 4,
+    IsSphere = 8,
+    IsDisk = 16,
+    IsCurved = IsSphere | IsDisk
+};
 
 struct ShapeInfo {
-    int32_t kind, flags, bsdf, emitter;
-    int32_t face_offset, n_faces, first_vertex, cdf_offset;
-    int32_t first_attribute, reserved[7];
+    int32_t flags, face_offset, bsdf, emitter;  // ShapeLanes
+    int32_t n_faces, cdf_offset, first_vertex, first_attribute;
+    int32_t reserved[8];
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");
 
@@ -52,6 +60,7 @@ struct SceneView {
     const S *area_cdf;  // of the faces of emitting meshes
     const AttributeInfo *attributes;
     int32_t n_shapes;
+    bool textured;  // there is a texture that is not constant
 
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;
@@ -65,23 +74,44 @@ struct SceneView {
 // ------------------------------------------------------------------------------------------------- reading records
 template <class F>
 TR_INLINE IntOf<F> record_field(const Record *table, int field, const IntOf<F> &index, const MaskOf<F> &active) {
-    const int32_t *base = &table->kind + 1 + field;
-    return gather<IntOf<F>>(base, convert<UIntOf<IntOf<F>>>(index * 16), mask<IntOf<F>>(active));
+    IntOf<F> r[1];
+    gather_few_rows<F>(&table->kind + 1 + field, UIntOf<F>(index * 16), active, r);
+    return r[0];
 }
 template <class F>
 TR_INLINE IntOf<F> record_kind(const Record *table, const IntOf<F> &index, const MaskOf<F> &active) {
     return record_field<F>(table, -1, index, active);
 }
+
+// The kind of a record and its first fields.
 template <class F>
-TR_INLINE IntOf<F> shape_info(const ShapeInfo *table, int32_t ShapeInfo::*member, const UIntOf<F> &shape,
-                              const MaskOf<F> &active) {
-    return gather<IntOf<F>>(&(table->*member), shape * 16u, mask<IntOf<F>>(active));
-}
+struct RecordLanes {
+    IntOf<F> number[4];
+    TR_INLINE RecordLanes(const Record *table, const IntOf<F> &index, const MaskOf<F> &active) {
+        gather_few_rows<F>(&table->kind, UIntOf<F>(index * 16), active, number);
+    }
+    TR_INLINE const IntOf<F> &kind() const { return number[0]; }
+    TR_INLINE const IntOf<F> &field(int i) const { return number[1 + i]; }
+};
+
+// What rendering needs of the shape that every lane has hit.
+template <class F>
+struct ShapeLanes {
+    IntOf<F> flags, face_offset, bsdf, emitter;
+
+    TR_INLINE ShapeLanes() = default;
+    TR_INLINE ShapeLanes(const ShapeInfo *table, const UIntOf<F> &shape, const MaskOf<F> &active) {
+        IntOf<F> row[4];
+        gather_few_rows<F>(&table->flags, shape * 16u, active, row);
+        flags = row[0], face_offset = row[1], bsdf = row[2], emitter = row[3];
+    }
+    TR_INLINE MaskOf<F> has(int32_t some) const { return mask<F>((flags & some) != 0); }
+};
 
 template <int C, class F, class S>
 TR_INLINE Color<F, C> constant_color(const Values<S> &values, const IntOf<F> &offset, const MaskOf<F> &active) {
     Color<F, C> r;
-    for (int c = 0; c < C; ++c) r[c] = gather<F>(values.constants, UIntOf<F>(offset) + uint32_t(c), active);
+    gather_few_rows<F>(values.constants, UIntOf<F>(offset), active, r.c);
     return r;
 }
 

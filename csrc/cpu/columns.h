@@ -47,24 +47,31 @@ private:
     size_t used_ = 0;
 };
 
-// Lanes of a column: consecutive where the order is, gathered otherwise.
+// Lanes of columns, in ascending order: loaded where they follow each other, picked from two packets where they are
+// near, gathered otherwise. Columns have room for two packets behind their last entry.
 template <class F>
 struct LaneSet {
-    UIntOf<F> index;
+    using U = UIntOf<F>;
+    U index;  // into the column; once near, relative to `first`
     uint32_t first;
-    bool consecutive;
+    enum { Consecutive, Near, Scattered } kind;
     MaskOf<F> active;
 
-    template <class S>
-    TR_INLINE F get(const S *column) const {
-        if (consecutive) return load<F>(column + first);
-        return gather<F>(column, index, active);
+    // `order` holds the entries, of which the first `n` count.
+    TR_INLINE LaneSet(const uint32_t *order, uint32_t n) {
+        constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+        n = n < W ? n : W;
+        active = mask<F>(lane_index<F>() < U(n));
+        first = order[0];
+        uint32_t distance = order[n - 1] - first;
+        kind = distance == n - 1 ? Consecutive : distance < 2 * W ? Near : Scattered;
+        index = select(mask<U>(active), load_uint<F>(order), U(first));
+        if (kind == Near) index = index - U(first);
     }
-    TR_INLINE UIntOf<F> get(const uint32_t *column) const {
-        using U = UIntOf<F>;
-        if (consecutive) return load_uint<F>(column + first);
-        return gather<U>(column, index, mask<U>(active));
-    }
+
+    TR_INLINE F get(const ScalarOf<F> *column) const { return at<F>(column); }
+    TR_INLINE U get(const uint32_t *column) const { return at<U>(column); }
+
     template <class S>
     TR_INLINE Vec3<F> vec(S *const (&column)[3]) const {
         return {get(column[0]), get(column[1]), get(column[2])};
@@ -74,6 +81,21 @@ struct LaneSet {
         Color<F, C> r;
         for (int c = 0; c < C; ++c) r[c] = get(column[c]);
         return r;
+    }
+
+private:
+    template <class T, class S>
+    TR_INLINE T at(const S *column) const {
+        if constexpr (Lanes<F>::Width == 1) {
+            return column[first];
+        }
+#if TR_HAS_PACKETS
+        else {
+            if (kind == Consecutive) return drjit::load<T>(column + first);
+            if (kind == Near) return pick<T>(column + first, index);
+            return drjit::gather<T>(column, index);
+        }
+#endif
     }
 };
 

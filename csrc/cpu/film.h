@@ -86,6 +86,26 @@ struct FilmBlock {
         });
     }
 
+    // The same for samples k .. end of one pixel with the box filter, whose values are in columns.
+    template <class S>
+    void splat_pixel(int row, int column, size_t k, size_t end, S *const *value) {
+        if (!rect.contains(row, column)) return;
+        double *p = at(row, column), *q = p + values + 1;
+        p[values] += double(end - k);
+        for (int c = 0; c < values; ++c) {
+            double total = p[c];
+            for (size_t i = k; i < end; ++i) total += double(value[c][i]);
+            p[c] = total;
+        }
+        for (int c = 0; c < moments; ++c)
+            for (size_t i = k; i < end; ++i) {
+                double v = double(value[c][i]);
+                q[c] += v * v;
+                q[moments + c] += v;
+            }
+        if (moments) q[2 * moments] += double(end - k);
+    }
+
     // The transposed of `splat`: what a sample gets of the numbers in the block.
     void collect(const Filter &filter, int row, int column, double y, double x, double *to) const {
         for (int c = 0; c < values; ++c) to[c] = 0;

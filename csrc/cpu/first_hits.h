@@ -176,7 +176,7 @@ private:
 
     I albedo(const Ray<F> &ray, const Interaction<F> &si, const M &active) const {
         M back = mask<F>(dot(si.frame.n, ray.d) > F(0));
-        I bsdf = shape_info<F>(scene_.shapes, &ShapeInfo::bsdf, si.at.shape, active);
+        I bsdf = si.shape.bsdf;
         return albedo_texture<F>(Bsdfs{}, scene_, resolve_bsdf<F>(scene_, bsdf, back, active).bsdf, active);
     }
 

@@ -125,6 +125,24 @@ private:
     size_t next_ = 0;
 };
 
+// Samples k .. end of a batch, whose values are in columns.
+template <class Columns, class S, int N>
+void splat_span(FilmBlock &block, const Filter &filter, const Columns &at, size_t k, size_t end, S *const (&value)[N]) {
+    while (k < end) {
+        int row = int32_t(at.row[k]), column = int32_t(at.column[k]);
+        if (filter.reach() == 0) {
+            size_t begin = k;
+            while (k < end && at.pixel[k] == at.pixel[begin]) ++k;
+            block.splat_pixel(row, column, begin, k, value);
+            continue;
+        }
+        double v[N];
+        for (int c = 0; c < N; ++c) v[c] = double(value[c][k]);
+        block.splat(filter, row, column, double(at.film_y[k]), double(at.film_x[k]), v);
+        ++k;
+    }
+}
+
 // A block for every unit of an item.
 inline std::vector<FilmBlock> blocks_of(const Plan &plan, size_t item, int values, int moments = 0) {
     Units units = plan.units(item);

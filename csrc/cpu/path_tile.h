@@ -38,7 +38,7 @@ public:
             a.column(delta, n);
             a.column(radiance, n);
         });
-        size_t hits = n + size_t(Bsdfs::Size + 2) * W;
+        size_t hits = entries(n);
         hits_.allocate([&](Arena &a) {
             for (uint32_t **p : {&hit_shape_, &hit_primitive_, &order_}) a.column(*p, hits);
             for (S **p : {&hit_t_, &hit_b1_, &hit_b2_}) a.column(*p, hits);
@@ -150,50 +150,61 @@ private:
         return front == back ? front : BySide;
     }
 
-    int kind_of(const Front<S, C> &front, size_t i, bool scatters, int depth) const {
-        uint32_t shape = hit_shape_[i];
-        if (shape == Accel::Miss)
-            return scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0) ? Miss : Ignore;
-        const ShapeInfo &info = scene_.shapes[shape];
-        if (!scatters && info.emitter < 0 && depth > 0) return Ignore;  // the end of the path, in the dark
-        int kind = leaf_kind_[size_t(info.bsdf)];
-        if (kind != BySide) return kind;
-        Ray<S> ray{{front.o[0][i], front.o[1][i], front.o[2][i]}, {front.d[0][i], front.d[1][i], front.d[2][i]}};
-        SurfacePoint<S> at{shape, hit_primitive_[i], hit_b1_[i], hit_b2_[i]};
-        Interaction<S> si = make_interaction<S>(scene_, ray, at, hit_t_[i], true);
-        return scene_.bsdfs[resolve_bsdf<S>(scene_, info.bsdf, dot(si.frame.n, ray.d) > S(0), true).bsdf].kind;
+    // The kinds of the packet of hits at i: Ignore where nothing is to be done.
+    I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth) const {
+        U shape = load_uint<F>(hit_shape_ + i);
+        M hit = active && mask<F>(shape != Accel::Miss);
+        bool shows = scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0);
+        I kind = select(mask<I>(active && !hit), I(shows ? Miss : Ignore), I(Ignore));
+        if (!any(hit)) return kind;
+        ShapeLanes<F> info(scene_.shapes, shape, hit);
+        if (!scatters && depth > 0) hit = hit && mask<F>(info.emitter >= 0);  // paths may end in the dark
+        if (!any(hit)) return kind;
+        I leaf[1];
+        gather_few_rows<F>(leaf_kind_.data(), U(info.bsdf), hit, leaf);
+        kind = select(mask<I>(hit), leaf[0], kind);
+        M by_side = hit && mask<F>(kind == BySide);
+        if (any(by_side)) {
+            Ray<F> ray{{load<F>(front.o[0] + i), load<F>(front.o[1] + i), load<F>(front.o[2] + i)},
+                       {load<F>(front.d[0] + i), load<F>(front.d[1] + i), load<F>(front.d[2] + i)}};
+            SurfacePoint<F> at{shape, load_uint<F>(hit_primitive_ + i), load<F>(hit_b1_ + i), load<F>(hit_b2_ + i)};
+            Interaction<F> si = make_interaction(scene_, ray, at, load<F>(hit_t_ + i), by_side);
+            I bsdf = resolve_bsdf<F>(scene_, info.bsdf, mask<F>(dot(si.frame.n, ray.d) > F(0)), by_side).bsdf;
+            kind = select(mask<I>(by_side), record_kind<F>(scene_.bsdfs, bsdf, by_side), kind);
+        }
+        return kind;
     }
 
-    // Stable counting sort by model; every segment starts at a multiple of the packet width.
+    // Stable counting sort by model; every segment starts at a multiple of the packet width, with room for a packet
+    // behind the one before.
     void group(const Front<S, C> &front, bool scatters, int depth, std::vector<Segment> &segments) {
         uint32_t counts[Miss + 1] = {}, begin[Miss + 1];
-        for (size_t i = 0; i < front.n; ++i) {
-            int k = kind_of(front, i, scatters, depth);
-            kind_[i] = int8_t(k);
-            if (k >= 0) ++counts[k];
+        for (size_t i = 0; i < front.n; i += W) {
+            U entry = U(uint32_t(i)) + lane_index<F>();
+            I kind = kinds_at(front, i, mask<F>(entry < U(uint32_t(front.n))), scatters, depth);
+            store(kind_ + i, kind);
+            for_each_distinct<F>(kind, mask<F>(kind >= 0),
+                                 [&](int32_t k, const M &same) { counts[k] += uint32_t(count(same)); });
         }
         segments.clear();
         uint32_t at = 0;
         for (int k = 0; k <= Miss; ++k) {
             begin[k] = at;
             if (counts[k]) segments.push_back({k, at, counts[k]});
-            at += (counts[k] + W - 1) / W * W;
+            at += room(counts[k]);
         }
-        for (size_t i = 0; i < front.n; ++i)
-            if (kind_[i] >= 0) order_[begin[kind_[i]]++] = uint32_t(i);
+        for (size_t i = 0; i < front.n; i += W) {
+            I kind = I(load_uint<F>(reinterpret_cast<const uint32_t *>(kind_) + i));
+            for_each_distinct<F>(kind, mask<F>(kind >= 0), [&](int32_t k, const M &same) {
+                store_compressed<F>(order_ + begin[k], U(uint32_t(i)) + lane_index<F>(), same);
+                begin[k] += uint32_t(count(same));
+            });
+        }
     }
+    static constexpr uint32_t room(uint32_t n) { return n ? (n + 2 * W - 1) / W * W : 0; }
 
-    LaneSet<F> lanes_of(const Segment &segment, uint32_t i) const {
-        LaneSet<F> r;
-        uint32_t left = segment.begin + segment.count - i;
-        r.active = mask<F>(lane_index<F>() < U(left));
-        r.first = order_[i];
-        uint32_t last = order_[i + std::min(left, uint32_t(W)) - 1];
-        r.consecutive = last - r.first == std::min(left, uint32_t(W)) - 1;
-        r.index =
-            r.consecutive ? U(r.first) + lane_index<F>() : select(mask<U>(r.active), load_uint<F>(order_ + i), U(0u));
-        return r;
-    }
+    // Entries that n hits take at most once they are grouped.
+    static constexpr size_t entries(size_t n) { return n + size_t(Miss + 2) * 2 * W; }
 
     // --------------------------------------------------------------------------------------------------------- steps
     template <bool Derivative>
@@ -204,7 +215,7 @@ private:
         if (Derivative) {
             if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
             TapeLevel<S, C> &level = *levels_[size_t(n_levels_++)];
-            level.reserve(front.n + size_t(Bsdfs::Size + 2) * W);
+            level.reserve(entries(front.n));
             level.parent_level = parent_level;
             level.scatters = scatters;
             segments = &level.segments;
@@ -212,7 +223,7 @@ private:
         group(front, scatters, depth, *segments);
         for (const Segment &segment : *segments) {
             for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
-                LaneSet<F> lanes = lanes_of(segment, i);
+                LaneSet<F> lanes(order_ + i, segment.begin + segment.count - i);
                 stats.lanes += uint64_t(count(lanes.active));
                 stats.lane_slots += W;
                 if (segment.kind == Miss)
@@ -297,18 +308,15 @@ private:
         if (!Derivative && kind != NullKind) see(slot, seen, active);
         if (!scatters) return;
 
-        Leaf<F> leaf = resolve_bsdf<F>(scene_, shape_info<F>(scene_.shapes, &ShapeInfo::bsdf, si.at.shape, active),
-                                       mask<F>(wi.z < F(0)), active);
+        Leaf<F> leaf = resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(wi.z < F(0)), active);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         U path_pixel = gather<U>(pixel, slot, mask<U>(active)), path_sample = gather<U>(sample, slot, mask<U>(active));
         uint32_t block = BlocksPerScattering * uint32_t(depth + index);
         Random4<F> ue = random4<F>(config.seed, config.sensor, path_pixel, path_sample, EmitterBlock + block);
         Random4<F> ub = random4<F>(config.seed, config.sensor, path_pixel, path_sample, BsdfBlock + block);
         Scattering<F, C> s;
-        if constexpr (W == 1) s = {};  // a compiler cannot know that there is a model of this kind
-        dispatch(Bsdfs{}, kind, [&](auto m) {
-            s = scatter<decltype(m), C>(scene_, config, si, wi, leaf, index, depth, ue, ub, active);
-        });
+        dispatch(Bsdfs{}, kind,
+                 [&](auto m) { scatter<decltype(m)>(scene_, config, si, wi, leaf, index, depth, ue, ub, active, s); });
         add_shadow_rays<Derivative>(si, s, beta, slot, i, leaf.bsdf);
 
         // Russian roulette
@@ -335,7 +343,8 @@ private:
             alive = alive && mask<F>(ue.u[3] < q);
             keep = select(alive, F(1) / select(alive, q, F(1)), F(1));
         }
-        if (Derivative) level().put_scattering(i, leaf, wi, si.frame.n, s, select(alive, s.inverse_pdf * keep, F(0)));
+        if (Derivative)
+            level().put_scattering(i, leaf, si.at.uv, wi, si.frame.n, s, select(alive, s.inverse_pdf * keep, F(0)));
         if (!any(alive)) return;
         Vec3<F> wo = s.sample.wo;
         wo.z = select(leaf.mirrored, -wo.z, wo.z);
@@ -360,11 +369,9 @@ private:
         // towards the sampled point from where the ray really starts
         M finite_distance = mask<F>(s.light.distance < F(S(1e30)));
         Vec3<F> o = offset_origin(si.p, si.ng, s.light.d);
-        Vec3<F> to_light = si.p + s.light.d * select(finite_distance, s.light.distance, F(1)) - o;
-        F length = norm(to_light);
-        Vec3<F> d =
-            select(finite_distance, to_light * (F(1) / select(mask<F>(length > F(0)), length, F(1))), s.light.d);
-        length = select(finite_distance, length * F(1 - ShadowEpsilon), F(S(INFINITY)));
+        Direction<F> to_light(si.p + s.light.d * select(finite_distance, s.light.distance, F(1)) - o);
+        Vec3<F> d = select(finite_distance, to_light.d, s.light.d);
+        F length = select(finite_distance, to_light.length * F(1 - ShadowEpsilon), F(S(INFINITY)));
         size_t n = shadow_.n;
         const Vec3<F> *vectors[2] = {&o, &d};
         S *const *columns[2] = {shadow_.o, shadow_.d};
@@ -388,12 +395,14 @@ private:
         call_.accel->occluded(ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_), occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        // half of them hit, at random: no branches
         for (size_t k = 0; k < shadow_.n; ++k) {
+            S visible(occluded_[k] ? 0 : 1);
             if (Derivative) {
-                if (occluded_[k]) level().light_weight[shadow_.position[k]] = S(0);
-            } else if (!occluded_[k]) {
+                level().light_weight[shadow_.position[k]] *= visible;
+            } else {
                 uint32_t slot = shadow_.slot[k];
-                for (int c = 0; c < C; ++c) radiance[c][slot] += shadow_.contribution[c][k];
+                for (int c = 0; c < C; ++c) radiance[c][slot] += visible * shadow_.contribution[c][k];
             }
         }
     }
@@ -435,7 +444,7 @@ private:
             stats.non_finite += uint64_t(lost);
             if (stats.non_finite_where.empty()) {
                 M bad = active && !usable;
-                stats.non_finite_where = std::string(category) + " " + std::to_string(first_lane<F>(index, bad));
+                stats.non_finite_where = std::string(category) + " " + std::to_string(first_lane(index, bad));
             }
         }
         return usable;
@@ -459,7 +468,7 @@ private:
     uint32_t *hit_shape_, *hit_primitive_, *order_;
     S *hit_t_, *hit_b1_, *hit_b2_;
     float *ray_[7], *float_t_, *float_b1_, *float_b2_;
-    int8_t *kind_;
+    int32_t *kind_;
     uint8_t *occluded_;
     static constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{});
 };

@@ -22,7 +22,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     Film film(plan, FilmBlock::channels(values, moments));
     OrderedMerge merge(plan, film, call.threads);
     std::mutex mutex;
-    const size_t capacity = Forward ? 256 : 1024;
+    const size_t capacity = Forward ? 512 : 1024;
     run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<PathTile<F, C>>(call, capacity, derivative);
         return [&, tile](size_t item, auto &&stop) {
@@ -36,14 +36,11 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                     sink.geometry = derivative->geometry_tangent;
                     tile->sweep(sink, true);
                 }
+                S *columns[values];
+                for (int c = 0; c < C; ++c) columns[c] = tile->radiance[c];
+                columns[C] = tile->alpha;
                 for (const Span &span : spans)
-                    for (size_t k = span.begin; k < span.end; ++k) {
-                        double v[values];
-                        for (int c = 0; c < C; ++c) v[c] = double(tile->radiance[c][k]);
-                        v[C] = double(tile->alpha[k]);
-                        blocks[span.unit].splat(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
-                                                double(tile->film_y[k]), double(tile->film_x[k]), v);
-                    }
+                    splat_span(blocks[span.unit], call.filter, *tile, span.begin, span.end, columns);
             });
             merge.push(item, std::move(blocks), stop);
             std::lock_guard<std::mutex> lock(mutex);
@@ -71,7 +68,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     auto begin = std::chrono::steady_clock::now();
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     Plan plan = make_plan(call);
-    const size_t capacity = 256;
+    const size_t capacity = 512;
     // d loss / d (sum of weighted radiances) of every wanted pixel
     Film adjoint(plan, C);
     {

@@ -67,7 +67,7 @@ struct TapeLevel {
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
     S *b1, *b2, *emission_weight, *wi[3], *wo_light[3], *light_weight, *light_b1, *light_b2, *wo[3], *inverse_pdf;
-    S *light_distance, *mirror, *normal[3];
+    S *light_distance, *mirror, *normal[3], *uv[2];
     S *beta[C], *emission_radiance[C], *emitted[C];
     // from the next vertex, written by the sweep; and what only moving things need, see VertexRecord
     S *suffix[C], *ray_bar[6], *next_segment[3], *next_p[3], *next_b[2];
@@ -90,6 +90,7 @@ struct TapeLevel {
                 a.column(*p, n);
             a.column(ray_bar, n);
             a.column(next_b, n);
+            a.column(uv, n);
             for (auto *p : {&beta, &emission_radiance, &emitted, &suffix}) a.column(*p, n);
         });
     }
@@ -124,9 +125,11 @@ struct TapeLevel {
         put(next_segment, i, Vec3<F>{F(0), F(0), F(0)});
     }
     template <class F>
-    TR_INLINE void put_scattering(size_t i, const Leaf<F> &leaf, const Vec3<F> &wi_, const Vec3<F> &normal_,
-                                  const Scattering<F, C> &s, const F &inverse_pdf_) {
+    TR_INLINE void put_scattering(size_t i, const Leaf<F> &leaf, const Vec2<F> &uv_, const Vec3<F> &wi_,
+                                  const Vec3<F> &normal_, const Scattering<F, C> &s, const F &inverse_pdf_) {
         store(bsdf + i, leaf.bsdf);
+        store(uv[0] + i, uv_.x);
+        store(uv[1] + i, uv_.y);
         put(wi, i, wi_);
         store(light_emitter + i, s.light.point.emitter);
         store(light_shape + i, s.light.point.at.shape);
@@ -148,12 +151,13 @@ struct TapeLevel {
     TR_INLINE VertexRecord<F, C> get(size_t i, bool scattering) const {
         VertexRecord<F, C> v;
         using U = UIntOf<F>;
-        v.at = {load_uint<F>(shape + i), load_uint<F>(primitive + i), load<F>(b1 + i), load<F>(b2 + i)};
+        v.at = {{load_uint<F>(shape + i), load_uint<F>(primitive + i), load<F>(b1 + i), load<F>(b2 + i)}, {F(0), F(0)}};
         v.emission = {IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(emission_emitter) + i)), v.at};
         v.emission_weight = load<F>(emission_weight + i);
         v.beta = get_color<F>(beta, i);
         v.emission_radiance = get_color<F>(emission_radiance, i);
         if (!scattering) return v;
+        v.at.uv = {load<F>(uv[0] + i), load<F>(uv[1] + i)};
         auto integer = [&](const int32_t *p) {
             return IntOf<F>(U(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i)));
         };

@@ -67,14 +67,14 @@ __global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n,
     Ray<float> ray{path.origin, path.direction};
     Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
     Vec3<float> wi = si.frame.to_local(-ray.d);
-    int32_t bsdf = shape_info<float>(scene.shapes, &ShapeInfo::bsdf, si.at.shape, true);
+    int32_t bsdf = si.shape.bsdf;
     Leaf<float> leaf = resolve_bsdf<float>(scene, bsdf, wi.z < 0, true);
     wi.z = leaf.mirrored ? -wi.z : wi.z;
     uint32_t block = BlocksPerScattering * uint32_t(path.depth);
     Random4<float> ue = random4<float>(config.seed, config.sensor, path.pixel, path.sample, EmitterBlock + block);
     Random4<float> ub = random4<float>(config.seed, config.sensor, path.pixel, path.sample, BsdfBlock + block);
     dispatch(Bsdfs{}, scene.bsdfs[leaf.bsdf].kind, [&](auto model) {
-        out[i] = scatter<decltype(model), C>(scene, config, si, wi, leaf, 0, path.depth, ue, ub, true);
+        scatter<decltype(model)>(scene, config, si, wi, leaf, 0, path.depth, ue, ub, true, out[i]);
     });
     Vec3<float> wo = out[i].sample.wo;
     wo.z = leaf.mirrored ? -wo.z : wo.z;

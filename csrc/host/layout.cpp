@@ -260,17 +260,19 @@ private:
                 add_mesh(i, info);
             } else if (type == SphereModel::model.type) {
                 bsdf = SphereModel::BsdfIndex, emitter = SphereModel::EmitterIndex, flip = SphereModel::Flip;
-                info.kind = int32_t(ShapeKind::Sphere);
+                info.flags |= IsSphere;
             } else {
                 bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
-                info.kind = int32_t(ShapeKind::Disk);
-                if (type == RectangleModel::model.type) add_rectangle(i, info);
+                if (type == RectangleModel::model.type)
+                    add_rectangle(i, info);
+                else
+                    info.flags |= IsDisk;
             }
             info.bsdf = value("shape", i, bsdf);
             info.emitter = value("shape", i, emitter);
             if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
             if (value("shape", i, flip)) info.flags |= FlipNormals;
-            if (info.emitter >= 0 && info.kind == int32_t(ShapeKind::Mesh)) {
+            if (info.emitter >= 0 && !(info.flags & IsCurved)) {
                 info.cdf_offset = out_.n_cdf_faces;
                 out_.n_cdf_faces += info.n_faces;
             }
@@ -281,7 +283,6 @@ private:
         constexpr int64_t limit = std::numeric_limits<int32_t>::max() / 3;
         if (out_.n_vertices + n_vertices > limit || int64_t(out_.faces.size() / 3) + n_faces > limit)
             fail(at, "a scene of fewer than 2^31 / 3 vertices and faces", "more");
-        info.kind = int32_t(ShapeKind::Mesh);
         info.face_offset = int32_t(out_.faces.size() / 3);
         info.n_faces = int32_t(n_faces);
         info.first_vertex = out_.n_vertices;

@@ -48,7 +48,7 @@ bool SceneData<S>::same_geometry(const SceneData &other) const {
                x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices;
     };
     auto same_shape = [](const ShapeInfo &x, const ShapeInfo &y) {
-        return x.kind == y.kind && x.flags == y.flags && x.face_offset == y.face_offset && x.n_faces == y.n_faces &&
+        return x.flags == y.flags && x.face_offset == y.face_offset && x.n_faces == y.n_faces &&
                x.first_vertex == y.first_vertex && x.cdf_offset == y.cdf_offset && x.emitter == y.emitter;
     };
     return std::equal(a.meshes.begin(), a.meshes.end(), b.meshes.begin(), b.meshes.end(), same_mesh) &&
@@ -247,6 +247,9 @@ void SceneData<S>::refresh_view() {
     view_.area_cdf = area_cdf_.data();
     view_.attributes = layout_.attributes.data();
     view_.n_shapes = int32_t(shapes_.size());
+    const auto &textures = layout_.records.at("texture");
+    view_.textured = std::any_of(textures.begin(), textures.end(),
+                                 [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
     view_.emitter_cdf = emitter_cdf_.data();
     view_.emitter_pmf = emitter_pmf_.data();
     view_.environment = layout_.environment;

@@ -34,11 +34,11 @@ void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const G
     }
     for (size_t i = 0; i < n_shapes; ++i) {
         const int32_t *field = records[i].field;
-        if (shapes_[i].kind == int32_t(ShapeKind::Mesh)) continue;
+        if (!(shapes_[i].flags & IsCurved)) continue;
         const S *moved = &to.constants[size_t(field[0])];
         S *matrix = &to.constants[matrices + 12 * i];
         std::copy_n(moved, 12, matrix);
-        if (shapes_[i].kind != int32_t(ShapeKind::Sphere)) continue;
+        if (!(shapes_[i].flags & IsSphere)) continue;
         // to_world * translate(center) * scale(radius)
         const S *now = &constants_[size_t(field[SphereModel::ToWorld])];
         const S *center = &constants_[size_t(field[SphereModel::Center])];
@@ -78,10 +78,10 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
     }
     for (size_t i = 0; i < shapes_.size(); ++i) {
         const int32_t *field = records[i].field;
-        if (shapes_[i].kind == int32_t(ShapeKind::Mesh)) continue;
+        if (!(shapes_[i].flags & IsCurved)) continue;
         const double *matrix = &sums.constants[n_constants() + 12 * i];
         double *m = &sums.constants[size_t(field[0])];
-        if (shapes_[i].kind != int32_t(ShapeKind::Sphere)) {
+        if (!(shapes_[i].flags & IsSphere)) {
             for (int k = 0; k < 12; ++k) m[k] += matrix[k];
             continue;
         }

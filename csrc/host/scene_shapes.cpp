@@ -32,10 +32,10 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     for (int i = 0; i < int(shapes_.size()); ++i) {
         const int32_t *field = records[size_t(i)].field;
         bool moved = false;
-        if (shapes_[size_t(i)].kind == int32_t(ShapeKind::Sphere))
+        if (shapes_[size_t(i)].flags & IsSphere)
             moved = changed(field[SphereModel::ToWorld], 12) || changed(field[SphereModel::Center], 3) ||
                     changed(field[SphereModel::Radius], 1);
-        if (shapes_[size_t(i)].kind == int32_t(ShapeKind::Disk)) moved = changed(field[PlanarFields::ToWorld], 12);
+        if (shapes_[size_t(i)].flags & IsDisk) moved = changed(field[PlanarFields::ToWorld], 12);
         if (!moved) continue;
         update_quadric(i);
         rebuild = true;
@@ -115,7 +115,7 @@ Affine SceneData<S>::set_matrices(int shape) {
     Affine to_world;
     std::copy_n(&constants_[size_t(field[0])], 12, to_world.m);
     std::string where = path("shape", shape) + ": field 'to_world'";
-    if (shapes_[size_t(shape)].kind == int32_t(ShapeKind::Sphere)) {
+    if (shapes_[size_t(shape)].flags & IsSphere) {
         const S *center = &constants_[size_t(field[SphereModel::Center])];
         double radius = double(constants_[size_t(field[SphereModel::Radius])]);
         if (!(radius > 0))
@@ -161,7 +161,7 @@ template <class S>
 void SceneData<S>::update_quadric(int shape) {
     Affine to_world = set_matrices(shape);
     ShapeInfo &info = shapes_[size_t(shape)];
-    bool sphere = info.kind == int32_t(ShapeKind::Sphere);
+    bool sphere = info.flags & IsSphere;
     if (sphere) {
         // a mirrored sphere faces inwards, as in Mitsuba
         info.flags = layout_.shapes[size_t(shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
@@ -173,7 +173,7 @@ void SceneData<S>::update_quadric(int shape) {
     }
     float single[24];
     std::copy_n(&matrices_[size_t(shape) * 24], 24, single);
-    accel_->set_quadric(uint32_t(shape), info.kind, single, single + 12);
+    accel_->set_quadric(uint32_t(shape), sphere, single, single + 12);
     ++counters_.quadrics;
 }
 

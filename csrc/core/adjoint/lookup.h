@@ -64,8 +64,8 @@ struct LookupVisitor {
 };
 
 // `g` is the adjoint of the texture's value at `at`.
-template <int C, class F, class S, class Sink>
-TR_NOINLINE void sweep_lookup(const SceneView<S> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at,
+template <int C, template <class> class Point, class F, class S, class Sink>
+TR_NOINLINE void sweep_lookup(const SceneView<S> &scene, const IntOf<F> &texture, const Point<F> &at,
                               const Color<F, C> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to, Sink &sink) {
     LookupVisitor<F, C, S, Sink> visitor{scene, g, to, sink};
     visit_texture<F>(scene, texture, at, active, visitor);

@@ -38,12 +38,12 @@ struct OutputAdjoint {
 
 // The geometric normal of a mesh, which is that of the triangle; elsewhere it is the shading normal.
 template <class F, class S, class Sink>
-TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &n_bar,
+TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const Interaction<F> &si, const Vec3<F> &n_bar,
                                  const MaskOf<F> &mesh, Sink &sink) {
     using Tables = decltype(sink.geometry);
-    auto wanted = mesh && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(mesh)) != 0);
+    auto wanted = mesh && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, si.at.shape, mask<IntOf<F>>(mesh)) != 0);
     if (!any(wanted)) return;
-    Triangle<F, S> tri(scene, global_face<F>(scene, at.shape, at.primitive, wanted), wanted);
+    Triangle<F, S> tri(scene, UIntOf<F>(si.shape.face_offset) + si.at.primitive, wanted);
     Vec3<F> area = cross(tri.e1, tri.e2);
     F squared = squared_norm(area);
     wanted = wanted && mask<F>(squared > F(0));
@@ -79,13 +79,8 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
         hit.n = hit.n + axis[k] * turned[k];
         axis_bar[k] = axis_bar[k] + si.ng * face_camera[k] + si.frame.n * turned[k];
     }
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, si.at.shape, active);
-    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
-    if (any(mesh)) {
-        IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, si.at.shape, mesh);
-        auto flip = mask<F>((flags & int32_t(FlipNormals)) != 0);
-        sweep_face_normal(scene, si.at, select(flip, -face, face), mesh, sink);
-    }
+    auto mesh = active && !si.shape.has(IsCurved);
+    if (any(mesh)) sweep_face_normal(scene, si, select(si.shape.has(FlipNormals), -face, face), mesh, sink);
     hit.n = select(mesh, hit.n, hit.n + face);
 
     Arrival<F> in{active, d, t, zero, zero, F(0)};

@@ -32,8 +32,9 @@ public:
 
     TR_INLINE void begin() {}
 
-    TR_INLINE void texture(const SceneView<S> &scene, const IntOf<F> &id, const SurfacePoint<F> &at,
-                           const Color<F, C> &g, const MaskOf<F> &active) {
+    template <class Point>
+    TR_INLINE void texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                           const MaskOf<F> &active) {
         auto usable = finite(g, active);
         if (!any(usable)) return;
         Scatter scatter{*this, scene, g};
@@ -129,8 +130,9 @@ public:
 
     TR_INLINE void begin() { derivative = uniform_color<C>(F(0)); }
 
-    TR_INLINE void texture(const SceneView<S> &scene, const IntOf<F> &id, const SurfacePoint<F> &at,
-                           const Color<F, C> &g, const MaskOf<F> &active) {
+    template <class Point>
+    TR_INLINE void texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                           const MaskOf<F> &active) {
         add(g * eval_texture<C>(scene, tangent, id, at, active), active);
     }
     TR_INLINE void color(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {

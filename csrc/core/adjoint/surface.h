@@ -59,13 +59,12 @@ TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const
 
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
-                                 HitAdjoint<F> g, const IntOf<F> &flags, const MaskOf<F> &mesh, Vec3<F> &d_bar,
+                                 HitAdjoint<F> g, const ShapeLanes<F> &shape, const MaskOf<F> &mesh, Vec3<F> &d_bar,
                                  Sink &sink) {
     using U = UIntOf<F>;
     using Tables = decltype(sink.geometry);
     Vec3<F> zero{F(0), F(0), F(0)};
-    U face = global_face<F>(scene, at.shape, at.primitive, mesh);
-    Triangle<F, S> tri(scene, face, mesh);
+    Triangle<F, S> tri(scene, U(shape.face_offset) + at.primitive, mesh);
     F b1 = at.b1, b2 = at.b2, b0 = F(1) - b1 - b2;
     Vec3<F> area = cross(tri.e1, tri.e2);
     F area_squared = squared_norm(area), cosine = dot(area, select(in.attached, in.d, in.D));
@@ -78,7 +77,7 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
 
     // normal: of the vertices or of the face
     Vec3<F> area_bar = select(glued, in.D * (in.log_jacobian_bar / cosine), zero);
-    auto smooth = usable && mask<F>((flags & int32_t(HasNormals)) != 0);
+    auto smooth = usable && shape.has(HasNormals);
     if (any(smooth)) {
         Vec3<F> n0 = gather_vec3<F>(scene.normals, tri.i0, smooth), n1 = gather_vec3<F>(scene.normals, tri.i1, smooth),
                 n2 = gather_vec3<F>(scene.normals, tri.i2, smooth);
@@ -99,14 +98,15 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     area_bar = select(smooth, area_bar, area_bar + unnormalize(area * inverse_area, g.n, inverse_area));
 
     // texture coordinates
-    auto has = usable && mask<F>((flags & int32_t(HasTexcoords)) != 0);
+    auto has = usable && shape.has(HasTexcoords);
     if (any(has)) {
         U i0 = tri.i0 * 2u, i1 = tri.i1 * 2u, i2 = tri.i2 * 2u;
-        F u0 = gather<F>(scene.texcoords, i0, has), v0 = gather<F>(scene.texcoords, i0 + 1u, has);
-        F by_b1 = g.at.uv.x * (gather<F>(scene.texcoords, i1, has) - u0) +
-                  g.at.uv.y * (gather<F>(scene.texcoords, i1 + 1u, has) - v0);
-        F by_b2 = g.at.uv.x * (gather<F>(scene.texcoords, i2, has) - u0) +
-                  g.at.uv.y * (gather<F>(scene.texcoords, i2 + 1u, has) - v0);
+        F uv0[2], uv1[2], uv2[2];
+        gather_rows<F>(scene.texcoords, i0, has, uv0);
+        gather_rows<F>(scene.texcoords, i1, has, uv1);
+        gather_rows<F>(scene.texcoords, i2, has, uv2);
+        F by_b1 = g.at.uv.x * (uv1[0] - uv0[0]) + g.at.uv.y * (uv1[1] - uv0[1]);
+        F by_b2 = g.at.uv.x * (uv2[0] - uv0[0]) + g.at.uv.y * (uv2[1] - uv0[1]);
         g.at.b.x = select(has, g.at.b.x + by_b1, g.at.b.x);
         g.at.b.y = select(has, g.at.b.y + by_b2, g.at.b.y);
         auto to_texcoords = has && wanted;
@@ -211,16 +211,15 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
 template <class F, class S, class Sink>
 TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
                                         const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active, Sink &sink) {
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, active);
-    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, at.shape, active);
-    g.n = select(mask<F>((flags & int32_t(FlipNormals)) != 0), -g.n, g.n);
-    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    ShapeLanes<F> shape(scene.shapes, at.shape, active);
+    g.n = select(shape.has(FlipNormals), -g.n, g.n);
+    auto mesh = active && !shape.has(IsCurved);
     auto curved = active && !mesh;
     Vec3<F> zero{F(0), F(0), F(0)};
     RayAdjoint<F> r{zero, zero}, other = r;
-    if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, flags, mesh, r.d, sink);
+    if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, shape, mesh, r.d, sink);
     if (any(curved)) {
-        auto sphere = curved && mask<F>(kind == int32_t(ShapeKind::Sphere));
+        auto sphere = curved && shape.has(IsSphere);
         other.o = sweep_curved(scene, at, p, in, g, curved, sphere, other.d, sink);
         r = {select(mesh, r.o, other.o), select(mesh, r.d, other.d)};
     }
@@ -234,14 +233,13 @@ TR_NOINLINE void sweep_position(const SceneView<S> &scene, const SurfacePoint<F>
     using Tables = decltype(sink.geometry);
     auto wanted = active && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(active)) != 0);
     if (!any(wanted)) return;
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, wanted);
-    auto mesh = wanted && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    ShapeLanes<F> shape(scene.shapes, at.shape, wanted);
+    auto mesh = wanted && !shape.has(IsCurved);
     if (any(mesh)) {
-        UIntOf<F> face = global_face<F>(scene, at.shape, at.primitive, mesh) * 3u;
+        UIntOf<F> corner[3];
+        gather_rows<F>(scene.faces, (UIntOf<F>(shape.face_offset) + at.primitive) * 3u, mesh, corner);
         const F weight[3] = {F(1) - at.b1 - at.b2, at.b1, at.b2};
-        for (uint32_t k = 0; k < 3; ++k)
-            sweep_vertex(&Tables::positions, gather<UIntOf<F>>(scene.faces, face + k, mask<UIntOf<F>>(mesh)),
-                         p_bar * weight[k], mesh, sink);
+        for (int k = 0; k < 3; ++k) sweep_vertex(&Tables::positions, corner[k], p_bar * weight[k], mesh, sink);
     }
     auto curved = wanted && !mesh;
     if (any(curved)) {

@@ -24,7 +24,7 @@ namespace tr {
 template <class F, int C>
 struct VertexRecord {
     Color<F, C> beta;  // throughput of the camera's side
-    SurfacePoint<F> at;
+    TexturedPoint<F> at;
     EmitterPoint<F> emission;  // (its surface point is `at` on shapes)
     F emission_weight;
     Color<F, C> emission_radiance;  // E_k

@@ -65,8 +65,8 @@ template <class Model, class T, int C>
 using ParamsOf = Params<T, C, ParamCount<Model>::Colors, ParamCount<Model>::Numbers>;
 
 // Reads the parameters of a record at a surface point.
-template <class Model, int C, class F, class S>
-TR_INLINE ParamsOf<Model, F, C> load_params(const SceneView<S> &scene, const IntOf<F> &bsdf, const SurfacePoint<F> &at,
+template <class Model, int C, template <class> class Point, class F, class S>
+TR_INLINE ParamsOf<Model, F, C> load_params(const SceneView<S> &scene, const IntOf<F> &bsdf, const Point<F> &at,
                                             const MaskOf<F> &active) {
     ParamsOf<Model, F, C> p{};
     int color = 0, number = 0;

@@ -32,13 +32,11 @@ TR_INLINE SphereCone<F> sphere_cone(const SceneView<S> &scene, const UIntOf<F> &
                                     const MaskOf<F> &active) {
     SphereCone<F> r;
     UIntOf<F> m = shape * 24u;
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
-    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, shape, active);
-    r.valid = active && mask<F>(kind == int32_t(ShapeKind::Sphere)) && mask<F>((flags & int32_t(FlipNormals)) == 0);
-    Vec3<F> column{gather<F>(scene.shape_matrices, m, active), gather<F>(scene.shape_matrices, m + 4u, active),
-                   gather<F>(scene.shape_matrices, m + 8u, active)};
-    Vec3<F> center{gather<F>(scene.shape_matrices, m + 3u, active), gather<F>(scene.shape_matrices, m + 7u, active),
-                   gather<F>(scene.shape_matrices, m + 11u, active)};
+    ShapeLanes<F> info(scene.shapes, shape, active);
+    r.valid = active && info.has(IsSphere) && !info.has(FlipNormals);
+    F to_world[12];
+    gather_matrix<F>(scene.shape_matrices, m, active, to_world);
+    Vec3<F> column{to_world[0], to_world[4], to_world[8]}, center{to_world[3], to_world[7], to_world[11]};
     r.radius = norm(column);
     Vec3<F> to_center = center - p;
     r.distance = norm(to_center);
@@ -59,8 +57,7 @@ TR_INLINE F area_emitter_pdf(const SceneView<S> &scene, const UIntOf<F> &shape, 
     F by_area = distance * distance /
                 (gather<F>(scene.shape_areas, shape, active) * select(mask<F>(cosine > F(0)), cosine, F(1)));
     by_area = select(mask<F>(cosine > F(0)), by_area, F(0));
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
-    if (any(active && mask<F>(kind == int32_t(ShapeKind::Sphere)))) {
+    if (any(active && ShapeLanes<F>(scene.shapes, shape, active).has(IsSphere))) {
         SphereCone<F> cone = sphere_cone(scene, shape, p, active);
         by_area = select(cone.valid, F(1 / (2 * Pi)) / select(cone.valid, cone.cutoff, F(1)), by_area);
     }
@@ -72,8 +69,7 @@ template <class F, class S>
 TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &p,
                                               const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
     SampledPoint<F> r = sample_shape(scene, shape, u0, u1, u2, active);
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
-    if (any(active && mask<F>(kind == int32_t(ShapeKind::Sphere)))) {
+    if (any(active && ShapeLanes<F>(scene.shapes, shape, active).has(IsSphere))) {
         SphereCone<F> cone = sphere_cone(scene, shape, p, active);
         if (any(cone.valid)) {
             Vec3<F> local = square_to_cone(u1, u2, cone.cutoff);

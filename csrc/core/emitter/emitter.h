@@ -27,23 +27,34 @@ struct EmitterSample {
     MaskOf<F> delta;
 };
 
+template <class F>
+TR_INLINE EmitterSample<F> no_emitter_sample() {
+    EmitterSample<F> r;
+    r.point = {IntOf<F>(-1), {UIntOf<F>(0u), UIntOf<F>(0u), F(0), F(0)}};
+    r.d = {F(0), F(0), F(1)};
+    r.distance = r.factor = F(1);
+    r.pdf = F(0);
+    r.delta = MaskOf<F>(false);
+    return r;
+}
+
 // Emitted radiance (point lights: intensity). `values` may be a tangent, see eval_texture; the product of an
 // environment's scale and texels is then differentiated by the product rule.
 template <int C, class F, class S>
 TR_INLINE Color<F, C> eval_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
-    IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
+    RecordLanes<F> record(scene.emitters, point.emitter, active);
+    const IntOf<F> &kind = record.kind();
     Color<F, C> r = uniform_color<C>(F(0));
     auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
     if (any(area)) {
-        IntOf<F> texture = record_field<F>(scene.emitters, AreaEmitter::Radiance, point.emitter, area);
+        IntOf<F> texture = record.field(AreaEmitter::Radiance);
         r = select(area, eval_texture<C>(scene, scene.values, texture, point.at, area), r);
     }
     // radiance of `constant`, intensity of `point`: both are field 0
     auto flat =
         active && (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Point)));
     if (any(flat)) {
-        IntOf<F> offset = record_field<F>(scene.emitters, 0, point.emitter, flat);
-        r = select(flat, constant_color<C, F>(scene.values, offset, flat), r);
+        r = select(flat, constant_color<C, F>(scene.values, record.field(0), flat), r);
     }
     auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
     if (any(map)) {
@@ -83,10 +94,8 @@ TR_INLINE F environment_pdf(const SceneView<S> &scene, const EmitterPoint<F> &po
 template <class F, class S>
 TR_INLINE F area_light_pdf(const SceneView<S> &scene, const IntOf<F> &emitter, const UIntOf<F> &shape, const Vec3<F> &p,
                            const Vec3<F> &hit, const Vec3<F> &n, const MaskOf<F> &active) {
-    Vec3<F> to_light = hit - p;
-    F distance = norm(to_light);
-    Vec3<F> d = to_light * (F(1) / select(active, distance, F(1)));
-    return area_emitter_pdf(scene, shape, p, n, d, distance, active) *
+    Direction<F> to_light(hit - p);
+    return area_emitter_pdf(scene, shape, p, n, to_light.d, to_light.length, active) *
            gather<F>(scene.emitter_pmf, UIntOf<F>(emitter), active);
 }
 
@@ -95,7 +104,7 @@ template <class F, class S>
 TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<F> &p, const F &u0, const F &u1,
                                           const F &u2, const MaskOf<F> &active) {
     using U = UIntOf<F>;
-    EmitterSample<F> r;
+    EmitterSample<F> r = no_emitter_sample<F>();
     U index(0u);
     F left = u0;
     F pmf(1);
@@ -108,38 +117,28 @@ TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<
         pmf = F(scene.emitter_pmf[0]);
     }
     r.point.emitter = IntOf<F>(index);
-    r.point.at.shape = r.point.at.primitive = U(0u);
-    r.point.at.b1 = r.point.at.b2 = F(0);
-    r.d = {F(0), F(0), F(1)};
-    r.distance = r.factor = F(1);
-    r.pdf = F(0);
-    r.delta = MaskOf<F>(false);
     IntOf<F> kind = record_kind<F>(scene.emitters, r.point.emitter, active);
 
     auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
     if (any(area)) {
         U shape = U(record_field<F>(scene.emitters, AreaEmitter::ShapeIndex, r.point.emitter, area));
         SampledPoint<F> q = sample_area_emitter(scene, shape, p, left, u1, u2, area);
-        Vec3<F> to_light = q.p - p;
-        F distance = norm(to_light);
-        auto apart = area && mask<F>(distance > F(0));
-        Vec3<F> d = to_light * (F(1) / select(apart, distance, F(1)));
-        auto facing = apart && mask<F>(dot(q.n, d) < F(0));
+        Direction<F> to_light(q.p - p);
+        auto facing = area && mask<F>(dot(q.n, to_light.d) < F(0));
         r.point.at.shape = select(mask<U>(area), q.at.shape, r.point.at.shape);
         r.point.at.primitive = select(mask<U>(area), q.at.primitive, r.point.at.primitive);
         r.point.at.b1 = select(area, q.at.b1, r.point.at.b1);
         r.point.at.b2 = select(area, q.at.b2, r.point.at.b2);
-        r.d = select(area, d, r.d);
-        r.distance = select(area, distance, r.distance);
-        r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, d, distance, facing), r.pdf);
+        r.d = select(area, to_light.d, r.d);
+        r.distance = select(area, to_light.length, r.distance);
+        r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing), r.pdf);
     }
     auto point = active && mask<F>(kind == int32_t(EmitterKind::Point));
     if (any(point)) {
         U offset = U(record_field<F>(scene.emitters, PointEmitter::Position, r.point.emitter, point));
-        Vec3<F> to_light = Vec3<F>{gather<F>(scene.values.constants, offset, point),
-                                   gather<F>(scene.values.constants, offset + 1u, point),
-                                   gather<F>(scene.values.constants, offset + 2u, point)} -
-                           p;
+        F position[3];
+        gather_few_rows<F>(scene.values.constants, offset, point, position);
+        Vec3<F> to_light = Vec3<F>{position[0], position[1], position[2]} - p;
         F distance = norm(to_light);
         auto apart = point && mask<F>(distance > F(0));
         F inverse = F(1) / select(apart, distance, F(1));

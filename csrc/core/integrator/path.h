@@ -54,10 +54,10 @@ TR_INLINE Leaf<F> resolve_bsdf(const SceneView<S> &scene, const IntOf<F> &bsdf, 
                                const MaskOf<F> &active) {
     using I = IntOf<F>;
     Leaf<F> r{bsdf, MaskOf<F>(false)};
-    auto two = active && mask<F>(record_kind<F>(scene.bsdfs, bsdf, active) == TwoSidedKind);
+    RecordLanes<F> record(scene.bsdfs, bsdf, active);
+    auto two = active && mask<F>(record.kind() == TwoSidedKind);
     if (any(two)) {
-        I front = record_field<F>(scene.bsdfs, TwoSided::Front, bsdf, two);
-        I behind = record_field<F>(scene.bsdfs, TwoSided::Back, bsdf, two);
+        I front = record.field(TwoSided::Front), behind = record.field(TwoSided::Back);
         behind = select(mask<I>(behind < 0), front, behind);
         r.bsdf = select(mask<I>(two), select(mask<I>(back), behind, front), bsdf);
         r.mirrored = two && back;
@@ -79,7 +79,7 @@ TR_INLINE Emission<F, C> surface_emission(const SceneView<S> &scene, const PathC
                                           bool first_bounce) {
     Emission<F, C> r;
     r.point.at = si.at;
-    r.point.emitter = shape_info<F>(scene.shapes, &ShapeInfo::emitter, si.at.shape, active);
+    r.point.emitter = si.shape.emitter;
     auto lit = active && mask<F>(r.point.emitter >= 0) && mask<F>(cos_i > F(0));
     r.weight = F(0);
     r.radiance = uniform_color<C>(F(0));
@@ -124,10 +124,9 @@ struct Scattering {
 };
 
 template <class Model, int C, class F, class S>
-TR_INLINE Scattering<F, C> scatter(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si,
-                                   const Vec3<F> &wi, const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue,
-                                   const Random4<F> &ub, const MaskOf<F> &active) {
-    Scattering<F, C> r{};
+TR_INLINE void scatter(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si, const Vec3<F> &wi,
+                       const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue, const Random4<F> &ub,
+                       const MaskOf<F> &active, Scattering<F, C> &r) {
     auto params = load_params<Model, C>(scene, leaf.bsdf, si.at, active);
     F mirror = select(leaf.mirrored, F(-1), F(1));
     bool splits = depth == 0;
@@ -137,7 +136,7 @@ TR_INLINE Scattering<F, C> scatter(const SceneView<S> &scene, const PathConfig &
     r.light_weight = F(0);
     r.wo_light = {F(0), F(0), F(1)};
     r.emitted = r.f_light = uniform_color<C>(F(0));
-    r.light.point.emitter = IntOf<F>(-1);
+    r.light = no_emitter_sample<F>();
     if constexpr (Model::Smooth) {
         if (scene.n_emitters > 0 && index < config.emitter_samples) {
             r.light = sample_emitter(scene, si.p, ue.u[0], ue.u[1], ue.u[2], active);
@@ -162,7 +161,6 @@ TR_INLINE Scattering<F, C> scatter(const SceneView<S> &scene, const PathConfig &
     auto possible = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(index) < n_bsdf);
     r.inverse_pdf = select(possible, F(1) / select(possible, n_bsdf * r.sample.pdf, F(1)), F(0));
     r.alive = possible;
-    return r;
 }
 
 }  // namespace tr

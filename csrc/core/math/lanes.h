@@ -59,6 +59,8 @@ TR_UNARY(acos, std::acos(x))
 TR_UNARY(abs, std::fabs(x))
 TR_UNARY(floor, std::floor(x))
 #undef TR_UNARY
+TR_INLINE float rsqrt(float x) { return 1.f / std::sqrt(x); }
+TR_INLINE double rsqrt(double x) { return 1. / std::sqrt(x); }
 TR_INLINE float atan2(float y, float x) { return std::atan2(y, x); }
 TR_INLINE double atan2(double y, double x) { return std::atan2(y, x); }
 TR_INLINE float min(float a, float b) { return a < b ? a : b; }
@@ -147,6 +149,16 @@ TR_INLINE auto lane(const T &x, int i) {
 #endif
 }
 
+// The value of x where m is set for the first time.
+template <class T, class M>
+TR_INLINE auto first_lane(const T &x, const M &m) {
+    if constexpr (std::is_arithmetic_v<T>) return x;
+#if TR_HAS_PACKETS
+    else
+        return drjit::extract(x, drjit::mask_t<T>(m));
+#endif
+}
+
 #if TR_HAS_PACKETS
 // ---------------------------------------------------------------------------------------------------- packets
 using FloatPacket = drjit::Packet<float, TR_PACKET_WIDTH>;
@@ -183,6 +195,7 @@ TR_INLINE drjit::Packet<T, N> select(const drjit::PacketMask<M, N> &m, const drj
         return drjit::name(x);                                         \
     }
 TR_UNARY(sqrt)
+TR_UNARY(rsqrt)
 TR_UNARY(exp)
 TR_UNARY(log)
 TR_UNARY(sin)

@@ -1,7 +1,7 @@
 // Points, directions and frames over any Float (number, packet, dual number).
 #pragma once
 
-#include "lanes.h"
+#include "rows.h"
 
 namespace tr {
 
@@ -49,8 +49,21 @@ TR_INLINE F norm(const Vec3<F> &a) {
 }
 template <class F>
 TR_INLINE Vec3<F> normalize(const Vec3<F> &a) {
-    return a * (F(1) / sqrt(squared_norm(a)));
+    return a * rsqrt(squared_norm(a));
 }
+// The length of v and its direction, which is 0 where v is.
+template <class F>
+struct Direction {
+    Vec3<F> d;
+    F length;
+    TR_INLINE explicit Direction(const Vec3<F> &v) {
+        F squared = squared_norm(v);
+        auto some = mask<F>(squared > F(0));
+        F inverse = select(some, rsqrt(select(some, squared, F(1))), F(0));
+        d = v * inverse;
+        length = squared * inverse;
+    }
+};
 template <class M, class F>
 TR_INLINE Vec3<F> select(const M &m, const Vec3<F> &a, const Vec3<F> &b) {
     return {select(m, a.x, b.x), select(m, a.y, b.y), select(m, a.z, b.z)};
@@ -115,7 +128,11 @@ TR_INLINE Vec3<F> transform_normal(const S *m, const Vec3<F> &n) {
 // Every lane its own matrix: rows of 4 at `base + index`.
 template <class F, class S>
 TR_INLINE void gather_matrix(const S *base, UIntOf<F> index, MaskOf<F> active, F (&m)[12]) {
-    for (uint32_t i = 0; i < 12; ++i) m[i] = gather<F>(base, index + i, active);
+    for (uint32_t i = 0; i < 3; ++i) {
+        F row[4];
+        gather_rows<F>(base, index + 4u * i, active, row);
+        for (int k = 0; k < 4; ++k) m[4 * i + uint32_t(k)] = row[k];
+    }
 }
 
 }  // namespace tr

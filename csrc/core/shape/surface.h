@@ -14,6 +14,13 @@ struct SurfacePoint {
     F b1, b2;
 };
 
+// The same with its texture coordinates (valid where the scene has textures, see SceneView::textured), which several
+// look-ups need.
+template <class F>
+struct TexturedPoint : SurfacePoint<F> {
+    Vec2<F> uv;
+};
+
 template <class F>
 struct Ray {
     Vec3<F> o, d;
@@ -21,7 +28,8 @@ struct Ray {
 
 template <class F>
 struct Interaction {
-    SurfacePoint<F> at;
+    TexturedPoint<F> at;
+    ShapeLanes<F> shape;
     Vec3<F> p, ng;   // position, unit geometric normal
     Frame<F> frame;  // of the shading normal
     F t;
@@ -29,8 +37,9 @@ struct Interaction {
 
 template <class F, class S>
 TR_INLINE Vec3<F> gather_vec3(const S *base, const UIntOf<F> &index, const MaskOf<F> &active) {
-    UIntOf<F> i = index * 3u;
-    return {gather<F>(base, i, active), gather<F>(base, i + 1u, active), gather<F>(base, i + 2u, active)};
+    F row[3];
+    gather_rows<F>(base, index * 3u, active, row);
+    return {row[0], row[1], row[2]};
 }
 
 template <class F, class S>
@@ -39,10 +48,9 @@ struct Triangle {
     Vec3<F> p0, e1, e2;
 
     TR_INLINE Triangle(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &active) {
-        UIntOf<F> f = face * 3u;
-        i0 = gather<UIntOf<F>>(scene.faces, f, mask<UIntOf<F>>(active));
-        i1 = gather<UIntOf<F>>(scene.faces, f + 1u, mask<UIntOf<F>>(active));
-        i2 = gather<UIntOf<F>>(scene.faces, f + 2u, mask<UIntOf<F>>(active));
+        UIntOf<F> row[3];
+        gather_rows<F>(scene.faces, face * 3u, active, row);
+        i0 = row[0], i1 = row[1], i2 = row[2];
         p0 = gather_vec3<F>(scene.positions, i0, active);
         e1 = gather_vec3<F>(scene.positions, i1, active) - p0;
         e2 = gather_vec3<F>(scene.positions, i2, active) - p0;
@@ -50,31 +58,41 @@ struct Triangle {
 };
 
 template <class F, class S>
-TR_INLINE UIntOf<F> global_face(const SceneView<S> &scene, const UIntOf<F> &shape, const UIntOf<F> &primitive,
-                                const MaskOf<F> &active) {
-    return UIntOf<F>(shape_info<F>(scene.shapes, &ShapeInfo::face_offset, shape, active)) + primitive;
+TR_INLINE Vec2<F> interpolate_coordinates(const SceneView<S> &scene, const UIntOf<F> (&corner)[3], const F &b1,
+                                          const F &b2, const MaskOf<F> &active) {
+    const F b[3] = {F(1) - b1 - b2, b1, b2};
+    Vec2<F> uv{F(0), F(0)};
+    for (int k = 0; k < 3; ++k) {
+        F row[2];
+        gather_rows<F>(scene.texcoords, corner[k] * 2u, active, row);
+        uv.x = fmadd(b[k], row[0], uv.x);
+        uv.y = fmadd(b[k], row[1], uv.y);
+    }
+    return uv;
 }
 
 template <class F, class S>
 TR_INLINE Vec2<F> texture_coordinates(const SceneView<S> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
-    using U = UIntOf<F>;
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, active);
-    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, at.shape, active);
-    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
-    auto has = mesh && mask<F>((flags & int32_t(HasTexcoords)) != 0);
+    ShapeLanes<F> shape(scene.shapes, at.shape, active);
+    auto has = active && shape.has(HasTexcoords);
     Vec2<F> uv{at.b1, at.b2};
     if (any(has)) {
-        U face = global_face<F>(scene, at.shape, at.primitive, has) * 3u;
-        F b[3] = {F(1) - at.b1 - at.b2, at.b1, at.b2}, u(0), v(0);
-        for (uint32_t k = 0; k < 3; ++k) {
-            U i = gather<U>(scene.faces, face + k, mask<U>(has)) * 2u;
-            u = fmadd(b[k], gather<F>(scene.texcoords, i, has), u);
-            v = fmadd(b[k], gather<F>(scene.texcoords, i + 1u, has), v);
-        }
-        uv.x = select(has, u, uv.x);
-        uv.y = select(has, v, uv.y);
+        UIntOf<F> corner[3];
+        gather_rows<F>(scene.faces, (UIntOf<F>(shape.face_offset) + at.primitive) * 3u, has, corner);
+        Vec2<F> given = interpolate_coordinates(scene, corner, at.b1, at.b2, has);
+        uv = {select(has, given.x, uv.x), select(has, given.y, uv.y)};
     }
     return uv;
+}
+
+// What a look-up starts from.
+template <class F, class S>
+TR_INLINE Vec2<F> lookup_coordinates(const SceneView<S> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
+    return texture_coordinates(scene, at, active);
+}
+template <class F, class S>
+TR_INLINE Vec2<F> lookup_coordinates(const SceneView<S> &, const TexturedPoint<F> &at, const MaskOf<F> &) {
+    return at.uv;
 }
 
 // Texture coordinates of a point of the unit sphere (azimuth, polar angle) or the unit disk (radius, azimuth).
@@ -103,14 +121,15 @@ template <class F, class S>
 TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
                                           const MaskOf<F> &active) {
     Interaction<F> si;
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, at.shape, active);
-    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, at.shape, active);
-    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    ShapeLanes<F> shape(scene.shapes, at.shape, active);
+    auto mesh = active && !shape.has(IsCurved);
     Vec3<F> ns{F(0), F(0), F(1)};
     si.ng = ns;
     si.p = ray.o;
+    Vec2<F> given{F(0), F(0)};
+    MaskOf<F> mapped(false);
     if (any(mesh)) {
-        Triangle<F, S> tri(scene, global_face<F>(scene, at.shape, at.primitive, mesh), mesh);
+        Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh);
         Vec3<F> n = cross(tri.e1, tri.e2);
         if constexpr (sizeof(S) == 8) {  // Moeller and Trumbore 1997, for a triangle that is known to be hit
             Vec3<F> q = cross(ray.d, tri.e2), s = ray.o - tri.p0, r = cross(s, tri.e1);
@@ -123,23 +142,26 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         n = normalize(n);
         si.ng = n;
         ns = n;
-        auto smooth = mesh && mask<F>((flags & int32_t(HasNormals)) != 0);
+        auto smooth = mesh && shape.has(HasNormals);
         if (any(smooth)) {
             Vec3<F> interpolated = gather_vec3<F>(scene.normals, tri.i0, smooth) * (F(1) - at.b1 - at.b2) +
                                    gather_vec3<F>(scene.normals, tri.i1, smooth) * at.b1 +
                                    gather_vec3<F>(scene.normals, tri.i2, smooth) * at.b2;
             F length_squared = squared_norm(interpolated);
             auto usable = smooth && mask<F>(length_squared > F(0));
-            interpolated = interpolated * (F(1) / sqrt(select(usable, length_squared, F(1))));
+            interpolated = interpolated * rsqrt(select(usable, length_squared, F(1)));
             ns = select(usable, interpolated, ns);
         }
+        mapped = mesh && shape.has(HasTexcoords);
+        if (scene.textured && any(mapped))
+            given = interpolate_coordinates(scene, {tri.i0, tri.i1, tri.i2}, at.b1, at.b2, mapped);
     }
     auto curved = active && !mesh;
     if (any(curved)) {
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
-        auto sphere = curved && mask<F>(kind == int32_t(ShapeKind::Sphere));
+        auto sphere = curved && shape.has(IsSphere);
         if constexpr (sizeof(S) == 8) t = select(curved, refine_distance(to_object, ray, t, sphere), t);
         Vec3<F> local = transform_point(to_object, ray.o + ray.d * t);
         // a point in single precision is off the surface: put it back, so that spawned rays start right
@@ -152,11 +174,12 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         si.ng = select(curved, n, si.ng);
         ns = select(curved, n, ns);
     }
-    auto flip = mask<F>((flags & int32_t(FlipNormals)) != 0);
+    auto flip = shape.has(FlipNormals);
     si.ng = select(flip, -si.ng, si.ng);
     ns = select(flip, -ns, ns);
     si.frame = make_frame(ns);
-    si.at = at;
+    si.at = {at, {select(mapped, given.x, at.b1), select(mapped, given.y, at.b2)}};
+    si.shape = shape;
     si.t = t;
     return si;
 }
@@ -186,20 +209,20 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
                                        const F &u2, const MaskOf<F> &active) {
     using U = UIntOf<F>;
     SampledPoint<F> r;
-    IntOf<F> kind = shape_info<F>(scene.shapes, &ShapeInfo::kind, shape, active);
-    IntOf<F> flags = shape_info<F>(scene.shapes, &ShapeInfo::flags, shape, active);
+    ShapeLanes<F> info(scene.shapes, shape, active);
     r.at.shape = shape;
     r.at.primitive = U(0u);
     r.pdf = F(1) / gather<F>(scene.shape_areas, shape, active);
     r.p = {F(0), F(0), F(0)};
     r.n = {F(0), F(0), F(1)};
     r.at.b1 = r.at.b2 = F(0);
-    auto mesh = active && mask<F>(kind == int32_t(ShapeKind::Mesh));
+    auto mesh = active && !info.has(IsCurved);
     if (any(mesh)) {
-        U n = U(shape_info<F>(scene.shapes, &ShapeInfo::n_faces, shape, mesh));
-        U offset = U(shape_info<F>(scene.shapes, &ShapeInfo::cdf_offset, shape, mesh));
-        r.at.primitive = search_cdf<F>(scene.area_cdf, offset, select(mask<U>(mesh), n, U(1u)), u0, mesh);
-        Triangle<F, S> tri(scene, global_face<F>(scene, shape, r.at.primitive, mesh), mesh);
+        U faces[2];  // their number, where their cdf begins
+        gather_few_rows<F>(&scene.shapes->n_faces, shape * 16u, mesh, faces);
+        U n = select(mask<U>(mesh), faces[0], U(1u));
+        r.at.primitive = search_cdf<F>(scene.area_cdf, faces[1], n, u0, mesh);
+        Triangle<F, S> tri(scene, U(info.face_offset) + r.at.primitive, mesh);
         Vec2<F> b = square_to_triangle(u1, u2);
         r.at.b1 = b.x;
         r.at.b2 = b.y;
@@ -211,7 +234,7 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, shape * 24u, curved, to_world);
         gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, curved, to_object);
-        auto sphere = curved && mask<F>(kind == int32_t(ShapeKind::Sphere));
+        auto sphere = curved && info.has(IsSphere);
         Vec3<F> on_sphere = square_to_sphere(u1, u2);
         Vec2<F> disk = square_to_disk(u1, u2);
         Vec3<F> local = select(sphere, on_sphere, Vec3<F>{disk.x, disk.y, F(0)});
@@ -222,7 +245,7 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         r.p = select(curved, transform_point(to_world, local), r.p);
         r.n = select(curved, n, r.n);
     }
-    auto flip = mask<F>((flags & int32_t(FlipNormals)) != 0);
+    auto flip = info.has(FlipNormals);
     r.n = select(flip, -r.n, r.n);
     return r;
 }

@@ -92,9 +92,15 @@ TR_INLINE Color<F, C> gather_footprint(const TensorView<S> &tensor, const Footpr
     Color<F, C> r = uniform_color<C>(F(0));
     int channels = tensor.shape[2];
     for (int i = 0; i < N; ++i) {
-        UIntOf<F> base = at.texel[i] * uint32_t(channels);
-        for (int c = 0; c < C; ++c)
-            r[c] = fmadd(at.weight[i], gather<F>(tensor.data, base + uint32_t(channels == 1 ? 0 : c), active), r[c]);
+        F row[C];
+        if (channels == C) {
+            gather_rows<F>(tensor.data, at.texel[i] * uint32_t(C), active, row);
+        } else {
+            for (int c = 0; c < C; ++c)
+                row[c] =
+                    gather<F>(tensor.data, at.texel[i] * uint32_t(channels) + uint32_t(channels == 1 ? 0 : c), active);
+        }
+        for (int c = 0; c < C; ++c) r[c] = fmadd(at.weight[i], row[c], r[c]);
     }
     return r;
 }

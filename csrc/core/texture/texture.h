@@ -15,21 +15,11 @@ enum class TextureKind : int32_t {
     MeshAttribute = 3
 };  // order of the registry
 
-// The value of lane x where m is set for the first time.
-template <class F>
-TR_INLINE int32_t first_lane(const IntOf<F> &x, const MaskOf<F> &m) {
-    if constexpr (Lanes<F>::Width == 1) return x;
-#if TR_HAS_PACKETS
-    else
-        return drjit::extract(x, mask<IntOf<F>>(m));
-#endif
-}
-
 // Calls visit(index, lanes) once for every distinct index.
 template <class F, class Visit>
 TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&visit) {
     while (any(rest)) {
-        int32_t i = first_lane<F>(index, rest);
+        int32_t i = first_lane(index, rest);
         auto same = rest && mask<F>(index == i);
         visit(i, same);
         rest = rest && !same;
@@ -40,16 +30,15 @@ TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&
 //   visitor.constant(offset lanes, lanes)
 //   visitor.bitmap(record, footprint, uv, lanes)
 //   visitor.attribute(record, info, footprint, lanes)      (without the factor `scale`)
-template <class F, class S, class Visitor>
-TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const SurfacePoint<F> &at,
-                         const MaskOf<F> &active, Visitor &visitor, int depth = 0) {
-    IntOf<F> kind = record_kind<F>(scene.textures, id, active);
-    auto constant = active && mask<F>(kind == int32_t(TextureKind::Constant));
-    if (any(constant))
-        visitor.constant(record_field<F>(scene.textures, ConstantTexture::Value, id, constant), constant);
+template <class F, class S, class Point, class Visitor>
+TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const MaskOf<F> &active,
+                         Visitor &visitor, int depth = 0) {
+    RecordLanes<F> record(scene.textures, id, active);
+    auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
+    if (any(constant)) visitor.constant(record.field(ConstantTexture::Value), constant);
     auto rest = active && !constant;
     if (!any(rest)) return;
-    Vec2<F> uv = texture_coordinates(scene, at, rest);
+    Vec2<F> uv = lookup_coordinates<F>(scene, at, rest);
     for_each_distinct<F>(id, rest, [&](int32_t i, const MaskOf<F> &lanes) {
         const Record &record = scene.textures[i];
         switch (TextureKind(record.kind)) {
@@ -106,9 +95,9 @@ private:
 
 // `values` is the scene's own for the value, the tangent's for its forward-mode derivative: textures are linear in
 // their data; what else they depend on is in adjoint/lookup.h.
-template <int C, class F, class S>
+template <int C, template <class> class Point, class F, class S>
 TR_INLINE Color<F, C> eval_texture(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
-                                   const SurfacePoint<F> &at, const MaskOf<F> &active) {
+                                   const Point<F> &at, const MaskOf<F> &active) {
     TextureValue<F, C, S> visitor{scene, values, uniform_color<C>(F(0))};
     visit_texture<F>(scene, id, at, active, visitor);
     return visitor.result;
