@@ -284,6 +284,8 @@ void Accel::commit(bool fast) {
 
 const Accel::Counters &Accel::counters() const { return impl_->counters; }
 
+EmbreeScene Accel::embree() const { return {&impl_->api(), impl_->scene, impl_->device->widest_query}; }
+
 void Accel::bounds(float out[6]) const {
     rtc::Bounds box{{INFINITY, INFINITY, INFINITY}, 0, {-INFINITY, -INFINITY, -INFINITY}, 0};
     // asking before the first commit would be an error of the device, which others would hear of

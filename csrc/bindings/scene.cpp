@@ -2,6 +2,7 @@
 
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <mutex>
 
 #include "config.h"
@@ -49,6 +50,10 @@ public:
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
                        const std::vector<uint8_t> &dirty) = 0;
     virtual std::array<double, 6> bounds() = 0;
+    // Keeps at most `limit` rays of each kind that the next renderings query; 0: none any more.
+    virtual void record_rays(size_t limit) = 0;
+    virtual RayRecord::Counts recorded_rays(RayKind kind) = 0;
+    virtual RayRecord::Replay replay_rays(RayKind kind, int width, int threads, int rounds) = 0;
 };
 
 template <class S, int C>
@@ -207,9 +212,26 @@ public:
         return r;
     }
 
+    void record_rays(size_t limit) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        record_ = limit ? std::make_unique<RayRecord>(limit) : nullptr;
+    }
+
+    RayRecord::Counts recorded_rays(RayKind kind) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        return record_ ? record_->counts(kind) : RayRecord::Counts{};
+    }
+
+    RayRecord::Replay replay_rays(RayKind kind, int width, int threads, int rounds) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        if (!record_) throw std::runtime_error("replay_rays: no rays are recorded");
+        return record_->replay(data_.accel(), kind, width, threads, rounds);
+    }
+
 private:
     SceneData<S> data_;
     std::mutex mutex_;
+    std::unique_ptr<RayRecord> record_;
 
     // Rays (n, 3) as columns in single precision.
     struct Rays {
@@ -253,6 +275,7 @@ private:
         if (c.pixels) call.pixels = &*c.pixels;
         call.spp = c.spp, call.sample_offset = c.sample_offset;
         call.threads = c.threads;
+        call.record = record_.get();
         call.interrupted = Interruption();
         return call;
     }
@@ -372,6 +395,9 @@ SceneObjects read_objects(const py::dict &given) {
 
 std::vector<uint8_t> read_dirty(const std::vector<bool> &dirty) { return {dirty.begin(), dirty.end()}; }
 
+constexpr std::pair<const char *, RayKind> ray_kinds[] = {
+    {"camera", RayKind::Camera}, {"bounce", RayKind::Bounce}, {"shadow", RayKind::Shadow}};
+
 using Release = py::call_guard<py::gil_scoped_release>;
 
 }  // namespace
@@ -489,6 +515,37 @@ void declare_scene(py::module_ &m) {
                const Addresses &params,
                const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, params, read_dirty(dirty)); },
             Release())
+        .def("record_rays", &SceneBase::record_rays, py::arg("limit"), Release())
+        .def("recorded_rays",
+             [](SceneBase &self) {
+                 py::dict all;
+                 for (auto [name, kind] : ray_kinds) {
+                     RayRecord::Counts counts = self.recorded_rays(kind);
+                     py::dict d;
+                     d["rays"] = counts.rays;
+                     d["hits"] = counts.hits;
+                     d["left_out"] = counts.left_out;
+                     all[name] = d;
+                 }
+                 return all;
+             })
+        .def(
+            "replay_rays",
+            [](SceneBase &self, const std::string &kind, int width, int threads, int rounds) {
+                const auto *found = std::find_if(std::begin(ray_kinds), std::end(ray_kinds),
+                                                 [&](const auto &known) { return kind == known.first; });
+                if (found == std::end(ray_kinds))
+                    throw std::invalid_argument("kind: expected camera, bounce or shadow, got " + kind);
+                RayRecord::Replay replay = [&, which = found->second] {
+                    py::gil_scoped_release release;
+                    return self.replay_rays(which, width, threads, rounds);
+                }();
+                py::dict d;
+                d["seconds"] = replay.seconds;
+                d["hits"] = replay.hits;
+                return d;
+            },
+            py::arg("kind"), py::arg("width"), py::arg("threads"), py::arg("rounds"))
         .def("bounding_box", &SceneBase::bounds, Release());
 }
 

@@ -139,6 +139,10 @@ private:
                 hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
         stats.closest_rays += front.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        if (call_.record) {
+            size_t hits = front.n - size_t(std::count(hit_shape_, hit_shape_ + front.n, Accel::Miss));
+            call_.record->add(&front == &fronts_[0] ? RayKind::Camera : RayKind::Bounce, rays, front.n, hits);
+        }
     }
 
     // ----------------------------------------------------------------------------------------------------- grouping
@@ -385,9 +389,14 @@ private:
     void trace_shadow() {
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
-        call_.accel->occluded(ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_), occluded_, shadow_.n);
+        RayBatch rays = ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_);
+        call_.accel->occluded(rays, occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        if (call_.record) {
+            size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
+            call_.record->add(RayKind::Shadow, rays, shadow_.n, hits);
+        }
         for (size_t k = 0; k < shadow_.n; ++k) {
             if (Derivative) {
                 if (occluded_[k]) level().light_weight[shadow_.position[k]] = S(0);
