@@ -50,10 +50,9 @@ public:
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
                        const std::vector<uint8_t> &dirty) = 0;
     virtual std::array<double, 6> bounds() = 0;
-    // Keeps at most `limit` rays of each kind that the next renderings query; 0: none any more.
-    virtual void record_rays(size_t limit) = 0;
-    virtual RayRecord::Counts recorded_rays(RayKind kind) = 0;
-    virtual RayRecord::Replay replay_rays(RayKind kind, int width, int threads, int rounds) = 0;
+    // The record that keeps the rays of the next renderings; null: none any more.
+    virtual void record_rays(std::shared_ptr<RayRecord> record) = 0;
+    virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, int threads, int rounds) = 0;
 };
 
 template <class S, int C>
@@ -212,26 +211,20 @@ public:
         return r;
     }
 
-    void record_rays(size_t limit) override {
+    void record_rays(std::shared_ptr<RayRecord> record) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        record_ = limit ? std::make_unique<RayRecord>(limit) : nullptr;
+        record_ = std::move(record);
     }
 
-    RayRecord::Counts recorded_rays(RayKind kind) override {
+    RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, int threads, int rounds) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        return record_ ? record_->counts(kind) : RayRecord::Counts{};
-    }
-
-    RayRecord::Replay replay_rays(RayKind kind, int width, int threads, int rounds) override {
-        std::lock_guard<std::mutex> lock(mutex_);
-        if (!record_) throw std::runtime_error("replay_rays: no rays are recorded");
-        return record_->replay(data_.accel(), kind, width, threads, rounds);
+        return record.replay(data_.accel(), kind, width, threads, rounds);
     }
 
 private:
     SceneData<S> data_;
     std::mutex mutex_;
-    std::unique_ptr<RayRecord> record_;
+    std::shared_ptr<RayRecord> record_;
 
     // Rays (n, 3) as columns in single precision.
     struct Rays {
@@ -415,6 +408,20 @@ void declare_scene(py::module_ &m) {
             dtype == "float64" ? run(0.0) : run(0.f);
         },
         Release());
+    py::class_<RayRecord, std::shared_ptr<RayRecord>>(m, "RayRecord")
+        .def(py::init<size_t>(), py::arg("limit"))
+        .def("counts", [](const RayRecord &self) {
+            py::dict all;
+            for (auto [name, kind] : ray_kinds) {
+                RayRecord::Counts counts = self.counts(kind);
+                py::dict d;
+                d["rays"] = counts.rays;
+                d["hits"] = counts.hits;
+                d["left_out"] = counts.left_out;
+                all[name] = d;
+            }
+            return all;
+        });
     py::class_<SceneBase>(m, "Scene")
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
         .def(
@@ -515,37 +522,24 @@ void declare_scene(py::module_ &m) {
                const Addresses &params,
                const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, params, read_dirty(dirty)); },
             Release())
-        .def("record_rays", &SceneBase::record_rays, py::arg("limit"), Release())
-        .def("recorded_rays",
-             [](SceneBase &self) {
-                 py::dict all;
-                 for (auto [name, kind] : ray_kinds) {
-                     RayRecord::Counts counts = self.recorded_rays(kind);
-                     py::dict d;
-                     d["rays"] = counts.rays;
-                     d["hits"] = counts.hits;
-                     d["left_out"] = counts.left_out;
-                     all[name] = d;
-                 }
-                 return all;
-             })
+        .def("record_rays", &SceneBase::record_rays, py::arg("record").none(true), Release())
         .def(
             "replay_rays",
-            [](SceneBase &self, const std::string &kind, int width, int threads, int rounds) {
+            [](SceneBase &self, const RayRecord &record, const std::string &kind, int width, int threads, int rounds) {
                 const auto *found = std::find_if(std::begin(ray_kinds), std::end(ray_kinds),
                                                  [&](const auto &known) { return kind == known.first; });
                 if (found == std::end(ray_kinds))
                     throw std::invalid_argument("kind: expected camera, bounce or shadow, got " + kind);
                 RayRecord::Replay replay = [&, which = found->second] {
                     py::gil_scoped_release release;
-                    return self.replay_rays(which, width, threads, rounds);
+                    return self.replay_rays(record, which, width, threads, rounds);
                 }();
                 py::dict d;
                 d["seconds"] = replay.seconds;
                 d["hits"] = replay.hits;
                 return d;
             },
-            py::arg("kind"), py::arg("width"), py::arg("threads"), py::arg("rounds"))
+            py::arg("record"), py::arg("kind"), py::arg("width"), py::arg("threads"), py::arg("rounds"))
         .def("bounding_box", &SceneBase::bounds, Release());
 }
 
