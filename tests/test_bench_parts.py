@@ -11,7 +11,7 @@ import pytest
 
 import torchrender as tr
 from bench import compare, peers, plots, report
-from bench.embree_alone import EmbreeAlone, Pair
+from bench.embree_alone import KINDS, QUERIES, EmbreeAlone, Pair
 from bench.measured import Measured, fit_line, rounds
 from bench.meshes import bumpy_sphere
 from bench.ours import Ours
@@ -167,7 +167,7 @@ def test_embree_alone_traces_what_the_renderer_asked():
         ours.renderer(seed=0).square().mean().backward()
         statistics = ours.scene.statistics[kind]
         assert alone.rays == statistics["closest_rays"] + statistics["shadow_rays"]
-        assert set(alone.widths) == {"camera", "bounce", "shadow"}
+        assert tuple(alone.queries) == KINDS
     times = pair.round()
     assert 0 < times["forward"] < times["sum"] < 10
 
@@ -180,7 +180,7 @@ def test_embree_alone_extrapolates_beyond_its_limit():
     part.handle = argparse.Namespace(replay_rays=lambda *_: {"seconds": [2.0, 3.0], "hits": 0})
     factor = part.count("bounce") / part.counts["bounce"]["rays"]
     assert factor > 1.5
-    assert part.replay("bounce", 1, 2) == pytest.approx([2 * factor, 3 * factor])
+    assert part.replay("bounce", QUERIES[0], 2) == pytest.approx([2 * factor, 3 * factor])
 
 
 def test_arrays_of_a_scene():

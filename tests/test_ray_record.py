@@ -31,15 +31,15 @@ def test_the_same_rays_hit_the_same(dtype):
     handle, record, rays = recorded(dtype)
     counts = record.counts()
     assert sum(counts[kind]["rays"] for kind in CLOSEST) == rays["closest_rays"]
-    assert counts["shadow"]["rays"] == rays["shadow_rays"]
+    assert sum(counts[kind]["rays"] for kind in ("camera shadow", "bounce shadow")) == rays["shadow_rays"]
     assert all(0 < c["hits"] < c["rays"] and c["left_out"] == 0 for c in counts.values())
     for kind, count in counts.items():
         for width in (1, 4):
-            for threads in (1, 3):
-                replay = handle.replay_rays(record, kind, width, threads, 2)
+            for threads, coherent in ((1, False), (3, False), (1, True)):
+                replay = handle.replay_rays(record, kind, width, coherent, threads, 2)
                 assert len(replay["seconds"]) == 2
                 # Packets and single rays may differ at an edge, by rounding.
-                assert abs(replay["hits"] - count["hits"]) <= 2, (kind, width, threads)
+                assert abs(replay["hits"] - count["hits"]) <= 2, (kind, width, threads, coherent)
 
 
 def test_what_is_beyond_the_limit_is_counted():
@@ -67,6 +67,6 @@ def test_a_record_that_was_taken_away_stays_as_it_is():
 def test_wrong_arguments_are_refused():
     handle, record, _ = recorded(torch.float32)
     with pytest.raises(ValueError, match="width: expected 1, 4, 8 or 16"):
-        handle.replay_rays(record, "camera", 3, 1, 1)
-    with pytest.raises(ValueError, match="kind: expected camera, bounce or shadow, got light"):
-        handle.replay_rays(record, "light", 1, 1, 1)
+        handle.replay_rays(record, "camera", 3, False, 1, 1)
+    with pytest.raises(ValueError, match="kind: expected camera, bounce, camera shadow or bounce shadow, got light"):
+        handle.replay_rays(record, "light", 1, False, 1, 1)

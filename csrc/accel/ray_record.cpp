@@ -58,8 +58,9 @@ uint64_t closest(const rtc::Api &api, rtc::Scene scene, const Columns &rays, boo
 }
 
 template <int W>
-uint64_t occluded(const rtc::Api &api, rtc::Scene scene, const Columns &rays) {
+uint64_t occluded(const rtc::Api &api, rtc::Scene scene, const Columns &rays, bool coherent) {
     rtc::QueryArguments arguments;
+    arguments.flags = coherent ? rtc::QueryCoherent : rtc::QueryIncoherent;
     alignas(64) int valid[W];
     rtc::Ray<W> ray;
     std::memset(&ray, 0, sizeof(ray));
@@ -73,12 +74,13 @@ uint64_t occluded(const rtc::Api &api, rtc::Scene scene, const Columns &rays) {
 }
 
 template <int W>
-uint64_t trace(const EmbreeScene &embree, RayKind kind, const Columns &rays) {
-    if (kind == RayKind::Shadow) return occluded<W>(*embree.api, embree.scene, rays);
-    return closest<W>(*embree.api, embree.scene, rays, kind == RayKind::Camera);
+uint64_t trace(const EmbreeScene &embree, RayKind kind, const Columns &rays, bool coherent) {
+    bool any = kind == RayKind::CameraShadow || kind == RayKind::BounceShadow;
+    return any ? occluded<W>(*embree.api, embree.scene, rays, coherent)
+               : closest<W>(*embree.api, embree.scene, rays, coherent);
 }
 
-using Trace = uint64_t (*)(const EmbreeScene &, RayKind, const Columns &);
+using Trace = uint64_t (*)(const EmbreeScene &, RayKind, const Columns &, bool coherent);
 
 Trace trace_of(int width, int widest) {
     if (width <= widest) {
@@ -120,7 +122,8 @@ RayRecord::Counts RayRecord::counts(RayKind kind) const {
     return rays_[int(kind)].counts;
 }
 
-RayRecord::Replay RayRecord::replay(const Accel &accel, RayKind kind, int width, int threads, int rounds) const {
+RayRecord::Replay RayRecord::replay(const Accel &accel, RayKind kind, int width, bool coherent, int threads,
+                                    int rounds) const {
     std::lock_guard<std::mutex> lock(mutex_);
     const Rays &rays = rays_[int(kind)];
     const EmbreeScene embree = accel.embree();
@@ -136,7 +139,7 @@ RayRecord::Replay RayRecord::replay(const Accel &accel, RayKind kind, int width,
                 Columns columns;
                 columns.n = (b + 1 < rays.begin.size() ? rays.begin[b + 1] : rays.column[0].size()) - begin;
                 for (int k = 0; k < 7; ++k) columns.at[k] = rays.column[k].data() + begin;
-                found += trace(embree, kind, columns);
+                found += trace(embree, kind, columns, coherent);
             }
             hits += found;
         };

@@ -9,8 +9,9 @@
 
 namespace tr {
 
-enum class RayKind { Camera, Bounce, Shadow };  // the first two ask for the closest hit
-constexpr int RayKinds = 3;
+// The first two ask for the closest hit, the others, from what the camera sees and from further on, for any.
+enum class RayKind { Camera, Bounce, CameraShadow, BounceShadow };
+constexpr int RayKinds = 4;
 
 class RayRecord {
 public:
@@ -32,8 +33,8 @@ public:
         uint64_t hits = 0;            // of one round
     };
     // Traces the rays of a kind `rounds` times on `threads` threads, batch by batch, `width` rays a query (1, 4, 8 or
-    // 16). std::invalid_argument if Embree has no code for that width here.
-    Replay replay(const Accel &accel, RayKind kind, int width, int threads, int rounds) const;
+    // 16), which Embree is told are similar if `coherent`. std::invalid_argument if it has no code for that width here.
+    Replay replay(const Accel &accel, RayKind kind, int width, bool coherent, int threads, int rounds) const;
 
 private:
     struct Rays {

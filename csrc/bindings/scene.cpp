@@ -52,7 +52,8 @@ public:
     virtual std::array<double, 6> bounds() = 0;
     // The record that keeps the rays of the next renderings; null: none any more.
     virtual void record_rays(std::shared_ptr<RayRecord> record) = 0;
-    virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, int threads, int rounds) = 0;
+    virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, bool coherent, int threads,
+                                          int rounds) = 0;
 };
 
 template <class S, int C>
@@ -216,9 +217,10 @@ public:
         record_ = std::move(record);
     }
 
-    RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, int threads, int rounds) override {
+    RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, bool coherent, int threads,
+                                  int rounds) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        return record.replay(data_.accel(), kind, width, threads, rounds);
+        return record.replay(data_.accel(), kind, width, coherent, threads, rounds);
     }
 
 private:
@@ -388,8 +390,10 @@ SceneObjects read_objects(const py::dict &given) {
 
 std::vector<uint8_t> read_dirty(const std::vector<bool> &dirty) { return {dirty.begin(), dirty.end()}; }
 
-constexpr std::pair<const char *, RayKind> ray_kinds[] = {
-    {"camera", RayKind::Camera}, {"bounce", RayKind::Bounce}, {"shadow", RayKind::Shadow}};
+constexpr std::pair<const char *, RayKind> ray_kinds[] = {{"camera", RayKind::Camera},
+                                                          {"bounce", RayKind::Bounce},
+                                                          {"camera shadow", RayKind::CameraShadow},
+                                                          {"bounce shadow", RayKind::BounceShadow}};
 
 using Release = py::call_guard<py::gil_scoped_release>;
 
@@ -525,21 +529,24 @@ void declare_scene(py::module_ &m) {
         .def("record_rays", &SceneBase::record_rays, py::arg("record").none(true), Release())
         .def(
             "replay_rays",
-            [](SceneBase &self, const RayRecord &record, const std::string &kind, int width, int threads, int rounds) {
+            [](SceneBase &self, const RayRecord &record, const std::string &kind, int width, bool coherent, int threads,
+               int rounds) {
                 const auto *found = std::find_if(std::begin(ray_kinds), std::end(ray_kinds),
                                                  [&](const auto &known) { return kind == known.first; });
                 if (found == std::end(ray_kinds))
-                    throw std::invalid_argument("kind: expected camera, bounce or shadow, got " + kind);
+                    throw std::invalid_argument("kind: expected camera, bounce, camera shadow or bounce shadow, got " +
+                                                kind);
                 RayRecord::Replay replay = [&, which = found->second] {
                     py::gil_scoped_release release;
-                    return self.replay_rays(record, which, width, threads, rounds);
+                    return self.replay_rays(record, which, width, coherent, threads, rounds);
                 }();
                 py::dict d;
                 d["seconds"] = replay.seconds;
                 d["hits"] = replay.hits;
                 return d;
             },
-            py::arg("record"), py::arg("kind"), py::arg("width"), py::arg("threads"), py::arg("rounds"))
+            py::arg("record"), py::arg("kind"), py::arg("width"), py::arg("coherent"), py::arg("threads"),
+            py::arg("rounds"))
         .def("bounding_box", &SceneBase::bounds, Release());
 }
 

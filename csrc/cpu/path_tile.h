@@ -225,7 +225,7 @@ private:
                     shade<Derivative>(segment.kind, front, next, lanes, i, depth, index, scatters);
             }
         }
-        trace_shadow<Derivative>();
+        trace_shadow<Derivative>(depth);
     }
 
     template <bool Derivative>
@@ -386,7 +386,7 @@ private:
     }
 
     template <bool Derivative>
-    void trace_shadow() {
+    void trace_shadow(int depth) {
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
         RayBatch rays = ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_);
@@ -395,7 +395,7 @@ private:
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (call_.record) {
             size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
-            call_.record->add(RayKind::Shadow, rays, shadow_.n, hits);
+            call_.record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
         }
         for (size_t k = 0; k < shadow_.n; ++k) {
             if (Derivative) {
