@@ -31,7 +31,7 @@ def peer_start(chosen_peer: tuple[str, str], row: Row, home: str, options: argpa
     peer = Peer(*chosen_peer, options.threads, {"HOME": home})
     try:
         start = time.perf_counter()
-        load_peer(peer, row, options)
+        load_peer(peer, row, options.resolution, options.spp)
         peer.ask("step", seed=0)
         return peer, peer.import_seconds + time.perf_counter() - start
     finally:

@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from .serving import memory
+from .serving import memory, settled_memory
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -48,15 +48,6 @@ def coldstart(row: int, threads: int, resolution: int, spp: int) -> dict[str, fl
     return {"import": imported - start, "load": loaded - imported, "first step": done - loaded, "total": done - start}
 
 
-def reset_peak() -> bool:
-    """Start measuring this process's peak memory anew, where the system allows it."""
-    try:
-        Path("/proc/self/clear_refs").write_text("5")
-    except OSError:
-        return False
-    return memory("VmHWM") - memory("VmRSS") < 1
-
-
 def peak_memory(row: int, threads: int, resolution: int, spp: int, steps: int) -> dict[str, float]:
     """MiB that forward and backward passes add, at their peak, to a process that has loaded the scene.
 
@@ -71,12 +62,10 @@ def peak_memory(row: int, threads: int, resolution: int, spp: int, steps: int) -
     torch.set_num_threads(threads)
     torch.ones(3, requires_grad=True).square().sum().backward()
     ours = Ours.of_row(ROWS[row], resolution, spp)
-    # What loading has used and given back must not hide what rendering takes.
-    exact = reset_peak()
-    before = memory("VmRSS") if exact else memory("VmHWM")
+    before = settled_memory()
     with torch.no_grad():
         ours.renderer(seed=0, spp=1, crop=(0, 0, 1, 1))
-    scene = max(0.0, (memory("VmRSS") if exact else memory("VmHWM")) - before)
+    scene = max(0.0, settled_memory() - before)
     for seed in range(steps):
         ours.step(seed)
     gradients = sum(p.numel() * p.element_size() for p in ours.parameters) / 2**20

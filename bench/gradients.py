@@ -35,7 +35,7 @@ def gradient_rows(row: Row, peers: list[Peer], options: argparse.Namespace) -> l
 
     runs: dict[str, list[dict[str, Any]]] = {"ours": []}
     for peer in peers:
-        load_peer(peer, row, options)
+        load_peer(peer, row, options.resolution, options.spp)
         runs[peer.title] = []
     for seed in range(options.warmup + options.rounds):
         answers = {"ours": mine(seed)}

@@ -34,10 +34,10 @@ def _bars(axes: Any, table: dict[str, Any], plot: dict[str, Any]) -> None:
 
 
 def _lines(axes: Any, table: dict[str, Any], plot: dict[str, Any]) -> None:
-    by = plot.get("by")
+    by = plot.get("by", [])
     groups: dict[str, list[dict[str, Any]]] = {}
     for row in table["rows"]:
-        groups.setdefault(str(row[by]) if by else "", []).append(row)
+        groups.setdefault(", ".join(str(row[label]) for label in by), []).append(row)
     for group, rows in groups.items():
         for column in plot["columns"]:
             present = [row for row in rows if row.get(column) is not None]

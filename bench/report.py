@@ -22,8 +22,8 @@ class Table:
     """One table. A row is a dict by column; it lacks a value where there is none.
 
     A column's name ends with its unit. `labels` are the columns that say which row it is. `plot` describes its picture:
-    ``{"kind": "bars" | "lines", "columns": [...], "y": label}``, lines with ``"x"`` and, where every value of a column
-    has a line of its own, ``"by"``.
+    ``{"kind": "bars" | "lines", "columns": [...], "y": label}``, lines with ``"x"`` and, where every value of some
+    labels has a line of its own, ``"by": [...]``.
     """
 
     title: str

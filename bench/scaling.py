@@ -17,13 +17,15 @@ from torch.nn.functional import interpolate
 
 import torchrender as tr
 
-from .arguments import counts_argument
+from .arguments import counts_argument, peer_argument
 from .embree_alone import Pair
 from .measured import Measured, fit_line, rounds
 from .meshes import bumpy_sphere
 from .ours import Ours, chosen
+from .peers import Peer, Peers
 from .report import Result, Table
 from .rows import ROWS, Row
+from .scene_arrays import load_peer
 
 PARTS = ("samples", "pixels", "threads", "triangles", "texture")
 DISTINCT = (ROWS[0], ROWS[1], ROWS[3])  # the rows with different geometry
@@ -37,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     counts_argument(parser, "--triangles", [10**3, 10**4, 10**5, 10**6], "triangles of a mesh")
     parser.add_argument("--largest", action="store_true", help="10^7 triangles as well (several GB of memory)")
     counts_argument(parser, "--texels", [256, 512, 1024, 2048, 4096], "texels along a side of a texture")
+    peer_argument(parser)  # over samples and pixels
     parser.set_defaults(rounds=5, warmup=1)
 
 
@@ -54,10 +57,24 @@ def timings(programs: dict[Any, Callable[[int], dict[str, float]]], options: arg
     return {who: Measured.of(times["step"]) for who, times in rounds(programs, options).items()}
 
 
-def sample_rows(row: Row, points: list[tuple[int, int]], options: argparse.Namespace) -> list[dict[str, Any]]:
+def sample_rows(
+    row: Row, points: list[tuple[int, int]], peers: list[Peer], options: argparse.Namespace
+) -> list[dict[str, Any]]:
     """Time over the number of samples; `points` are (pixels along a side, samples a pixel)."""
     programs = {point: partial(timed_step, Ours.of_row(row, *point)) for point in points}
-    measured = timings(programs, options)
+    rows = fitted(row, "ours", timings(programs, options))
+    for peer in peers:  # one point after the other: it has one scene at a time
+        measured = {}
+        for point in points:
+            load_peer(peer, row, *point)
+            measured |= timings({point: lambda n, p=peer: {"step": sum(p.ask("step", seed=n).values())}}, options)
+        rows += fitted(row, peer.title, measured)
+    return rows
+
+
+def fitted(row: Row, who: str, measured: dict[tuple[int, int], Measured]) -> list[dict[str, Any]]:
+    """Table rows of one program and scene: its times and what a straight line through them says."""
+    points = list(measured)
     counts = {(side, spp): side * side * spp for side, spp in points}
     fixed = slope = float("nan")
     if len(set(counts.values())) > 1:
@@ -68,29 +85,34 @@ def sample_rows(row: Row, points: list[tuple[int, int]], options: argparse.Names
         rows.append(
             {
                 "scene": row.name,
+                "program": who,
                 "pixels": f"{point[0]}²",
                 "spp": point[1],
                 "samples": counts[point],
                 "step ms": measured[point].scaled(1e3),
                 "without the fixed cost, a sample, in ns": 1e9 * marginal,
-                "of the fit's slope": marginal / slope,
+                "of the fit's slope": marginal / slope if slope else None,
                 "fixed cost, in ms": 1e3 * fixed,
             }
         )
     return rows
 
 
-def sample_table(part: str, options: argparse.Namespace) -> Table:
+def sample_table(part: str, peers: list[Peer], options: argparse.Namespace) -> Table:
     points = [(SMALLEST, spp) for spp in options.samples]
     title = f"Samples: {SMALLEST}x{SMALLEST} pixels"
     if part == "pixels":
         points = [(side, options.spp) for side in options.sides]
         title = f"Pixels: {options.spp} spp"
-    rows = [entry for row in scenes(options) for entry in sample_rows(row, points, options)]
+    rows = [entry for row in scenes(options) for entry in sample_rows(row, points, peers, options)]
     columns = ["without the fixed cost, a sample, in ns"]
-    plot = {"kind": "lines", "x": "samples", "columns": columns, "by": "scene", "y": "ns a sample"}
+    plot = {"kind": "lines", "x": "samples", "columns": columns, "by": ["scene"], "y": "ns a sample"}
     return Table(
-        f"{title}, {options.threads} threads, forward and backward", ["scene", "pixels", "spp"], rows, [], plot
+        f"{title}, {options.threads} threads, forward and backward",
+        ["scene", "program", "pixels", "spp"],
+        rows,
+        [],
+        plot,
     )
 
 
@@ -115,7 +137,7 @@ def thread_table(options: argparse.Namespace) -> Table:
         "kind": "lines",
         "x": "number",
         "columns": ["faster than one"],
-        "by": "scene",
+        "by": ["scene"],
         "y": "faster than one thread",
     }
     return Table(title, ["scene", "number"], rows, [], plot)
@@ -200,7 +222,7 @@ def texture_table(options: argparse.Namespace) -> Table:
     )
     notes = ["Clearing and summing: of the gradient and one buffer a thread, by torch."]
     columns = ["step ms", "clearing and summing ms"]
-    plot = {"kind": "lines", "x": "texels", "columns": columns, "by": "scene", "y": "ms"}
+    plot = {"kind": "lines", "x": "texels", "columns": columns, "by": ["scene"], "y": "ms"}
     return Table(title, ["scene", "texels"], rows, notes, plot)
 
 
@@ -208,8 +230,9 @@ def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
     makers = {"threads": thread_table, "triangles": triangle_table, "texture": texture_table}
     tables = []
-    for part in PARTS:
-        if options.part and part not in options.part:
-            continue
-        tables.append(makers[part](options) if part in makers else sample_table(part, options))
-    return Result([table for table in tables if table.rows])
+    with Peers(options.peer, options.threads) as peers:
+        for part in PARTS:
+            if not options.part or part in options.part:
+                tables.append(makers[part](options) if part in makers else sample_table(part, peers, options))
+        versions = {peer.name: peer.version for peer in peers}
+    return Result([table for table in tables if table.rows], versions)

@@ -10,7 +10,6 @@ The .npz file holds ``to_world`` (4, 4) of the camera, ``fov`` (degrees, along x
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -77,7 +76,7 @@ def arrays_for(peer: Peer, row: Row) -> str | None:
     return str(file)
 
 
-def load_peer(peer: Peer, row: Row, options: argparse.Namespace) -> None:
+def load_peer(peer: Peer, row: Row, resolution: int, spp: int) -> None:
     """Let a peer load a row's scene."""
-    settings = {"resolution": options.resolution, "spp": options.spp, "arrays": arrays_for(peer, row)}
+    settings = {"resolution": resolution, "spp": spp, "arrays": arrays_for(peer, row)}
     peer.ask("load", path=row.path, arguments=row.arguments, parameters=list(row.parameters), **settings)

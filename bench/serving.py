@@ -11,7 +11,8 @@ before any request, is {"version": str, "import_seconds": float}.
     {"do": "gradient", "seed": int, "spp": int, "file": str | null}
                                      -> {"sums": [...], "seconds": float}    of mean(image * weight), with independent
                                         samples; `file`: the gradients in order, with numpy.savez
-    {"do": "memory"}                 -> {"peak": MiB, "start": MiB}
+    {"do": "settle"}                 -> {"memory": MiB}       what is in use now; its peak is measured anew from here
+    {"do": "memory"}                 -> {"peak": MiB}
     {"do": "quit"}
 """
 
@@ -31,6 +32,20 @@ def memory(key: str) -> float:
     raise RuntimeError(f"/proc/self/status has no {key} line")
 
 
+def settled_memory() -> float:
+    """Memory in use, in MiB, from which its peak is measured anew; where the system does not allow that, the peak.
+
+    What loading has used and given back must not hide what rendering takes.
+    """
+    try:
+        with open("/proc/self/clear_refs", "w") as control:
+            control.write("5")
+    except OSError:
+        return memory("VmHWM")
+    now = memory("VmRSS")
+    return now if memory("VmHWM") - now < 1 else memory("VmHWM")
+
+
 def weight_of(height: int, width: int, np):
     """The weight of the scalar whose gradient is compared, (H, W, 3) float32; `np` is the numpy module."""
     x, y = 2 * np.pi * np.arange(width) / width, 2 * np.pi * np.arange(height) / height
@@ -43,7 +58,6 @@ def serve(make) -> None:
     # Renderers log to standard output: keep a private copy of it for the answers and send the rest to standard error.
     answers = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
-    start_memory = memory("VmHWM")
     server = make(int(sys.argv[1]))
     print(json.dumps({"version": server.version, "import_seconds": server.import_seconds}), file=answers)
     for line in sys.stdin:
@@ -53,7 +67,9 @@ def serve(make) -> None:
             break
         try:
             if action == "memory":
-                answer = {"peak": memory("VmHWM"), "start": start_memory}
+                answer = {"peak": memory("VmHWM")}
+            elif action == "settle":
+                answer = {"memory": settled_memory()}
             else:
                 answer = getattr(server, action)(**request)
         except Exception as error:  # the caller reports it

@@ -28,7 +28,7 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
     alone = Pair(ours, options.threads)
     programs = {"": lambda seed: {"image": ours.forward(seed)["forward"], **ours.step(seed)}, "Embree": alone.round}
     for peer in peers:
-        load_peer(peer, row, options)
+        load_peer(peer, row, options.resolution, options.spp)
 
         def run(seed: int, peer: Peer = peer) -> dict[str, float]:
             return {"image": peer.ask("forward", seed=seed)["forward"], **peer.ask("step", seed=seed)}

@@ -69,7 +69,7 @@ def of_ours(row: Row, options: argparse.Namespace, sampler: str) -> Program:
 
 
 def of_peer(peer: Peer, row: Row, options: argparse.Namespace, folder: Path) -> Program:
-    load_peer(peer, row, options)
+    load_peer(peer, row, options.resolution, options.spp)
 
     def image(seed: int, spp: int) -> tuple[list[np.ndarray], float]:
         file = folder / "image.npy"

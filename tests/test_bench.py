@@ -132,20 +132,32 @@ def test_coldstart(tmp_path):
     assert all(0 < part < 60 for part in parts)
 
 
-def test_memory(tmp_path):
-    options = ["--only", "sphere, texture 1024", "--rounds", "1", "--samples", "2"]
+def test_memory(tmp_path, fake_peer):
+    options = [
+        "--only",
+        "sphere, texture 1024",
+        "--rounds",
+        "1",
+        "--samples",
+        "2",
+        "--peer",
+        f"mitsuba={sys.executable}",
+    ]
     (row,) = run(tmp_path, "memory", *TINY, *options)["tables"][0]["rows"]
+    assert 0 <= row["Mitsuba peak above the loaded scene MiB"]["median"] < 10  # what takes its place does nothing
     assert row["gradients and a buffer a thread"] == 24  # 1024 x 1024 x 3 numbers of 4 bytes, with one thread, twice
     assert 0 <= row["beyond these MiB"]["median"] < row["peak above the loaded scene MiB"]["median"] < 1000
 
 
-def test_scaling(tmp_path):
+def test_scaling(tmp_path, fake_peer):
     options = ["--only", "sphere, texture 512", "--samples", "1", "2", "--sides", "8", "16", "--triangles", "500"]
+    options += ["--peer", f"mitsuba={sys.executable}"]
     picture = tmp_path / "scaling.svg"
     result = run(tmp_path, "scaling", *TINY, *options, "--texels", "16", "32", "--plot", str(picture))
     samples, pixels, threads, triangles, texture = (table["rows"] for table in result["tables"])
-    assert [row["samples"] for row in samples] == [4096, 8192]
-    assert [row["samples"] for row in pixels] == [128, 512]
+    assert [(row["program"], row["samples"]) for row in samples[1:3]] == [("ours", 8192), ("Mitsuba", 4096)]
+    assert [row["samples"] for row in pixels] == [128, 512] * 2
+    assert [row["fixed cost, in ms"] for row in pixels[2:]] == pytest.approx([2000, 2000])
     assert [row["number"] for row in threads] == [1]
     assert triangles[0]["our growth"] == triangles[0]["ours / Embree's"] == 1
     assert triangles[0]["Embree alone, a ray ns"]["median"] > 0
