@@ -66,9 +66,9 @@ def main(argv: list[str] | None = None) -> int:
         return 2
     settings = {key: value for key, value in vars(options).items() if key not in ("json", "plot", "peer")}
     document = report.to_json(name, result, settings, where)
-    report.show(document, result)
     if options.json:
         report.save(options.json, document)
+    report.show(document, result)
     if options.plot:
         draw(document, options.plot)
     return 0
