@@ -31,7 +31,7 @@ from .scene_arrays import load_peer
 
 # Makes an image or a gradient (as a list of arrays) from a seed and a sample count; with the seconds that it took.
 Estimate = Callable[[int, int], tuple[list[np.ndarray], float]]
-PASS = 256  # samples of one pass of the reference
+PASS = 256  # samples of one pass of the reference, at most
 REFERENCE_SEED = 1 << 40  # far from the rounds'
 
 
@@ -39,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
     counts_argument(parser, "--samples", [4, 16, 64], "samples a pixel")
     parser.add_argument("--reference", type=positive, default=4096, help="samples of the reference (default 4096)")
-    parser.set_defaults(resolution=128, rounds=7, warmup=1)
+    parser.set_defaults(resolution=128, rounds=11, warmup=1)
 
 
 def samplers() -> tuple[str, ...]:
@@ -85,14 +85,29 @@ def of_peer(peer: Peer, row: Row, options: argparse.Namespace, folder: Path) -> 
     return Program(image, gradient)
 
 
-def reference_of(row: Row, options: argparse.Namespace) -> dict[str, list[np.ndarray]]:
+@dataclass
+class Reference:
+    """What estimates are compared with: the mean of two independent halves, and its own squared error, seen in them."""
+
+    value: list[np.ndarray]
+    noise: float  # relative, as `squared_error`
+
+    @classmethod
+    def of_halves(cls, first: list[np.ndarray], second: list[np.ndarray], kind: str) -> Reference:
+        value = [(a + b) / 2 for a, b in zip(first, second, strict=True)]
+        return cls(value, squared_error(first, value, kind))  # half of the difference, squared: the mean's variance
+
+
+def references_of(row: Row, options: argparse.Namespace) -> dict[str, Reference]:
     """Image and gradient with many samples."""
     ours = Ours.of_row(row, options.resolution, options.spp)
-    spp = min(PASS, options.reference)
-    passes = -(-options.reference // spp)
-    image, _ = ours.image(REFERENCE_SEED, spp, passes)
-    gradient, _ = ours.gradient(REFERENCE_SEED, spp, passes)
-    return {"image": [image], "gradient": gradient}
+    spp = min(PASS, max(1, options.reference // 2))
+    passes = max(1, options.reference // (2 * spp))
+    halves: dict[str, list[list[np.ndarray]]] = {"image": [], "gradient": []}
+    for seed in (REFERENCE_SEED, REFERENCE_SEED + 1):
+        halves["image"].append([ours.image(seed, spp, passes)[0]])
+        halves["gradient"].append(ours.gradient(seed, spp, passes)[0])
+    return {kind: Reference.of_halves(first, second, kind) for kind, (first, second) in halves.items()}
 
 
 def squared_error(estimate: list[np.ndarray], reference: list[np.ndarray], kind: str) -> float:
@@ -124,7 +139,7 @@ def error_slope(spp: Sequence[int], errors: Sequence[float]) -> tuple[float, flo
 
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> list[dict[str, Any]]:
     """A table row for each program and each of image and gradient."""
-    reference = reference_of(row, options)
+    references = references_of(row, options)
     with tempfile.TemporaryDirectory() as folder:
         programs = {f"ours, {sampler}": of_ours(row, options, sampler) for sampler in samplers()}
         programs |= {peer.title: of_peer(peer, row, options, Path(folder)) for peer in peers}
@@ -134,17 +149,20 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
                     for spp in options.samples:
                         value, seconds = estimate(seed, spp)
                         if seed >= options.warmup:
-                            error = squared_error(value, reference[kind], kind)
+                            error = squared_error(value, references[kind].value, kind)
                             program.errors[kind].setdefault(spp, []).append(error)
                             program.seconds[kind].setdefault(spp, []).append(seconds)
     rows = []
     for kind in ("image", "gradient"):
         first = next(iter(programs.values()))
         common = Measured.of(first.seconds[kind][options.samples[-1]]).median
+        noise = references[kind].noise
         ours: float | None = None
         for who, program in programs.items():
             times = {spp: Measured.of(values) for spp, values in program.seconds[kind].items()}
-            errors = {spp: math.sqrt(float(np.mean(values))) for spp, values in program.errors[kind].items()}
+            squares = {spp: float(np.mean(values)) for spp, values in program.errors[kind].items()}
+            # where noise is all there is, chance may make the difference negative
+            errors = {spp: math.sqrt(max(square - noise, 1e-3 * square)) for spp, square in squares.items()}
             offset, slope = error_slope(options.samples, list(errors.values()))
             count = samples_in(common, options.samples, [times[spp].median for spp in options.samples])
             error = None if count is None else math.exp(offset + slope * math.log(count))
@@ -158,6 +176,7 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
             result["error then"] = error
             result["relative to the first"] = None if error is None or ours is None else error / ours
             result["slope"] = slope
+            result["reference's own error"] = math.sqrt(noise)
             rows.append(result)
     return rows
 
@@ -173,8 +192,7 @@ def run(options: argparse.Namespace) -> Result:
     )
     notes = [
         "The common time, in seconds, is that of the first program at its largest sample count.",
-        f"The reference's own error, as if of independent samples: {options.samples[-1]}/{options.reference} of the "
-        "squared error at that count.",
+        "The reference's own error, seen in its halves, is taken off the squared errors.",
     ]
     if "redner" in versions:
         notes.append(

@@ -18,7 +18,7 @@ from bench.ours import Ours
 from bench.rows import ROWS
 from bench.scaling import sample_rows
 from bench.scene_arrays import arrays_of
-from bench.variance import error_slope, samples_in, squared_error
+from bench.variance import Reference, error_slope, samples_in, squared_error
 
 
 def test_median_quartiles_and_error():
@@ -140,6 +140,16 @@ def test_slope_of_errors():
     image, gradient = [np.full((2, 2), 2.0)], [np.array([3.0, -3.0]), np.array([3.0])]
     assert squared_error([np.full((2, 2), 3.0)], image, "image") == pytest.approx(0.25)
     assert squared_error([np.array([3.0, -3.0]), np.array([0.0])], gradient, "gradient") == pytest.approx(1 / 3)
+
+
+def test_noise_of_a_reference_is_that_of_the_mean_of_its_halves():
+    """100000 numbers with deviation 0.1 around 2: the noise is known to 0.5 %, the limit is eight times that."""
+    generator = np.random.default_rng(3)
+    first, second = ([2 + 0.1 * generator.standard_normal(100000)] for _ in range(2))
+    reference = Reference.of_halves(first, second, "image")
+    assert reference.noise == pytest.approx(0.1**2 / 2 / 2**2, rel=0.04)
+    truth = [np.full(100000, 2.0)]
+    assert squared_error(reference.value, truth, "image") == pytest.approx(reference.noise, rel=0.04)
 
 
 @pytest.mark.parametrize("count", [1000, 20000])
