@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import ast
 from pathlib import Path
+from typing import Any
 
 from .peers import parse
 
@@ -30,6 +32,16 @@ def _output(text: str) -> str:
     return text
 
 
+def _setting(text: str) -> tuple[str, Any]:
+    name, equals, value = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
+    try:
+        return name, ast.literal_eval(value)
+    except (ValueError, SyntaxError):
+        return name, value
+
+
 def _peer(text: str) -> tuple[str, str]:
     try:
         return parse(text)
@@ -46,6 +58,15 @@ def common_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rounds", type=positive, default=11, help="measured rounds (default %(default)s)")
     parser.add_argument("--warmup", type=natural, default=3, help="rounds that do not count (default %(default)s)")
+    parser.add_argument(
+        "--set",
+        dest="renderer",
+        type=_setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        help="a setting of torchrender.Renderer, such as correlated=True; several may be given",
+    )
     parser.add_argument("--only", default="", help="only scenes whose name contains this")
     parser.add_argument("--json", type=_output, metavar="FILE", help="also write the result to this file")
     parser.add_argument("--plot", type=_output, metavar="FILE", help="also draw it, as PNG, PDF or SVG (by matplotlib)")

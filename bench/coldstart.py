@@ -41,7 +41,7 @@ def peer_start(chosen_peer: tuple[str, str], row: Row, home: str, options: argpa
 def measure_row(row: Row, options: argparse.Namespace, versions: dict[str, str]) -> dict[str, Any]:
     """Seconds of every program; the versions of peers are added to `versions`."""
     settings = {"row": ROWS.index(row), "threads": options.threads}
-    settings |= {"resolution": options.resolution, "spp": options.spp}
+    settings |= {"resolution": options.resolution, "spp": options.spp, "renderer": dict(options.renderer)}
     programs: dict[str, Any] = {"": lambda _: measure("coldstart", **settings)}
     for asked in options.peer:
 

@@ -1,6 +1,6 @@
 """Measurements that need a process of their own: this module is what runs there, and prints one line of JSON.
 
-python -m bench.fresh coldstart '{"row": 0, "threads": 2, "resolution": 256, "spp": 16}'
+python -m bench.fresh coldstart '{"row": 0, "threads": 2, "resolution": 256, "spp": 16, "renderer": {}}'
 python -m bench.fresh memory    '{..., "steps": 3}'
 """
 
@@ -27,7 +27,7 @@ def measure(what: str, **settings: Any) -> dict[str, float]:
     return json.loads(result.stdout.splitlines()[-1])
 
 
-def coldstart(row: int, threads: int, resolution: int, spp: int) -> dict[str, float]:
+def coldstart(row: int, threads: int, resolution: int, spp: int, renderer: dict[str, Any]) -> dict[str, float]:
     """Seconds until torchrender is imported, the scene loaded, the first gradient there; torch is imported before."""
     import torch
 
@@ -41,14 +41,16 @@ def coldstart(row: int, threads: int, resolution: int, spp: int) -> dict[str, fl
     from .ours import Ours
     from .rows import ROWS
 
-    ours = Ours.of_row(ROWS[row], resolution, spp)
+    ours = Ours.of_row(ROWS[row], resolution, spp, **renderer)
     loaded = time.perf_counter()
     ours.step(0)
     done = time.perf_counter()
     return {"import": imported - start, "load": loaded - imported, "first step": done - loaded, "total": done - start}
 
 
-def peak_memory(row: int, threads: int, resolution: int, spp: int, steps: int) -> dict[str, float]:
+def peak_memory(
+    row: int, threads: int, resolution: int, spp: int, renderer: dict[str, Any], steps: int
+) -> dict[str, float]:
     """MiB that forward and backward passes add, at their peak, to a process that has loaded the scene.
 
     ``scene``: what the core keeps of the scene (acceleration structure, tables), seen after one pixel without
@@ -61,7 +63,7 @@ def peak_memory(row: int, threads: int, resolution: int, spp: int, steps: int) -
 
     torch.set_num_threads(threads)
     torch.ones(3, requires_grad=True).square().sum().backward()
-    ours = Ours.of_row(ROWS[row], resolution, spp)
+    ours = Ours.of_row(ROWS[row], resolution, spp, **renderer)
     before = settled_memory()
     with torch.no_grad():
         ours.renderer(seed=0, spp=1, crop=(0, 0, 1, 1))

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def gradient_rows(row: Row, peers: list[Peer], options: argparse.Namespace) -> list[dict[str, Any]]:
     """A row of the table for each parameter of a scene."""
-    ours = Ours.of_row(row, options.resolution, options.spp)
+    ours = Ours.of_row(row, options.resolution, options.spp, **dict(options.renderer))
 
     def mine(seed: int) -> dict[str, Any]:
         gradients, seconds = ours.gradient(seed, options.spp)

@@ -40,6 +40,7 @@ def peer_memory(asked: tuple[str, str], row: Row, spp: int, options: argparse.Na
 def measure_row(row: Row, spp: int, options: argparse.Namespace, versions: dict) -> dict[str, Any]:
     """Memory of all programs for one scene; the versions of peers are added to `versions`."""
     settings = {"row": ROWS.index(row), "threads": options.threads, "resolution": options.resolution}
+    settings["renderer"] = dict(options.renderer)
     runs = [measure("memory", spp=spp, steps=STEPS, **settings) for _ in range(options.rounds)]
     gradients = runs[0]["gradients"]
     buffers = gradients * (1 + options.threads)

@@ -25,7 +25,10 @@ class Ours:
         self.scene, self.spp = scene, spp
         self.parameters = [scene.get_parameter(name).requires_grad_() for name in parameters]
         path = tr.PathTracer(max_depth=5, rr_depth=100)
-        self.renderer = tr.Renderer(scene, integrator=path, spp=spp, **settings)
+        try:
+            self.renderer = tr.Renderer(scene, **{"integrator": path, "spp": spp, **settings})
+        except (TypeError, ValueError) as error:
+            raise SystemExit(f"--set: {error}") from error
 
     @classmethod
     def of_row(cls, row: Row, resolution: int, spp: int, **settings: Any) -> Ours:

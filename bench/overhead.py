@@ -42,7 +42,7 @@ def overhead(ours: Ours, changing: bool) -> tuple[float, float]:
 
 
 def overhead_row(row: Row, options: argparse.Namespace) -> dict[str, Any]:
-    ours = Ours.of_row(row, 1, 1)
+    ours = Ours.of_row(row, 1, 1, **dict(options.renderer))
     result: dict[str, Any] = {"scene": row.name}
     for changing in (False, True):
         runs = [overhead(ours, changing) for _ in range(CALLS * (options.warmup + options.rounds))]

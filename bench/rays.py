@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def ray_rows(row: Row, options: argparse.Namespace) -> list[dict[str, Any]]:
     """A row for each kind of ray of a scene's image."""
-    ours = Ours.of_row(row, options.resolution, options.spp)
+    ours = Ours.of_row(row, options.resolution, options.spp, **dict(options.renderer))
     alone = EmbreeAlone(ours, False, options.threads)
     rows = []
     for kind in alone.kinds:

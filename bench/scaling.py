@@ -61,7 +61,7 @@ def sample_rows(
     row: Row, points: list[tuple[int, int]], peers: list[Peer], options: argparse.Namespace
 ) -> list[dict[str, Any]]:
     """Time over the number of samples; `points` are (pixels along a side, samples a pixel)."""
-    programs = {point: partial(timed_step, Ours.of_row(row, *point)) for point in points}
+    programs = {point: partial(timed_step, Ours.of_row(row, *point, **dict(options.renderer))) for point in points}
     rows = fitted(row, "ours", timings(programs, options))
     for peer in peers:  # one point after the other: it has one scene at a time
         measured = {}
@@ -121,7 +121,7 @@ def thread_table(options: argparse.Namespace) -> Table:
     numbers = sorted({*(1 << k for k in range(options.threads.bit_length())), options.threads})
     rows = []
     for row in scenes(options):
-        ours = Ours.of_row(row, options.resolution, options.spp)
+        ours = Ours.of_row(row, options.resolution, options.spp, **dict(options.renderer))
 
         def step(threads: int, seed: int, ours: Ours = ours) -> dict[str, float]:
             torch.set_num_threads(threads)
@@ -155,7 +155,7 @@ def triangle_table(options: argparse.Namespace) -> Table:
             vertex_normals=normals,
             bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.5}}},
         )
-        ours = Ours(scene, ("sphere.bsdf.brdf_0.reflectance.value",), options.spp)
+        ours = Ours(scene, ("sphere.bsdf.brdf_0.reflectance.value",), options.spp, **dict(options.renderer))
         alone = Pair(ours, options.threads)
         programs = {"ours": partial(timed_step, ours), "Embree": lambda n, a=alone: {"step": a.round(n)["sum"]}}
         measured = timings(programs, options)
@@ -202,7 +202,7 @@ def texture_table(options: argparse.Namespace) -> Table:
             texture = scene.get_submodule(name.rpartition(".")[0])
             texels = texture.data.detach().movedim(-1, 0)[None]
             texture.data = interpolate(texels, size=(side, side))[0].movedim(0, -1).contiguous()
-            ours = Ours(scene, (name,), options.spp)
+            ours = Ours(scene, (name,), options.spp, **dict(options.renderer))
             buffers = [torch.empty(side, side, 3) for _ in range(options.threads)]
             programs = {
                 "step": partial(timed_step, ours),

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any], str]:
     """Seconds of a row, ratios of them, and what is noted about its rays."""
 
-    ours = Ours.of_row(row, options.resolution, options.spp)
+    ours = Ours.of_row(row, options.resolution, options.spp, **dict(options.renderer))
     alone = Pair(ours, options.threads)
     programs = {"": lambda seed: {"image": ours.forward(seed)["forward"], **ours.step(seed)}, "Embree": alone.round}
     for peer in peers:

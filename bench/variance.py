@@ -58,7 +58,7 @@ class Program:
 
 
 def of_ours(row: Row, options: argparse.Namespace, sampler: str) -> Program:
-    settings = {"sampler": sampler} if len(samplers()) > 1 else {}
+    settings = {**dict(options.renderer), **({"sampler": sampler} if len(samplers()) > 1 else {})}
     ours = Ours.of_row(row, options.resolution, options.spp, **settings)
 
     def image(seed: int, spp: int) -> tuple[list[np.ndarray], float]:

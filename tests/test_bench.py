@@ -61,6 +61,7 @@ def test_an_unknown_benchmark_is_refused(capsys):
         ["table2", "--peer", "blender=python"],
         ["rays", "--peer", "mitsuba=python"],
         ["memory", "--samples", "0"],
+        ["table2", "--set", "correlated"],
     ],
 )
 def test_wrong_arguments_end_before_any_work(arguments, capsys):
@@ -103,9 +104,16 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_table2_alone(tmp_path):
-    (row,) = run(tmp_path, "table2", *TINY, "--only", "Cornell")["tables"][0]["rows"]
+def test_table2_alone_with_settings(tmp_path):
+    result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--set", "correlated=True", "--set", "layout=chw")
+    (row,) = result["tables"][0]["rows"]
     assert not any("Mitsuba" in column for column in row)
+    assert result["settings"]["renderer"] == [["correlated", True], ["layout", "chw"]]
+
+
+def test_settings_that_do_not_exist_are_refused():
+    with pytest.raises(SystemExit, match="--set: Renderer: unknown argument 'colour'"):
+        main(["table2", *TINY, "--set", "colour=True"])
 
 
 def test_gradients_with_a_peer(tmp_path, fake_peer):

@@ -210,7 +210,7 @@ def test_arrays_of_a_scene():
 
 
 def test_fixed_cost_is_taken_off():
-    options = argparse.Namespace(warmup=0, rounds=1)
+    options = argparse.Namespace(warmup=0, rounds=1, renderer=[])
     rows = sample_rows(ROWS[0], [(8, 1), (8, 64)], [], options)
     (small, large) = rows
     assert (small["samples"], large["samples"]) == (64, 4096)
