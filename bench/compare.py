@@ -34,13 +34,14 @@ def load(path: str) -> dict[str, Any]:
 
 
 def figures(document: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], Measured]]:
-    """All figures with a spread, by the values of their row's labels and their column."""
+    """All figures with a spread, by the part and the values of the labels of their row, and their column."""
     for table in document["tables"]:
         for row in table["rows"]:
             for column in table["columns"]:
                 value = row.get(column)
                 if isinstance(value, dict):
-                    yield (", ".join(str(row[label]) for label in table["labels"]), column), Measured(**value)
+                    labels = [table["part"]] * bool(table["part"]) + [str(row[label]) for label in table["labels"]]
+                    yield (", ".join(labels), column), Measured(**value)
 
 
 def compare(before: dict[str, Any], after: dict[str, Any], threshold: float) -> list[dict[str, Any]]:

@@ -31,6 +31,7 @@ class Table:
     rows: list[dict[str, Any]]
     notes: list[str] = field(default_factory=list)
     plot: dict[str, Any] | None = None
+    part: str = ""  # tells the tables of one benchmark apart, where their rows may have the same labels
 
     @property
     def columns(self) -> list[str]:

@@ -140,7 +140,7 @@ def thread_table(options: argparse.Namespace) -> Table:
         "by": ["scene"],
         "y": "faster than one thread",
     }
-    return Table(title, ["scene", "number"], rows, [], plot)
+    return Table(title, ["scene", "number"], rows, [], plot, "threads")
 
 
 def triangle_table(options: argparse.Namespace) -> Table:
@@ -177,7 +177,7 @@ def triangle_table(options: argparse.Namespace) -> Table:
     )
     columns = ["ours, a ray ns", "Embree alone, a ray ns"]
     plot = {"kind": "lines", "x": "triangles", "columns": columns, "y": "ns a ray", "base": 10}
-    return Table(title, ["triangles"], rows, [], plot)
+    return Table(title, ["triangles"], rows, [], plot, "triangles")
 
 
 def clear_and_sum(buffers: list[torch.Tensor], _: int) -> dict[str, float]:
@@ -223,7 +223,7 @@ def texture_table(options: argparse.Namespace) -> Table:
     notes = ["Clearing and summing: of a new gradient and one buffer a thread, by torch."]
     columns = ["step ms", "clearing and summing ms"]
     plot = {"kind": "lines", "x": "texels", "columns": columns, "by": ["scene"], "y": "ms"}
-    return Table(title, ["scene", "texels"], rows, notes, plot)
+    return Table(title, ["scene", "texels"], rows, notes, plot, "texture")
 
 
 def run(options: argparse.Namespace) -> Result:

@@ -104,6 +104,14 @@ def test_compare_tells_slower_from_noise():
     assert compare.compare(before, after, 0.15)[0]["verdict"] == ""
 
 
+def test_compare_tells_tables_apart():
+    rows = [[{"spp": 16, "step ms": Measured(t, t, t, 3)}] for t in (1.0, 2.0)]
+    tables = [report.Table("t", ["spp"], r, part=part) for part, r in zip(("samples", "pixels"), rows, strict=True)]
+    result = json.loads(json.dumps(report.to_json("scaling", report.Result(tables), {}, {})))
+    assert [row["row"] for row in compare.compare(result, result, 0.05)] == ["samples, 16", "pixels, 16"]
+    assert all(row["after / before"] == 1 for row in compare.compare(result, result, 0.05))
+
+
 def test_compare_does_not_count_peers():
     before, after = (document(**{"Mitsuba sum s": Measured(t, t, t, 5), "sum s": Measured(1, 1, 1, 5)}) for t in (1, 2))
     assert [row["verdict"] for row in compare.compare(before, after, 0.05)] == ["(not ours)", ""]
