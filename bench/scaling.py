@@ -76,7 +76,7 @@ def fitted(row: Row, who: str, measured: dict[tuple[int, int], Measured]) -> lis
     """Table rows of one program and scene: its times and what a straight line through them says."""
     points = list(measured)
     counts = {(side, spp): side * side * spp for side, spp in points}
-    fixed = slope = float("nan")
+    fixed, slope = 0.0, 0.0
     if len(set(counts.values())) > 1:
         fixed, slope = fit_line([counts[p] for p in points], [measured[p].median for p in points])
     rows = []
@@ -106,14 +106,9 @@ def sample_table(part: str, peers: list[Peer], options: argparse.Namespace) -> T
         title = f"Pixels: {options.spp} spp"
     rows = [entry for row in scenes(options) for entry in sample_rows(row, points, peers, options)]
     columns = ["without the fixed cost, a sample, in ns"]
-    plot = {"kind": "lines", "x": "samples", "columns": columns, "by": ["scene"], "y": "ns a sample"}
-    return Table(
-        f"{title}, {options.threads} threads, forward and backward",
-        ["scene", "program", "pixels", "spp"],
-        rows,
-        [],
-        plot,
-    )
+    plot = {"kind": "lines", "x": "samples", "columns": columns, "by": ["scene", "program"], "y": "ns a sample"}
+    title = f"{title}, {options.threads} threads, forward and backward"
+    return Table(title, ["scene", "program", "pixels", "spp"], rows, [], plot, part)
 
 
 def thread_table(options: argparse.Namespace) -> Table:

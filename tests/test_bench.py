@@ -162,6 +162,7 @@ def test_scaling(tmp_path, fake_peer):
     options += ["--peer", f"mitsuba={sys.executable}"]
     picture = tmp_path / "scaling.svg"
     result = run(tmp_path, "scaling", *TINY, *options, "--texels", "16", "32", "--plot", str(picture))
+    assert [table["part"] for table in result["tables"]] == ["samples", "pixels", "threads", "triangles", "texture"]
     samples, pixels, threads, triangles, texture = (table["rows"] for table in result["tables"])
     assert [(row["program"], row["samples"]) for row in samples[1:3]] == [("ours", 8192), ("Mitsuba", 4096)]
     assert [row["samples"] for row in pixels] == [128, 512] * 2
