@@ -214,7 +214,7 @@ public:
 
     void record_rays(std::shared_ptr<RayRecord> record) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        record_ = std::move(record);
+        ray_record_ = std::move(record);
     }
 
     RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, bool coherent, int threads,
@@ -226,7 +226,7 @@ public:
 private:
     SceneData<S> data_;
     std::mutex mutex_;
-    std::shared_ptr<RayRecord> record_;
+    std::shared_ptr<RayRecord> ray_record_;
 
     // Rays (n, 3) as columns in single precision.
     struct Rays {
@@ -270,7 +270,7 @@ private:
         if (c.pixels) call.pixels = &*c.pixels;
         call.spp = c.spp, call.sample_offset = c.sample_offset;
         call.threads = c.threads;
-        call.record = record_.get();
+        call.ray_record = ray_record_.get();
         call.interrupted = Interruption();
         return call;
     }
@@ -412,7 +412,8 @@ void declare_scene(py::module_ &m) {
             dtype == "float64" ? run(0.0) : run(0.f);
         },
         Release());
-    py::class_<RayRecord, std::shared_ptr<RayRecord>>(m, "RayRecord")
+    // the modules of other instruction sets have one, too
+    py::class_<RayRecord, std::shared_ptr<RayRecord>>(m, "RayRecord", py::module_local())
         .def(py::init<size_t>(), py::arg("limit"))
         .def("counts", [](const RayRecord &self) {
             py::dict all;

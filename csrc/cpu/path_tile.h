@@ -139,9 +139,9 @@ private:
                 hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
         stats.closest_rays += front.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-        if (call_.record) {
+        if (call_.ray_record) {
             size_t hits = front.n - size_t(std::count(hit_shape_, hit_shape_ + front.n, Accel::Miss));
-            call_.record->add(&front == &fronts_[0] ? RayKind::Camera : RayKind::Bounce, rays, front.n, hits);
+            call_.ray_record->add(&front == &fronts_[0] ? RayKind::Camera : RayKind::Bounce, rays, front.n, hits);
         }
     }
 
@@ -393,9 +393,9 @@ private:
         call_.accel->occluded(rays, occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-        if (call_.record) {
+        if (call_.ray_record) {
             size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
-            call_.record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
+            call_.ray_record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
         }
         for (size_t k = 0; k < shadow_.n; ++k) {
             if (Derivative) {

@@ -25,7 +25,7 @@ struct RenderCall {
     Rect samples;                                // samples are drawn nowhere else
     int64_t spp, sample_offset;
     int threads;
-    RayRecord *record = nullptr;        // not null: keeps the rays that are queried
+    RayRecord *ray_record = nullptr;    // not null: keeps the rays that are queried
     std::function<bool()> interrupted;  // polled by the calling thread; true stops the call
 };
 
