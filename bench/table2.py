@@ -55,6 +55,8 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
         ratios[f"{peer.title} image / ours"] = medians[peer.title]["image"] / medians[""]["image"]
     ratios["our image / Embree alone"] = medians[""]["image"] / medians["Embree"]["forward"]
     ratios["our sum / Embree alone"] = medians[""]["sum"] / medians["Embree"]["sum"]
+    for name, kind in (("image", "render"), ("derivative", "vjp")):
+        ratios[f"lanes in use, {name}"] = ours.scene.statistics[kind]["lanes"]
     return seconds, ratios, f"Rays a query of Embree alone, {row.name}: {alone.described()}"
 
 
@@ -77,7 +79,11 @@ def run(options: argparse.Namespace) -> Result:
     return Result(
         [
             Table(title, ["scene"], [seconds for seconds, _, _ in measured], notes, plot),
-            Table("Ratios of these medians", ["scene"], [ratios for _, ratios, _ in measured]),
+            Table(
+                "Ratios of these medians, and the share of packet lanes that shading uses",
+                ["scene"],
+                [ratios for _, ratios, _ in measured],
+            ),
         ],
         versions,
     )

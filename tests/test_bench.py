@@ -95,6 +95,7 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
     (ratio,) = ratios["rows"]
     assert ratio["Mitsuba sum / ours"] == pytest.approx(2 / ours)
     assert ratio["our sum / Embree alone"] == pytest.approx(ours / row["Embree alone, sum s"]["median"])
+    assert 0 < ratio["lanes in use, image"] <= 1 and 0 < ratio["lanes in use, derivative"] <= 1
     assert result["versions"]["python"] == platform.python_version()
     assert result["versions"]["mitsuba"] == "0.0"
     assert {"torch", "torchrender", "embree", "numpy", "instruction set"} <= result["versions"].keys()
