@@ -1,1 +1,1 @@
-"""Benchmarks of torchrender beside Mitsuba 3.9.1: ``python -m bench --help``."""
+"""Benchmarks of torchrender, by itself or beside other renderers: ``python -m bench`` lists them."""

@@ -1,45 +1,78 @@
-"""Command line of the benchmarks: `python -m bench table2 --mitsuba-python PATH`."""
+"""Benchmarks of torchrender: ``python -m bench`` lists them, ``python -m bench NAME --help`` says more."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
+import sys
 
-from .rows import ROWS
+from .arguments import common_arguments
+from .peers import PeerError
+
+# Each is a module of this folder with `add_arguments(parser)` and `run(options) -> Result`.
+BENCHMARKS = {
+    "table2": "forward and backward time of five scenes, warm, beside Embree alone and beside peers",
+    "gradients": "whether all programs find the same gradients, and how noisy one estimate is",
+    "overhead": "what a call costs besides rendering",
+    "coldstart": "from a fresh process to the first gradient",
+    "memory": "peak memory beyond gradients and gradient buffers, at several sample counts",
+    "scaling": "time over samples, pixels, threads, triangles and texture sizes",
+    "variance": "error of image and gradient at equal time, by sampler, against a reference",
+    "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
+}
+COMPARE = "compare A.json B.json: which figures became slower by more than their spread"
 
 
-def main(argv: list[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
-    subparsers = parser.add_subparsers(dest="command", required=True)
-    for name, text in (
-        ("table2", "forward and backward time, warm, beside Mitsuba in alternating rounds"),
-        ("startup", "import, loading, first gradient and peak memory, each in a fresh process"),
-        ("gradients", "whether both programs find the same gradients, and how noisy one estimate is"),
-        ("overhead", "what a call costs besides rendering (torchrender only; resolution and spp are 1)"),
-    ):
-        command = subparsers.add_parser(name, help=text, description=text)
-        command.add_argument("--mitsuba-python", help="interpreter of an environment with mitsuba==3.9.1")
-        command.add_argument("--threads", type=int, default=2, help="threads of both programs (default 2)")
-        command.add_argument("--resolution", type=int, default=256, help="pixels along a side (default 256)")
-        command.add_argument("--spp", type=int, default=16, help="samples a pixel, of both passes (default 16)")
-        command.add_argument("--rounds", type=int, default=11, help="measured rounds (default 11)")
-        command.add_argument("--warmup", type=int, default=3, help="rounds that do not count (default 3)")
-        command.add_argument("--only", default="", help=f"rows whose name contains this; {[row.name for row in ROWS]}")
-        command.add_argument("--json", help="also write the result to this file")
-    options = parser.parse_args(argv)
-    for name in ("threads", "resolution", "spp", "rounds"):
-        if getattr(options, name) < 1:
-            parser.error(f"--{name}: expected at least 1, got {getattr(options, name)}")
-    from . import overhead, table2  # after the arguments are checked: this imports torch
+def listing() -> str:
+    """The list of benchmarks."""
+    lines = [f"  {name:<11}{text}" for name, text in BENCHMARKS.items()]
+    lines.append(f"  {'compare':<11}{COMPARE.partition(': ')[2]} ({COMPARE.partition(':')[0]})")
+    return "\n".join(["python -m bench NAME [options], where NAME is one of", *lines])
 
-    commands = {
-        "table2": table2.run_table2,
-        "startup": table2.run_startup,
-        "gradients": table2.run_gradients,
-        "overhead": overhead.run_overhead,
-    }
-    run = commands[options.command]
-    table2.report(run(options), options.json)
+
+def main(argv: list[str] | None = None) -> int:
+    """Run the command line; returns the exit status."""
+    argv = sys.argv[1:] if argv is None else argv
+    if not argv or argv[0] in ("-h", "--help", "list"):
+        print(f"{__doc__}\n\n{listing()}")
+        return 0
+    name = argv[0]
+    if name == "compare":
+        from . import compare
+
+        return compare.main(argv[1:])
+    if name not in BENCHMARKS:
+        print(f"error: there is no benchmark {name!r}\n{listing()}", file=sys.stderr)
+        return 2
+    parser = argparse.ArgumentParser(prog=f"python -m bench {name}", description=BENCHMARKS[name])
+    common_arguments(parser)
+    module = importlib.import_module(f".{name}", __package__)
+    module.add_arguments(parser)
+    options = parser.parse_args(argv[1:])
+    if options.plot:
+        from .plots import draw, require_matplotlib
+
+        try:
+            require_matplotlib()
+        except ImportError as error:
+            parser.error(str(error))
+    from . import report
+
+    where = report.machine()
+    try:
+        result = module.run(options)
+    except PeerError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "plot", "peer")}
+    document = report.to_json(name, result, settings, where)
+    if options.json:
+        report.save(options.json, document)
+    report.show(document, result)
+    if options.plot:
+        draw(document, options.plot)
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -1,42 +1,17 @@
-"""The Mitsuba half of the benchmarks. Runs in Mitsuba's own environment, where torchrender is not installed.
+"""Mitsuba's half of the benchmarks. Runs in Mitsuba's own environment, where torchrender is not installed.
 
-Reads one JSON request a line from standard input and answers each with one JSON line:
-
-    {"do": "load", "path": str, "arguments": {...}, "parameters": [...], "resolution": int, "spp": int}
-    {"do": "step", "seed": int}      -> {"forward": seconds, "backward": seconds}
-    {"do": "gradient", "seed": int}  -> {"sums": [...], "seconds": float}   gradient of mean(image * weight), see below
-    {"do": "memory"}                 -> {"peak": MiB, "start": MiB}
-    {"do": "quit"}
-
-The first answer, before any request, is {"version": ...}.
+The protocol is in `serving.py`.
 """
 
 from __future__ import annotations
 
-import json
-import sys
 import time
 
-
-def peak_memory() -> float:
-    """Peak resident memory of this process in MiB."""
-    with open("/proc/self/status") as status:
-        for line in status:
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) / 1024
-    raise RuntimeError("/proc/self/status has no VmHWM line")
-
-
-def weight_of(height: int, width: int, np):
-    """The weight of the scalar whose gradient is compared, (H, W, 3) float32; `np` is the numpy module."""
-    x, y = 2 * np.pi * np.arange(width) / width, 2 * np.pi * np.arange(height) / height
-    pattern = 1 + 0.5 * np.sin(x)[None, :] * np.cos(y)[:, None]
-    return (pattern[..., None] * np.array([1.0, 0.8, 0.6])).astype(np.float32)
+from serving import serve, weight_of  # beside this script
 
 
 class Server:
     def __init__(self, threads: int) -> None:
-        self.start_memory = peak_memory()
         started = time.perf_counter()
         import drjit as dr
         import mitsuba as mi
@@ -44,9 +19,9 @@ class Server:
         mi.set_variant("llvm_ad_rgb")
         dr.set_thread_count(threads)
         self.import_seconds = time.perf_counter() - started
-        self.mi, self.dr = mi, dr
+        self.mi, self.dr, self.version = mi, dr, mi.__version__
 
-    def load(self, path: str, arguments: dict, parameters: list, resolution: int, spp: int) -> dict:
+    def load(self, path: str, arguments: dict, parameters: list, resolution: int, spp: int, arrays: str | None) -> dict:
         mi, dr = self.mi, self.dr
         # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
         self.scene = mi.load_file(path, optimize=False, resolution=resolution, spp=spp, **arguments)
@@ -59,6 +34,20 @@ class Server:
             self.params[name] = value
         self.params.update()
         return {"loaded": True}
+
+    def _image_alone(self, seed: int, spp: int):
+        """An image without derivatives, and the seconds it took."""
+        mi, dr = self.mi, self.dr
+        dr.sync_thread()
+        start = time.perf_counter()
+        with dr.suspend_grad():
+            image = mi.render(self.scene, integrator=self.integrator, spp=spp, seed=2 * seed)
+            dr.eval(image)
+        dr.sync_thread()
+        return image, time.perf_counter() - start
+
+    def forward(self, seed: int) -> dict:
+        return {"forward": self._image_alone(seed, self.spp)[1]}
 
     def step(self, seed: int) -> dict:
         mi, dr = self.mi, self.dr
@@ -87,8 +76,14 @@ class Server:
         mi, dr = self.mi, self.dr
         return mi.TensorXf(value.array if isinstance(value, mi.TensorXf) else dr.ravel(value))
 
-    def gradient(self, seed: int) -> dict:
-        """Sums over the entries of each parameter's gradient of mean(image * weight), a smooth weight."""
+    def image(self, seed: int, spp: int, file: str) -> dict:
+        import numpy as np
+
+        image, seconds = self._image_alone(seed, spp)
+        np.save(file, np.array(image))
+        return {"seconds": seconds}
+
+    def gradient(self, seed: int, spp: int, file: str | None = None) -> dict:
         import numpy as np
 
         mi, dr = self.mi, self.dr
@@ -98,38 +93,17 @@ class Server:
         weight = mi.TensorXf(weight_of(height, width, np))
         start = time.perf_counter()
         seeds = {"seed": 2 * seed, "seed_grad": 2 * seed + 1}
-        image = mi.render(self.scene, self.params, integrator=self.integrator, spp=1, spp_grad=self.spp, **seeds)
+        image = mi.render(self.scene, self.params, integrator=self.integrator, spp=1, spp_grad=spp, **seeds)
         dr.backward(dr.mean(image * weight, axis=None))
         gradients = [dr.grad(self.params[name]) for name in self.names]
         dr.eval(gradients)
         dr.sync_thread()
         seconds = time.perf_counter() - start
-        return {"sums": [float(np.array(g, dtype=np.float64).sum()) for g in gradients], "seconds": seconds}
-
-    def memory(self) -> dict:
-        return {"peak": peak_memory(), "start": self.start_memory}
-
-
-def main() -> None:
-    # Mitsuba logs to standard output: keep a private copy of it for the answers and send the rest to standard error.
-    import os
-
-    answers = os.fdopen(os.dup(1), "w", buffering=1)
-    os.dup2(2, 1)
-    server = Server(int(sys.argv[1]))
-    print(json.dumps({"version": server.mi.__version__, "import_seconds": server.import_seconds}), file=answers)
-    for line in sys.stdin:
-        request = json.loads(line)
-        action = request.pop("do")
-        if action == "quit":
-            break
-        try:
-            actions = {"load": server.load, "step": server.step, "gradient": server.gradient, "memory": server.memory}
-            answer = actions[action](**request)
-        except Exception as error:  # the caller reports it in the table
-            answer = {"error": f"{type(error).__name__}: {error}"}
-        print(json.dumps(answer), file=answers)
+        arrays = [np.array(g, dtype=np.float64) for g in gradients]
+        if file:
+            np.savez(file, *[a if a.ndim == 3 else a.ravel() for a in arrays])
+        return {"sums": [float(a.sum()) for a in arrays], "seconds": seconds}
 
 
 if __name__ == "__main__":
-    main()
+    serve(Server)

@@ -2,25 +2,45 @@
 
 from __future__ import annotations
 
+import argparse
 import time
-from statistics import median
+from typing import Any
 
+import numpy as np
 import torch
 
 import torchrender as tr
 
-from .mitsuba_server import weight_of
-from .rows import Row
+from .rows import ROWS, Row
+from .serving import weight_of
 
 
 class Ours:
-    """One row's scene, loaded and ready to render and differentiate."""
+    """A scene that is loaded and ready to be rendered and differentiated in some of its parameters.
 
-    def __init__(self, row: Row, resolution: int, spp: int) -> None:
-        self.scene = tr.load_file(row.path, resolution=resolution, spp=spp, **row.arguments)
-        self.spp = spp
-        self.parameters = [self.scene.get_parameter(name).requires_grad_() for name in row.parameters]
-        self.renderer = tr.Renderer(self.scene, integrator=tr.PathTracer(max_depth=5, rr_depth=100), spp=spp)
+    Further settings, such as ``sampler``, go to `torchrender.Renderer`.
+    """
+
+    def __init__(self, scene: tr.Scene, parameters: tuple[str, ...], spp: int, **settings: Any) -> None:
+        self.scene, self.spp = scene, spp
+        self.parameters = [scene.get_parameter(name).requires_grad_() for name in parameters]
+        path = tr.PathTracer(max_depth=5, rr_depth=100)
+        try:
+            self.renderer = tr.Renderer(scene, **{"integrator": path, "spp": spp, **settings})
+        except (TypeError, ValueError) as error:
+            raise SystemExit(f"--set: {error}") from error
+
+    @classmethod
+    def of_row(cls, row: Row, resolution: int, spp: int, **settings: Any) -> Ours:
+        scene = tr.load_file(row.path, resolution=resolution, spp=spp, **row.arguments)
+        return cls(scene, row.parameters, spp, **settings)
+
+    def forward(self, seed: int) -> dict[str, float]:
+        """Seconds of an image without derivatives."""
+        start = time.perf_counter()
+        with torch.no_grad():
+            self.renderer(seed=seed)
+        return {"forward": time.perf_counter() - start}
 
     def step(self, seed: int) -> dict[str, float]:
         """Seconds of one forward and one backward pass; the loss is the mean square of the image."""
@@ -32,22 +52,25 @@ class Ours:
         image.square().mean().backward()
         return {"forward": middle - start, "backward": time.perf_counter() - middle}
 
-    def embree_seconds(self, rounds: int) -> float:
-        """Median seconds inside Embree's queries during one forward and one backward pass, mean over the threads."""
-        samples = []
-        for seed in range(rounds):
-            image = self.renderer(seed=seed)
-            image.square().mean().backward()
-            samples.append(sum(self.scene.statistics[kind]["seconds_trace"] for kind in ("render", "vjp")))
-        return median(samples) / torch.get_num_threads()
-
-    def gradient(self, seed: int) -> dict:
-        """Sums over the entries of each parameter's gradient of mean(image * weight), and the seconds it took."""
-        import numpy as np
-
+    def image(self, seed: int, spp: int, passes: int = 1) -> tuple[np.ndarray, float]:
+        """An image (H, W, 3) without derivatives, and the seconds it took."""
         start = time.perf_counter()
-        image = self.renderer(seed=seed, spp=1, spp_grad=self.spp)
+        with torch.no_grad():
+            image = self.renderer(seed=seed, spp=spp, passes=passes)
+        return image.numpy(), time.perf_counter() - start
+
+    def gradient(self, seed: int, spp: int, passes: int = 1) -> tuple[list[np.ndarray], float]:
+        """Each parameter's gradient of mean(image * weight), and the seconds it took; the image has one sample."""
+        start = time.perf_counter()
+        image = self.renderer(seed=seed, spp=1, spp_grad=spp, passes=passes)
         weight = torch.from_numpy(weight_of(*image.shape[:2], np))
         gradients = torch.autograd.grad((image * weight).mean(), self.parameters)
-        seconds = time.perf_counter() - start
-        return {"sums": [float(gradient.double().sum()) for gradient in gradients], "seconds": seconds}
+        return [gradient.double().numpy() for gradient in gradients], time.perf_counter() - start
+
+
+def chosen(options: argparse.Namespace) -> list[Row]:
+    """The rows that `--only` leaves; ends the program if there are none."""
+    rows = [row for row in ROWS if options.only.lower() in row.name.lower()]
+    if not rows:
+        raise SystemExit(f"--only: no scene's name contains {options.only!r}: {', '.join(row.name for row in ROWS)}")
+    return rows

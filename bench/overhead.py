@@ -8,14 +8,20 @@ from __future__ import annotations
 
 import argparse
 import time
-from statistics import median
+from typing import Any
 
 import torch
 
-from .ours import Ours
-from .rows import ROWS
+from .measured import Measured
+from .ours import Ours, chosen
+from .report import Result, Table
+from .rows import Row
 
-COLUMNS = ["scene", "forward ms", "forward + backward ms", "with a changed parameter ms"]
+CALLS = 20  # of a round: they take a millisecond
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Nothing besides the common options; resolution and spp are 1."""
 
 
 def overhead(ours: Ours, changing: bool) -> tuple[float, float]:
@@ -35,23 +41,26 @@ def overhead(ours: Ours, changing: bool) -> tuple[float, float]:
     return 1e3 * (middle - start - rendering[0]), 1e3 * (end - begin - rendering[1])
 
 
-def overhead_row(index: int, options: argparse.Namespace) -> dict:
-    ours = Ours(ROWS[index], 1, 1)
-    result: dict = {"scene": ROWS[index].name}
+def overhead_row(row: Row, options: argparse.Namespace) -> dict[str, Any]:
+    ours = Ours.of_row(row, 1, 1, **dict(options.renderer))
+    result: dict[str, Any] = {"scene": row.name}
     for changing in (False, True):
-        # Calls of a millisecond: many of them take no time.
-        runs = [overhead(ours, changing) for _ in range(20 * (options.warmup + options.rounds))][20 * options.warmup :]
-        both = median(sum(run) for run in runs)
+        runs = [overhead(ours, changing) for _ in range(CALLS * (options.warmup + options.rounds))]
+        runs = runs[CALLS * options.warmup :]
+        both = Measured.of(forward + backward for forward, backward in runs)
         if changing:
             result["with a changed parameter ms"] = both
         else:
-            result["forward ms"] = median(run[0] for run in runs)
+            result["forward ms"] = Measured.of(forward for forward, _ in runs)
             result["forward + backward ms"] = both
     return result
 
 
-def run_overhead(options: argparse.Namespace) -> dict:
+def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    rows = [overhead_row(index, options) for index, row in enumerate(ROWS) if options.only in row.name]
-    title = f"A call besides rendering: 1x1, 1 spp, {options.threads} threads, median of {20 * options.rounds} calls"
-    return {"title": title, "columns": COLUMNS, "rows": rows}
+    rows = [overhead_row(row, options) for row in chosen(options)]
+    title = (
+        f"A call besides rendering: 1x1, 1 spp, {options.threads} threads, medians of {CALLS * options.rounds} calls"
+    )
+    columns = ["forward ms", "forward + backward ms", "with a changed parameter ms"]
+    return Result([Table(title, ["scene"], rows, [], {"kind": "bars", "columns": columns, "y": "ms"})])

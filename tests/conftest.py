@@ -8,6 +8,7 @@ import pytest
 PYTHON_ONLY = {
     "test_backends",
     "test_bench",
+    "test_bench_parts",
     "test_constraints",
     "test_endurance",  # takes long, and its subject is what is kept between calls
     "test_geometry_files",
@@ -30,3 +31,47 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.stem not in PYTHON_ONLY:
             item.add_marker(pytest.mark.core)
+
+
+FAKE_SERVER = """
+import sys
+sys.path.insert(0, {folder!r})
+from serving import serve
+
+
+class Server:
+    version, import_seconds = "0.0", 0.01
+
+    def __init__(self, threads):
+        self.spp = 0
+
+    def load(self, spp, **arguments):
+        self.parameters = arguments["parameters"]
+        return {{"loaded": True}}
+
+    def forward(self, seed):
+        if seed == 666:
+            raise ValueError("no seed 666")
+        return {{"forward": 0.5}}
+
+    def step(self, seed):
+        return {{"forward": 0.5, "backward": 1.5}}
+
+    def gradient(self, seed, spp, file=None):
+        return {{"sums": [1.0 + 0.1 * (seed % 2)] * len(self.parameters), "seconds": 2.0}}
+
+
+serve(Server)
+"""
+
+
+@pytest.fixture
+def fake_peer(tmp_path, monkeypatch):
+    """A renderer that takes the place of Mitsuba: it always needs 0.5 s for an image and 1.5 s for a gradient."""
+    import dataclasses
+
+    from bench import peers
+
+    server = tmp_path / "fake_server.py"
+    server.write_text(FAKE_SERVER.format(folder=str(peers.FOLDER)))
+    monkeypatch.setitem(peers.KNOWN, "mitsuba", dataclasses.replace(peers.KNOWN["mitsuba"], server=str(server)))

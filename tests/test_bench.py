@@ -1,16 +1,26 @@
-"""The benchmark program: its tables, its arguments, and how it does without the program that it compares with."""
+"""The benchmark program as a user runs it: its list, its arguments, and every benchmark at tiny settings."""
 
 from __future__ import annotations
 
+import importlib
 import json
+import platform
 import sys
 
 import pytest
 
-from bench import table
-from bench.__main__ import main
-from bench.mitsuba_peer import Peer, connect
+from bench import report
+from bench.__main__ import BENCHMARKS, main
 from bench.rows import ROWS
+
+TINY = ["--resolution", "16", "--spp", "2", "--rounds", "2", "--warmup", "1", "--threads", "1"]
+
+
+def run(tmp_path, *arguments: str) -> dict:
+    """What a benchmark writes as JSON."""
+    file = tmp_path / "result.json"
+    assert main([*arguments, "--json", str(file)]) == 0
+    return json.loads(file.read_text())
 
 
 def test_rows_name_existing_files_and_parameters():
@@ -24,35 +34,35 @@ def test_rows_name_existing_files_and_parameters():
     assert shapes == [512, 1024, 512, 1024]
 
 
-def test_table_says_what_was_not_measured():
-    rows = [{"scene": "a", "sum s": 0.12345}, {"scene": "b", "sum s": None}]
-    assert table.markdown(["scene", "sum s", "peer"], rows).splitlines() == [
-        "| scene | sum s | peer |",
-        "|---|---|---|",
-        "| a | 0.123 | not measured |",
-        "| b | not measured | not measured |",
-    ]
+def test_the_list_names_every_benchmark(capsys):
+    assert main([]) == 0
+    printed = capsys.readouterr().out
+    for name in (*BENCHMARKS, "compare"):
+        assert f"\n  {name} " in printed
+    folder = report.ROOT / "bench"
+    modules = {p.stem for p in folder.glob("*.py") if "def add_arguments" in p.read_text()}
+    assert modules == set(BENCHMARKS)
+    for name in BENCHMARKS:
+        assert importlib.import_module(f"bench.{name}").__doc__
 
 
-def test_without_the_peer_it_says_how_to_get_it(monkeypatch, capsys):
-    monkeypatch.delenv("MITSUBA_PYTHON", raising=False)
-    assert connect(None, 1) is None
-    assert "pip install mitsuba==3.9.1" in capsys.readouterr().out
-    assert connect("/no/such/python", 1) is None
-    assert "/no/such/python" in capsys.readouterr().out
-
-
-def test_an_environment_without_mitsuba_is_reported(tmp_path):
-    program = tmp_path / "python"
-    program.write_text("#!/bin/sh\nexit 3\n")
-    program.chmod(0o755)
-    with pytest.raises(RuntimeError, match="ended with status 3"):
-        Peer(str(program), 1)
+def test_an_unknown_benchmark_is_refused(capsys):
+    assert main(["table3"]) == 2
+    assert "no benchmark 'table3'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     "arguments",
-    [["table2", "--rounds", "0"], ["table2", "--spp", "-1"], ["table3"], ["table2", "--resolution", "wide"], []],
+    [
+        ["table2", "--rounds", "0"],
+        ["table2", "--spp", "-1"],
+        ["table2", "--resolution", "wide"],
+        ["table2", "--json", "/no/such/folder/a.json"],
+        ["table2", "--peer", "blender=python"],
+        ["rays", "--peer", "mitsuba=python"],
+        ["memory", "--samples", "0"],
+        ["table2", "--set", "correlated"],
+    ],
 )
 def test_wrong_arguments_end_before_any_work(arguments, capsys):
     with pytest.raises(SystemExit) as ended:
@@ -61,34 +71,125 @@ def test_wrong_arguments_end_before_any_work(arguments, capsys):
     assert "error" in capsys.readouterr().err
 
 
-def test_small_table(tmp_path, monkeypatch, capsys):
-    monkeypatch.delenv("MITSUBA_PYTHON", raising=False)
-    file = tmp_path / "table.json"
-    options = ["--resolution", "32", "--spp", "2", "--rounds", "2", "--warmup", "1", "--only", "Cornell"]
-    main(["table2", *options, "--threads", "1", "--json", str(file)])
-    result = json.loads(file.read_text())
-    (row,) = result["rows"]
+def test_a_peer_that_does_not_start_ends_the_program(capsys):
+    assert main(["table2", *TINY, "--peer", "mitsuba=/no/such/python"]) == 2
+    assert "/no/such/python" in capsys.readouterr().err
+
+
+def test_a_scene_that_does_not_exist_is_refused():
+    with pytest.raises(SystemExit, match="no scene's name contains 'bunny'"):
+        main(["table2", *TINY, "--only", "bunny"])
+
+
+def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
+    picture = tmp_path / "table.png"
+    options = ["--only", "Cornell", "--peer", f"mitsuba={sys.executable}", "--plot", str(picture)]
+    result = run(tmp_path, "table2", *TINY, *options)
+    seconds, ratios = result["tables"]
+    (row,) = seconds["rows"]
     assert row["scene"] == ROWS[0].name
-    assert 0 < row["Embree alone s"] < row["sum s"] < 10
-    assert "Mitsuba sum s" not in row
-    assert "| Cornell box" in capsys.readouterr().out
-    assert result["machine"]["python"] == ".".join(map(str, sys.version_info[:3]))
+    assert row["Mitsuba sum s"]["median"] == 2.0
+    ours = row["sum s"]["median"]
+    assert row["forward s"]["n"] == 2
+    assert 0 < row["Embree alone, image s"]["median"] < row["Embree alone, sum s"]["median"] < 10
+    (ratio,) = ratios["rows"]
+    assert ratio["Mitsuba sum / ours"] == pytest.approx(2 / ours)
+    assert ratio["our sum / Embree alone"] == pytest.approx(ours / row["Embree alone, sum s"]["median"])
+    assert 0 < ratio["lanes in use, image"] <= 1 and 0 < ratio["lanes in use, derivative"] <= 1
+    assert result["versions"]["python"] == platform.python_version()
+    assert result["versions"]["mitsuba"] == "0.0"
+    assert {"torch", "torchrender", "embree", "numpy", "instruction set"} <= result["versions"].keys()
+    assert {"cpu", "cores", "load"} <= result["machine"].keys()
+    printed = capsys.readouterr().out
+    assert "| Cornell box" in printed and "1 threads" in printed
+    assert picture.read_bytes().startswith(b"\x89PNG")
 
 
-def test_small_startup(tmp_path, monkeypatch):
-    monkeypatch.delenv("MITSUBA_PYTHON", raising=False)
-    file = tmp_path / "startup.json"
-    main(["startup", "--resolution", "32", "--spp", "2", "--only", "Cornell", "--threads", "1", "--json", str(file)])
-    (row,) = json.loads(file.read_text())["rows"]
-    assert 0 < row["first gradient s"] < 30
-    assert 0 < row["peak MiB above torch"] < 1000
+def test_table2_alone_with_settings(tmp_path):
+    result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--set", "correlated=True", "--set", "layout=chw")
+    (row,) = result["tables"][0]["rows"]
+    assert not any("Mitsuba" in column for column in row)
+    assert result["settings"]["renderer"] == [["correlated", True], ["layout", "chw"]]
 
 
-def test_small_overhead(tmp_path):
-    file = tmp_path / "overhead.json"
-    main(["overhead", "--rounds", "2", "--warmup", "1", "--only", "512", "--threads", "1", "--json", str(file)])
-    rows = json.loads(file.read_text())["rows"]
+def test_settings_that_do_not_exist_are_refused():
+    with pytest.raises(SystemExit, match="--set: Renderer: unknown argument 'colour'"):
+        main(["table2", *TINY, "--set", "colour=True"])
+
+
+def test_gradients_with_a_peer(tmp_path, fake_peer):
+    options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
+    (row,) = run(tmp_path, "gradients", *TINY, *options)["tables"][0]["rows"]
+    assert row["parameter"] == ROWS[1].parameters[0]
+    assert row["Mitsuba gradient"] == pytest.approx(1.05)
+    assert row["gradient"] > 0 and row["Mitsuba time s"]["median"] == 2.0
+
+
+def test_overhead(tmp_path):
+    rows = run(tmp_path, "overhead", *TINY, "--only", "512")["tables"][0]["rows"]
     assert [row["scene"] for row in rows] == [ROWS[1].name, ROWS[3].name]
     for row in rows:
-        assert 0 < row["forward ms"] < row["forward + backward ms"] < 100
-        assert 0 < row["with a changed parameter ms"] < 100
+        assert 0 < row["forward ms"]["median"] < row["forward + backward ms"]["median"] < 1000
+        assert 0 < row["with a changed parameter ms"]["median"] < 1000
+
+
+def test_coldstart(tmp_path):
+    options = ["--only", "Cornell", "--rounds", "1", "--warmup", "0"]
+    (row,) = run(tmp_path, "coldstart", *TINY, *options)["tables"][0]["rows"]
+    parts = [row[f"{name} s"]["median"] for name in ("import", "load", "first step")]
+    assert row["total s"]["median"] == pytest.approx(sum(parts))
+    assert all(0 < part < 60 for part in parts)
+
+
+def test_memory(tmp_path, fake_peer):
+    options = [
+        "--only",
+        "sphere, texture 1024",
+        "--rounds",
+        "1",
+        "--samples",
+        "2",
+        "--peer",
+        f"mitsuba={sys.executable}",
+    ]
+    (row,) = run(tmp_path, "memory", *TINY, *options)["tables"][0]["rows"]
+    assert 0 <= row["Mitsuba peak above the loaded scene MiB"]["median"] < 10  # what takes its place does nothing
+    assert row["gradients and a buffer a thread"] == 24  # 1024 x 1024 x 3 numbers of 4 bytes, with one thread, twice
+    assert 0 <= row["beyond these MiB"]["median"] < row["peak above the loaded scene MiB"]["median"] < 1000
+
+
+def test_scaling(tmp_path, fake_peer):
+    options = ["--only", "sphere, texture 512", "--samples", "1", "2", "--sides", "8", "16", "--triangles", "500"]
+    options += ["--peer", f"mitsuba={sys.executable}"]
+    picture = tmp_path / "scaling.svg"
+    result = run(tmp_path, "scaling", *TINY, *options, "--texels", "16", "32", "--plot", str(picture))
+    assert [table["part"] for table in result["tables"]] == ["samples", "pixels", "threads", "triangles", "texture"]
+    samples, pixels, threads, triangles, texture = (table["rows"] for table in result["tables"])
+    assert [(row["program"], row["samples"]) for row in samples[1:3]] == [("ours", 8192), ("Mitsuba", 4096)]
+    assert [row["samples"] for row in pixels] == [128, 512] * 2
+    assert [row["fixed cost, in ms"] for row in pixels[2:]] == pytest.approx([2000, 2000])
+    assert [row["number"] for row in threads] == [1]
+    assert triangles[0]["our growth"] == triangles[0]["ours / Embree's"] == 1
+    assert triangles[0]["Embree alone, a ray ns"]["median"] > 0
+    assert [row["texels"] for row in texture] == [16, 32]
+    assert texture[0]["growth of a step, in ms"] == 0
+    assert b"<svg" in picture.read_bytes()
+
+
+def test_variance(tmp_path):
+    options = ["--only", "Cornell", "--samples", "2", "8", "--reference", "256"]
+    rows = run(tmp_path, "variance", *TINY, *options)["tables"][0]["rows"]
+    assert {row["of"] for row in rows} == {"image", "gradient"}
+    first = rows[0]
+    assert first["program"] == "ours, independent"
+    assert first["relative to the first"] == 1
+    assert 0 < first["error, 8 spp"] < first["error, 2 spp"] < 10  # a factor of 2, of 768 numbers in 2 rounds
+
+
+def test_rays(tmp_path):
+    rows = run(tmp_path, "rays", *TINY, "--only", "Cornell")["tables"][0]["rows"]
+    assert [row["rays"] for row in rows] == ["camera", "bounce", "camera shadow", "bounce shadow"]
+    assert rows[0]["number M"] == pytest.approx(16 * 16 * 2 / 1e6)
+    for row in rows:
+        assert 0 < row["hits %"] < 100
+        assert row["best Mrays/s"] == pytest.approx(1e3 / row[f"{row['best']} ns"]["median"])

@@ -132,7 +132,7 @@ void occluded_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays,
 struct Accel::Impl {
     std::shared_ptr<const EmbreeDevice> device = embree_device();
     pid_t process = getpid();
-    rtc::Scene scene = nullptr;
+    rtc::Scene scene = nullptr, whole = nullptr;
     int width = 0;
     // Meshes of few faces, which are not in Embree's tree, and where everything else is.
     FaceList faces;
@@ -156,7 +156,27 @@ struct Accel::Impl {
         width = asked ? std::min(asked, device->widest_query) : default_width(device->widest_query);
     }
 
+    // Embree's scene with the listed meshes, too.
+    rtc::Scene with_all() {
+        if (faces.size() == 0) return scene;
+        if (!whole) {
+            whole = api().NewScene(device->handle);
+            api().SetSceneBuildQuality(whole, rtc::BuildHigh);
+            for (auto &[shape, mesh] : meshes) api().AttachGeometryByID(whole, mesh.geometry, shape);
+            for (auto &[shape, quadric] : quadrics) api().AttachGeometryByID(whole, quadric.first, shape);
+            api().CommitScene(whole);
+            device->check("while building the acceleration structure");
+        }
+        return whole;
+    }
+
+    void release_whole() {
+        if (whole) api().ReleaseScene(whole);
+        whole = nullptr;
+    }
+
     void close() {
+        release_whole();
         for (auto &[shape, mesh] : meshes) api().ReleaseGeometry(mesh.geometry);
         for (auto &[shape, quadric] : quadrics) api().ReleaseGeometry(quadric.first);
         if (scene) api().ReleaseScene(scene);
@@ -170,6 +190,7 @@ struct Accel::Impl {
         auto old_meshes = std::move(meshes);
         auto old_quadrics = std::move(quadrics);
         leave_to_parent(std::move(device), scene);
+        whole = nullptr;
         meshes.clear();
         quadrics.clear();
         device = embree_device();
@@ -244,6 +265,7 @@ struct Accel::Impl {
             }
         }
         if (stage == Stage::Unbuilt) choose_listed();
+        release_whole();
         // whatever happens now, the next commit is not the first
         stage = next;
         api().CommitScene(scene);
@@ -372,6 +394,8 @@ void Accel::commit(bool fast) {
 }
 
 const Accel::Counters &Accel::counters() const { return impl_->counters; }
+
+EmbreeScene Accel::embree() const { return {&impl_->api(), impl_->with_all(), impl_->device->widest_query}; }
 
 void Accel::bounds(float out[6]) const {
     const Box &listed = impl_->faces.bounds();

@@ -7,6 +7,11 @@
 
 namespace tr {
 
+namespace rtc {
+struct Api;
+struct SceneObject;
+}  // namespace rtc
+
 // Rays as a structure of arrays. They begin at distance 0 and end at tmax (infinity is fine). Rays with tmax < 0, with
 // a non-finite number or without a direction hit nothing; directions need not be normalised, t counts in their length.
 struct RayBatch {
@@ -17,6 +22,13 @@ struct RayBatch {
 struct HitBatch {
     uint32_t *shape, *primitive;  // shape = Accel::Miss: nothing was hit
     float *t, *b1, *b2;           // weights of a triangle's second and third vertex; 0 on spheres and disks
+};
+
+// What measures Embree by itself needs of an acceleration structure.
+struct EmbreeScene {
+    const rtc::Api *api;
+    rtc::SceneObject *scene;
+    int widest_query;  // rays a query, at most
 };
 
 class Accel {
@@ -45,6 +57,8 @@ public:
         uint64_t rebuilds = 0;  // of one mesh whose tree had become bad
     };
     const Counters &counters() const;
+
+    EmbreeScene embree() const;  // until the next change
 
     // Lower corner, upper corner; (inf, -inf) without geometry.
     void bounds(float out[6]) const;

@@ -2,6 +2,7 @@
 
 #include <pybind11/stl.h>
 
+#include <algorithm>
 #include <mutex>
 
 #include "config.h"
@@ -49,6 +50,10 @@ public:
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
                        const std::vector<uint8_t> &dirty) = 0;
     virtual std::array<double, 6> bounds() = 0;
+    // The record that keeps the rays of the next renderings; null: none any more.
+    virtual void record_rays(std::shared_ptr<RayRecord> record) = 0;
+    virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, bool coherent, int threads,
+                                          int rounds) = 0;
 };
 
 template <class S, int C>
@@ -207,9 +212,21 @@ public:
         return r;
     }
 
+    void record_rays(std::shared_ptr<RayRecord> record) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        ray_record_ = std::move(record);
+    }
+
+    RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, bool coherent, int threads,
+                                  int rounds) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        return record.replay(data_.accel(), kind, width, coherent, threads, rounds);
+    }
+
 private:
     SceneData<S> data_;
     std::mutex mutex_;
+    std::shared_ptr<RayRecord> ray_record_;
 
     // Rays (n, 3) as columns in single precision.
     struct Rays {
@@ -253,6 +270,7 @@ private:
         if (c.pixels) call.pixels = &*c.pixels;
         call.spp = c.spp, call.sample_offset = c.sample_offset;
         call.threads = c.threads;
+        call.ray_record = ray_record_.get();
         call.interrupted = Interruption();
         return call;
     }
@@ -372,6 +390,11 @@ SceneObjects read_objects(const py::dict &given) {
 
 std::vector<uint8_t> read_dirty(const std::vector<bool> &dirty) { return {dirty.begin(), dirty.end()}; }
 
+constexpr std::pair<const char *, RayKind> ray_kinds[] = {{"camera", RayKind::Camera},
+                                                          {"bounce", RayKind::Bounce},
+                                                          {"camera shadow", RayKind::CameraShadow},
+                                                          {"bounce shadow", RayKind::BounceShadow}};
+
 using Release = py::call_guard<py::gil_scoped_release>;
 
 }  // namespace
@@ -389,6 +412,21 @@ void declare_scene(py::module_ &m) {
             dtype == "float64" ? run(0.0) : run(0.f);
         },
         Release());
+    // the modules of other instruction sets have one, too
+    py::class_<RayRecord, std::shared_ptr<RayRecord>>(m, "RayRecord", py::module_local())
+        .def(py::init<size_t>(), py::arg("limit"))
+        .def("counts", [](const RayRecord &self) {
+            py::dict all;
+            for (auto [name, kind] : ray_kinds) {
+                RayRecord::Counts counts = self.counts(kind);
+                py::dict d;
+                d["rays"] = counts.rays;
+                d["hits"] = counts.hits;
+                d["left_out"] = counts.left_out;
+                all[name] = d;
+            }
+            return all;
+        });
     py::class_<SceneBase>(m, "Scene")
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
         .def(
@@ -489,6 +527,27 @@ void declare_scene(py::module_ &m) {
                const Addresses &params,
                const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, params, read_dirty(dirty)); },
             Release())
+        .def("record_rays", &SceneBase::record_rays, py::arg("record").none(true), Release())
+        .def(
+            "replay_rays",
+            [](SceneBase &self, const RayRecord &record, const std::string &kind, int width, bool coherent, int threads,
+               int rounds) {
+                const auto *found = std::find_if(std::begin(ray_kinds), std::end(ray_kinds),
+                                                 [&](const auto &known) { return kind == known.first; });
+                if (found == std::end(ray_kinds))
+                    throw std::invalid_argument("kind: expected camera, bounce, camera shadow or bounce shadow, got " +
+                                                kind);
+                RayRecord::Replay replay = [&, which = found->second] {
+                    py::gil_scoped_release release;
+                    return self.replay_rays(record, which, width, coherent, threads, rounds);
+                }();
+                py::dict d;
+                d["seconds"] = replay.seconds;
+                d["hits"] = replay.hits;
+                return d;
+            },
+            py::arg("record"), py::arg("kind"), py::arg("width"), py::arg("coherent"), py::arg("threads"),
+            py::arg("rounds"))
         .def("bounding_box", &SceneBase::bounds, Release());
 }
 

@@ -139,6 +139,10 @@ private:
                 hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
         stats.closest_rays += front.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        if (call_.ray_record) {
+            size_t hits = front.n - size_t(std::count(hit_shape_, hit_shape_ + front.n, Accel::Miss));
+            call_.ray_record->add(&front == &fronts_[0] ? RayKind::Camera : RayKind::Bounce, rays, front.n, hits);
+        }
     }
 
     // ----------------------------------------------------------------------------------------------------- grouping
@@ -232,7 +236,7 @@ private:
                     shade<Derivative>(segment.kind, front, next, lanes, i, depth, index, scatters);
             }
         }
-        trace_shadow<Derivative>();
+        trace_shadow<Derivative>(depth);
     }
 
     template <bool Derivative>
@@ -389,12 +393,17 @@ private:
     }
 
     template <bool Derivative>
-    void trace_shadow() {
+    void trace_shadow(int depth) {
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
-        call_.accel->occluded(ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_), occluded_, shadow_.n);
+        RayBatch rays = ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_);
+        call_.accel->occluded(rays, occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+if (call_.ray_record) {
+            size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
+            call_.ray_record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
+        }
         // half of them hit, at random: no branches
         for (size_t k = 0; k < shadow_.n; ++k) {
             S visible(occluded_[k] ? 0 : 1);

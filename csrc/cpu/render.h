@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "accel/accel.h"
+#include "accel/ray_record.h"
 #include "core/adjoint/sweep.h"
 #include "film.h"
 #include "host/gradient.h"
@@ -25,6 +25,7 @@ struct RenderCall {
     Rect samples;                                // samples are drawn nowhere else
     int64_t spp, sample_offset;
     int threads;
+    RayRecord *ray_record = nullptr;    // not null: keeps the rays that are queried
     std::function<bool()> interrupted;  // polled by the calling thread; true stops the call
 };
 

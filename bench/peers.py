@@ -1,0 +1,129 @@
+"""Other renderers, each a process in an environment of its own that is talked to by lines of JSON (`serving.py`)."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from dataclasses import dataclass
+from pathlib import Path
+
+FOLDER = Path(__file__).resolve().parent
+
+
+@dataclass(frozen=True)
+class Known:
+    """A renderer that can be measured beside this one."""
+
+    title: str
+    server: str
+    needs: str  # how an environment that has it is made
+    keeps_kernels: bool = False  # compiles when it first renders, and keeps that for the next process
+
+
+KNOWN = {
+    "mitsuba": Known(
+        "Mitsuba",
+        "mitsuba_server.py",
+        """    python3 -m venv mitsuba-env && mitsuba-env/bin/pip install mitsuba==3.9.1 numpy
+    apt install libllvm19        # older ones crash; set DRJIT_LIBLLVM_PATH to its libLLVM.so.19.1""",
+        keeps_kernels=True,
+    ),
+    "redner": Known(
+        "Redner",
+        "redner_server.py",
+        """    python3.7 -m venv redner-env         # the last Python that its wheels are for
+    redner-env/bin/pip install torch==1.10.2 "numpy<1.22" imageio scikit-image redner==0.4.28""",
+    ),
+}
+
+
+class PeerError(RuntimeError):
+    """A peer that was asked for cannot be measured, or one of its answers is an error."""
+
+
+def parse(text: str) -> tuple[str, str]:
+    """``NAME=PYTHON``, or ``NAME`` with the interpreter in the environment variable ``NAME_PYTHON``.
+
+    ValueError names what is wrong.
+    """
+    name, _, python = text.partition("=")
+    if name not in KNOWN:
+        raise ValueError(f"expected one of {', '.join(KNOWN)}, got {name!r}")
+    variable = f"{name.upper()}_PYTHON"
+    python = python or os.environ.get(variable, "")
+    if not python:
+        raise ValueError(f"expected {name}=PYTHON, the interpreter that has it (or set {variable}):\n{help_of(name)}")
+    return name, python
+
+
+def help_of(name: str) -> str:
+    """How an environment with a peer is made."""
+    return f"{KNOWN[name].needs}\n    python -m bench table2 --peer {name}={name}-env/bin/python"
+
+
+class Peer:
+    """A running peer, limited to `threads` threads. PeerError says what is missing if it does not start."""
+
+    def __init__(self, name: str, python: str, threads: int, environment: dict[str, str] | None = None) -> None:
+        self.name, self.title = name, KNOWN[name].title
+        try:
+            self.process = subprocess.Popen(
+                [python, str(FOLDER / KNOWN[name].server), str(threads)],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                env={**os.environ, **(environment or {})},
+            )
+        except OSError as error:
+            raise PeerError(f"{self.title}: {python}: {error.strerror}; it is made by\n{help_of(name)}") from error
+        try:
+            greeting = self._read()
+        except PeerError as error:
+            raise PeerError(f"{error} with {python}; is it installed there?\n{help_of(name)}") from error
+        self.version, self.import_seconds = greeting["version"], greeting["import_seconds"]
+
+    def _read(self) -> dict:
+        line = self.process.stdout.readline()
+        if not line:
+            raise PeerError(f"{self.title}: its process ended with status {self.process.wait()}")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise PeerError(f"{self.title}: {answer['error']}")
+        return answer
+
+    def ask(self, action: str, **arguments) -> dict:
+        try:
+            self.process.stdin.write(json.dumps({"do": action, **arguments}) + "\n")
+            self.process.stdin.flush()
+        except BrokenPipeError:
+            pass  # reading says with which status it ended
+        return self._read()
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.stdin.write('{"do": "quit"}\n')
+            self.process.stdin.close()
+            self.process.wait(timeout=30)
+
+
+class Peers:
+    """The peers that were asked for, running, in a ``with`` block."""
+
+    def __init__(self, chosen: list[tuple[str, str]], threads: int) -> None:
+        self.chosen, self.threads = chosen, threads
+        self.running: list[Peer] = []
+
+    def __enter__(self) -> list[Peer]:
+        try:
+            for name, python in self.chosen:
+                self.running.append(Peer(name, python, self.threads))
+        except BaseException:
+            self.__exit__()
+            raise
+        return self.running
+
+    def __exit__(self, *_: object) -> None:
+        for peer in self.running:
+            peer.close()
