@@ -400,7 +400,7 @@ private:
         call_.accel->occluded(rays, occluded_, shadow_.n);
         stats.shadow_rays += shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-if (call_.ray_record) {
+        if (call_.ray_record) {
             size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
             call_.ray_record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
         }
