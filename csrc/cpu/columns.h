@@ -69,6 +69,16 @@ struct LaneSet {
         if (kind == Near) index = index - U(first);
     }
 
+    // Entries in any order, of which the first lane counts.
+    TR_INLINE LaneSet(const U &entries, const MaskOf<F> &active_) : active(active_) {
+        first = lane(entries, 0);
+        index = select(mask<U>(active), entries, U(first));
+        U offset = index - U(first);
+        bool near = all(mask<F>(offset < uint32_t(2 * Lanes<F>::Width)));
+        kind = near ? Near : Scattered;
+        if (near) index = offset;
+    }
+
     TR_INLINE F get(const ScalarOf<F> *column) const { return at<F>(column); }
     TR_INLINE U get(const uint32_t *column) const { return at<U>(column); }
 

@@ -314,7 +314,8 @@ private:
 
         Leaf<F> leaf = resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(wi.z < F(0)), active);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
-        U path_pixel = gather<U>(pixel, slot, mask<U>(active)), path_sample = gather<U>(sample, slot, mask<U>(active));
+        LaneSet<F> paths(slot, active);
+        U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
         uint32_t block = BlocksPerScattering * uint32_t(depth + index);
         Random4<F> ue = random4<F>(config.seed, config.sensor, path_pixel, path_sample, EmitterBlock + block);
         Random4<F> ub = random4<F>(config.seed, config.sensor, path_pixel, path_sample, BsdfBlock + block);

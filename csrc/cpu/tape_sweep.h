@@ -73,8 +73,10 @@ private:
             if (wanted.geometry) level.template get_motion<F>(i, v);
             U slot = select(mask<U>(active), load_uint<F>(level.slot + i), U(0u));
             Color<F, C> a = v.beta;
-            if (!unit_adjoint)
-                for (int c = 0; c < C; ++c) a[c] = a[c] * gather<F>(paths_.delta[c], slot, active);
+            if (!unit_adjoint) {
+                LaneSet<F> paths(slot, active);
+                for (int c = 0; c < C; ++c) a[c] = a[c] * paths.get(paths_.delta[c]);
+            }
             sink.begin();
             HitAdjoint<F> hit;
             Vec3<F> d_bar{F(0), F(0), F(0)};

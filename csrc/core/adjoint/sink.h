@@ -42,6 +42,14 @@ public:
     }
     TR_INLINE void color(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         auto usable = finite(g, active);
+        if constexpr (Lanes<F>::Width > 1) {
+            if (!any(usable)) return;
+            int32_t first = first_lane(offset, usable);
+            if (!any(usable && mask<F>(offset != first))) {  // adding lane by lane would wait for every addition
+                for (int c = 0; c < C; ++c) constants[first + c] += double(lane_sum(select(usable, g[c], F(0))));
+                return;
+            }
+        }
         for (int i = 0; i < Lanes<F>::Width; ++i)
             if (lane_is_set(usable, i))
                 for (int c = 0; c < C; ++c) constants[lane(offset, i) + c] += double(lane(g[c], i));

@@ -149,6 +149,15 @@ TR_INLINE auto lane(const T &x, int i) {
 #endif
 }
 
+template <class T>
+TR_INLINE auto lane_sum(const T &x) {
+    if constexpr (std::is_arithmetic_v<T>) return x;
+#if TR_HAS_PACKETS
+    else
+        return drjit::sum(x);
+#endif
+}
+
 // The value of x where m is set for the first time.
 template <class T, class M>
 TR_INLINE auto first_lane(const T &x, const M &m) {
