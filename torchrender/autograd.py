@@ -51,6 +51,7 @@ class RenderCall:
     variance: bool
     statistics: dict[str, Any]
     wanted: Wanted  # what is said about derivatives that are asked for
+    adaptive_grad: bool = False
 
     def configs(self, derivative: bool) -> list[dict[str, Any]]:
         """The core's settings of each pass."""
@@ -218,6 +219,7 @@ class RenderVjpFunction(_Derivative):
         addresses = [0 if g is None else g.data_ptr() for g in grads]
         all_stats = []
         for config in _passes(call.configs(derivative=True)):
+            config["adaptive"] = call.adaptive_grad
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)
         return tuple(grads)

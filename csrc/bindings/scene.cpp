@@ -95,6 +95,7 @@ public:
         data_.update(pointers(params), dirty);
         DerivativeCall<S> d = reverse_call(c, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
+        d.adaptive = c.adaptive;
         RenderStats stats = render_reverse<S, C>(call(c), c.packets, d);
         add_gradients(d, gradients);
         return stats;

@@ -2,6 +2,7 @@
 // arithmetic and colour it is compiled.
 #pragma once
 
+#include "allocation.h"
 #include "items.h"
 #include "path_tile.h"
 
@@ -68,6 +69,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     auto begin = std::chrono::steady_clock::now();
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     Plan plan = make_plan(call);
+    if (derivative.adaptive) allocate(plan, call.filter, derivative.adjoint, C);
     const size_t capacity = 512;
     // d loss / d (sum of weighted radiances) of every wanted pixel
     Film adjoint(plan, C);
@@ -103,7 +105,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                             double d[C];
                             blocks[span.unit].collect(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
                                                       double(tile->film_y[k]), double(tile->film_x[k]), d);
-                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c]);
+                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c] * span.weight);
                         }
                     tile->start(n, true);
                     tile->template run<true>(stop);
