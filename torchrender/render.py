@@ -81,7 +81,9 @@ def render(
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N. Not with `crop`.
         layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two. With
             `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
-        correlated: allow `seed_grad` equal to `seed`: gradients of nonlinear losses are then biased.
+        correlated: differentiate the samples of the image, `seed_grad` being `seed`: gradients of nonlinear losses are
+            then biased. Where a gradient can be asked for and `spp_grad` is `spp`, the hits of the image's rays are
+            kept for `backward()`, which then traces nothing (see ``torchrender.autograd.STORED_HITS_LIMIT``).
         adaptive_grad: `backward()` through radiance gives each pixel samples in proportion to the size of its incoming
             gradient (at least 1, and about a fifth of `spp_grad`, where that is not zero; none where it is). `spp_grad`
             is their mean over the rendered pixels, those without any included. Unbiased as without it; forward mode and
@@ -147,6 +149,12 @@ def render(
             statistics=scene.statistics,
             wanted=Wanted(packed, scene.warned, alpha),
             adaptive_grad=adaptive_grad,
+        )
+        call.keep_hits = (
+            correlated
+            and call.spp_grad == call.spp
+            and torch.is_grad_enabled()
+            and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
         views.append(_view(call, names, stack, used))

@@ -10,6 +10,7 @@
 #include "film.h"
 #include "host/gradient.h"
 #include "plan.h"
+#include "stored_hits.h"
 
 namespace tr {
 
@@ -25,8 +26,10 @@ struct RenderCall {
     Rect samples;                                // samples are drawn nowhere else
     int64_t spp, sample_offset;
     int threads;
-    RayRecord *ray_record = nullptr;    // not null: keeps the rays that are queried
-    std::function<bool()> interrupted;  // polled by the calling thread; true stops the call
+    RayRecord *ray_record = nullptr;        // not null: keeps the rays that are queried
+    StoredHits *keep_hits = nullptr;        // primal: what is hit is kept there
+    const StoredHits *kept_hits = nullptr;  // reverse: what a primal call of the same samples has kept
+    std::function<bool()> interrupted;      // polled by the calling thread; true stops the call
 };
 
 // What a derivative needs besides.
