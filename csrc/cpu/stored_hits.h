@@ -177,7 +177,7 @@ public:
     }
 
 private:
-    static constexpr size_t MostHits = size_t(1) << 22;  // of a batch; paths may go on for ever
+    static constexpr size_t MostHits = size_t(1) << 20;  // of a batch; paths may go on for ever
     bool on_ = false;
     size_t n_ = 0, splits_ = 1, split_ = 0, n_chains_ = 0;
     std::vector<StoredHit> hits_;
