@@ -1,18 +1,21 @@
 """The boundary to autograd: one `torch.autograd.Function` with forward, reverse mode and forward mode.
 
-Nothing of a path is kept between forward and backward: the derivative is estimated from samples of its own, keyed by
-`seed_grad`, so what is saved are the parameters, whose version counters let torch notice edits in between.
+The derivative is estimated from samples of its own, keyed by `seed_grad`, so what is saved are the parameters, whose
+version counters let torch notice edits in between. Where image and derivative share their samples (``correlated=True``)
+the hits of their rays are kept besides, and the backward pass traces nothing.
 """
 
 from __future__ import annotations
 
 import warnings
+import weakref
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch.autograd import Function
 
+from . import backends
 from .errors import NotDifferentiableError, RenderError
 from .scene.derivatives import Wanted, depth_outside
 from .scene.native import NativeScene
@@ -22,6 +25,8 @@ BATCHED = (
     "vmap does not reach into a rendering: loop over the inputs (jacfwd and jacrev do so with chunk_size=1, "
     "torch.autograd.functional.jacobian with vectorize=False); several cameras are one call, sensor=[...]"
 )
+STORED_HITS_LIMIT = 1 << 30
+"""Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again."""
 SECOND = "a rendering has first derivatives only: differentiating its gradient again is not possible"
 
 
@@ -51,6 +56,10 @@ class RenderCall:
     variance: bool
     statistics: dict[str, Any]
     wanted: Wanted  # what is said about derivatives that are asked for
+    adaptive_grad: bool = False
+    keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
+    hits: Any = None  # weak reference to what is kept, from the image's rendering on
+    kept: torch.Tensor | None = None  # keeps it alive until autograd does
 
     def configs(self, derivative: bool) -> list[dict[str, Any]]:
         """The core's settings of each pass."""
@@ -84,6 +93,17 @@ class RenderCall:
                 raise RenderError(text)
             warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=depth_outside())
 
+    def store_hits(self) -> torch.Tensor:
+        """Begin to keep hits; they live as long as the memory of the tensor that comes back."""
+        store = backends.core().HitStore(STORED_HITS_LIMIT)
+        self.hits = weakref.ref(store)
+        return torch.frombuffer(store, dtype=torch.uint8)
+
+    def with_hits(self, configs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """The passes' settings with where their hits are kept, if that is still there."""
+        store = self.hits() if self.hits is not None else None
+        return configs if store is None else [{**c, "hits": (store, i)} for i, c in enumerate(configs)]
+
     def shape(self) -> tuple[int, ...]:
         return (*self.size, self.native.channels)
 
@@ -110,7 +130,8 @@ class RenderFunction(Function):
         total = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
         all_stats = []
         out = total
-        for i, config in enumerate(_passes(call.configs(derivative=False))):
+        call.kept = call.store_hits() if call.keep_hits else None
+        for i, config in enumerate(_passes(call.with_hits(call.configs(derivative=False)))):
             if i == 1:
                 out = {name: torch.empty_like(tensor) for name, tensor in total.items()}
             addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
@@ -128,7 +149,12 @@ class RenderFunction(Function):
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         call, *params = inputs
         ctx.call = call
-        ctx.save_for_backward(*params)
+        # Hits are freed by whatever frees the saved tensors. (With torch.func this comes once for every level, of which
+        # one differentiates.)
+        kept = ()
+        if call.kept is not None and any(ctx.needs_input_grad):
+            kept, call.kept = (call.kept,), None
+        ctx.save_for_backward(*params, *kept)
         ctx.save_for_forward(*params)
         ctx.set_materialize_grads(False)
         if isinstance(output, tuple):
@@ -138,11 +164,11 @@ class RenderFunction(Function):
 
     @staticmethod
     def backward(ctx: Any, grad_image: torch.Tensor | None, *_: Any) -> Any:
-        params = ctx.saved_tensors
         needed = ctx.needs_input_grad[1:]
+        saved = ctx.saved_tensors  # of which the last may be what keeps the hits alive
         if grad_image is None or not any(needed):
-            return (None,) * (1 + len(params))
-        return (None, *RenderVjpFunction.apply(ctx.call, needed, grad_image, *params))
+            return (None,) * (1 + len(needed))
+        return (None, *RenderVjpFunction.apply(ctx.call, needed, grad_image, *saved[: len(needed)]))
 
     @staticmethod
     def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
@@ -217,7 +243,8 @@ class RenderVjpFunction(_Derivative):
         grads = [torch.zeros_like(p) if n else None for p, n in zip(params, needed, strict=True)]
         addresses = [0 if g is None else g.data_ptr() for g in grads]
         all_stats = []
-        for config in _passes(call.configs(derivative=True)):
+        for config in _passes(call.with_hits(call.configs(derivative=True))):
+            config["adaptive"] = call.adaptive_grad
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)
         return tuple(grads)

@@ -48,6 +48,7 @@ def render(
     pixels: torch.Tensor | None = None,
     layout: str = "hwc",
     correlated: bool = False,
+    adaptive_grad: bool = False,
     nan: str = "drop",
 ) -> Any:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
@@ -80,7 +81,13 @@ def render(
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N. Not with `crop`.
         layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two. With
             `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
-        correlated: allow `seed_grad` equal to `seed`: gradients of nonlinear losses are then biased.
+        correlated: differentiate the samples of the image, `seed_grad` being `seed`: gradients of nonlinear losses are
+            then biased. Where a gradient can be asked for and `spp_grad` is `spp`, the hits of the image's rays are
+            kept for `backward()`, which then traces nothing (see ``torchrender.autograd.STORED_HITS_LIMIT``).
+        adaptive_grad: `backward()` through radiance gives each pixel samples in proportion to the size of its incoming
+            gradient (at least 1, and about a fifth of `spp_grad`, where that is not zero; none where it is). `spp_grad`
+            is their mean over the rendered pixels, those without any included. Unbiased as without it; forward mode and
+            the other outputs take `spp_grad` everywhere. Not with `correlated`.
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
 
     Raises:
@@ -96,6 +103,7 @@ def render(
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     _check_words(layout, nan)
+    _check_adaptive(adaptive_grad, correlated)
     passes = _count("passes", passes)
     packed = scene.layout()
     cameras, batched = _cameras(scene, packed, sensor)
@@ -140,6 +148,13 @@ def render(
             variance="variance" in names,
             statistics=scene.statistics,
             wanted=Wanted(packed, scene.warned, alpha),
+            adaptive_grad=adaptive_grad,
+        )
+        call.keep_hits = (
+            correlated
+            and call.spp_grad == call.spp
+            and torch.is_grad_enabled()
+            and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
         views.append(_view(call, names, stack, used))
@@ -169,6 +184,16 @@ def _check_words(layout: Any, nan: Any) -> None:
         raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
     if nan not in ("drop", "raise"):
         raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+
+
+def _check_adaptive(adaptive_grad: Any, correlated: Any) -> None:
+    if not isinstance(adaptive_grad, bool):
+        raise TypeError(f"render: adaptive_grad: expected True or False, got {describe(adaptive_grad)}")
+    if adaptive_grad and correlated is True:
+        raise ValueError(
+            "render: adaptive_grad=True draws samples of its own, and correlated=True uses those of the image; "
+            "leave one of them out"
+        )
 
 
 def _views(cameras: list[Any]) -> Any:
@@ -354,6 +379,7 @@ class Renderer(nn.Module):
             if settings.get(name) is not None:
                 _count(name, settings[name])
         _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"))
+        _check_adaptive(settings.get("adaptive_grad", False), settings.get("correlated", False))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
 

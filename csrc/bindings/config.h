@@ -25,6 +25,9 @@ struct Config {
     std::optional<std::vector<Pixel>> pixels;
     std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
     bool zero_at_misses;
+    bool adaptive;   // reverse mode of radiance
+    HitStore *hits;  // may be null
+    std::size_t hits_pass;
 };
 
 inline Rect rect(const py::handle &h) {
@@ -63,6 +66,12 @@ inline Config read_config(const py::dict &d) {
     c.packets = d["packet"].cast<bool>();
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
+    if (d.contains("hits")) {  // radiance: the store, the number of the pass
+        auto hits = d["hits"].cast<py::tuple>();
+        c.hits = &hits[0].cast<HitStore &>();
+        c.hits_pass = hits[1].cast<size_t>();
+    }
+    c.adaptive = d.contains("adaptive") && d["adaptive"].cast<bool>();
     return c;
 }
 

@@ -86,7 +86,9 @@ public:
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(pointers(params), dirty);
         auto at = [&](size_t i) { return reinterpret_cast<S *>(out[i]); };
-        return render_primal<S, C>(call(c), c.packets, {at(0), at(1), at(2)});
+        RenderCall<S> primal = call(c);
+        if (c.hits) primal.keep_hits = c.hits->add_pass();
+        return render_primal<S, C>(primal, c.packets, {at(0), at(1), at(2)});
     }
 
     RenderStats reverse(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty, uintptr_t adjoint,
@@ -95,7 +97,10 @@ public:
         data_.update(pointers(params), dirty);
         DerivativeCall<S> d = reverse_call(c, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
-        RenderStats stats = render_reverse<S, C>(call(c), c.packets, d);
+        d.adaptive = c.adaptive;
+        RenderCall<S> reverse = call(c);
+        if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
+        RenderStats stats = render_reverse<S, C>(reverse, c.packets, d);
         add_gradients(d, gradients);
         return stats;
     }
@@ -427,6 +432,12 @@ void declare_scene(py::module_ &m) {
             }
             return all;
         });
+    // As a buffer, of one byte, it lives as long as a tensor that is made of it.
+    py::class_<HitStore>(m, "HitStore", py::buffer_protocol(), py::module_local())
+        .def(py::init<int64_t>(), py::arg("limit"))
+        .def_property_readonly("bytes", &HitStore::bytes)
+        .def_static("bytes_in_use", [] { return StoredHits::in_use().load(); })
+        .def_buffer([](HitStore &store) { return py::buffer_info(&store.handle, 1); });
     py::class_<SceneBase>(m, "Scene")
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
         .def(

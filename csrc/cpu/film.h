@@ -106,6 +106,11 @@ struct FilmBlock {
         if (moments) q[2 * moments] += double(end - k);
     }
 
+    // Adds the weights alone of a sample that counts `times` times.
+    void add_weight(const Filter &filter, int row, int column, double y, double x, double times) {
+        for_reached(filter, row, column, y, x, [&](double *p, double w) { p[values] += w * times; });
+    }
+
     // The transposed of `splat`: what a sample gets of the numbers in the block.
     void collect(const Filter &filter, int row, int column, double y, double x, double *to) const {
         for (int c = 0; c < values; ++c) to[c] = 0;

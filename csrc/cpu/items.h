@@ -164,10 +164,12 @@ inline void sum_stats(RenderStats &to, const RenderStats &from) {
 // Pixels are numbered alike whatever is rendered of a film, those outside of it included.
 inline uint32_t pixel_number(int y, int x) { return (uint32_t(y + 32768) << 16) + uint32_t(x + 32768); }
 
-// Paths begin .. end of a batch belong to one unit of the item.
+// Paths begin .. end of a batch belong to one unit of the item and, where pixels have numbers of samples of their own,
+// to one pixel. A path counts `weight` times: the plan's number of samples over the pixel's.
 struct Span {
     size_t unit;
     uint32_t begin, end;
+    double weight;
 };
 
 // Calls body(n, spans) for batches of an item's paths, whose identities are set.
@@ -179,11 +181,17 @@ void for_batches(Columns &to, const RenderCall<S> &call, const Plan &plan, size_
     size_t n = 0;
     for (size_t u = 0; u < units.size(); ++u) {
         Tile tile = plan.tile(units.tile_of(u));
-        int64_t first = units.chunk_of(u) * ChunkSize, last = std::min(plan.spp(), first + ChunkSize);
         size_t begin = n;
+        double weight = 1;
+        auto close_span = [&] {
+            if (n > begin) spans.push_back({u, uint32_t(begin), uint32_t(n), weight});
+            begin = n;
+        };
         for (size_t p = 0; p < tile.n; ++p) {
             Pixel at = tile.pixel(p);
             uint32_t number = pixel_number(at.y, at.x);
+            auto [first, last] = plan.samples(units, u, tile, p);
+            if (tile.counts) weight = double(plan.spp()) / double(std::max(1u, tile.counts[p]));
             for (int64_t s = first; s < last;) {
                 for (; s < last && n < capacity; ++s, ++n) {
                     to.row[n] = uint32_t(at.y);
@@ -192,14 +200,15 @@ void for_batches(Columns &to, const RenderCall<S> &call, const Plan &plan, size_
                     to.sample[n] = uint32_t(call.sample_offset + s);
                 }
                 if (n < capacity) continue;
-                spans.push_back({u, uint32_t(begin), uint32_t(n)});
+                close_span();
                 if (stop()) return;
                 body(n, spans);
                 spans.clear();
                 n = begin = 0;
             }
+            if (tile.counts) close_span();
         }
-        if (n > begin) spans.push_back({u, uint32_t(begin), uint32_t(n)});
+        close_span();
     }
     if (n > 0 && !stop()) body(n, spans);
 }
@@ -237,7 +246,7 @@ void choose_positions(const PathConfig &config, Columns &at, size_t n) {
     }
 }
 
-// The sum of filter weights of every wanted pixel.
+// The sum of filter weights of every wanted pixel, of samples that count as their spans say.
 template <class F>
 std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Plan &plan, RenderStats &stats) {
     auto film = std::make_unique<Film>(plan, FilmBlock::channels(0, 0));
@@ -255,8 +264,8 @@ std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Pla
                 choose_positions<F>(call.config, *at, n);
                 for (const Span &span : spans)
                     for (size_t k = span.begin; k < span.end; ++k)
-                        blocks[span.unit].splat(call.filter, int32_t(at->row[k]), int32_t(at->column[k]),
-                                                double(at->film_y[k]), double(at->film_x[k]), nullptr);
+                        blocks[span.unit].add_weight(call.filter, int32_t(at->row[k]), int32_t(at->column[k]),
+                                                     double(at->film_y[k]), double(at->film_x[k]), span.weight);
             });
             merge.push(item, std::move(blocks), stop);
         };

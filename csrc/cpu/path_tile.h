@@ -8,6 +8,7 @@
 
 #include "queries.h"
 #include "render.h"
+#include "stored_hits.h"
 #include "tape_sweep.h"
 
 namespace tr {
@@ -28,6 +29,9 @@ public:
     // by slot, after `run` (after `sweep` in forward mode)
     S *film_x, *film_y, *radiance[C], *alpha;
     RenderStats stats;
+    // off unless begun before `run`: keeps what its rays hit, or knows it already
+    HitRecorder recorder;
+    HitReplay replay;
 
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
         : call_(call), scene_(*call.scene), derivative_(derivative) {
@@ -96,12 +100,15 @@ public:
         trace(fronts_[0]);
         if (config.hide_emitters) {
             Front<S, C> &f = fronts_[0];
-            pass_emitters(scene_, f.o, f.d, f.length, hit_shape_, hit_t_, f.n, [&] { trace(f); });
+            pass_emitters(scene_, f.o, f.d, f.length, hit_shape_, hit_t_, f.n, [&] { trace(f, true); });
         }
         bool scatters = config.max_depth < 0 || config.max_depth > 1;
-        int splits = scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
-        for (int index = 0; index < splits && !stop(); ++index) {
-            if (index > 0) trace(fronts_[0]);
+        for (int index = 0; index < splits(config) && !stop(); ++index) {
+            if (index > 0) {
+                if (recorder.on()) recorder.set_split(size_t(index));
+                if (replay.on()) replay.set_split(size_t(index));
+                trace(fronts_[0]);
+            }
             Front<S, C> *current = &fronts_[0], *next = &fronts_[1], *spare = &fronts_[2];
             step<Derivative>(*current, *next, 0, index, scatters, -1);
             for (int depth = 1; next->n > 0 && !stop() && (config.max_depth < 0 || depth < config.max_depth); ++depth) {
@@ -113,6 +120,12 @@ public:
                 spare = current;
             }
         }
+    }
+
+    // How often the first vertex is scattered from.
+    static int splits(const PathConfig &config) {
+        bool scatters = config.max_depth < 0 || config.max_depth > 1;
+        return scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
     }
 
     // Runs over the tape from its end; `forward`: all adjoints are one.
@@ -127,19 +140,28 @@ public:
 
 private:
     // ------------------------------------------------------------------------------------------------------ queries
-    void trace(Front<S, C> &front) {
+    // `again`: of the same rays those that have passed through an emitter go on, the others hit what they have hit.
+    void trace(Front<S, C> &front, bool again = false) {
         auto begin = std::chrono::steady_clock::now();
         RayBatch rays = ray_batch(front.o, front.d, front.length, front.n, ray_);
         constexpr bool single = sizeof(S) == 4;
         HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : float_t_,
                       single ? (float *)hit_b1_ : float_b1_, single ? (float *)hit_b2_ : float_b2_};
-        call_.accel->intersect(rays, hits, front.n, &front == &fronts_[0]);
+        const bool coherent = &front == &fronts_[0];
+        auto moved = [&](size_t i) { return !again || passes_emitter(scene_, hit_shape_[i]); };
+        if (replay.on()) {
+            stats.closest_rays += replay.intersect(*call_.accel, rays, front.slot, hits, front.n, coherent, moved);
+        } else {
+            if (recorder.on()) recorder.choose(front.n, moved);
+            call_.accel->intersect(rays, hits, front.n, coherent);
+            if (recorder.on()) recorder.put(front.slot, hits);
+            stats.closest_rays += front.n;
+        }
         if (!single)
             for (size_t i = 0; i < front.n; ++i)
                 hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
-        stats.closest_rays += front.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-        if (call_.ray_record) {
+        if (call_.ray_record && !replay.on()) {
             size_t hits = front.n - size_t(std::count(hit_shape_, hit_shape_ + front.n, Accel::Miss));
             call_.ray_record->add(&front == &fronts_[0] ? RayKind::Camera : RayKind::Bounce, rays, front.n, hits);
         }
@@ -369,7 +391,8 @@ private:
         Color<F, C> contribution = beta * s.f_light * s.emitted * s.light_weight;
         wanted = wanted && finite(contribution, wanted, "bsdf", bsdf);
         s.light_weight = select(wanted, s.light_weight, F(0));
-        if (!Derivative) wanted = wanted && mask<F>(max_channel(contribution) > F(0));
+        // what is black contributes nothing, but may have a derivative
+        if (!Derivative && !recorder.on()) wanted = wanted && mask<F>(max_channel(contribution) > F(0));
         if (!any(wanted)) return;
         // towards the sampled point from where the ray really starts
         M finite_distance = mask<F>(s.light.distance < F(S(1e30)));
@@ -398,10 +421,15 @@ private:
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
         RayBatch rays = ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_);
-        call_.accel->occluded(rays, occluded_, shadow_.n);
-        stats.shadow_rays += shadow_.n;
+        if (replay.on()) {
+            stats.shadow_rays += replay.occluded(*call_.accel, rays, shadow_.slot, occluded_, shadow_.n);
+        } else {
+            call_.accel->occluded(rays, occluded_, shadow_.n);
+            if (recorder.on()) recorder.put_shadows(shadow_.slot, occluded_, shadow_.n);
+            stats.shadow_rays += shadow_.n;
+        }
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-        if (call_.ray_record) {
+        if (call_.ray_record && !replay.on()) {
             size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
             call_.ray_record->add(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow, rays, shadow_.n, hits);
         }

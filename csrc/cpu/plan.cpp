@@ -1,6 +1,8 @@
 #include "plan.h"
 
+#include <numeric>
 #include <stdexcept>
+#include <utility>
 
 namespace tr {
 
@@ -97,9 +99,10 @@ size_t Plan::n_pixels(size_t i) const {
 Tile Plan::tile(size_t i) const {
     if (!is_list_) {
         Rect sampled = tile_rect(i);
-        return {sampled, intersect(rect_, grown(sampled, reach_)), nullptr, area(sampled), nullptr, 0};
+        return {sampled, intersect(rect_, grown(sampled, reach_)), nullptr, area(sampled), nullptr, 0, counts(i)};
     }
     Tile t{};
+    t.counts = counts(i);
     t.list = sampled_.data() + sampled_begin_[i], t.n = sampled_begin_[i + 1] - sampled_begin_[i];
     t.targets = targets_.data() + targets_begin_[i], t.n_targets = targets_begin_[i + 1] - targets_begin_[i];
     auto around = [](Rect &r, Pixel p, bool first) {
@@ -111,24 +114,55 @@ Tile Plan::tile(size_t i) const {
     return t;
 }
 
+void Plan::allocate(std::vector<uint32_t> counts) {
+    counts_begin_.clear();
+    size_t n = 0;
+    for (size_t i = 0; i < n_tiles(); ++i) {
+        counts_begin_.push_back(n);
+        n += n_pixels(i);
+    }
+    if (counts.size() != n) throw std::invalid_argument("allocate: one count a sampled pixel is needed");
+    counts_ = std::move(counts);
+    make_items();
+}
+
+int64_t Plan::n_paths(size_t i) const {
+    if (counts_.empty()) return int64_t(n_pixels(i)) * spp_;
+    const uint32_t *first = counts(i);
+    return std::accumulate(first, first + n_pixels(i), int64_t(0));
+}
+
 // Small tiles are put together; of a large one an item takes some chunks.
 void Plan::make_items() {
     const int64_t enough = int64_t(BatchSize);
     size_t n = n_tiles();
-    first_item_.push_back(0);
+    first_item_.assign(1, 0);
+    first_tile_.clear();
     for (size_t begin = 0, end = 0; begin < n; begin = end) {
         int64_t paths = 0;
-        while (end < n && (end == begin || paths + int64_t(n_pixels(end)) * spp_ <= enough))
-            paths += int64_t(n_pixels(end++)) * spp_;
+        for (; end < n; ++end) {
+            int64_t more = n_paths(end);
+            if (end > begin && paths + more > enough) break;
+            paths += more;
+        }
         int64_t some = chunks_an_item(begin, end);
         first_tile_.push_back(uint32_t(begin));
-        first_item_.push_back(first_item_.back() + size_t((n_chunks() + some - 1) / some));
+        first_item_.push_back(first_item_.back() + size_t((n_chunks(begin, end) + some - 1) / some));
     }
     first_tile_.push_back(uint32_t(n));
 }
 
+// Of the tiles of a group. With numbers of their own the pixels of a tile may differ in them by orders of magnitude;
+// every chunk has its share of each, so that all chunks are about as large as they are otherwise.
+int64_t Plan::n_chunks(size_t begin, size_t end) const {
+    if (counts_.empty()) return (spp_ + ChunkSize - 1) / ChunkSize;
+    if (end - begin > 1) return 1;
+    int64_t full = int64_t(n_pixels(begin)) * ChunkSize;
+    return std::max<int64_t>(1, (n_paths(begin) + full - 1) / full);
+}
+
 int64_t Plan::chunks_an_item(size_t begin, size_t end) const {
-    if (end - begin > 1) return n_chunks();
+    if (end - begin > 1) return n_chunks(begin, end);
     return std::max<int64_t>(1, int64_t(BatchSize) / (int64_t(n_pixels(begin)) * ChunkSize));
 }
 
@@ -136,7 +170,8 @@ Units Plan::units(size_t item) const {
     size_t group = size_t(std::upper_bound(first_item_.begin(), first_item_.end(), item) - first_item_.begin()) - 1;
     size_t begin = first_tile_[group], end = first_tile_[group + 1];
     int64_t some = chunks_an_item(begin, end), chunk = int64_t(item - first_item_[group]) * some;
-    return {begin, end - begin, chunk, std::min(some, n_chunks() - chunk)};
+    int64_t all = n_chunks(begin, end);
+    return {begin, end - begin, chunk, std::min(some, all - chunk), all};
 }
 
 }  // namespace tr

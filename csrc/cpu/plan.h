@@ -30,6 +30,7 @@ struct Tile {
     size_t n;
     const uint32_t *targets;  // the wanted pixels that are reached, by number; null: all of `reached`
     size_t n_targets;
+    const uint32_t *counts = nullptr;  // samples of each pixel; null: the plan's `spp`
 
     Pixel pixel(size_t i) const {
         if (list) return list[i];
@@ -42,9 +43,15 @@ struct Tile {
 struct Units {
     size_t tile, tiles;
     int64_t chunk, chunks;
+    int64_t of;  // all chunks of these tiles
     size_t size() const { return tiles * size_t(chunks); }
     size_t tile_of(size_t unit) const { return tile + unit / size_t(chunks); }
     int64_t chunk_of(size_t unit) const { return chunk + int64_t(unit % size_t(chunks)); }
+};
+
+// Samples begin .. end of a pixel.
+struct SampleRange {
+    int64_t begin, end;
 };
 
 class Plan {
@@ -54,7 +61,12 @@ public:
     // A list of pixels of the film, in which one may occur twice. Memory and work go with its length.
     Plan(const std::vector<Pixel> &wanted, const Rect &window, int reach, int64_t spp);
 
+    // Gives every sampled pixel a number of samples of its own, tile by tile in the order of `Tile::pixel`.
+    void allocate(std::vector<uint32_t> counts);
+
     int64_t spp() const { return spp_; }
+    bool allocated() const { return !counts_.empty(); }
+    size_t n_tiles() const { return is_list_ ? sampled_begin_.size() - 1 : size_t(rows_) * size_t(columns_); }
     size_t n_targets() const { return is_list_ ? wanted_.size() : area(rect_); }
     size_t n_results() const { return is_list_ ? results_.size() : area(rect_); }
     // The wanted pixel of a result: results are in the order in which they were asked for.
@@ -68,6 +80,14 @@ public:
     size_t n_items() const { return first_item_.empty() ? 0 : first_item_.back(); }
     Units units(size_t item) const;
     Tile tile(size_t i) const;
+    // Of pixel i of the tile of a unit, those that belong to the unit. Chunks are of ChunkSize samples, or, where
+    // pixels have numbers of their own, equal parts of all of them.
+    SampleRange samples(const Units &units, size_t unit, const Tile &tile, size_t i) const {
+        int64_t chunk = units.chunk_of(unit);
+        if (!tile.counts) return {chunk * ChunkSize, std::min(spp_, (chunk + 1) * ChunkSize)};
+        int64_t n = tile.counts[i];
+        return {n * chunk / units.of, n * (chunk + 1) / units.of};
+    }
 
     // Calls f(number of the wanted pixel, row, column) for those that a tile reaches.
     template <class F>
@@ -86,11 +106,12 @@ public:
 
 private:
     static size_t area(const Rect &r) { return size_t(std::max(0, r.height())) * size_t(std::max(0, r.width())); }
-    int64_t n_chunks() const { return (spp_ + ChunkSize - 1) / ChunkSize; }
+    const uint32_t *counts(size_t tile) const { return counts_.empty() ? nullptr : &counts_[counts_begin_[tile]]; }
+    int64_t n_paths(size_t tile) const;
+    int64_t n_chunks(size_t begin, size_t end) const;
     int64_t chunks_an_item(size_t begin, size_t end) const;
     Rect tile_rect(size_t i) const;
     size_t n_pixels(size_t tile) const;
-    size_t n_tiles() const { return is_list_ ? sampled_begin_.size() - 1 : size_t(rows_) * size_t(columns_); }
     void make_items();
 
     bool is_list_;
@@ -102,6 +123,8 @@ private:
     std::vector<Pixel> wanted_, sampled_;
     std::vector<uint32_t> results_, targets_;
     std::vector<size_t> sampled_begin_, targets_begin_;
+    std::vector<uint32_t> counts_;  // empty: all are spp_
+    std::vector<size_t> counts_begin_;
     // groups, each a tile or several small ones: its first tile and its first item
     std::vector<size_t> first_item_;
     std::vector<uint32_t> first_tile_;

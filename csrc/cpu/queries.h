@@ -20,6 +20,12 @@ RayBatch ray_batch(S *const (&o)[3], S *const (&d)[3], const S *length, size_t n
     }
 }
 
+// Whether a camera ray that has hit this shape goes on behind it.
+template <class S>
+bool passes_emitter(const SceneView<S> &scene, uint32_t shape) {
+    return shape != Accel::Miss && scene.shapes[shape].emitter >= 0;
+}
+
 // Camera rays pass through the shapes that emit: those that have hit one go on behind it. Calls query() for all rays
 // again until none has (rare; those that did not move hit the same).
 template <class S, class Query>
@@ -28,7 +34,7 @@ void pass_emitters(const SceneView<S> &scene, S *const (&o)[3], S *const (&d)[3]
     for (int pass = 0; pass < 256; ++pass) {
         bool again = false;
         for (size_t i = 0; i < n; ++i) {
-            if (shape[i] == Accel::Miss || scene.shapes[shape[i]].emitter < 0) continue;
+            if (!passes_emitter(scene, shape[i])) continue;
             Vec3<S> p{o[0][i] + d[0][i] * t[i], o[1][i] + d[1][i] * t[i], o[2][i] + d[2][i] * t[i]};
             S behind = offset_amount(p);
             o[0][i] = p.x + d[0][i] * behind;

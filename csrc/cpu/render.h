@@ -10,6 +10,7 @@
 #include "film.h"
 #include "host/gradient.h"
 #include "plan.h"
+#include "stored_hits.h"
 
 namespace tr {
 
@@ -25,8 +26,10 @@ struct RenderCall {
     Rect samples;                                // samples are drawn nowhere else
     int64_t spp, sample_offset;
     int threads;
-    RayRecord *ray_record = nullptr;    // not null: keeps the rays that are queried
-    std::function<bool()> interrupted;  // polled by the calling thread; true stops the call
+    RayRecord *ray_record = nullptr;        // not null: keeps the rays that are queried
+    StoredHits *keep_hits = nullptr;        // primal: what is hit is kept there
+    const StoredHits *kept_hits = nullptr;  // reverse: what a primal call of the same samples has kept
+    std::function<bool()> interrupted;      // polled by the calling thread; true stops the call
 };
 
 // What a derivative needs besides.
@@ -43,6 +46,7 @@ struct DerivativeCall {
     GeometryTables<const S> geometry_tangent;
     Wanted wanted{true, true, true, true, true};
     std::vector<uint8_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
+    bool adaptive = false;              // reverse: more samples where the adjoint is larger, see allocation.h
     std::vector<int32_t> shape_wanted;  // by shape: it moves, or its normals or coordinates do
 };
 

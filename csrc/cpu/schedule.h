@@ -2,6 +2,7 @@
 // arithmetic and colour it is compiled.
 #pragma once
 
+#include "allocation.h"
 #include "items.h"
 #include "path_tile.h"
 
@@ -23,13 +24,17 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     OrderedMerge merge(plan, film, call.threads);
     std::mutex mutex;
     const size_t capacity = Forward ? 512 : 1024;
+    StoredHits *record = Forward ? nullptr : call.keep_hits;
+    if (record) record->prepare(plan.n_items(), capacity);
     run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<PathTile<F, C>>(call, capacity, derivative);
         return [&, tile](size_t item, auto &&stop) {
             std::vector<FilmBlock> blocks = blocks_of(plan, item, values, moments);
             for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                 tile->start(n, false);
+                if (record && record->wants_more()) tile->recorder.begin(n, size_t(tile->splits(call.config)));
                 tile->template run<Forward>(stop);
+                if (record) record->keep(item, tile->recorder.finish());
                 if constexpr (Forward) {
                     ForwardSink<F, C> sink;
                     sink.tangent = derivative->tangent;
@@ -68,6 +73,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     auto begin = std::chrono::steady_clock::now();
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     Plan plan = make_plan(call);
+    if (derivative.adaptive) allocate(plan, call.filter, derivative.adjoint, C);
     const size_t capacity = 512;
     // d loss / d (sum of weighted radiances) of every wanted pixel
     Film adjoint(plan, C);
@@ -90,6 +96,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
             return [&, tile](size_t item, auto &&stop) {
                 std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
+                size_t done = 0;  // paths of the item
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     // the box filter asks for pixels only, whose samples follow each other
                     const bool box = call.filter.reach() == 0;
@@ -103,9 +110,11 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                             double d[C];
                             blocks[span.unit].collect(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
                                                       double(tile->film_y[k]), double(tile->film_x[k]), d);
-                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c]);
+                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c] * span.weight);
                         }
                     tile->start(n, true);
+                    tile->replay.begin(call.kept_hits, item, done, n, size_t(tile->splits(call.config)));
+                    done += n;
                     tile->template run<true>(stop);
                     ReverseSink<F, C> sink;
                     local.connect(derivative, sink);

@@ -3,6 +3,7 @@
 #include <random>
 #include <stdexcept>
 
+#include "cpu/allocation.h"
 #include "cpu/items.h"
 #include "harness.h"
 
@@ -66,6 +67,85 @@ TR_TEST(every_sample_is_drawn_once) {
             CHECK(times.size() == size_t(crop.height() * crop.width()) * size_t(spp));
             for (auto &[s, n] : times) CHECK(n == 1 && crop.contains(int(s[0]), int(s[1])) && s[2] < spp);
         }
+}
+
+TR_TEST(pixels_with_numbers_of_their_own_draw_as_many) {
+    const Rect film{0, 0, 40, 50};
+    std::mt19937 random(7);
+    std::vector<Pixel> list;
+    for (int i = 0; i < 30; ++i) list.push_back({int32_t(random() % 40), int32_t(random() % 50)});
+    for (bool as_list : {false, true})
+        for (uint32_t most : {0u, 1u, 3u, 500u, 100000u}) {
+            RenderCall<float> call = call_of({11, 14, 20, 36}, film, 5, tent);
+            if (as_list) call.pixels = &list;
+            Plan plan = detail::make_plan(call);
+            std::map<std::array<int, 2>, uint32_t> wanted;
+            std::vector<uint32_t> counts;
+            for (size_t t = 0; t < plan.n_tiles(); ++t)
+                for (size_t i = 0; i < plan.tile(t).n; ++i) {
+                    Pixel p = plan.tile(t).pixel(i);
+                    // one pixel in sixteen has many
+                    counts.push_back(most ? uint32_t(random()) % (random() % 16 ? 3 : most) : 0);
+                    wanted[{p.y, p.x}] = counts.back();
+                }
+            plan.allocate(counts);
+            Columns to(256);
+            std::map<Sample, int> times;
+            std::map<std::array<int, 2>, double> weights;
+            for (size_t item = 0; item < plan.n_items(); ++item) {
+                size_t paths = 0;
+                detail::for_batches(
+                    to, call, plan, item, 256, [] { return false; },
+                    [&](size_t n, const std::vector<detail::Span> &spans) {
+                        paths += n;
+                        size_t covered = 0;
+                        for (const detail::Span &s : spans) {
+                            CHECK(s.begin == covered && s.end > s.begin);
+                            covered = s.end;
+                            for (size_t k = s.begin; k < s.end; ++k) {
+                                CHECK(to.row[k] == to.row[s.begin] && to.column[k] == to.column[s.begin]);
+                                ++times[{int32_t(to.row[k]), int32_t(to.column[k]), to.sample[k]}];
+                                weights[{int32_t(to.row[k]), int32_t(to.column[k])}] += s.weight;
+                            }
+                        }
+                        CHECK(covered == n);
+                    });
+                CHECK(paths <= size_t(TileSize * TileSize) * size_t(ChunkSize) + BatchSize);
+            }
+            size_t total = 0;
+            for (auto &[pixel, n] : wanted) {
+                total += n;
+                CHECK(n == 0 || std::fabs(weights[pixel] - 5) < 1e-6);
+            }
+            CHECK(times.size() == total);
+            for (auto &[s, n] : times) CHECK((n == 1 && s[2] < wanted[{int(s[0]), int(s[1])}]));
+        }
+}
+
+TR_TEST(counts_are_in_proportion_and_add_up) {
+    std::mt19937 random(11);
+    std::exponential_distribution<double> size(1.0);
+    for (double spp : {1.0, 2.0, 5.0, 64.0, 1e6}) {
+        std::vector<double> importance(1000);
+        for (double &q : importance) q = random() % 4 ? std::pow(size(random), 3) : 0;
+        double sum = 0, active = 0, raised = 0, total = spp * 1000;
+        for (double q : importance) sum += q, active += q > 0;
+        for (double q : importance) raised += q > 0 ? std::max(q, AllocationFloor * sum / active) : 0;
+        std::vector<uint32_t> counts = allocate_counts(importance, total);
+        double drawn = 0;
+        for (size_t i = 0; i < counts.size(); ++i) {
+            drawn += counts[i];
+            CHECK((counts[i] > 0) == (importance[i] > 0));
+            double exact = total * std::max(importance[i], AllocationFloor * sum / active) / raised;
+            if (spp >= 5 && importance[i] > 0) CHECK(std::fabs(counts[i] - exact) <= 1 + 1e-6 * exact);
+        }
+        CHECK(drawn == total);
+    }
+    CHECK(allocate_counts({2, 2, 2}, 15).empty());
+    CHECK(allocate_counts({0, 0}, 4).empty());
+    CHECK(allocate_counts({1, NAN}, 4).empty() && allocate_counts({1, INFINITY}, 4).empty());
+    CHECK(allocate_counts({0, 1e300, 0}, 3e10) == (std::vector<uint32_t>{0, 0xffffffffu, 0}));
+    CHECK(allocate_counts({}, 0).empty());
 }
 
 // What a part of a film draws for its pixels comes in the same order, summed in the same groups, as in the whole.
