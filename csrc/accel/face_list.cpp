@@ -65,7 +65,7 @@ struct Nearest {
 
 }  // namespace
 
-size_t FaceList::limit() { return 3 * W; }
+size_t FaceList::limit() { return 2 * W; }
 
 void FaceList::clear() {
     bounds_ = {};

@@ -177,7 +177,7 @@ RenderStats adjoint_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
         run_items(
             plan.n_items(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
                 GradientBuffers<S> &buffer = buffers[size_t(thread)];
-                buffer.allocate(derivative);
+                buffer.allocate(derivative, thread);
                 auto hits = std::make_shared<FirstHits<F, C>>(call, layout, capacity);
                 return [&, hits](size_t item, auto &&stop) {
                     std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, layout.n);
@@ -204,7 +204,7 @@ RenderStats adjoint_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
             });
         if (stats.interrupted) return stats;
     }
-    for (GradientBuffers<S> &buffer : buffers) buffer.add_to(derivative);
+    add_buffers(buffers, derivative);
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
 }

@@ -74,7 +74,8 @@ struct LaneSet {
         first = lane(entries, 0);
         index = select(mask<U>(active), entries, U(first));
         U offset = index - U(first);
-        bool near = all(mask<F>(offset < uint32_t(2 * Lanes<F>::Width)));
+        // by bits: packets of unsigned numbers are compared as signed ones
+        bool near = !any(mask<F>((offset & ~uint32_t(2 * Lanes<F>::Width - 1)) != 0u));
         kind = near ? Near : Scattered;
         if (near) index = offset;
     }

@@ -284,20 +284,27 @@ inline std::vector<FilmBlock> adjoint_blocks(const Plan &plan, size_t item, cons
     return blocks;
 }
 
-// What a thread adds up in reverse mode.
+// What a thread adds up in reverse mode: in buffers of its own, but the calling thread in the gradients themselves.
 template <class S>
 struct GradientBuffers {
     GradientSums sums;
-    std::vector<std::vector<S>> tensors;
     std::vector<S *> pointers;
 
-    void allocate(const DerivativeCall<S> &derivative) {
+    void allocate(const DerivativeCall<S> &derivative, int thread) {
         if (!pointers.empty()) return;
         sums.reset(derivative.n_constants, derivative.geometry_sizes);
-        for (size_t i = 0; i < derivative.gradients.size(); ++i) {
-            tensors.emplace_back();
-            if (derivative.gradients[i]) tensors[i].assign(size_t(derivative.sizes[i]), S(0));
-            pointers.push_back(derivative.gradients[i] ? tensors[i].data() : nullptr);
+        if (thread == 0) {
+            pointers = derivative.gradients;
+            return;
+        }
+        pointers.assign(derivative.gradients.size(), nullptr);
+        for (size_t i = 0; i < pointers.size(); ++i) {
+            if (!derivative.gradients[i]) continue;
+            // pages that nobody touches are never cleared
+            memory_.emplace_back(
+                static_cast<S *>(std::calloc(std::max<size_t>(1, size_t(derivative.sizes[i])), sizeof(S))));
+            if (!memory_.back()) throw std::bad_alloc();
+            pointers[i] = memory_.back().get();
         }
     }
     template <class Sink>
@@ -308,13 +315,43 @@ struct GradientBuffers {
         sink.geometry = {table(sums.positions), table(sums.normals), table(sums.texcoords), derivative.matrices,
                          derivative.shape_wanted.data()};
     }
-    void add_to(DerivativeCall<S> &derivative) const {
-        if (pointers.empty()) return;  // a thread that never started
-        derivative.sums.add(sums);
-        for (size_t i = 0; i < tensors.size(); ++i)
-            for (size_t k = 0; k < tensors[i].size(); ++k) derivative.gradients[i][k] += tensors[i][k];
-    }
+
+private:
+    struct Free {
+        void operator()(S *p) const { std::free(p); }
+    };
+    std::vector<std::unique_ptr<S, Free>> memory_;
 };
+
+// Adds what the threads have summed up, in their order.
+template <class S>
+void add_buffers(const std::vector<GradientBuffers<S>> &buffers, DerivativeCall<S> &derivative) {
+    for (const GradientBuffers<S> &buffer : buffers)
+        if (!buffer.pointers.empty()) derivative.sums.add(buffer.sums);  // a thread may never have started
+    struct Part {
+        size_t tensor, begin, end;
+    };
+    std::vector<Part> parts;
+    constexpr size_t size = 1 << 16;
+    for (size_t i = 0; i < derivative.gradients.size(); ++i)
+        if (derivative.gradients[i])
+            for (size_t begin = 0, n = size_t(derivative.sizes[i]); begin < n; begin += size)
+                parts.push_back({i, begin, std::min(n, begin + size)});
+    bool interrupted = false;
+    // few parts are not worth a thread
+    int threads = parts.size() < 8 ? 1 : int(buffers.size());
+    run_items(parts.size(), threads, Schedule::Dynamic, nullptr, interrupted, [&](int) {
+        return [&](size_t item, auto &&) {
+            const Part &part = parts[item];
+            for (size_t b = 1; b < buffers.size(); ++b) {
+                if (buffers[b].pointers.empty()) continue;
+                const S *from = buffers[b].pointers[part.tensor];
+                S *to = derivative.gradients[part.tensor];
+                for (size_t k = part.begin; k < part.end; ++k) to[k] += from[k];
+            }
+        };
+    });
+}
 
 // Double precision, which is for checking, is rendered a path at a time.
 template <class S>

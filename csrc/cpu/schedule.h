@@ -92,7 +92,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     run_items(
         plan.n_items(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
             GradientBuffers<S> &local = locals[size_t(thread)];
-            local.allocate(derivative);
+            local.allocate(derivative, thread);
             auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
             return [&, tile](size_t item, auto &&stop) {
                 std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
@@ -125,7 +125,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                 tile->stats = {};
             };
         });
-    for (GradientBuffers<S> &local : locals) local.add_to(derivative);
+    add_buffers(locals, derivative);
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
 }
