@@ -1,4 +1,5 @@
 // Arithmetic: packets against numbers, dual numbers against finite differences, random numbers against published ones.
+#include <algorithm>
 #include <complex>
 #include <random>
 #include <vector>
@@ -9,6 +10,7 @@
 #include "core/math/warp.h"
 #include "core/sampler/sobol.h"
 #include "core/sampler/stratified.h"
+#include "cpu/columns.h"
 #include "harness.h"
 
 namespace tr {
@@ -230,6 +232,23 @@ TR_TEST(packets_draw_the_same_numbers_from_samplers) {
             }
         }
     }
+}
+
+TR_TEST(lanes_of_a_column_are_found_in_any_order) {
+    constexpr uint32_t W = TR_PACKET_WIDTH;
+    alignas(64) float column[64 * W];
+    for (uint32_t i = 0; i < 64 * W; ++i) column[i] = float(i);
+    // from one entry on, both ways, near and far
+    for (uint32_t first : {0u, 5 * W, 63 * W})
+        for (int step : {-3, -2, -1, 0, 1, 2, 3}) {
+            alignas(64) uint32_t entries[W];
+            for (uint32_t i = 0; i < W; ++i)
+                entries[i] = uint32_t(std::min(std::max(int(first) + step * int(i), 0), int(62 * W)));
+            auto packet = load_uint<FloatPacket>(entries);
+            MaskOf<FloatPacket> active = mask<FloatPacket>(lane_index<FloatPacket>() < W - 1);
+            FloatPacket found = LaneSet<FloatPacket>(packet, active).get(column);
+            for (uint32_t i = 0; i + 1 < W; ++i) CHECK(lane(found, int(i)) == column[entries[i]]);
+        }
 }
 
 TR_TEST(compressed_lanes_keep_their_order) {
