@@ -49,7 +49,8 @@ CASES = [
     (scene(a=3.0), "a: expected a nested object"),
     (scene(a={"type": "diffuse", "id": 3}), "a: id: expected a string"),
     ({"type": "scene", "a.b": {"type": "sphere"}}, "an id is a string without dots"),
-    (scene(a={"type": "hdrfilm"}), "a: a hdrfilm belongs into a sensor"),
+    (scene(a={"type": "hdrfilm"}), r"a: a film \(hdrfilm\) belongs into a sensor"),
+    (scene(a={"type": "sobol"}), r"a: a sampler \(sobol\) belongs into a sensor"),
     # references
     (scene(a={"type": "sphere", "bsdf": {"type": "ref", "id": "wite"}}, white={"type": "diffuse"}), "wite.*'white'"),
     (scene(a={"type": "sphere", "bsdf": {"type": "ref", "id": "b"}}, b={"type": "disk"}), "a.bsdf: expected a bsdf"),
@@ -142,9 +143,13 @@ CASES = [
     (film(rfilter={"type": "gaussian", "stddev": -1.0}), "stddev: expected a number of pixels"),
     (film(pixel_format="bgr"), "cam.film.pixel_format: unknown word 'bgr'"),
     (camera(film={"type": "specfilm"}), "the film 'specfilm' is not supported"),
-    (camera(sampler={"type": "stratified"}), None),
     (camera(sampler={"type": "independent", "sample_count": 0}), "sample_count: expected at least 1"),
     (camera(sampler={"type": "independent", "samples": 4}), "independent has no parameter 'samples'"),
+    (camera(sampler={"type": "sobol", "jitter": True}), "cam.sampler: sobol has no parameter 'jitter'"),
+    (camera(sampler={"type": "stratified", "jitter": False}), "cam.sampler.jitter: .*biased; only true is supported"),
+    (camera(sampler={"type": "sobel"}), "cam.sampler: unknown sampler 'sobel'.*; did you mean 'sobol'"),
+    (camera(sampler={"type": ["sobol"]}), "cam.sampler: unknown sampler"),
+    (camera(sampler={}), "cam.sampler: unknown sampler None"),
 ]  # fmt: skip
 
 
@@ -161,8 +166,11 @@ def test_none_counts_as_not_given():
 
 
 def test_other_samplers_are_refused_by_name():
-    with pytest.raises(ValueError, match=r"cam.sampler: .*'stratified' is not supported.*independent"):
-        tr.load_dict(camera(sampler={"type": "stratified"}))
+    for kind, related in (("multijitter", "stratified"), ("orthogonal", "stratified"), ("ldsampler", "sobol")):
+        with pytest.raises(ValueError, match=rf"cam.sampler: .*{kind!r} is not supported.*{related!r}; .*independent"):
+            tr.load_dict(camera(sampler={"type": kind}))
+        with pytest.raises(ValueError, match=rf"cam.any: .*{kind!r} is not supported"):
+            tr.load_dict(camera(any={"type": kind}))
 
 
 def test_texels_out_of_range_are_warned_about():

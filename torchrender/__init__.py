@@ -19,7 +19,7 @@ from .render import Renderer, render
 from .scene import Scene
 from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
-from .scene.film import Film, ReconstructionFilter, Sampler
+from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.materials import Conductor, Dielectric, TwoSided
 from .scene.mesh import Cube, Mesh
 from .scene.shapes import Disk, Rectangle, Sphere
@@ -46,6 +46,7 @@ count_fused_steps()
 
 __all__ = [
     "AOV",
+    "SAMPLERS",
     "Bitmap",
     "Checkerboard",
     "Conductor",

@@ -8,7 +8,9 @@ with an integrator's `hide_emitters` shapes that emit do not. Only primary visib
 is made of: sum(w^2 (x - I)^2) / sum(w)^2 * n / (n - 1) with n = sum(w)^2 / sum(w^2), which for the box filter is the
 sample variance over the number of samples. It is infinite for a single sample; of several passes it is that of their
 average. Filters that reach over several pixels make it too large at edges (about a sixth, where there are many): each
-pixel has its fixed number of samples, which varies less than samples drawn from all of them would.
+pixel has its fixed number of samples, which varies less than samples drawn from all of them would. With the samplers
+``"stratified"`` and ``"sobol"`` it is an upper estimate: about what independent samples would have, since the spread of
+samples does not show how well they complement each other. Their actual variance is seen in images of several seeds.
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ from .progress import progress
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
 from .scene.derivatives import Wanted
-from .scene.film import Film, check_crop
+from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
-from .scene.scene import Scene, default_sample_count
+from .scene.scene import Scene, default_sample_count, default_sampler
 
 PACKETS = True  # false renders a path at a time: slower, for tests
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
@@ -50,6 +50,7 @@ def render(
     correlated: bool = False,
     adaptive_grad: bool = False,
     nan: str = "drop",
+    sampler: str | None = None,
 ) -> Any:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
 
@@ -89,6 +90,8 @@ def render(
             is their mean over the rendered pixels, those without any included. Unbiased as without it; forward mode and
             the other outputs take `spp_grad` everywhere. Not with `correlated`.
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
+        sampler: how samples are spread, in image and derivative: ``"independent"``, ``"stratified"`` or ``"sobol"``
+            (`tr.SAMPLERS`, see `Sampler`); None takes the camera's own, else independent ones.
 
     Raises:
         TypeError, ValueError: before any work, naming the argument, what was expected and what came.
@@ -102,7 +105,7 @@ def render(
     stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, AOV) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
-    _check_words(layout, nan)
+    _check_words(layout, nan, sampler)
     _check_adaptive(adaptive_grad, correlated)
     passes = _count("passes", passes)
     packed = scene.layout()
@@ -134,6 +137,7 @@ def render(
                 "sensor": index,
                 "crop": window,
                 "packet": PACKETS,
+                "sampler": default_sampler(camera) if sampler is None else sampler,
                 "sample_offset": 0,
             },
             size=size,
@@ -179,11 +183,15 @@ def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: li
     return found
 
 
-def _check_words(layout: Any, nan: Any) -> None:
+def _check_words(layout: Any, nan: Any, sampler: Any) -> None:
     if layout not in LAYOUTS:
         raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
     if nan not in ("drop", "raise"):
         raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+    if sampler is not None:
+        if not isinstance(sampler, str):
+            raise TypeError(f"render: sampler: expected one of {', '.join(SAMPLERS)}, got {describe(sampler)}")
+        check_sampler(sampler, Context(path=("render: sampler",)))
 
 
 def _check_adaptive(adaptive_grad: Any, correlated: Any) -> None:
@@ -378,7 +386,7 @@ class Renderer(nn.Module):
         for name in ("spp", "spp_grad", "passes"):
             if settings.get(name) is not None:
                 _count(name, settings[name])
-        _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"))
+        _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"), settings.get("sampler"))
         _check_adaptive(settings.get("adaptive_grad", False), settings.get("correlated", False))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])

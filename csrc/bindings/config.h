@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "cpu/render.h"
+#include "samplers.h"
 
 namespace tr {
 
@@ -63,6 +64,7 @@ inline Config read_config(const py::dict &d) {
     c.threads = std::max(1, d["threads"].cast<int>());
     c.spp = d["spp"].cast<int64_t>();
     c.sample_offset = d["sample_offset"].cast<int64_t>();
+    c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), c.sample_offset, c.spp);
     c.packets = d["packet"].cast<bool>();
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();

@@ -11,7 +11,7 @@
 #include <thread>
 
 #include "columns.h"
-#include "core/math/philox.h"
+#include "core/integrator/path.h"
 #include "render.h"
 
 namespace tr {
@@ -239,8 +239,7 @@ struct SampleColumns {
 template <class F, class Columns>
 void choose_positions(const PathConfig &config, Columns &at, size_t n) {
     for (size_t i = 0; i < n; i += size_t(Lanes<F>::Width)) {
-        Random4<F> u =
-            random4<F>(config.seed, config.sensor, load_uint<F>(at.pixel + i), load_uint<F>(at.sample + i), 0);
+        Random4<F> u = draw4<F>(config, load_uint<F>(at.pixel + i), load_uint<F>(at.sample + i), 0, 2);
         store(at.film_x + i, F(IntOf<F>(load_uint<F>(at.column + i))) + u.u[0]);
         store(at.film_y + i, F(IntOf<F>(load_uint<F>(at.row + i))) + u.u[1]);
     }

@@ -68,8 +68,7 @@ public:
         for (size_t i = 0; i < n; i += W) {
             U slot = U(uint32_t(i)) + lane_index<F>();
             M active = mask<F>(slot < uint32_t(n));
-            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, load_uint<F>(pixel + i),
-                                      load_uint<F>(sample + i), 0);
+            Random4<F> u = draw4<F>(call_.config, load_uint<F>(pixel + i), load_uint<F>(sample + i), 0, 2);
             F x = F(I(load_uint<F>(column + i))) + u.u[0], y = F(I(load_uint<F>(row + i))) + u.u[1];
             store(film_x + i, x);
             store(film_y + i, y);
@@ -339,8 +338,9 @@ private:
         LaneSet<F> paths(slot, active);
         U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
         uint32_t block = BlocksPerScattering * uint32_t(depth + index);
-        Random4<F> ue = random4<F>(config.seed, config.sensor, path_pixel, path_sample, EmitterBlock + block);
-        Random4<F> ub = random4<F>(config.seed, config.sensor, path_pixel, path_sample, BsdfBlock + block);
+        bool roulette = depth + 1 >= config.rr_depth;
+        Random4<F> ue = draw4<F>(config, path_pixel, path_sample, EmitterBlock + block, roulette ? 4 : 3);
+        Random4<F> ub = draw4<F>(config, path_pixel, path_sample, BsdfBlock + block, 3);
         Scattering<F, C> s;
         dispatch(Bsdfs{}, kind,
                  [&](auto m) { scatter<decltype(m)>(scene_, config, si, wi, leaf, index, depth, ue, ub, active, s); });
@@ -365,7 +365,7 @@ private:
         F largest = max_channel(survival);
         alive = alive && mask<F>(largest > F(0));
         F keep(1);
-        if (depth + 1 >= config.rr_depth) {
+        if (roulette) {
             F q = min(largest * eta * eta, F(0.95));
             alive = alive && mask<F>(ue.u[3] < q);
             keep = select(alive, F(1) / select(alive, q, F(1)), F(1));

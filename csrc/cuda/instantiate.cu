@@ -30,7 +30,7 @@ __global__ void start_paths(SceneView<S> scene, PathConfig config, uint32_t n, u
     uint32_t i = thread_index();
     if (i >= n) return;
     uint32_t pixel = i % (width * height), sample = i / (width * height);
-    Random4<float> u = random4<float>(config.seed, config.sensor, pixel, sample, 0);
+    Random4<float> u = draw4<float>(config, pixel, sample, 0, 2);
     float length;
     Vec3<float> center;
     Ray<float> ray = Perspective::ray(scene, scene.sensors[config.sensor], float(pixel % width) + u.u[0],
@@ -71,8 +71,8 @@ __global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n,
     Leaf<float> leaf = resolve_bsdf<float>(scene, bsdf, wi.z < 0, true);
     wi.z = leaf.mirrored ? -wi.z : wi.z;
     uint32_t block = BlocksPerScattering * uint32_t(path.depth);
-    Random4<float> ue = random4<float>(config.seed, config.sensor, path.pixel, path.sample, EmitterBlock + block);
-    Random4<float> ub = random4<float>(config.seed, config.sensor, path.pixel, path.sample, BsdfBlock + block);
+    Random4<float> ue = draw4<float>(config, path.pixel, path.sample, EmitterBlock + block, 4);
+    Random4<float> ub = draw4<float>(config, path.pixel, path.sample, BsdfBlock + block, 3);
     dispatch(Bsdfs{}, scene.bsdfs[leaf.bsdf].kind, [&](auto model) {
         scatter<decltype(model)>(scene, config, si, wi, leaf, 0, path.depth, ue, ub, true, out[i]);
     });

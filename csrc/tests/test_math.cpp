@@ -1,11 +1,16 @@
 // Arithmetic: packets against numbers, dual numbers against finite differences, random numbers against published ones.
+#include <algorithm>
 #include <complex>
 #include <random>
+#include <vector>
 
 #include "core/math/dual.h"
 #include "core/math/fresnel.h"
 #include "core/math/philox.h"
 #include "core/math/warp.h"
+#include "core/sampler/sobol.h"
+#include "core/sampler/stratified.h"
+#include "cpu/columns.h"
 #include "harness.h"
 
 namespace tr {
@@ -40,6 +45,47 @@ TR_TEST(random_numbers_are_uniform) {
     CHECK_NEAR(sum / n, 0.5, 5 * std::sqrt(1 / 12. / n));
     CHECK_NEAR(squares / n, 1 / 3., 5 * std::sqrt((1 / 5. - 1 / 9.) / n));
     CHECK_NEAR(product / n, 0.25, 5 * std::sqrt((1 / 9. - 1 / 16.) / n));
+}
+
+TR_TEST(strata_divide_the_unit_interval) {
+    for (uint32_t n : {1u, 2u, 3u, 7u, 64u, 1000u, 65535u, 65536u}) {
+        Strata strata = make_strata(n);
+        for (uint32_t x : {0u, 1u, n - 1, n, 12345678u, 0x7fffffffu, 0xfffffffeu, 0xffffffffu}) {
+            uint32_t remainder;
+            CHECK(divide(strata, x, remainder) == x / n);
+            CHECK(remainder == x % n);
+        }
+        for (uint32_t k = 0; k < n; k += 1 + n / 50)
+            for (uint32_t jitter : {0u, 0x80000000u, 0xffffffffu}) {
+                double exact = (k + jitter / 4294967296.) / n, error = exact - place(strata, k, jitter) / 4294967296.;
+                CHECK(error >= 0 && error < 3 / 4294967296.);
+            }
+        for (uint32_t key : {0u, 1u, 0xffffffffu, 0x9e3779b9u}) {
+            std::vector<bool> taken(n, false);
+            for (uint32_t i = 0; i < n; ++i) {
+                uint32_t k = permute(i, n, key);
+                CHECK(k < n && !taken[k]);
+                taken[k] = true;
+            }
+        }
+    }
+}
+
+// Sizes at which shifts and products are at their limits; how numbers are distributed is tested in Python.
+TR_TEST(samplers_take_any_number_of_samples) {
+    for (int64_t count : {int64_t(1), int64_t(2), int64_t(5), int64_t(65536), int64_t(65537), int64_t(1) << 32})
+        for (int64_t first : {int64_t(0), int64_t(1000)})
+            for (SamplerKind kind : {SamplerKind::Stratified, SamplerKind::Sobol}) {
+                SamplerConfig sampler = make_sampler(kind, first, count);
+                CHECK(sampler.all.n >= 1 && sampler.all.n <= LargestPattern);
+                CHECK(uint64_t(sampler.columns.n) * sampler.rows.n >= sampler.all.n);
+                for (int64_t s : {first, first + count / 2, first + count - 1}) {
+                    auto r = kind == SamplerKind::Sobol
+                                 ? sobol4<double>(sampler, ~0ull, 3, 0x80018005u, uint32_t(s), 4, 4)
+                                 : stratified4<double>(sampler, ~0ull, 3, 0x80018005u, uint32_t(s), 4, 4);
+                    for (double u : r.u) CHECK(u >= 0 && u < 1);
+                }
+            }
 }
 
 TR_TEST(fresnel_dielectric_matches_complex_formula) {
@@ -166,6 +212,43 @@ TR_TEST(packets_draw_the_same_random_numbers) {
         auto one = random4<float>(0x123456789abcdefull, 2, uint32_t(i) + 5u, 9u, 4);
         for (int k = 0; k < 4; ++k) CHECK(lane(packet.u[k], i) == one.u[k]);
     }
+}
+
+TR_TEST(packets_draw_the_same_numbers_from_samplers) {
+    using U = UIntOf<FloatPacket>;
+    for (int64_t count : {int64_t(1), int64_t(6), int64_t(70000)}) {
+        SamplerConfig sampler = make_sampler(SamplerKind::Stratified, 0, count);
+        U pixel = lane_index<FloatPacket>() * U(65537u) + U(0x80008000u), sample(uint32_t(count - 1));
+        auto strata = stratified4<FloatPacket>(sampler, 0x123456789abcdefull, 2, pixel, sample, 4, 4);
+        auto points = sobol4<FloatPacket>(sampler, 0x123456789abcdefull, 2, pixel, sample, 4, 4);
+        for (int i = 0; i < TR_PACKET_WIDTH; ++i) {
+            auto of = [&](auto f) {
+                return f(sampler, 0x123456789abcdefull, 2, lane(pixel, i), lane(sample, i), 4, 4);
+            };
+            auto one = of(&stratified4<float>), other = of(&sobol4<float>);
+            for (int k = 0; k < 4; ++k) {
+                CHECK(lane(strata.u[k], i) == one.u[k]);
+                CHECK(lane(points.u[k], i) == other.u[k]);
+            }
+        }
+    }
+}
+
+TR_TEST(lanes_of_a_column_are_found_in_any_order) {
+    constexpr uint32_t W = TR_PACKET_WIDTH;
+    alignas(64) float column[64 * W];
+    for (uint32_t i = 0; i < 64 * W; ++i) column[i] = float(i);
+    // from one entry on, both ways, near and far
+    for (uint32_t first : {0u, 5 * W, 63 * W})
+        for (int step : {-3, -2, -1, 0, 1, 2, 3}) {
+            alignas(64) uint32_t entries[W];
+            for (uint32_t i = 0; i < W; ++i)
+                entries[i] = uint32_t(std::min(std::max(int(first) + step * int(i), 0), int(62 * W)));
+            auto packet = load_uint<FloatPacket>(entries);
+            MaskOf<FloatPacket> active = mask<FloatPacket>(lane_index<FloatPacket>() < W - 1);
+            FloatPacket found = LaneSet<FloatPacket>(packet, active).get(column);
+            for (uint32_t i = 0; i + 1 < W; ++i) CHECK(lane(found, int(i)) == column[entries[i]]);
+        }
 }
 
 TR_TEST(compressed_lanes_keep_their_order) {

@@ -13,9 +13,9 @@ from ..errors import describe
 from ..transform import Transform, as_matrix, on_cpu
 from . import values
 from .context import Context
-from .film import Film, ReconstructionFilter, Sampler, film_from, sampler_from
+from .film import SAMPLERS, Film, ReconstructionFilter, Sampler, film_from, sampler_from
 from .plugin import Plugin
-from .registry import register
+from .registry import DOCUMENTED, register
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 # The diagonal of the 36 mm x 24 mm frame that focal lengths refer to.
@@ -100,9 +100,10 @@ class PerspectiveCamera(Plugin):
         for name in list(properties):
             value = properties[name]
             kind = value.get("type") if isinstance(value, Mapping) else None
-            if name == "film" or isinstance(value, Film) or (kind or "").endswith("film"):
+            kind = kind if isinstance(kind, str) else ""
+            if name == "film" or isinstance(value, Film) or kind.endswith("film"):
                 film = film_from(properties.pop(name), ctx.at(name))
-            elif name == "sampler" or isinstance(value, Sampler) or kind in ("independent",):
+            elif name == "sampler" or isinstance(value, Sampler) or kind in (*SAMPLERS, *DOCUMENTED["sampler"]):
                 sampler = sampler_from(properties.pop(name), ctx.at(name))
         self.__dict__["film"] = film
         self.__dict__["sampler"] = sampler
@@ -137,7 +138,9 @@ class PerspectiveCamera(Plugin):
     def extra_repr(self) -> str:
         film = self.film
         crop = f", crop={film.crop}" if film.crop is not None else ""
-        count = f", {self.sampler.sample_count} samples a pixel" if self.sampler is not None else ""
+        sampler = self.sampler
+        kind = f"{sampler.type} " if sampler is not None and sampler.type != "independent" else ""
+        count = f", {sampler.sample_count} {kind}samples a pixel" if sampler is not None else ""
         return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
 
     def rays(self, positions: Any = None) -> Rays:

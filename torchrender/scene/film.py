@@ -12,6 +12,7 @@ from .context import Context
 from .registry import DOCUMENTED
 
 FILTERS = ("box", "tent", "gaussian")
+SAMPLERS = ("independent", "stratified", "sobol")
 
 
 @dataclass
@@ -88,12 +89,23 @@ def check_crop(crop: Any, size: tuple[int, int], ctx: Context) -> tuple[int, int
 
 @dataclass
 class Sampler:
-    """Independent samples, `sample_count` a pixel unless a rendering asks for another number."""
+    """How the samples of a pixel are spread, and how many there are unless a rendering asks for another number.
+
+    Attributes:
+        sample_count: samples a pixel, at least 1.
+        type: one of ``tr.SAMPLERS``, for image and derivative alike. ``"independent"`` numbers; ``"stratified"`` ones,
+            which are jittered in as many strata as there are samples in every dimension of a path, and in a grid of
+            cells where two of them belong together; points of a Sobol sequence, Owen-scrambled for every pixel and pair
+            of dimensions, ``"sobol"``, best with powers of two. All of them are unbiased with any number of samples.
+    """
 
     sample_count: int = 16
+    type: str = "independent"
 
     def __post_init__(self) -> None:
-        self.sample_count = values.integer(self.sample_count, Context(path=("Sampler", "sample_count")), 1)
+        ctx = Context(path=("Sampler",))
+        self.sample_count = values.integer(self.sample_count, ctx.at("sample_count"), 1)
+        check_sampler(self.type, ctx.at("type"))
 
 
 def _checked(value: Mapping[str, Any], category: str, known: tuple[str, ...], ctx: Context) -> str:
@@ -106,6 +118,22 @@ def _checked(value: Mapping[str, Any], category: str, known: tuple[str, ...], ct
             )
         ctx.error(f"unknown {category} type {kind!r}; {nearest(str(kind), known)}")
     return str(kind)
+
+
+# Samplers that others have, and the nearest one here.
+_RELATED = {"multijitter": "stratified", "orthogonal": "stratified", "ldsampler": "sobol"}
+
+
+def check_sampler(name: Any, ctx: Context) -> str:
+    """`name`, if it is one of SAMPLERS."""
+    if isinstance(name, str) and name in _RELATED:
+        ctx.error(
+            f"the sampler {name!r} is not supported by this version of torchrender, the nearest to it is "
+            f"{_RELATED[name]!r}; supported are: {', '.join(SAMPLERS)}"
+        )
+    if not isinstance(name, str) or name not in SAMPLERS:
+        ctx.error(f"unknown sampler {describe(name)}; {nearest(str(name), SAMPLERS)}")
+    return name
 
 
 def filter_from(value: Any, ctx: Context) -> ReconstructionFilter:
@@ -173,16 +201,18 @@ def film_from(value: Any, ctx: Context) -> Film:
 
 
 def sampler_from(value: Any, ctx: Context) -> Sampler:
-    """A sampler from its dict (`independent`) or an object."""
+    """A sampler from its dict (of a type in SAMPLERS) or an object."""
     if isinstance(value, Sampler):
         return value
     if not isinstance(value, Mapping):
         ctx.error(f"expected a sampler, got {describe(value)}")
-    _checked(value, "sampler", ("independent",), ctx)
-    accepted = ("sample_count", "seed")
+    kind = check_sampler(value.get("type"), ctx)
+    accepted = ("sample_count", "seed", "jitter") if kind == "stratified" else ("sample_count", "seed")
     for name in value:
         if name not in (*accepted, "type", "id"):
-            ctx.error(f"independent has no parameter {name!r}; {nearest(str(name), accepted)}")
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
+    if "jitter" in value and not values.boolean(value["jitter"], ctx.at("jitter")):
+        ctx.at("jitter").error("samples in the middle of their strata are biased; only true is supported")
     if "seed" in value and values.integer(value["seed"], ctx.at("seed")) != 0:
         ctx.at("seed").error("the seed is an argument of render() here, not of the scene")
-    return Sampler(values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1))
+    return Sampler(values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1), kind)

@@ -17,7 +17,7 @@ from ..integrators import from_dict as integrator_from
 from . import registry
 from .camera import PerspectiveCamera
 from .context import Context, Reference
-from .film import Film, Sampler
+from .film import SAMPLERS, Film, Sampler
 from .native import NativeScene
 from .packing import ORDER, Layout, pack
 from .plugin import Plugin, child_of, structure_changed, structure_epoch
@@ -107,8 +107,8 @@ class Scene(nn.Module):
                 name = identifier
             if kind in INTEGRATORS:
                 value = integrator_from(dict(value), ctx.where)
-            elif kind in ("independent", "hdrfilm"):
-                ctx.error(f"a {kind} belongs into a sensor")
+            elif kind in (*SAMPLERS, "hdrfilm"):
+                ctx.error(f"a {'sampler' if kind in SAMPLERS else 'film'} ({kind}) belongs into a sensor")
             elif isinstance(kind, str) and kind not in registry.scene_types() and _is_documented_integrator(kind):
                 ctx.error(
                     f"the integrator {kind!r} is not supported by this version of torchrender; "
@@ -409,3 +409,9 @@ def default_sample_count(camera: PerspectiveCamera) -> int:
     """Samples a pixel when nothing is said: the camera's own number, else 16."""
     sampler: Sampler | None = camera.sampler
     return 16 if sampler is None else sampler.sample_count
+
+
+def default_sampler(camera: PerspectiveCamera) -> str:
+    """How samples are spread when nothing is said: the camera's own way, else independently."""
+    sampler: Sampler | None = camera.sampler
+    return "independent" if sampler is None else sampler.type

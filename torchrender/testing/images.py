@@ -79,7 +79,8 @@ def z_test(
     Args:
         image, reference: (H, W, C), or any equal shapes with ``block=1``.
         variance, reference_variance: of the entries as they are (of the mean, if they are means), >= 0, same shape or a
-            number. Entries are taken as independent, as pixels are with a box filter.
+            number. Entries are taken as independent, as pixels are with a box filter. (Errors of neighbouring pixels
+            cancel with the sampler ``"sobol"``: tests of blocks and means then reject less often than they say.)
         block: average blocks of this many pixels squared before testing; rows and columns left over are dropped.
         significance: probability of rejecting equal images in all `tests` tests together.
         tests: number of tests that are judged together.

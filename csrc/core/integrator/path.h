@@ -9,8 +9,9 @@
 
 #include "../bsdf/bsdf.h"
 #include "../emitter/emitter.h"
-#include "../math/philox.h"
 #include "../registry.h"
+#include "../sampler/sobol.h"
+#include "../sampler/stratified.h"
 
 namespace tr {
 
@@ -22,11 +23,26 @@ struct PathConfig {
     int32_t bsdf_samples;     // others for direct illumination, which stops at the second vertex
     uint64_t seed;
     uint32_t sensor;
+    SamplerConfig sampler;
 };
 
 // Random numbers of a path: block 0 is the camera's; scattering j takes block 1 + 2 j (emitter: 3 numbers, roulette: 1)
 // and 2 + 2 j (BSDF: 3 numbers).
 constexpr uint32_t EmitterBlock = 1, BsdfBlock = 2, BlocksPerScattering = 2;
+
+// The numbers of a block of a sample. Two of them are a point in the plane: the first two of the camera's (on the
+// film), the second and third of the others (on a light, or of a direction), whose first one chooses (a light, a lobe)
+// and is there if three are `wanted`; the last one if four are.
+template <class F>
+TR_INLINE Random4<F> draw4(const PathConfig &config, const UIntOf<F> &pixel, const UIntOf<F> &sample, uint32_t block,
+                           int wanted) {
+    if (config.sampler.kind == SamplerKind::Independent)
+        return random4<F>(config.seed, config.sensor, pixel, sample, block);
+    Random4<F> r = config.sampler.kind == SamplerKind::Sobol
+                       ? sobol4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, wanted)
+                       : stratified4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, wanted);
+    return block == 0 ? r : Random4<F>{{r.u[2], r.u[0], r.u[1], r.u[3]}};
+}
 
 template <class F>
 TR_INLINE F power_heuristic(const F &a, const F &b) {
