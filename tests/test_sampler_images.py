@@ -228,8 +228,25 @@ def test_the_camera_or_the_call_chooses():
         assert torch.equal(own, tr.Renderer(make(), spp=4, sampler=sampler)(seed=1))
         assert torch.equal(own, plain) == (sampler == "independent")
         assert torch.equal(tr.render(scene, seed=1, sampler="independent"), plain)
-    scene.sensors[0].sampler.type = "sobel"
-    with pytest.raises(ValueError, match=r"sampler: .*sobel"):
+
+
+@pytest.mark.parametrize(
+    ("edit", "error", "message"),
+    [
+        ({"type": "sobel"}, ValueError, "sampler.type: unknown sampler 'sobel'.*; did you mean 'sobol'"),
+        ({"type": 3}, ValueError, "sampler.type: unknown sampler 3"),
+        ({"sample_count": 0}, ValueError, "sampler.sample_count: expected at least 1, got 0"),
+        ({"sample_count": "4"}, ValueError, "sampler.sample_count: expected an integer"),
+        (None, TypeError, "sampler: expected a Sampler or None, got 'sobol'"),
+    ],
+)
+def test_a_sampler_that_was_edited_is_checked(edit, error, message):
+    scene = make()
+    (camera,) = scene.sensors
+    camera.sampler = "sobol" if edit is None else tr.Sampler(type="sobol")
+    for name, value in (edit or {}).items():
+        setattr(camera.sampler, name, value)
+    with pytest.raises(error, match=message):
         tr.render(scene)
 
 

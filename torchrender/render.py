@@ -23,7 +23,7 @@ from .scene.derivatives import Wanted
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
-from .scene.scene import Scene, default_sample_count, default_sampler
+from .scene.scene import Scene, default_sampler
 
 PACKETS = True  # false renders a path at a time: slower, for tests
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
@@ -117,8 +117,8 @@ def render(
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
-        film = camera.film
-        samples = default_sample_count(camera) if spp is None else _count("spp", spp)
+        film, own = camera.film, default_sampler(camera)
+        samples = own.sample_count if spp is None else _count("spp", spp)
         window, size, config = _film_config(film, crop)
         if pixels is not None:
             chosen = _pixels(pixels, size)
@@ -137,7 +137,7 @@ def render(
                 "sensor": index,
                 "crop": window,
                 "packet": PACKETS,
-                "sampler": default_sampler(camera) if sampler is None else sampler,
+                "sampler": own.type if sampler is None else sampler,
                 "sample_offset": 0,
             },
             size=size,

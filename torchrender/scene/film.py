@@ -103,7 +103,10 @@ class Sampler:
     type: str = "independent"
 
     def __post_init__(self) -> None:
-        ctx = Context(path=("Sampler",))
+        self.check(Context(path=("Sampler",)))
+
+    def check(self, ctx: Context) -> None:
+        """ValueError unless number and type make sense."""
         self.sample_count = values.integer(self.sample_count, ctx.at("sample_count"), 1)
         check_sampler(self.type, ctx.at("type"))
 

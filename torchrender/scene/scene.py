@@ -405,13 +405,15 @@ def _is_documented_integrator(kind: str) -> bool:
     return kind in DOCUMENTED
 
 
-def default_sample_count(camera: PerspectiveCamera) -> int:
-    """Samples a pixel when nothing is said: the camera's own number, else 16."""
-    sampler: Sampler | None = camera.sampler
-    return 16 if sampler is None else sampler.sample_count
+def default_sampler(camera: PerspectiveCamera) -> Sampler:
+    """Number and kind of samples when nothing is said: the camera's own, else 16 independent ones.
 
-
-def default_sampler(camera: PerspectiveCamera) -> str:
-    """How samples are spread when nothing is said: the camera's own way, else independently."""
-    sampler: Sampler | None = camera.sampler
-    return "independent" if sampler is None else sampler.type
+    TypeError or ValueError for one that an edit has made wrong.
+    """
+    sampler, ctx = camera.sampler, Context(path=("sampler",))
+    if sampler is None:
+        return Sampler()
+    if not isinstance(sampler, Sampler):
+        raise TypeError(f"{ctx.where}: expected a Sampler or None, got {describe(sampler)}")
+    sampler.check(ctx)
+    return sampler
