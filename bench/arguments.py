@@ -9,6 +9,8 @@ from typing import Any
 
 from .peers import parse
 
+PICTURES = (".png", ".pdf", ".svg")
+
 
 def positive(text: str) -> int:
     """An integer of at least 1."""
@@ -29,7 +31,22 @@ def natural(text: str) -> int:
 def _output(text: str) -> str:
     if not Path(text).absolute().parent.is_dir():
         raise argparse.ArgumentTypeError(f"no such folder: {Path(text).parent}")
+    if Path(text).is_dir():
+        raise argparse.ArgumentTypeError(f"expected a file, but {text} is a folder")
     return text
+
+
+def _picture(text: str) -> str:
+    if Path(text).suffix.lower() not in PICTURES:
+        raise argparse.ArgumentTypeError(f"expected a name that ends with {', '.join(PICTURES)}, got {text!r}")
+    return _output(text)
+
+
+class _Increasing(argparse.Action):
+    """Several numbers, each once, the smallest first."""
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, _option: Any = None) -> None:
+        setattr(namespace, self.dest, sorted(set(values)))
 
 
 def _setting(text: str) -> tuple[str, Any]:
@@ -69,13 +86,15 @@ def common_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--only", default="", help="only scenes whose name contains this")
     parser.add_argument("--json", type=_output, metavar="FILE", help="also write the result to this file")
-    parser.add_argument("--plot", type=_output, metavar="FILE", help="also draw it, as PNG, PDF or SVG (by matplotlib)")
+    parser.add_argument(
+        "--plot", type=_picture, metavar="FILE", help="also draw it, as PNG, PDF or SVG (by matplotlib)"
+    )
 
 
 def counts_argument(parser: argparse.ArgumentParser, name: str, default: list[int], text: str) -> None:
-    """An option that takes several numbers."""
+    """An option that takes several numbers, which come sorted."""
     text = f"{text} (default {' '.join(map(str, default))})"
-    parser.add_argument(name, type=positive, nargs="+", default=default, metavar="N", help=text)
+    parser.add_argument(name, type=positive, nargs="+", action=_Increasing, default=default, metavar="N", help=text)
 
 
 def peer_argument(parser: argparse.ArgumentParser) -> None:

@@ -2,7 +2,7 @@
 
 Compared are the medians of all figures that have a spread. A figure counts as worse if it has grown by more than the
 threshold and by more than three standard errors of the ratio of the medians, which come from the quartiles of both
-files. Columns of peers are shown, as a sign of how equal the machines were, but do not count.
+files. Columns and rows of peers are shown, as a sign of how equal the machines were, but do not count.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from .peers import KNOWN
 from .report import Table, markdown
 
 ERRORS = 3.0
-OTHERS = (*(known.title for known in KNOWN.values()), "Embree alone")
+# What columns begin with, or rows are labelled with, that are not this renderer's figures.
+OTHERS = (*(known.title for known in KNOWN.values()), "Embree alone", "clearing and summing")
 
 
 def load(path: str) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def load(path: str) -> dict[str, Any]:
     return document
 
 
-def figures(document: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], Measured]]:
+def figures(document: dict[str, Any]) -> Iterator[tuple[tuple[tuple[str, ...], str], Measured]]:
     """All figures with a spread, by the part and the values of the labels of their row, and their column."""
     for table in document["tables"]:
         for row in table["rows"]:
@@ -41,7 +42,7 @@ def figures(document: dict[str, Any]) -> Iterator[tuple[tuple[str, ...], Measure
                 value = row.get(column)
                 if isinstance(value, dict):
                     labels = [table["part"]] * bool(table["part"]) + [str(row[label]) for label in table["labels"]]
-                    yield (", ".join(labels), column), Measured(**value)
+                    yield (tuple(labels), column), Measured(**value)
 
 
 def compare(before: dict[str, Any], after: dict[str, Any], threshold: float) -> list[dict[str, Any]]:
@@ -57,12 +58,13 @@ def compare(before: dict[str, Any], after: dict[str, Any], threshold: float) -> 
         error = ratio * (old[key].error ** 2 + new.error**2) ** 0.5
         limit = max(threshold, ERRORS * error)
         verdict = "worse" if ratio > 1 + limit else "better" if ratio < 1 - limit else ""
-        if key[1].startswith(OTHERS):
+        labels, column = key
+        if column.startswith(OTHERS) or any(label in OTHERS for label in labels):
             verdict = "(not ours)"
         rows.append(
             {
-                "row": key[0],
-                "figure": key[1],
+                "row": ", ".join(labels),
+                "figure": column,
                 "before": old[key],
                 "after": new,
                 "after / before": ratio,

@@ -19,11 +19,11 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def measure(what: str, **settings: Any) -> dict[str, float]:
-    """Run `what` in a fresh process; RuntimeError with what it printed if it fails."""
+    """Run `what` in a fresh process; ends the program with what it printed if it fails."""
     command = [sys.executable, "-m", "bench.fresh", what, json.dumps(settings)]
     result = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
     if result.returncode:
-        raise RuntimeError(f"the measuring process failed:\n{result.stderr}")
+        raise SystemExit(f"the measuring process ended with status {result.returncode}:\n{result.stderr.strip()}")
     return json.loads(result.stdout.splitlines()[-1])
 
 

@@ -50,17 +50,17 @@ def gradient_rows(row: Row, peers: list[Peer], options: argparse.Namespace) -> l
         mean, variance, seconds = {}, {}, {}
         for who, samples in runs.items():
             sums = [sample["sums"][i] for sample in samples]
-            mean[who], variance[who] = fmean(sums), max(pvariance(sums), 1e-300)
+            mean[who], variance[who] = fmean(sums), pvariance(sums)
             seconds[who] = median(sample["seconds"] for sample in samples)
             prefix = "" if who == "ours" else f"{who} "
             result[f"{prefix}gradient"] = mean[who]
-            result[f"{prefix}deviation"] = variance[who] ** 0.5
+            result[f"{prefix}deviation"] = variance[who] ** 0.5 if len(sums) > 1 else None
             result[f"{prefix}time s"] = Measured.of(sample["seconds"] for sample in samples)
         for peer in peers:
             error = ((variance["ours"] + variance[peer.title]) / max(options.rounds - 1, 1)) ** 0.5
-            result[f"{peer.title} z"] = (mean["ours"] - mean[peer.title]) / error
-            cost = variance[peer.title] * seconds[peer.title]
-            result[f"our efficiency / {peer.title}"] = cost / (variance["ours"] * seconds["ours"])
+            result[f"{peer.title} z"] = (mean["ours"] - mean[peer.title]) / error if error else None
+            cost, our_cost = (variance[who] * seconds[who] for who in (peer.title, "ours"))
+            result[f"our efficiency / {peer.title}"] = cost / our_cost if our_cost else None
         rows.append(result)
     return rows
 

@@ -49,7 +49,7 @@ def measure_row(row: Row, spp: int, options: argparse.Namespace, versions: dict)
         "spp": spp,
         "peak above the loaded scene MiB": Measured.of(run["peak"] for run in runs),
         "of that, the scene in the core MiB": Measured.of(run["scene"] for run in runs),
-        "gradients and a buffer a thread": buffers,
+        "gradients and a buffer a thread MiB": buffers,
         "beyond these MiB": Measured.of(max(0.0, run["peak"] - buffers) for run in runs),
         "beyond these and the scene MiB": Measured.of(max(0.0, run["peak"] - run["scene"] - buffers) for run in runs),
     }

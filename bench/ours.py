@@ -28,7 +28,7 @@ class Ours:
         try:
             self.renderer = tr.Renderer(scene, **{"integrator": path, "spp": spp, **settings})
         except (TypeError, ValueError) as error:
-            raise SystemExit(f"--set: {error}") from error
+            raise SystemExit(f"{'--set' if settings else '--spp'}: {error}") from error
 
     @classmethod
     def of_row(cls, row: Row, resolution: int, spp: int, **settings: Any) -> Ours:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,7 @@ class Known:
     title: str
     server: str
     needs: str  # how an environment that has it is made
+    reads_arrays: bool = False  # cannot read the scenes' files
     keeps_kernels: bool = False  # compiles when it first renders, and keeps that for the next process
 
 
@@ -34,6 +36,7 @@ KNOWN = {
         "redner_server.py",
         """    python3.7 -m venv redner-env         # the last Python that its wheels are for
     redner-env/bin/pip install torch==1.10.2 "numpy<1.22" imageio scikit-image redner==0.4.28""",
+        reads_arrays=True,
     ),
 }
 
@@ -67,12 +70,13 @@ class Peer:
 
     def __init__(self, name: str, python: str, threads: int, environment: dict[str, str] | None = None) -> None:
         self.name, self.title = name, KNOWN[name].title
+        self.said = tempfile.TemporaryFile()
         try:
             self.process = subprocess.Popen(
                 [python, str(FOLDER / KNOWN[name].server), str(threads)],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
+                stderr=self.said,
                 text=True,
                 env={**os.environ, **(environment or {})},
             )
@@ -81,17 +85,30 @@ class Peer:
         try:
             greeting = self._read()
         except PeerError as error:
-            raise PeerError(f"{error} with {python}; is it installed there?\n{help_of(name)}") from error
+            self.process.kill()
+            self.process.wait()
+            raise PeerError(f"{error}; is it installed with {python}?\n{help_of(name)}") from error
         self.version, self.import_seconds = greeting["version"], greeting["import_seconds"]
 
     def _read(self) -> dict:
         line = self.process.stdout.readline()
         if not line:
-            raise PeerError(f"{self.title}: its process ended with status {self.process.wait()}")
-        answer = json.loads(line)
+            status = self.process.wait()
+            raise PeerError(f"{self.title}: its process ended with status {status}{self._last_words()}")
+        try:
+            answer = json.loads(line)
+        except json.JSONDecodeError as error:
+            raise PeerError(f"{self.title}: not an answer: {line.strip()[:200]!r}") from error
         if "error" in answer:
             raise PeerError(f"{self.title}: {answer['error']}")
         return answer
+
+    def _last_words(self) -> str:
+        """The last line on its standard error, which says what went wrong."""
+        self.said.seek(0)
+        lines = self.said.read().decode(errors="replace").split("\n")
+        last = [line.strip() for line in lines if line.strip()][-1:]
+        return f" ({last[0][:200]})" if last else ""
 
     def ask(self, action: str, **arguments) -> dict:
         try:
@@ -106,6 +123,7 @@ class Peer:
             self.process.stdin.write('{"do": "quit"}\n')
             self.process.stdin.close()
             self.process.wait(timeout=30)
+        self.said.close()
 
 
 class Peers:

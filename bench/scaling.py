@@ -230,4 +230,7 @@ def run(options: argparse.Namespace) -> Result:
             if not options.part or part in options.part:
                 tables.append(makers[part](options) if part in makers else sample_table(part, peers, options))
         versions = {peer.name: peer.version for peer in peers}
-    return Result([table for table in tables if table.rows], versions)
+    tables = [table for table in tables if table.rows]
+    if not tables:
+        raise SystemExit(f"--only: no scene whose name contains {options.only!r} has a texture, which --part asks for")
+    return Result(tables, versions)

@@ -18,7 +18,7 @@ import numpy as np
 
 import torchrender as tr
 
-from .peers import Peer
+from .peers import KNOWN, Peer
 from .rows import Row
 
 
@@ -67,16 +67,12 @@ def arrays_of(scene: tr.Scene) -> dict[str, np.ndarray]:
     return found
 
 
-def arrays_for(peer: Peer, row: Row) -> str | None:
-    """A file with the arrays of a row's scene, in a new folder, for a peer that needs it; None for the others."""
-    if peer.name != "redner":
-        return None
-    file = Path(tempfile.mkdtemp(prefix="bench-")) / "scene.npz"
-    np.savez(file, **arrays_of(tr.load_file(row.path, **row.arguments)))
-    return str(file)
-
-
 def load_peer(peer: Peer, row: Row, resolution: int, spp: int) -> None:
-    """Let a peer load a row's scene."""
-    settings = {"resolution": resolution, "spp": spp, "arrays": arrays_for(peer, row)}
-    peer.ask("load", path=row.path, arguments=row.arguments, parameters=list(row.parameters), **settings)
+    """Let a peer load a row's scene, from its file or from arrays."""
+    settings: dict[str, Any] = {"resolution": resolution, "spp": spp, "arrays": None}
+    settings |= {"path": row.path, "arguments": row.arguments, "parameters": list(row.parameters)}
+    with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+        if KNOWN[peer.name].reads_arrays:
+            settings["arrays"] = str(Path(folder) / "scene.npz")
+            np.savez(settings["arrays"], **arrays_of(tr.load_file(row.path, **row.arguments)))
+        peer.ask("load", **settings)

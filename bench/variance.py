@@ -38,7 +38,9 @@ REFERENCE_SEED = 1 << 40  # far from the rounds'
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
     counts_argument(parser, "--samples", [4, 16, 64], "samples a pixel")
-    parser.add_argument("--reference", type=positive, default=4096, help="samples of the reference (default 4096)")
+    parser.add_argument(
+        "--reference", type=positive, default=4096, help="samples of the reference, at least (default %(default)s)"
+    )
     parser.set_defaults(resolution=128, rounds=11, warmup=1)
 
 
@@ -101,8 +103,8 @@ class Reference:
 def references_of(row: Row, options: argparse.Namespace) -> dict[str, Reference]:
     """Image and gradient with many samples."""
     ours = Ours.of_row(row, options.resolution, options.spp)
-    spp = min(PASS, max(1, options.reference // 2))
-    passes = max(1, options.reference // (2 * spp))
+    passes = math.ceil(options.reference / (2 * PASS))
+    spp = math.ceil(options.reference / (2 * passes))
     halves: dict[str, list[list[np.ndarray]]] = {"image": [], "gradient": []}
     for seed in (REFERENCE_SEED, REFERENCE_SEED + 1):
         halves["image"].append([ours.image(seed, spp, passes)[0]])
@@ -171,7 +173,7 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
             for spp in options.samples:
                 result[f"error, {spp} spp"] = errors[spp]
                 result[f"{spp} spp s"] = times[spp]
-            result["common time"] = common
+            result["common time s"] = common
             result["spp in it"] = count
             result["error then"] = error
             result["relative to the first"] = None if error is None or ours is None else error / ours
@@ -191,7 +193,7 @@ def run(options: argparse.Namespace) -> Result:
         f"{options.rounds} rounds, reference with {options.reference} spp"
     )
     notes = [
-        "The common time, in seconds, is that of the first program at its largest sample count.",
+        "The common time is that of the first program at its largest sample count.",
         "The reference's own error, seen in its halves, is taken off the squared errors.",
     ]
     if "redner" in versions:

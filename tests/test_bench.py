@@ -58,6 +58,8 @@ def test_an_unknown_benchmark_is_refused(capsys):
         ["table2", "--spp", "-1"],
         ["table2", "--resolution", "wide"],
         ["table2", "--json", "/no/such/folder/a.json"],
+        ["table2", "--json", "/"],
+        ["table2", "--plot", "picture.bmp"],
         ["table2", "--peer", "blender=python"],
         ["rays", "--peer", "mitsuba=python"],
         ["memory", "--samples", "0"],
@@ -113,8 +115,17 @@ def test_table2_alone_with_settings(tmp_path):
 
 
 def test_settings_that_do_not_exist_are_refused():
-    with pytest.raises(SystemExit, match="--set: Renderer: unknown argument 'colour'"):
-        main(["table2", *TINY, "--set", "colour=True"])
+    for name in ("table2", "coldstart"):  # here, and in a process of its own
+        with pytest.raises(SystemExit, match="--set: Renderer: unknown argument 'colour'"):
+            main([name, *TINY, "--set", "colour=True"])
+
+
+def test_numbers_are_sorted(tmp_path):
+    options = ["--only", "Cornell", "--part", "pixels", "--sides", "16", "8", "16"]
+    (table,) = run(tmp_path, "scaling", *TINY, *options)["tables"]
+    assert [row["pixels"] for row in table["rows"]] == ["8²", "16²"]
+    with pytest.raises(SystemExit, match="'Cornell' has a texture, which --part asks for"):
+        main(["scaling", *TINY, "--only", "Cornell", "--part", "texture"])
 
 
 def test_gradients_with_a_peer(tmp_path, fake_peer):
@@ -123,6 +134,13 @@ def test_gradients_with_a_peer(tmp_path, fake_peer):
     assert row["parameter"] == ROWS[1].parameters[0]
     assert row["Mitsuba gradient"] == pytest.approx(1.05)
     assert row["gradient"] > 0 and row["Mitsuba time s"]["median"] == 2.0
+
+
+def test_a_single_round_has_no_deviation(tmp_path, fake_peer):
+    options = ["--rounds", "1", "--only", "Cornell", "--peer", f"mitsuba={sys.executable}"]
+    for row in run(tmp_path, "gradients", *TINY, *options)["tables"][0]["rows"]:
+        assert row["gradient"] > 0
+        assert all(row[name] is None for name in ("deviation", "Mitsuba deviation", "Mitsuba z"))
 
 
 def test_overhead(tmp_path):
@@ -154,7 +172,9 @@ def test_memory(tmp_path, fake_peer):
     ]
     (row,) = run(tmp_path, "memory", *TINY, *options)["tables"][0]["rows"]
     assert 0 <= row["Mitsuba peak above the loaded scene MiB"]["median"] < 10  # what takes its place does nothing
-    assert row["gradients and a buffer a thread"] == 24  # 1024 x 1024 x 3 numbers of 4 bytes, with one thread, twice
+    assert (
+        row["gradients and a buffer a thread MiB"] == 24
+    )  # 1024 x 1024 x 3 numbers of 4 bytes, with one thread, twice
     assert 0 <= row["beyond these MiB"]["median"] < row["peak above the loaded scene MiB"]["median"] < 1000
 
 

@@ -115,6 +115,10 @@ def test_compare_tells_tables_apart():
 def test_compare_does_not_count_peers():
     before, after = (document(**{"Mitsuba sum s": Measured(t, t, t, 5), "sum s": Measured(1, 1, 1, 5)}) for t in (1, 2))
     assert [row["verdict"] for row in compare.compare(before, after, 0.05)] == ["(not ours)", ""]
+    rows = [[{"program": who, "step ms": Measured(t, t, t, 3)} for who in ("ours", "Mitsuba")] for t in (1.0, 2.0)]
+    results = [report.Result([report.Table("t", ["program"], r)]) for r in rows]
+    before, after = (json.loads(json.dumps(report.to_json("scaling", result, {}, {}))) for result in results)
+    assert [row["verdict"] for row in compare.compare(before, after, 0.05)] == ["worse", "(not ours)"]
 
 
 def test_compare_ends_with_a_status(tmp_path, capsys):
@@ -252,9 +256,14 @@ def test_a_peer_by_its_environment_variable(monkeypatch):
 
 def test_an_environment_without_the_peer_is_reported(tmp_path):
     program = tmp_path / "python"
-    program.write_text("#!/bin/sh\nexit 3\n")
+    program.write_text("#!/bin/sh\necho no module >&2\nexit 3\n")
     program.chmod(0o755)
-    with pytest.raises(peers.PeerError, match=r"(?s)ended with status 3 .*/pip install mitsuba==3\.9\.1"):
+    with pytest.raises(
+        peers.PeerError, match=r"(?s)ended with status 3 \(no module\); .*/pip install mitsuba==3\.9\.1"
+    ):
+        peers.Peer("mitsuba", str(program), 1)
+    program.write_text("#!/bin/sh\necho hello\n")
+    with pytest.raises(peers.PeerError, match=r"(?s)Mitsuba: not an answer: 'hello'; .*/pip"):
         peers.Peer("mitsuba", str(program), 1)
     with pytest.raises(peers.PeerError, match="/no/such/python: No such file"):
         peers.Peer("redner", "/no/such/python", 1)
