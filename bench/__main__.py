@@ -44,9 +44,13 @@ def main(argv: list[str] | None = None) -> int:
     if name not in BENCHMARKS:
         print(f"error: there is no benchmark {name!r}\n{listing()}", file=sys.stderr)
         return 2
-    parser = argparse.ArgumentParser(prog=f"python -m bench {name}", description=BENCHMARKS[name])
-    common_arguments(parser)
     module = importlib.import_module(f".{name}", __package__)
+    parser = argparse.ArgumentParser(
+        prog=f"python -m bench {name}",
+        description=module.__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    common_arguments(parser)
     module.add_arguments(parser)
     options = parser.parse_args(argv[1:])
     if options.plot:

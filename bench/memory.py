@@ -18,7 +18,7 @@ STEPS = 3
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    counts_argument(parser, "--samples", [1, 16, 128], "samples a pixel")
+    counts_argument(parser, "--samples", [1, 16, 128], "samples a pixel, in place of --spp")
     peer_argument(parser)
     parser.set_defaults(rounds=3, warmup=0)
 

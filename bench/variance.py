@@ -37,7 +37,7 @@ REFERENCE_SEED = 1 << 40  # far from the rounds'
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
-    counts_argument(parser, "--samples", [4, 16, 64], "samples a pixel")
+    counts_argument(parser, "--samples", [4, 16, 64], "samples a pixel, in place of --spp")
     parser.add_argument(
         "--reference", type=positive, default=4096, help="samples of the reference, at least (default %(default)s)"
     )
