@@ -1,7 +1,8 @@
 """Redner's half of the benchmarks. Runs in Redner's own environment (Python 3.7), where torchrender is not installed.
 
 The protocol is in `serving.py`, the file of a scene in `scene_arrays.py`. Nothing that moves is differentiated, so
-Redner's edge sampling, which is for that, is switched off. It takes all processors that this process may run on.
+Redner's edge sampling, which is for that, is switched off. Samples are independent ones, which is the default of
+`RenderFunction`. Redner takes all processors that this process may run on.
 """
 
 from __future__ import annotations

@@ -198,7 +198,8 @@ def run(options: argparse.Namespace) -> Result:
     ]
     if "redner" in versions:
         notes.append(
-            "Redner looks textures up in mipmaps, so that its gradients of texels are those of another texture."
+            "Redner takes independent samples. It looks textures up in mipmaps, so that its gradients of texels are "
+            "those of another texture."
         )
     plot = {"kind": "bars", "columns": ["error then"], "y": "relative error at the common time"}
     return Result([Table(title, ["scene", "of", "program"], rows, notes, plot)], versions)

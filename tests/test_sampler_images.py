@@ -144,12 +144,16 @@ def test_errors_of_neighbouring_sobol_pixels_cancel():
 
 @pytest.mark.parametrize("sampler", SPREAD)
 def test_variance_output_is_an_upper_estimate(sampler):
+    """It is about the variance of independent samples, which is several times the actual one.
+
+    With twelve other sets of seeds the first ratio was 1.07 with a deviation of 0.05, so that the limits are four and
+    more deviations away (a probability of 1e-4), the second 9.5 to 11.5.
+    """
     scene = make(8, 12)
     results = [tr.render(scene, spp=16, seed=i, sampler=sampler, outputs=("rgb", "variance")) for i in range(40)]
     actual = torch.stack([r.rgb for r in results]).double().var(0).sum()
     estimate = torch.stack([r.variance for r in results]).double().mean(0).sum()
     reference = torch.stack([tr.render(scene, spp=16, seed=i) for i in range(40)]).double().var(0).sum()
-    # about the variance of independent samples, which is several times the actual one
     assert 0.8 < float(estimate / reference) < 1.3
     assert float(estimate / actual) > 2
 
@@ -236,6 +240,7 @@ def test_the_camera_or_the_call_chooses():
         ({"type": "sobel"}, ValueError, "sampler.type: unknown sampler 'sobel'.*; did you mean 'sobol'"),
         ({"type": 3}, ValueError, "sampler.type: unknown sampler 3"),
         ({"sample_count": 0}, ValueError, "sampler.sample_count: expected at least 1, got 0"),
+        ({"sample_count": 2**32 + 1}, ValueError, "sampler.sample_count: expected at most 4294967296, got 4294967297"),
         ({"sample_count": "4"}, ValueError, "sampler.sample_count: expected an integer"),
         (None, TypeError, "sampler: expected a Sampler or None, got 'sobol'"),
     ],

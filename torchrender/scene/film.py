@@ -92,7 +92,7 @@ class Sampler:
     """How the samples of a pixel are spread, and how many there are unless a rendering asks for another number.
 
     Attributes:
-        sample_count: samples a pixel, at least 1.
+        sample_count: samples a pixel, from 1 to 2^32; a dict or file that does not say it means 4.
         type: one of ``tr.SAMPLERS``, for image and derivative alike. ``"independent"`` numbers; ``"stratified"`` ones,
             which are jittered in as many strata as there are samples in every dimension of a path, and in a grid of
             cells where two of them belong together; points of a Sobol sequence, Owen-scrambled for every pixel and pair
@@ -108,6 +108,8 @@ class Sampler:
     def check(self, ctx: Context) -> None:
         """ValueError unless number and type make sense."""
         self.sample_count = values.integer(self.sample_count, ctx.at("sample_count"), 1)
+        if self.sample_count > 1 << 32:
+            ctx.at("sample_count").error(f"expected at most {1 << 32}, got {self.sample_count}")
         check_sampler(self.type, ctx.at("type"))
 
 
@@ -218,4 +220,6 @@ def sampler_from(value: Any, ctx: Context) -> Sampler:
         ctx.at("jitter").error("samples in the middle of their strata are biased; only true is supported")
     if "seed" in value and values.integer(value["seed"], ctx.at("seed")) != 0:
         ctx.at("seed").error("the seed is an argument of render() here, not of the scene")
-    return Sampler(values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1), kind)
+    count = values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1)
+    with ctx.located():
+        return Sampler(count, kind)
