@@ -175,5 +175,7 @@ def test_errors():
         tr.render(scene, adaptive_grad=True, correlated=True)
     with pytest.raises(TypeError, match="adaptive_grad"):
         tr.Renderer(scene, adaptive_grad="yes")
+    with pytest.raises(TypeError, match="correlated: expected True or False, got 1"):
+        tr.Renderer(scene, correlated=1)
     renderer = tr.Renderer(scene, adaptive_grad=True, spp=1)
     assert torch.equal(renderer(seed=1), tr.render(scene, spp=1, seed=1))

@@ -26,7 +26,10 @@ BATCHED = (
     "torch.autograd.functional.jacobian with vectorize=False); several cameras are one call, sensor=[...]"
 )
 STORED_HITS_LIMIT = 1 << 30
-"""Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again."""
+"""Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again.
+
+With 0 none are kept. A rendering takes the value that this has when it begins.
+"""
 SECOND = "a rendering has first derivatives only: differentiating its gradient again is not possible"
 
 
@@ -95,7 +98,7 @@ class RenderCall:
 
     def store_hits(self) -> torch.Tensor:
         """Begin to keep hits; they live as long as the memory of the tensor that comes back."""
-        store = backends.core().HitStore(STORED_HITS_LIMIT)
+        store = backends.core().HitStore(int(STORED_HITS_LIMIT))
         self.hits = weakref.ref(store)
         return torch.frombuffer(store, dtype=torch.uint8)
 

@@ -106,7 +106,7 @@ def render(
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     _check_words(layout, nan, sampler)
-    _check_adaptive(adaptive_grad, correlated)
+    _check_kinds_of_derivative(adaptive_grad, correlated)
     passes = _count("passes", passes)
     packed = scene.layout()
     cameras, batched = _cameras(scene, packed, sensor)
@@ -194,10 +194,11 @@ def _check_words(layout: Any, nan: Any, sampler: Any) -> None:
         check_sampler(sampler, Context(path=("render: sampler",)))
 
 
-def _check_adaptive(adaptive_grad: Any, correlated: Any) -> None:
-    if not isinstance(adaptive_grad, bool):
-        raise TypeError(f"render: adaptive_grad: expected True or False, got {describe(adaptive_grad)}")
-    if adaptive_grad and correlated is True:
+def _check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
+    for name, value in (("adaptive_grad", adaptive_grad), ("correlated", correlated)):
+        if not isinstance(value, bool):
+            raise TypeError(f"render: {name}: expected True or False, got {describe(value)}")
+    if adaptive_grad and correlated:
         raise ValueError(
             "render: adaptive_grad=True draws samples of its own, and correlated=True uses those of the image; "
             "leave one of them out"
@@ -257,9 +258,7 @@ def _seed(name: str, value: Any) -> int:
     return value
 
 
-def _seeds(seed: Any, seed_grad: Any, correlated: Any) -> tuple[int, int]:
-    if not isinstance(correlated, bool):
-        raise TypeError(f"render: correlated: expected True or False, got {describe(correlated)}")
+def _seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
     first = int(torch.randint(0, (1 << 63) - 1, (1,), device="cpu")) if seed is None else _seed("seed", seed)
     if correlated:
         if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
@@ -387,7 +386,7 @@ class Renderer(nn.Module):
             if settings.get(name) is not None:
                 _count(name, settings[name])
         _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"), settings.get("sampler"))
-        _check_adaptive(settings.get("adaptive_grad", False), settings.get("correlated", False))
+        _check_kinds_of_derivative(settings.get("adaptive_grad", False), settings.get("correlated", False))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
 
