@@ -11,17 +11,19 @@ namespace tr {
 #if TR_HAS_PACKETS && defined(DRJIT_X86_SSE42)
 namespace detail {
 
+// (A load of a double would ask for its alignment.)
+TR_INLINE __m128 load_two(const void *p) { return _mm_castsi128_ps(_mm_loadl_epi64(static_cast<const __m128i *>(p))); }
 // N <= 4 consecutive numbers, nothing behind them is read.
 template <int N, class S>
 TR_INLINE __m128 load_row(const S *p) {
     const float *f = reinterpret_cast<const float *>(p);
     if constexpr (N == 1) return _mm_load_ss(f);
-    if constexpr (N == 2) return _mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double *>(p)));
+    if constexpr (N == 2) return load_two(p);
     if constexpr (N == 3) {
 #if defined(DRJIT_X86_AVX512)
         return _mm_maskz_loadu_ps(7, f);
 #else
-        return _mm_insert_ps(_mm_castpd_ps(_mm_load_sd(reinterpret_cast<const double *>(p))), _mm_load_ss(f + 2), 0x20);
+        return _mm_insert_ps(load_two(p), _mm_load_ss(f + 2), 0x20);
 #endif
     }
     if constexpr (N == 4) return _mm_loadu_ps(f);
@@ -93,7 +95,7 @@ struct RowRegisters<N, S, 16> {
 template <class V, class T>
 TR_INLINE void put_bits(const V &bits, T &out) {
     static_assert(sizeof(V) == sizeof(T));
-    std::memcpy(&out, &bits, sizeof(T));
+    std::memcpy(static_cast<void *>(&out), &bits, sizeof(T));
 }
 
 }  // namespace detail
