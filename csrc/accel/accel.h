@@ -12,8 +12,9 @@ struct Api;
 struct SceneObject;
 }  // namespace rtc
 
-// Rays as a structure of arrays. They begin at distance 0 and end at tmax (infinity is fine). Rays with tmax < 0, with
-// a non-finite number or without a direction hit nothing; directions need not be normalised, t counts in their length.
+// Rays as a structure of arrays. They begin at distance 0, where nothing is hit yet, and end at tmax (infinity is
+// fine). Rays with tmax < 0, with a non-finite number or without a direction hit nothing; directions need not be
+// normalised, t counts in their length.
 struct RayBatch {
     const float *o[3], *d[3], *tmax;
 };

@@ -18,6 +18,10 @@ constexpr size_t W = PacketIo::W;
 // So far outside of a face, relative to it, a ray still hits: none slips through between neighbours.
 constexpr float Margin = 1e-6f;
 
+// The fourth corner of a parallelogram may be off by the rounding of its coordinates, but where that is much of the
+// face its triangles are tested one by one.
+constexpr double LargestRounding = 5e-7, LargestSkew = 1e-3;
+
 // Where rays meet a plane, all times `det` >= 0: nothing is divided until the nearest face is known.
 struct Meeting {
     F t, u, v, det;
@@ -38,7 +42,7 @@ struct Meeting {
     template <bool Parallelogram>
     TR_INLINE M inside() const {
         F low = det * F(-Margin), high = det - low;
-        M r = mask<F>(t >= F(0)) && mask<F>(u >= low) && mask<F>(v >= low);
+        M r = mask<F>(t > F(0)) && mask<F>(u >= low) && mask<F>(v >= low);  // what a ray begins on is not hit
         if (Parallelogram) return r && mask<F>(u <= high) && mask<F>(v <= high);
         return r && mask<F>(u + v <= high);
     }
@@ -96,13 +100,15 @@ bool FaceList::add_parallelogram(uint32_t shape, uint32_t face, const float *pos
         uint32_t i = turn / 3, j = turn % 3;
         const float *at[4] = {corner(a, i), corner(a, i + 1), corner(a, i + 2), corner(b, j + 2)};
         if (!same(corner(b, j), at[0]) || !same(corner(b, j + 1), at[2])) continue;
-        double q[4][3], scale = 0, gap = 0;
+        double q[4][3], scale = 0, edge = 0, gap = 0;
         for (int k = 0; k < 3; ++k) {
             for (int c = 0; c < 4; ++c) q[c][k] = double(at[c][k]), scale = std::max(scale, std::abs(q[c][k]));
+            edge = std::max(edge, std::max(std::abs(q[1][k] - q[0][k]), std::abs(q[3][k] - q[0][k])));
             gap = std::max(gap, std::abs(q[0][k] - q[1][k] + q[2][k] - q[3][k]));
         }
         Plane plane;
-        if (!(gap <= 5e-7 * scale) || !plane_of(q[0], q[1], q[3], plane)) continue;
+        if (!(gap <= std::min(LargestRounding * scale, LargestSkew * edge)) || !plane_of(q[0], q[1], q[3], plane))
+            continue;
         parallelograms_.push_back(plane);
         parallelogram_owners_.push_back({shape, face, face + 1, 4 * j + i});
         return true;

@@ -132,6 +132,34 @@ TR_TEST(large_faces_beside_a_mesh_answer_like_embree) {
     compare(meshes, 4000);
 }
 
+TR_TEST(what_a_ray_begins_on_is_not_hit) {
+    load_embree(embree_path());
+    std::vector<TestMesh> wall{{{-1, -1, 0, 1, -1, 0, 1, 1, 0, -1, 1, 0}, {0, 1, 2, 0, 2, 3}}};
+    const float x[] = {0.1f, 0.1f, 0.1f, 0.1f, 0.1f, -3}, y[] = {0.2f, 0.2f, 0.2f, 0.2f, 0.2f, 0.2f}, z[6] = {};
+    const float dx[] = {0, 0, 1, 1, 1, 1}, dy[6] = {}, dz[] = {1, -1, 0, 1e-39f, 1e-30f, 0};
+    const float tmax[] = {INFINITY, 5, INFINITY, INFINITY, INFINITY, INFINITY};
+    for (int width : {0, 4}) {
+        float box[6];
+        Answers a = ask(wall, {{x, y, z}, {dx, dy, dz}, tmax}, 6, width, box);
+        for (size_t i = 0; i < 6; ++i) CHECK(a.shape[i] == Accel::Miss && a.t[i] == tmax[i] && a.occluded[i] == 0);
+    }
+}
+
+// The fourth corner of a face of 128 units in the last place is off by 7 of them.
+TR_TEST(what_rounding_makes_of_a_small_face_is_its_shape) {
+    load_embree(embree_path());
+    const float unit = 1.f / 16384, at = 1000, side = at + 128 * unit;
+    std::vector<TestMesh> face{{{at, at, 0, side, at, 0, side + 7 * unit, side, 0, at, side, 0}, {0, 1, 2, 0, 2, 3}}};
+    const float x[] = {side + 3 * unit, side + 9 * unit}, y[] = {side - 8 * unit, side - 8 * unit}, z[] = {1, 1};
+    const float dx[2] = {}, dz[] = {-1, -1}, tmax[] = {9, 9};
+    for (int width : {0, 4}) {
+        float box[6];
+        Answers a = ask(face, {{x, y, z}, {dx, dx, dz}, tmax}, 2, width, box);
+        CHECK(a.shape[0] == 0 && a.occluded[0] == 1);
+        CHECK(a.shape[1] == Accel::Miss && a.occluded[1] == 0);
+    }
+}
+
 TR_TEST(listed_meshes_move) {
     load_embree(embree_path());
     std::mt19937 generator(6);
