@@ -75,7 +75,8 @@ private:
     }
     TR_INLINE static void clip(const F &o, const F &inverse, const F &lower, const F &upper, F &enter, F &leave) {
         F a = (lower - o) * inverse, b = (upper - o) * inverse;
-        F near = select(mask<F>(a < b), a, b), far = select(mask<F>(a < b), b, a);
+        MaskOf<F> back = mask<F>(inverse < F(0));
+        F near = select(back, b, a), far = select(back, a, b);
         enter = select(mask<F>(near > enter), near, enter);
         leave = select(mask<F>(far < leave), far, leave);
     }
