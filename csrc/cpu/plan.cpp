@@ -141,7 +141,8 @@ void Plan::make_items() {
     for (size_t begin = 0, end = 0; begin < n; begin = end) {
         int64_t paths = 0;
         for (; end < n; ++end) {
-            int64_t more = n_paths(end);
+            // tiles without samples count as well: blocks of an item's tiles are in memory together
+            int64_t more = std::max(n_paths(end), int64_t(n_pixels(end)));
             if (end > begin && paths + more > enough) break;
             paths += more;
         }
