@@ -134,6 +134,7 @@ struct Accel::Impl {
     pid_t process = getpid();
     rtc::Scene scene = nullptr, whole = nullptr;
     int width = 0;
+    bool embree_only = false;  // a width was asked for
     // Meshes of few faces, which are not in Embree's tree, and where everything else is.
     FaceList faces;
     Box rest;
@@ -153,6 +154,7 @@ struct Accel::Impl {
         api().SetSceneBuildQuality(scene, rtc::BuildHigh);
         device->check("while making a scene");
         int asked = requested_width;
+        embree_only = asked != 0;
         width = asked ? std::min(asked, device->widest_query) : default_width(device->widest_query);
     }
 
@@ -313,7 +315,7 @@ struct Accel::Impl {
         }
         for (auto &[shape, mesh] : meshes) {
             bool listed = tiny || std::find(chosen.begin(), chosen.end(), shape) != chosen.end();
-            if (requested_width != 0 || !listed) attach(shape, mesh);
+            if (embree_only || !listed) attach(shape, mesh);
         }
     }
 

@@ -15,7 +15,8 @@ using M = PacketIo::M;
 using Rays = PacketIo::Rays;
 constexpr size_t W = PacketIo::W;
 
-// So far outside of a face, relative to it, a ray still hits: none slips through between neighbours.
+// So far outside of a face, relative to it, a ray still hits: from less than some twenty lengths of a face away none
+// slips through between neighbours.
 constexpr float Margin = 1e-6f;
 
 // The fourth corner of a parallelogram may be off by the rounding of its coordinates, but where that is much of the

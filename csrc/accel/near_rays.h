@@ -44,7 +44,9 @@ public:
         using F = PacketIo::F;
         n = 0;
         size_t end = n_rays - begin < Capacity ? n_rays : begin + Capacity;
-        Vec3<F> lower = corner(box.lower, -1), upper = corner(box.upper, 1);
+        float extent = 0;
+        for (int k = 0; k < 3; ++k) extent = std::max(extent, box.upper[k] - box.lower[k]);
+        Vec3<F> lower = corner(box.lower, -extent), upper = corner(box.upper, extent);
         for (size_t i = begin; i < end; i += W) {
             size_t left = end - i;
             PacketIo::Rays r(rays, i, left);
@@ -67,10 +69,10 @@ public:
 
 private:
     using F = PacketIo::F;
-    // a little larger: rounding must not lose a ray
-    static Vec3<F> corner(const float *x, float sign) {
+    // A little outwards, whose sign `extent` has: rounding must not lose a ray.
+    static Vec3<F> corner(const float *x, float extent) {
         float r[3];
-        for (int k = 0; k < 3; ++k) r[k] = x[k] + sign * (1e-5f * std::fabs(x[k]) + 1e-30f);
+        for (int k = 0; k < 3; ++k) r[k] = x[k] + 1e-5f * (std::copysign(x[k], extent) + extent);
         return {F(r[0]), F(r[1]), F(r[2])};
     }
     TR_INLINE static void clip(const F &o, const F &inverse, const F &lower, const F &upper, F &enter, F &leave) {

@@ -123,6 +123,12 @@ TR_TEST(a_tiny_scene_answers_like_embree) {
     compare(meshes, 2000);
 }
 
+// Few enough for packets of any width.
+TR_TEST(a_box_answers_like_embree) {
+    std::mt19937 generator(8);
+    compare({skewed_box(generator, 1.f, -0.5f, -0.5f, -0.5f)}, 2000);
+}
+
 TR_TEST(large_faces_beside_a_mesh_answer_like_embree) {
     std::mt19937 generator(4);
     std::vector<TestMesh> meshes;

@@ -28,6 +28,7 @@ inline SamplerConfig make_sampler(SamplerKind kind, int64_t first, int64_t count
     SamplerConfig r{};
     r.kind = kind;
     r.first = uint32_t(first);
+    count = count < 1 ? 1 : count;
     int64_t patterns = (count + LargestPattern - 1) / LargestPattern;
     uint32_t n = uint32_t((count + patterns - 1) / patterns);
     r.all = make_strata(n);
