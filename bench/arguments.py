@@ -53,6 +53,8 @@ def _setting(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name.isidentifier():
         raise argparse.ArgumentTypeError(f"expected NAME=VALUE, got {text!r}")
+    if name in ("outputs", "layout", "pixels", "crop"):
+        raise argparse.ArgumentTypeError(f"{name}: benchmarks render whole images of radiance")
     try:
         return name, ast.literal_eval(value)
     except (ValueError, SyntaxError):

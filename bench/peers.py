@@ -130,6 +130,10 @@ class Peers:
     """The peers that were asked for, running, in a ``with`` block."""
 
     def __init__(self, chosen: list[tuple[str, str]], threads: int) -> None:
+        names = [name for name, _ in chosen]
+        twice = [name for name in names if names.count(name) > 1]
+        if twice:
+            raise PeerError(f"--peer: {twice[0]} is given twice")
         self.chosen, self.threads = chosen, threads
         self.running: list[Peer] = []
 

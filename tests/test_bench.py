@@ -64,6 +64,7 @@ def test_an_unknown_benchmark_is_refused(capsys):
         ["rays", "--peer", "mitsuba=python"],
         ["memory", "--samples", "0"],
         ["table2", "--set", "correlated"],
+        ["table2", "--set", "outputs=rgb"],
     ],
 )
 def test_wrong_arguments_end_before_any_work(arguments, capsys):

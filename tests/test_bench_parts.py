@@ -254,6 +254,11 @@ def test_a_peer_by_its_environment_variable(monkeypatch):
     assert peers.parse("redner=/other/python") == ("redner", "/other/python")
 
 
+def test_a_peer_is_given_once():
+    with pytest.raises(peers.PeerError, match="mitsuba is given twice"):
+        peers.Peers([("mitsuba", "a"), ("redner", "b"), ("mitsuba", "c")], 1)
+
+
 def test_an_environment_without_the_peer_is_reported(tmp_path):
     program = tmp_path / "python"
     program.write_text("#!/bin/sh\necho no module >&2\nexit 3\n")
