@@ -109,10 +109,10 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
 
 
 def test_table2_alone_with_settings(tmp_path):
-    result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--set", "correlated=True", "--set", "layout=chw")
+    result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--set", "correlated=True", "--set", "nan=raise")
     (row,) = result["tables"][0]["rows"]
     assert not any("Mitsuba" in column for column in row)
-    assert result["settings"]["renderer"] == [["correlated", True], ["layout", "chw"]]
+    assert result["settings"]["renderer"] == [["correlated", True], ["nan", "raise"]]
 
 
 def test_settings_that_do_not_exist_are_refused():
