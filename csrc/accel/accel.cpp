@@ -13,6 +13,7 @@
 
 #include "embree_library.h"
 #include "face_list.h"
+#include "packet_io.h"
 #include "quadric.h"
 #include "tree_cost.h"
 
@@ -54,12 +55,7 @@ template <int W>
 bool load_rays(const RayBatch &rays, size_t begin, size_t n, rtc::Ray<W> &ray, int *valid) {
     size_t count = std::min<size_t>(W, n - begin);
     if (count < W) std::memset(&ray, 0, sizeof(ray));
-    auto load = [&](float *to, const float *from) {
-        if (count == W)
-            std::memcpy(to, from + begin, W * sizeof(float));
-        else
-            std::memcpy(to, from + begin, count * sizeof(float));
-    };
+    auto load = [&](float *to, const float *from) { copy_some<W>(to, from + begin, count); };
     load(ray.org_x, rays.o[0]);
     load(ray.org_y, rays.o[1]);
     load(ray.org_z, rays.o[2]);
@@ -82,15 +78,6 @@ bool load_rays(const RayBatch &rays, size_t begin, size_t n, rtc::Ray<W> &ray, i
     return any != 0;
 }
 
-// Copies of a known size are two instructions.
-template <int W, class T>
-void put_numbers(T *to, const T *from, size_t count) {
-    if (count == W)
-        std::memcpy(to, from, W * sizeof(T));
-    else
-        std::memcpy(to, from, count * sizeof(T));
-}
-
 template <int W>
 void intersect_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays, const HitBatch &hits, size_t n,
                      bool coherent) {
@@ -107,11 +94,11 @@ void intersect_width(const rtc::Api &api, rtc::Scene scene, const RayBatch &rays
         }
         if (any) api.intersect<W>(valid, scene, q, arguments);
         size_t count = std::min<size_t>(W, n - begin);
-        put_numbers<W>(hits.shape + begin, q.hit.geometry, count);
-        put_numbers<W>(hits.primitive + begin, q.hit.primitive, count);
-        put_numbers<W>(hits.t + begin, q.ray.tfar, count);
-        put_numbers<W>(hits.b1 + begin, q.hit.u, count);
-        put_numbers<W>(hits.b2 + begin, q.hit.v, count);
+        copy_some<W>(hits.shape + begin, q.hit.geometry, count);
+        copy_some<W>(hits.primitive + begin, q.hit.primitive, count);
+        copy_some<W>(hits.t + begin, q.ray.tfar, count);
+        copy_some<W>(hits.b1 + begin, q.hit.u, count);
+        copy_some<W>(hits.b2 + begin, q.hit.v, count);
     }
 }
 
@@ -294,11 +281,13 @@ struct Accel::Impl {
         FaceList all;
         bool tiny = quadrics.empty();
         for (const auto &[shape, mesh] : meshes) {
-            if (tiny && mesh.n_faces <= 2 * FaceList::limit())
+            tiny = tiny && mesh.n_faces <= 2 * FaceList::limit();
+            if (tiny) {
                 all.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
-            tiny = tiny && mesh.n_faces <= 2 * FaceList::limit() && all.size() <= FaceList::limit();
-            FaceList own;
+                tiny = all.size() <= FaceList::limit();
+            }
             if (mesh.n_faces > LargestListed) continue;
+            FaceList own;
             own.add_mesh(shape, mesh.positions, mesh.faces, mesh.n_faces);
             candidates.push_back({own.bounds().half_area(), shape});
         }

@@ -10,6 +10,15 @@
 
 namespace tr {
 
+// Copies W numbers, or as many as there are. (Of a known size that is two instructions.)
+template <int W, class T>
+void copy_some(T *to, const T *from, size_t count) {
+    if (count >= size_t(W))
+        std::memcpy(to, from, W * sizeof(T));
+    else
+        std::memcpy(to, from, count * sizeof(T));
+}
+
 struct PacketIo {
 #if TR_HAS_PACKETS
     using F = FloatPacket;

@@ -10,6 +10,7 @@
 #include <thread>
 
 #include "embree_library.h"
+#include "packet_io.h"
 
 namespace tr {
 
@@ -25,12 +26,7 @@ template <int W>
 size_t load(const Columns &rays, size_t begin, rtc::Ray<W> &ray, int *valid) {
     float *to[7] = {ray.org_x, ray.org_y, ray.org_z, ray.dir_x, ray.dir_y, ray.dir_z, ray.tfar};
     size_t count = std::min<size_t>(W, rays.n - begin);
-    for (int k = 0; k < 7; ++k) {
-        if (count == W)
-            std::memcpy(to[k], rays.at[k] + begin, W * sizeof(float));
-        else
-            std::memcpy(to[k], rays.at[k] + begin, count * sizeof(float));
-    }
+    for (int k = 0; k < 7; ++k) copy_some<W>(to[k], rays.at[k] + begin, count);
     for (int i = 0; i < W; ++i) {
         valid[i] = size_t(i) < count ? -1 : 0;
         ray.tnear[i] = ray.time[i] = 0;
