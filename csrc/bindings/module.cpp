@@ -40,6 +40,12 @@ const char *kind_name(Kind kind) {
             return "bsdf";
         case Kind::Emitter:
             return "emitter";
+        case Kind::Volume:
+            return "volume";
+        case Kind::Phase:
+            return "phase";
+        case Kind::Medium:
+            return "medium";
         case Kind::Shape:
             return "shape";
     }

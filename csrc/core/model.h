@@ -20,7 +20,10 @@ enum class Kind {
     Int,         // a static integer: switches, enumerations, names
     Bsdf,
     Emitter,
-    Shape
+    Shape,
+    Volume,  // index of a volume
+    Phase,   // index of a phase function
+    Medium   // index of a medium
 };
 
 constexpr double None = std::numeric_limits<double>::quiet_NaN();

@@ -7,6 +7,7 @@
 #include "bsdf/null.h"
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
+#include "medium/medium.h"
 #include "sensor/perspective.h"
 #include "shape/models.h"
 #include "texture/texture.h"
@@ -24,6 +25,9 @@ using BsdfWrappers = TypeList<TwoSided>;                           // resolved t
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
 using Sensors = TypeList<Perspective>;
+using Volumes = TypeList<ConstantVolume, GridVolume>;
+using Phases = TypeList<Isotropic, HenyeyGreenstein>;
+using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
 using Attributes = TypeList<AttributeModel>;
 
 constexpr int TwoSidedKind = Bsdfs::Size;

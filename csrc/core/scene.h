@@ -8,11 +8,11 @@
 
 namespace tr {
 
-// A large tensor where it lies; shape (rows, columns, channels) or (n, channels).
+// A large tensor where it lies; shape (rows, columns, channels) and, of a grid, slices; (n, channels) is n rows.
 template <class S>
 struct TensorView {
     const S *data;
-    int32_t shape[3];
+    int32_t shape[4];
 };
 
 // Parameter values. The tangent of a forward-mode derivative has the same layout.
@@ -35,7 +35,8 @@ enum ShapeFlags : int32_t {
 struct ShapeInfo {
     int32_t flags, face_offset, bsdf, emitter;  // ShapeLanes
     int32_t n_faces, cdf_offset, first_vertex, first_attribute;
-    int32_t reserved[8];
+    int32_t interior, exterior;  // media, -1: none; none on both sides: the medium goes on behind the shape
+    int32_t reserved[6];
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");
 
@@ -43,11 +44,13 @@ struct AttributeInfo {
     int32_t name, tensor, per_face, next;  // a list a shape: next = -1 ends it
 };
 
+struct MediumInfo;
+
 template <class S>
 struct SceneView {
     Values<S> values;
 
-    const Record *textures, *bsdfs, *emitters, *sensors;
+    const Record *textures, *bsdfs, *emitters, *sensors, *volumes, *phases;
     int32_t n_textures, n_bsdfs, n_emitters, n_sensors;
 
     // geometry: all meshes one after the other, indices global
@@ -69,6 +72,12 @@ struct SceneView {
     // environment map: cells between texels, chosen by row, then by column
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;
+
+    // media: see medium/medium.h
+    const MediumInfo *media;
+    int32_t n_media;
+    const S *volume_to_local;  // 12 a volume
+    const S *majorants;
 };
 
 // ------------------------------------------------------------------------------------------------- reading records

@@ -34,6 +34,9 @@ bool Dependence::values(const char *category, size_t index) const {
     for (int f = 0; f < model.n_fields; ++f) {
         Kind kind = model.fields[f].kind;
         if (kind == Kind::Texture && values("texture", size_t(record.field[f]))) return true;
+        if (record.field[f] >= 0 && ((kind == Kind::Volume && values("volume", size_t(record.field[f]))) ||
+                                     (kind == Kind::Phase && values("phase", size_t(record.field[f])))))
+            return true;
         if (kind == Kind::Tensor && tensor(record.field[f])) return true;
     }
     if (std::string("texture") == category && std::string("mesh_attribute") == model.type)
@@ -46,6 +49,13 @@ bool Dependence::point_position() const {
     for (const Record &r : layout_.records.at("emitter"))
         if (r.kind == int32_t(EmitterKind::Point) && number(r.field[PointEmitter::Position])) return true;
     return false;
+}
+
+MediumWanted Dependence::medium(size_t index) const {
+    const MediumInfo &m = layout_.media[index];
+    auto volume = [&](int32_t i) { return i >= 0 && values("volume", size_t(i)); };
+    return {volume(m.extinction) || number(m.scale), volume(m.albedo), volume(m.emission),
+            values("phase", size_t(m.phase))};
 }
 
 bool Dependence::shape(size_t index) const {

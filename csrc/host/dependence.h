@@ -22,6 +22,8 @@ public:
     bool point_position() const;
     // Something that moves a camera ray; a shape, its normals or texture coordinates; anything that moves a ray, a hit
     // or a look-up.
+    // Which properties of a medium depend on something wanted.
+    MediumWanted medium(size_t index) const;
     bool camera(size_t sensor) const { return any_number("sensor", sensor, {Kind::Float, Kind::Transform}); }
     bool shape(size_t index) const;
     bool motion(size_t sensor) const;

@@ -12,7 +12,8 @@ namespace tr {
 
 namespace {
 
-const char *const Categories[] = {"texture", "bsdf", "emitter", "shape", "sensor", "attribute"};
+const char *const Categories[] = {"texture", "bsdf",  "emitter", "shape",    "sensor",
+                                  "volume",  "phase", "medium",  "attribute"};
 constexpr int MaxTextureDepth = 8;  // of textures in textures, see visit_texture
 
 [[noreturn]] void fail(const std::string &where, const std::string &expected, const std::string &got) {
@@ -38,8 +39,7 @@ public:
         for (const auto &[category, list] : objects_) {
             bool known = false;
             for (const char *name : Categories) known |= category == name;
-            if (!known)
-                fail("scene", "texture, bsdf, emitter, shape, sensor or attribute as a category", "'" + category + "'");
+            if (!known) fail("scene", "one of the known categories", "'" + category + "'");
         }
         describe_slots();
         for (const char *category : Categories) out_.records[category].resize(list(category).size());
@@ -47,7 +47,9 @@ public:
             for (size_t i = 0; i < list(category).size(); ++i) make_record(category, int(i));
         for (size_t i = 0; i < list("texture").size(); ++i) texture_depth(int(i), 1);
         check_bsdfs();
+        connect_media();
         connect_shapes();
+        find_enclosed_media();
         connect_emitters();
         connect_attributes();
         return std::move(out_);
@@ -87,8 +89,9 @@ private:
             out_.slot_sizes.push_back(size);
             auto at = [&](size_t k) { return k < s.size() ? int32_t(s[k]) : 1; };
             // (n, channels) as n rows of one column
-            out_.tensor_shapes.push_back(s.size() >= 3 ? std::array<int32_t, 3>{at(0), at(1), at(2)}
-                                                       : std::array<int32_t, 3>{at(0), 1, at(1)});
+            out_.tensor_shapes.push_back(s.size() == 4   ? std::array<int32_t, 4>{at(1), at(2), at(3), at(0)}
+                                         : s.size() == 3 ? std::array<int32_t, 4>{at(0), at(1), at(2), 1}
+                                                         : std::array<int32_t, 4>{at(0), 1, at(1), 1});
         }
     }
 
@@ -112,6 +115,10 @@ private:
         for (int f = 0; f < model.n_fields; ++f)
             record.field[f] =
                 resolve(model.fields[f], object.ints[size_t(f)], where(category, index, model.fields[f].name));
+        if (object.type == ConstantVolume::model.type) {  // whether one number stands for all channels
+            int64_t slot = object.ints[ConstantVolume::Value];
+            record.field[Record::Extra] = slot < 0 || out_.slot_sizes[size_t(slot)] == 1;
+        }
         out_.records[category][size_t(index)] = record;
     }
 
@@ -127,6 +134,13 @@ private:
                 return reference("emitter", given, f.fallback == -1, at);
             case Kind::Shape:
                 return reference("shape", given, f.fallback == -1, at);
+            case Kind::Volume:
+                return given == -1 && f.fallback != -1 ? default_volume(f)
+                                                       : reference("volume", given, f.fallback == -1, at);
+            case Kind::Phase:
+                return given == -1 && f.fallback == -1 ? default_phase() : reference("phase", given, false, at);
+            case Kind::Medium:
+                return reference("medium", given, f.fallback == -1, at);
             case Kind::Int:
                 if (given < std::max(f.minimum, double(std::numeric_limits<int32_t>::min())) ||
                     given > std::min(f.maximum, double(std::numeric_limits<int32_t>::max())))
@@ -140,8 +154,8 @@ private:
             case Kind::Tensor: {
                 if (given == -1 && f.fallback == -1) return -1;
                 const auto &s = slot_shape(given, at);
-                if (s.empty() || s.size() > 3 || out_.slot_sizes[size_t(given)] == 0)
-                    fail(at, "a tensor that is not empty, with 1 to 3 dimensions", text(s));
+                if (s.empty() || s.size() > 4 || out_.slot_sizes[size_t(given)] == 0)
+                    fail(at, "a tensor that is not empty, with 1 to 4 dimensions", text(s));
                 out_.tensors.push_back({int(given), at});
                 return int32_t(given);
             }
@@ -169,6 +183,23 @@ private:
         out_.constants.insert(out_.constants.end(), size_t(out_.channels), f.fallback);
         out_.records["texture"].push_back(record);
         return int32_t(out_.records["texture"].size()) - 1;
+    }
+
+    int32_t default_volume(const Field &f) {
+        Record record{};
+        record.kind = find_model("volume", "constvolume")->kind;
+        record.field[ConstantVolume::Value] = int32_t(out_.constants.size());
+        record.field[Record::Extra] = 1;
+        out_.constants.insert(out_.constants.end(), size_t(out_.channels), f.fallback);
+        out_.records["volume"].push_back(record);
+        return int32_t(out_.records["volume"].size()) - 1;
+    }
+
+    int32_t default_phase() {
+        Record record{};
+        record.kind = find_model("phase", "isotropic")->kind;
+        out_.records["phase"].push_back(record);
+        return int32_t(out_.records["phase"].size()) - 1;
     }
 
     int32_t constant(const Field &f, int64_t given, const std::string &at) {
@@ -247,6 +278,69 @@ private:
         }
     }
 
+    void connect_media() {
+        const int grid = find_model("volume", GridVolume::model.type)->kind;
+        const std::vector<Record> &volumes = out_.records["volume"];
+        for (int i = 0; i < int(list("volume").size()); ++i) {
+            if (volumes[size_t(i)].kind != grid) continue;
+            const auto &s = shapes_[size_t(value("volume", i, GridVolume::Data))];
+            if (s.size() != 4 || (s[3] != 1 && s[3] != out_.channels))
+                fail(where("volume", i, "data"),
+                     out_.channels == 1 ? "a tensor of shape (Z, Y, X, 1)" : "a tensor of shape (Z, Y, X, 1 or 3)",
+                     text(s));
+        }
+        for (int i = 0; i < int(list("medium").size()); ++i) {
+            const int32_t *field = out_.records["medium"][size_t(i)].field;
+            MediumInfo info{};
+            info.extinction = field[MediumFields::Extinction];
+            info.albedo = field[MediumFields::Albedo];
+            info.emission = field[MediumFields::Emission];
+            info.phase = field[MediumFields::PhaseIndex];
+            info.scale = field[MediumFields::Scale];
+            const Record &extinction = volumes[size_t(info.extinction)];
+            if (extinction.kind != grid) {
+                info.flags = out_.channels > 1 && !extinction.field[Record::Extra] ? IsChromatic : 0;
+            } else {
+                if (list("medium")[size_t(i)].type == HomogeneousMedium::model.type)
+                    fail(where("medium", i, "sigma_t"), "a constant", "a grid, which a heterogeneous medium may have");
+                const auto &shape = out_.tensor_shapes[size_t(extinction.field[GridVolume::Data])];
+                const int n[3] = {shape[1], shape[0], shape[3]};
+                info.flags = IsGrid | (shape[2] > 1 ? IsChromatic : 0);
+                info.cell = majorant_cell(n);
+                info.first = out_.n_majorants;
+                int64_t cells = 1;
+                for (int k = 0; k < 3; ++k) cells *= info.cells[k] = (n[k] + info.cell - 1) / info.cell;
+                out_.n_majorants += int(cells);
+            }
+            out_.media.push_back(info);
+        }
+    }
+
+    // Voxels along the side of a majorant's cell: small enough to follow the density, large enough that rays do not
+    // stop at a cell's border more often than at a collision.
+    static int majorant_cell(const int (&n)[3]) {
+        int largest = std::max(n[0], std::max(n[1], n[2]));
+        return largest >= 64 ? 8 : largest >= 16 ? 4 : 2;
+    }
+
+    bool lets_through(int32_t bsdf) const {
+        const Record &record = out_.records.at("bsdf")[size_t(bsdf)];
+        return record.kind == kind_of_model<NullBsdf>(Bsdfs{});
+    }
+
+    void find_enclosed_media() {
+        for (size_t m = 0; m < out_.media.size(); ++m) {
+            bool bounded = false, open = false;
+            for (const ShapeInfo &shape : out_.shapes) {
+                if (shape.interior != int32_t(m) && shape.exterior != int32_t(m)) continue;
+                bounded = true;
+                open |= lets_through(shape.bsdf) || shape.emitter >= 0;
+            }
+            for (const SceneObject &emitter : list("emitter")) open |= emitter.type == PointEmitter::model.type;
+            out_.media[m].enclosed = bounded && !open;
+        }
+    }
+
     void connect_shapes() {
         out_.shapes.resize(list("shape").size());
         for (int i = 0; i < int(out_.shapes.size()); ++i) {
@@ -254,12 +348,14 @@ private:
             ShapeInfo &info = out_.shapes[size_t(i)];
             info = ShapeInfo{};
             info.first_attribute = -1;
-            int bsdf, emitter, flip;
+            int bsdf, emitter, flip, interior = PlanarFields::Interior;
             if (type == MeshModel::model.type) {
                 bsdf = MeshModel::BsdfIndex, emitter = MeshModel::EmitterIndex, flip = MeshModel::Flip;
+                interior = MeshModel::Interior;
                 add_mesh(i, info);
             } else if (type == SphereModel::model.type) {
                 bsdf = SphereModel::BsdfIndex, emitter = SphereModel::EmitterIndex, flip = SphereModel::Flip;
+                interior = SphereModel::Interior;
                 info.flags |= IsSphere;
             } else {
                 bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
@@ -270,6 +366,8 @@ private:
             }
             info.bsdf = value("shape", i, bsdf);
             info.emitter = value("shape", i, emitter);
+            info.interior = value("shape", i, interior);
+            info.exterior = value("shape", i, interior + 1);
             if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
             if (value("shape", i, flip)) info.flags |= FlipNormals;
             if (info.emitter >= 0 && !(info.flags & IsCurved)) {

@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include "../core/scene.h"
+#include "../core/medium/medium.h"
 
 namespace tr {
 
@@ -50,7 +50,7 @@ struct SceneLayout {
     std::vector<ConstantEntry> entries;
     std::vector<std::string> entry_where;               // an entry's ParameterUse::where
     std::vector<ParameterUse> tensors;                  // large tensors in use
-    std::vector<std::array<int32_t, 3>> tensor_shapes;  // of every slot
+    std::vector<std::array<int32_t, 4>> tensor_shapes;  // of every slot, see TensorView
     std::vector<int64_t> slot_sizes;
 
     std::vector<ShapeInfo> shapes;  // flags as given, without what a mirroring transformation adds
@@ -60,6 +60,8 @@ struct SceneLayout {
     int n_vertices = 0, n_cdf_faces = 0;
     bool has_normals = false, has_texcoords = false;
     int environment = -1;
+    std::vector<MediumInfo> media;
+    int n_majorants = 0;
 };
 
 // std::invalid_argument: "scene.path: field 'x': expected ..., got ...".

@@ -26,6 +26,9 @@ const std::vector<ModelEntry> &all_models() {
         append(r, Emitters{});
         append(r, Shapes{});
         append(r, Sensors{});
+        append(r, Volumes{});
+        append(r, Phases{});
+        append(r, Media{});
         append(r, Attributes{});
         return r;
     }();

@@ -76,7 +76,10 @@ void SceneData<S>::take_over(SceneData &previous) {
         for (auto member : {&SceneData::positions_, &SceneData::normals_, &SceneData::texcoords_, &SceneData::matrices_,
                             &SceneData::areas_, &SceneData::area_cdf_})
             std::swap(this->*member, previous.*member);
-        for (size_t i = 0; i < shapes_.size(); ++i) shapes_[i].bsdf = layout_.shapes[i].bsdf;
+        for (size_t i = 0; i < shapes_.size(); ++i) {
+            const ShapeInfo &now = layout_.shapes[i];
+            shapes_[i].bsdf = now.bsdf, shapes_[i].interior = now.interior, shapes_[i].exterior = now.exterior;
+        }
         geometry_dirty_ = false;
         previous.geometry_dirty_ = previous.rebuilt_ = true;
     }
@@ -113,6 +116,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_shapes(params, first ? all : changed, old, first);
     update_environment(params, new_environment ? all : changed);
     update_emitters();
+    update_media(first ? all : changed);
     refresh_view();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }
@@ -259,6 +263,12 @@ void SceneData<S>::refresh_view() {
     view_.env_to_world = env_to_world_;
     view_.env_columns = environment_.columns;
     view_.env_rows = environment_.rows;
+    view_.volumes = records("volume");
+    view_.phases = records("phase");
+    view_.media = layout_.media.data();
+    view_.n_media = int32_t(layout_.media.size());
+    view_.volume_to_local = volume_to_local_.data();
+    view_.majorants = majorants_.data();
 }
 
 template class SceneData<float>;

@@ -91,6 +91,7 @@ private:
     std::vector<S> emitter_cdf_, emitter_pmf_;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
+    std::vector<S> volume_to_local_, majorants_;
 
     void allocate_geometry();
     void take_over(SceneData &previous);
@@ -107,6 +108,7 @@ private:
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
+    void update_media(const std::vector<uint8_t> &dirty);
     void refresh_view();
 };
 

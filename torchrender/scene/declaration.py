@@ -11,7 +11,7 @@ from functools import lru_cache
 
 from .. import backends
 
-CHILD_KINDS = ("bsdf", "emitter", "shape", "medium")
+CHILD_KINDS = ("bsdf", "emitter", "shape", "medium", "volume", "phase")
 TENSOR_KINDS = ("spectrum", "float", "point", "vector", "transform", "transform2", "tensor")
 
 

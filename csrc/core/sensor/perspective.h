@@ -6,7 +6,7 @@
 namespace tr {
 
 struct Perspective {
-    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect };
+    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect, Medium };
     static constexpr const char *Edges =
         "interior, without the motion of visible edges; zero where silhouettes, creases, shadows and jumps of textures "
         "are "
@@ -21,8 +21,9 @@ struct Perspective {
         {"far_clip", Kind::Float, 1e4, 0, INFINITY, "none: a clipping plane", "distance of the far plane"},
         {"pixel_aspect", Kind::Float, 1, 1e-3, 1e3, Edges,
          "focal length in pixels along x over that along y; 1 for square pixels"},
+        {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the camera is in"},
     };
-    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 7};
+    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 8};
 
     // (x, y): position on the film in pixels, the whole film being width x height. The direction in the camera's frame
     // is (a x slope, b y slope, 1), normalised.

@@ -10,7 +10,7 @@ constexpr const char *GeometryEdges =
     "directly; zero where there are none or both sides of them are of equal colour";
 
 struct MeshModel {
-    enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex };
+    enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
         {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "positions (V, 3), world space"},
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
@@ -26,12 +26,14 @@ struct MeshModel {
         {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
     };
-    static constexpr Model model = {"shape", "mesh", "Triangles.", fields, 8};
+    static constexpr Model model = {"shape", "mesh", "Triangles.", fields, 10};
 };
 
 struct SphereModel {
-    enum { ToWorld, Center, Radius, Flip, BsdfIndex, EmitterIndex };
+    enum { ToWorld, Center, Radius, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "applied after center and radius; uniform scale only"},
@@ -40,29 +42,33 @@ struct SphereModel {
         {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
     };
-    static constexpr Model model = {"shape", "sphere", "A sphere.", fields, 6};
+    static constexpr Model model = {"shape", "sphere", "A sphere.", fields, 8};
 };
 
 // Disk and rectangle have the same fields.
 struct PlanarFields {
-    enum { ToWorld, Flip, BsdfIndex, EmitterIndex };
+    enum { ToWorld, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "from the unit shape, facing +z, to the world"},
         {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
     };
 };
 
 struct DiskModel : PlanarFields {
-    static constexpr Model model = {"shape", "disk", "The unit disk in the plane z = 0.", PlanarFields::fields, 4};
+    static constexpr Model model = {"shape", "disk", "The unit disk in the plane z = 0.", PlanarFields::fields, 6};
 };
 
 struct RectangleModel : PlanarFields {
     static constexpr Model model = {"shape", "rectangle", "The square [-1, 1]^2 in the plane z = 0.",
-                                    PlanarFields::fields, 4};
+                                    PlanarFields::fields, 6};
 };
 
 struct AttributeModel {

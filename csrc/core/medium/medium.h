@@ -1,0 +1,44 @@
+// A medium while rendering: its records and what the host derives from them.
+#pragma once
+
+#include "models.h"
+
+namespace tr {
+
+enum MediumFlags : int32_t {
+    IsGrid = 1,      // the extinction is a grid, otherwise the same everywhere
+    IsChromatic = 2  // the extinction differs between channels
+};
+
+struct MediumInfo {
+    int32_t extinction, albedo, emission, phase, scale;  // volumes (emission: or -1), a phase function, a constant
+    int32_t flags;
+    // Majorants of a grid: cells of `cell` voxels along every axis, `cells` of them, from `first` in the table.
+    int32_t cell, cells[3], first;
+    // the medium's boundaries let no light straight in: emitter samples from within are in vain
+    int32_t enclosed;
+};
+
+// What of a medium a derivative asks for.
+struct MediumWanted {
+    uint8_t extinction, albedo, emission, phase;
+    bool any() const { return extinction || albedo || emission || phase; }
+};
+
+template <class F, class S>
+TR_INLINE MaskOf<F> inside_grid(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &p) {
+    Vec3<F> q = to_volume(scene, medium.extinction, p);
+    return mask<F>(min(min(q.x, q.y), q.z) >= F(0)) && mask<F>(max(max(q.x, q.y), q.z) <= F(1));
+}
+
+// The extinction at a point; outside of its cube a grid is empty.
+template <int C, class F, class S>
+TR_INLINE Color<F, C> eval_extinction(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &p,
+                                      const MaskOf<F> &active) {
+    Color<F, C> r = eval_volume<C>(scene, scene.values, medium.extinction, p, active);
+    r = r * F(scene.values.constants[medium.scale]);
+    if (!(medium.flags & IsGrid)) return r;
+    return select(inside_grid(scene, medium, p), r, uniform_color<C>(F(0)));
+}
+
+}  // namespace tr
