@@ -66,6 +66,7 @@ inline Config read_config(const py::dict &d) {
     c.sample_offset = d["sample_offset"].cast<int64_t>();
     c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), c.sample_offset, c.spp);
     c.packets = d["packet"].cast<bool>();
+    c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
     if (d.contains("hits")) {  // radiance: the store, the number of the pass

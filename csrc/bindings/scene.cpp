@@ -351,8 +351,15 @@ private:
         for (uintptr_t a : addresses) wanted.push_back(a != 0);
         Dependence depends(layout, wanted);
         size_t sensor = c.path.sensor;
-        d.wanted = {false, false, depends.point_position(), false, false};
-        if (sensor < layout.records.at("sensor").size()) {
+        d.wanted = {false, false, !c.path.volumetric && depends.point_position(), false, false, {}};
+        for (size_t i = 0; i < layout.media.size() && c.path.volumetric; ++i) {
+            MediumWanted medium = depends.medium(i);
+            d.wanted.medium.extinction |= medium.extinction;
+            d.wanted.medium.albedo |= medium.albedo;
+            d.wanted.medium.emission |= medium.emission;
+            d.wanted.medium.phase |= medium.phase;
+        }
+        if (sensor < layout.records.at("sensor").size() && !c.path.volumetric) {
             d.wanted.geometry = depends.motion(sensor);
             d.wanted.camera = depends.camera(sensor);
         }

@@ -110,6 +110,18 @@ private:
     }
 };
 
+// Writes lanes into a column; no two of them have one entry.
+template <class F, class T, class S>
+TR_INLINE void scatter_lanes(S *column, const UIntOf<F> &entry, const T &value, const MaskOf<F> &m) {
+    if constexpr (Lanes<F>::Width == 1) {
+        if (m) column[entry] = S(value);
+    }
+#if TR_HAS_PACKETS
+    else
+        drjit::scatter(column, value, entry, drjit::mask_t<T>(m));
+#endif
+}
+
 // Adds a colour a lane to the columns of a colour; several lanes may have one slot.
 template <class F, int C, class S>
 TR_INLINE void add_to_slots(S *const *columns, const UIntOf<F> &slot, const Color<F, C> &value, const MaskOf<F> &m) {

@@ -4,57 +4,32 @@
 #pragma once
 
 #include <algorithm>
-#include <chrono>
 
-#include "queries.h"
-#include "render.h"
-#include "stored_hits.h"
-#include "tape_sweep.h"
+#include "volume_tile.h"
 
 namespace tr {
 
 template <class F, int C>
-class PathTile {
-    using S = ScalarOf<F>;
-    using U = UIntOf<F>;
-    using I = IntOf<F>;
-    using M = MaskOf<F>;
-    static constexpr int W = Lanes<F>::Width;
-    static constexpr int Miss = Segment::Miss, BySide = -1, Ignore = -2;
+class PathTile : public VolumeTile<F, C> {
+    using Base = VolumeTile<F, C>;
+    using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::levels_, Base::n_levels_;
+    using Base::float_t_, Base::float_b1_, Base::float_b2_, Base::kind_, Base::occluded_, Base::segments_;
+    using Base::hit_shape_, Base::hit_primitive_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::order_, Base::ray_;
+    using Base::level, Base::append, Base::see, Base::finite, Base::entries, Base::bsdf_wanted;
+    using Base::n_slots_, Base::W, Base::Miss, Base::Collision, Base::NullKind, Base::CollisionShape;
+    using Base::volumetric_, Base::probing_;
+    using typename Base::I;
+    using typename Base::M;
+    using typename Base::S;
+    using typename Base::U;
+    static constexpr int BySide = -1, Ignore = -2;
 
 public:
-    // by path of the tile (`slot`), set before `run`
-    uint32_t *pixel, *row, *column, *sample;
-    S *delta[C];  // reverse: adjoint of the path's radiance
-    // by slot, after `run` (after `sweep` in forward mode)
-    S *film_x, *film_y, *radiance[C], *alpha;
-    RenderStats stats;
-    // off unless begun before `run`: keeps what its rays hit, or knows it already
-    HitRecorder recorder;
-    HitReplay replay;
+    using Base::alpha, Base::stats, Base::recorder, Base::replay;
+    using Base::pixel, Base::row, Base::column, Base::sample, Base::delta, Base::film_x, Base::film_y, Base::radiance;
 
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
-        : call_(call), scene_(*call.scene), derivative_(derivative) {
-        size_t n = capacity + 2 * W;
-        slots_.allocate([&](Arena &a) {
-            for (uint32_t **p : {&pixel, &row, &column, &sample}) a.column(*p, n);
-            for (S **p : {&film_x, &film_y, &alpha}) a.column(*p, n);
-            a.column(delta, n);
-            a.column(radiance, n);
-        });
-        size_t hits = entries(n);
-        hits_.allocate([&](Arena &a) {
-            for (uint32_t **p : {&hit_shape_, &hit_primitive_, &order_}) a.column(*p, hits);
-            for (S **p : {&hit_t_, &hit_b1_, &hit_b2_}) a.column(*p, hits);
-            for (float **p : {&ray_[0], &ray_[1], &ray_[2], &ray_[3], &ray_[4], &ray_[5], &ray_[6], &float_t_,
-                              &float_b1_, &float_b2_})
-                a.column(*p, hits);
-            a.column(kind_, hits);
-            a.column(occluded_, hits);
-        });
-        for (auto &f : fronts_) f.allocate(n);
-        shadow_.allocate(n);
-        if (derivative) bsdf_wanted_.assign(derivative->bsdf_wanted.begin(), derivative->bsdf_wanted.end());
+        : Base(call, capacity, derivative) {
         leaf_kind_.resize(size_t(scene_.n_bsdfs));
         for (int b = 0; b < scene_.n_bsdfs; ++b) leaf_kind_[size_t(b)] = leaf_kind(b);
     }
@@ -96,6 +71,7 @@ public:
         n_levels_ = 0;
         const PathConfig &config = call_.config;
         if (config.max_depth == 0 || fronts_[0].n == 0) return;
+        if (volumetric_) return run_volumetric<Derivative>(stop);
         trace(fronts_[0]);
         if (config.hide_emitters) {
             Front<S, C> &f = fronts_[0];
@@ -130,7 +106,9 @@ public:
     // Runs over the tape from its end; `forward`: all adjoints are one.
     template <class Sink>
     void sweep(Sink &sink, bool forward) {
-        TapeSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, {delta, radiance, film_x, film_y, n_slots_});
+        typename TapeSweep<F, C>::Paths paths{delta, radiance, film_x, film_y, n_slots_, {}};
+        if (volumetric_ && probing_) paths.branches = this->branches();
+        TapeSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, paths);
         sweep.run(sink, forward);
         stats.non_finite += sink.non_finite;
         if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
@@ -138,6 +116,29 @@ public:
     }
 
 private:
+    template <bool Derivative, class Stop>
+    void run_volumetric(Stop &stop) {
+        this->begin_volumetric(fronts_[0]);
+        run_levels<Derivative>(0, stop);
+        if (!Derivative || !probing_) return;
+        this->weigh_branches();
+        this->start_branches(fronts_[0]);
+        run_levels<false>(BranchLevel, stop);
+        this->finish_branches();
+    }
+
+    // A level a segment: scatterings and index-matched boundaries alike. `first` numbers the random numbers.
+    template <bool Derivative, class Stop>
+    void run_levels(uint32_t first, Stop &stop) {
+        Front<S, C> *current = &fronts_[0], *next = &fronts_[1];
+        for (uint32_t level = first; current->n > 0 && !stop(); ++level) {
+            trace(*current);
+            this->template fly<Derivative>(*current, level);
+            step<Derivative>(*current, *next, int(level), 0, true, n_levels_ - 1);
+            std::swap(current, next);
+        }
+    }
+
     // ------------------------------------------------------------------------------------------------------ queries
     // `again`: of the same rays those that have passed through an emitter go on, the others hit what they have hit.
     void trace(Front<S, C> &front, bool again = false) {
@@ -176,8 +177,9 @@ private:
     }
 
     // The kinds of the packet of hits at i: Ignore where nothing is to be done.
-    I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth) const {
+    I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth, bool derivative) const {
         U shape = load_uint<F>(hit_shape_ + i);
+        if (volumetric_) return volumetric_kinds(front, i, active, shape, derivative);
         M hit = active && mask<F>(shape != Accel::Miss);
         bool shows = scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0);
         I kind = select(mask<I>(active && !hit), I(shows ? Miss : Ignore), I(Ignore));
@@ -185,6 +187,28 @@ private:
         ShapeLanes<F> info(scene_.shapes, shape, hit);
         if (!scatters && depth > 0) hit = hit && mask<F>(info.emitter >= 0);  // paths may end in the dark
         if (!any(hit)) return kind;
+        return surface_kinds(front, i, shape, info, hit, kind);
+    }
+
+    I volumetric_kinds(const Front<S, C> &front, size_t i, const M &active, const U &shape, bool derivative) const {
+        M collided = active && mask<F>(shape == U(CollisionShape)), missed = active && mask<F>(shape == U(Accel::Miss));
+        M shows = missed && M(scene_.environment >= 0);
+        if (derivative)  // a segment through a medium has a derivative wherever it ends
+            shows = shows || (missed && mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0));
+        I kind = select(mask<I>(collided), I(Collision), select(mask<I>(shows), I(Miss), I(Ignore)));
+        M hit = active && !collided && !missed;
+        if (!any(hit)) return kind;
+        ShapeLanes<F> info(scene_.shapes, shape, hit);
+        kind = surface_kinds(front, i, shape, info, hit, kind);
+        if (call_.config.hide_emitters) {  // camera rays pass through lights
+            M hidden = hit && mask<F>(info.emitter >= 0) && mask<F>(load_uint<F>(front.depth + i) == U(0u));
+            kind = select(mask<I>(hidden), I(NullKind), kind);
+        }
+        return kind;
+    }
+
+    I surface_kinds(const Front<S, C> &front, size_t i, const U &shape, const ShapeLanes<F> &info, const M &hit,
+                    I kind) const {
         I leaf[1];
         gather_few_rows<F>(leaf_kind_.data(), U(info.bsdf), hit, leaf);
         kind = select(mask<I>(hit), leaf[0], kind);
@@ -202,18 +226,18 @@ private:
 
     // Stable counting sort by model; every segment starts at a multiple of the packet width, with room for a packet
     // behind the one before.
-    void group(const Front<S, C> &front, bool scatters, int depth, std::vector<Segment> &segments) {
-        uint32_t counts[Miss + 1] = {}, begin[Miss + 1];
+    void group(const Front<S, C> &front, bool scatters, int depth, bool derivative, std::vector<Segment> &segments) {
+        uint32_t counts[Collision + 1] = {}, begin[Collision + 1];
         for (size_t i = 0; i < front.n; i += W) {
             U entry = U(uint32_t(i)) + lane_index<F>();
-            I kind = kinds_at(front, i, mask<F>(entry < U(uint32_t(front.n))), scatters, depth);
+            I kind = kinds_at(front, i, mask<F>(entry < U(uint32_t(front.n))), scatters, depth, derivative);
             store(kind_ + i, kind);
             for_each_distinct<F>(kind, mask<F>(kind >= 0),
                                  [&](int32_t k, const M &same) { counts[k] += uint32_t(count(same)); });
         }
         segments.clear();
         uint32_t at = 0;
-        for (int k = 0; k <= Miss; ++k) {
+        for (int k = 0; k <= Collision; ++k) {
             begin[k] = at;
             if (counts[k]) segments.push_back({k, at, counts[k]});
             at += room(counts[k]);
@@ -228,9 +252,6 @@ private:
     }
     static constexpr uint32_t room(uint32_t n) { return n ? (n + 2 * W - 1) / W * W : 0; }
 
-    // Entries that n hits take at most once they are grouped.
-    static constexpr size_t entries(size_t n) { return n + size_t(Miss + 2) * 2 * W; }
-
     // --------------------------------------------------------------------------------------------------------- steps
     template <bool Derivative>
     void step(const Front<S, C> &front, Front<S, C> &next, int depth, int index, bool scatters, int parent_level) {
@@ -240,29 +261,41 @@ private:
         if (Derivative) {
             if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
             TapeLevel<S, C> &level = *levels_[size_t(n_levels_++)];
-            level.reserve(entries(front.n));
+            level.reserve(entries(front.n), volumetric_);
             level.parent_level = parent_level;
             level.scatters = scatters;
             segments = &level.segments;
         }
-        group(front, scatters, depth, *segments);
+        group(front, scatters, depth, Derivative, *segments);
         for (const Segment &segment : *segments) {
             for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
                 LaneSet<F> lanes(order_ + i, segment.begin + segment.count - i);
                 stats.lanes += uint64_t(count(lanes.active));
                 stats.lane_slots += W;
-                if (segment.kind == Miss)
+                if (Derivative && volumetric_) this->put_flight(front, lanes, i, depth);
+                if (segment.kind == Collision)
+                    this->template shade_collision<Derivative>(front, next, lanes, i, depth);
+                else if (segment.kind == Miss)
                     shade_environment<Derivative>(front, lanes, i, depth, index);
                 else
                     shade<Derivative>(segment.kind, front, next, lanes, i, depth, index, scatters);
             }
         }
-        trace_shadow<Derivative>(depth);
+        if (volumetric_)
+            this->template trace_through<Derivative>(uint32_t(depth));
+        else
+            trace_shadow<Derivative>(depth);
     }
 
     template <bool Derivative>
-    void shade_environment(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, int depth, int index) {
+    void shade_environment(const Front<S, C> &front, LaneSet<F> lanes, uint32_t i, int depth, int index) {
         if (index > 0) return emission_only<Derivative>(front, lanes, i);
+        if (volumetric_) {
+            M hidden = call_.config.hide_emitters ? mask<F>(lanes.get(front.depth) == U(0u)) : M(false);
+            if (scene_.environment < 0 || all(hidden || !lanes.active))
+                return emission_only<Derivative>(front, lanes, i);
+            lanes.active = lanes.active && !hidden;
+        }
         Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
         Emission<F, C> e =
             environment_emission<C>(scene_, call_.config, lanes.vec(front.d), from, lanes.active, depth == 1);
@@ -316,8 +349,10 @@ private:
         Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
         Color<F, C> beta = lanes.template color<C>(front.beta);
         U slot = lanes.get(front.slot);
+        const bool passes = volumetric_ && kind == NullKind;
+        M shown = passes && config.hide_emitters ? active && !mask<F>(lanes.get(front.depth) == U(0u)) : active;
         Emission<F, C> e =
-            index == 0 ? surface_emission<C>(scene_, config, si, wi.z, from, active, depth == 1) : no_emission();
+            index == 0 ? surface_emission<C>(scene_, config, si, wi.z, from, shown, depth == 1) : no_emission();
         if (Derivative) {
             level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, si.at, e);
             if (derivative_->wanted.geometry) {
@@ -332,19 +367,30 @@ private:
         U seen = lanes.get(front.seen);
         if (!Derivative && kind != NullKind) see(slot, seen, active);
         if (!scatters) return;
+        if (passes) return this->template pass<Derivative>(front, next, lanes, i, si, slot, beta);
+
+        M may = active, counted(true);  // lanes that may scatter; those that roulette may end
+        U path_depth = U(uint32_t(depth));
+        I medium(-1);
+        if (volumetric_) {
+            path_depth = lanes.get(front.depth);
+            medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+            may = active && mask<F>(I(path_depth) + 1 < I(int32_t(this->max_depth())));
+            counted = mask<F>(I(path_depth) + 1 >= I(config.rr_depth));
+        }
 
         Leaf<F> leaf = resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(wi.z < F(0)), active);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         LaneSet<F> paths(slot, active);
         U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
         uint32_t block = BlocksPerScattering * uint32_t(depth + index);
-        bool roulette = depth + 1 >= config.rr_depth;
+        bool roulette = volumetric_ ? any(counted) : depth + 1 >= config.rr_depth;
         Random4<F> ue = draw4<F>(config, path_pixel, path_sample, EmitterBlock + block, roulette ? 4 : 3);
         Random4<F> ub = draw4<F>(config, path_pixel, path_sample, BsdfBlock + block, 3);
         Scattering<F, C> s;
         dispatch(Bsdfs{}, kind,
-                 [&](auto m) { scatter<decltype(m)>(scene_, config, si, wi, leaf, index, depth, ue, ub, active, s); });
-        add_shadow_rays<Derivative>(si, s, beta, slot, i, leaf.bsdf);
+                 [&](auto m) { scatter<decltype(m)>(scene_, config, si, wi, leaf, index, depth, ue, ub, may, s); });
+        add_shadow_rays<Derivative>(si, s, beta, slot, i, leaf.bsdf, medium);
 
         // Russian roulette
         Color<F, C> weight = s.f * s.inverse_pdf;
@@ -367,8 +413,8 @@ private:
         F keep(1);
         if (roulette) {
             F q = min(largest * eta * eta, F(0.95));
-            alive = alive && mask<F>(ue.u[3] < q);
-            keep = select(alive, F(1) / select(alive, q, F(1)), F(1));
+            alive = alive && (!counted || mask<F>(ue.u[3] < q));
+            keep = select(alive && counted, F(1) / select(alive, q, F(1)), F(1));
         }
         if (Derivative)
             level().put_scattering(i, leaf, si.at.uv, wi, si.frame.n, s, select(alive, s.inverse_pdf * keep, F(0)));
@@ -379,13 +425,17 @@ private:
         out.d = normalize(si.frame.to_world(wo));
         out.o = offset_origin(si.p, si.ng, out.d);
         U now_seen = kind == NullKind ? seen : U(1u);
+        size_t appended = next.n;
         append(next, out, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf), beta * weight * keep,
                survival * keep, eta, slot, U(i) + lane_index<F>(), now_seen, alive);
+        if (volumetric_)
+            this->put_volumetric(next, appended, medium_behind(scene_, at.shape, si.ng, out.d, medium, alive),
+                                 path_depth + 1u, lanes.template color<C>(front.channel), alive);
     }
 
     template <bool Derivative>
     void add_shadow_rays(const Interaction<F> &si, Scattering<F, C> &s, const Color<F, C> &beta, const U &slot,
-                         uint32_t i, const I &bsdf) {
+                         uint32_t i, const I &bsdf, const I &medium) {
         M wanted = s.shadow_ray;
         if (!any(wanted)) return;
         Color<F, C> contribution = beta * s.f_light * s.emitted * s.light_weight;
@@ -400,6 +450,10 @@ private:
         Direction<F> to_light(si.p + s.light.d * select(finite_distance, s.light.distance, F(1)) - o);
         Vec3<F> d = select(finite_distance, to_light.d, s.light.d);
         F length = select(finite_distance, to_light.length * F(1 - ShadowEpsilon), F(S(INFINITY)));
+        if (volumetric_)
+            return this->push_shadow(o, d, length, contribution,
+                                     medium_behind(scene_, si.at.shape, si.ng, d, medium, wanted), slot,
+                                     U(i) + lane_index<F>(), ShadowPurpose::Vertex, wanted);
         size_t n = shadow_.n;
         const Vec3<F> *vectors[2] = {&o, &d};
         S *const *columns[2] = {shadow_.o, shadow_.d};
@@ -445,70 +499,7 @@ private:
         }
     }
 
-    TR_INLINE void append(Front<S, C> &f, const Ray<F> &ray, const F &length, const Vec3<F> &from, const F &pdf,
-                          const Color<F, C> &beta, const Color<F, C> &survival, const F &eta, const U &slot,
-                          const U &parent, const U &seen, const M &m) {
-        size_t n = f.n;
-        const F *numbers[12] = {&ray.o.x, &ray.o.y, &ray.o.z, &ray.d.x, &ray.d.y, &ray.d.z,
-                                &length,  &from.x,  &from.y,  &from.z,  &pdf,     &eta};
-        S *columns[12] = {f.o[0],   f.o[1],    f.o[2],    f.d[0],    f.d[1], f.d[2],
-                          f.length, f.from[0], f.from[1], f.from[2], f.pdf,  f.eta};
-        for (int k = 0; k < 12; ++k) store_compressed<F>(columns[k] + n, *numbers[k], m);
-        for (int c = 0; c < C; ++c) {
-            store_compressed<F>(f.beta[c] + n, beta[c], m);
-            store_compressed<F>(f.survival[c] + n, survival[c], m);
-        }
-        store_compressed<F>(f.slot + n, slot, m);
-        store_compressed<F>(f.parent + n, parent, m);
-        store_compressed<F>(f.seen + n, seen, m);
-        f.n += size_t(count(m));
-    }
-
-    void see(const U &slot, const U &seen, const M &active) {
-        M first = active && mask<F>(seen == 0u);
-        if (!any(first)) return;
-        alignas(64) uint32_t s[W], set[W];
-        store(&s[0], slot);
-        store(&set[0], select(mask<U>(first), U(1u), U(0u)));
-        for (int i = 0; i < W; ++i)
-            if (set[i]) alpha[s[i]] = S(1);
-    }
-
-    // Lanes whose value is finite; the others are counted and the first one remembered.
-    M finite(const Color<F, C> &value, const M &active, const char *category, const I &index) {
-        M usable = active && is_finite(value);
-        int lost = count(active) - count(usable);
-        if (lost) {
-            stats.non_finite += uint64_t(lost);
-            if (stats.non_finite_where.empty()) {
-                M bad = active && !usable;
-                stats.non_finite_where = std::string(category) + " " + std::to_string(first_lane(index, bad));
-            }
-        }
-        return usable;
-    }
-
-    TapeLevel<S, C> &level() { return *levels_[size_t(n_levels_ - 1)]; }
-    const int32_t *bsdf_wanted() const { return bsdf_wanted_.data(); }
-
-    const RenderCall<S> &call_;
-    const SceneView<S> &scene_;
-    const DerivativeCall<S> *derivative_;
-    Arena slots_, hits_;
-    Front<S, C> fronts_[3];
-    ShadowRays<S, C> shadow_;
-    std::vector<std::unique_ptr<TapeLevel<S, C>>> levels_;
-    int n_levels_ = 0;
-    size_t n_slots_ = 0;
-    std::vector<Segment> segments_;
     std::vector<int> leaf_kind_;
-    std::vector<int32_t> bsdf_wanted_;
-    uint32_t *hit_shape_, *hit_primitive_, *order_;
-    S *hit_t_, *hit_b1_, *hit_b2_;
-    float *ray_[7], *float_t_, *float_b1_, *float_b2_;
-    int32_t *kind_;
-    uint8_t *occluded_;
-    static constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{});
 };
 
 }  // namespace tr

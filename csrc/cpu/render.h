@@ -44,7 +44,7 @@ struct DerivativeCall {
     std::vector<int64_t> sizes;           // numbers in each slot's tensor
     Values<S> tangent{nullptr, nullptr};  // forward
     GeometryTables<const S> geometry_tangent;
-    Wanted wanted{true, true, true, true, true};
+    Wanted wanted{true, true, true, true, true, {1, 1, 1, 1}};
     std::vector<uint8_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
     bool adaptive = false;              // reverse: more samples where the adjoint is larger, see allocation.h
     std::vector<int32_t> shape_wanted;  // by shape: it moves, or its normals or coordinates do

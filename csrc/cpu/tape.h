@@ -5,7 +5,7 @@
 #include <vector>
 
 #include "columns.h"
-#include "core/adjoint/sweep.h"
+#include "core/adjoint/medium.h"
 
 namespace tr {
 
@@ -18,9 +18,17 @@ struct Front {
     S *beta[C], *eta;
     S *survival[C];  // the throughput that roulette looks at; beta itself in the primal
     uint32_t *slot, *parent, *seen;
+    // volumetric paths: the medium the ray is in or -1, scatterings so far, and the weights of the channels' densities
+    // where extinction is coloured
+    int32_t *medium;
+    uint32_t *depth;
+    S *channel[C];
 
     void allocate(size_t capacity) {
         arena.allocate([&](Arena &a) {
+            a.column(medium, capacity);
+            a.column(depth, capacity);
+            a.column(channel, capacity);
             for (S **p : {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta})
                 a.column(*p, capacity);
             a.column(beta, capacity);
@@ -36,6 +44,8 @@ struct ShadowRays {
     size_t n = 0;
     S *o[3], *d[3], *length, *contribution[C];
     uint32_t *slot, *position;  // position: entry of the tape level
+    int32_t *medium;
+    uint32_t *purpose;  // volumetric paths, see ShadowPurpose
 
     void allocate(size_t capacity) {
         arena.allocate([&](Arena &a) {
@@ -43,17 +53,95 @@ struct ShadowRays {
             a.column(d, capacity);
             a.column(length, capacity);
             a.column(contribution, capacity);
-            a.column(slot, capacity);
-            a.column(position, capacity);
+            for (uint32_t **p : {&slot, &position, &purpose}) a.column(*p, capacity);
+            a.column(medium, capacity);
         });
     }
 };
 
-// Entries that one BSDF model (or, last, the environment) handles.
+// Entries that one BSDF model handles, or the environment, or the media that rays have collided with.
 struct Segment {
-    static constexpr int Miss = Bsdfs::Size;
+    static constexpr int Miss = Bsdfs::Size, Collision = Miss + 1;
     int kind;
     uint32_t begin, count;
+};
+
+// The columns of a level that volumetric paths add, see FlightRecord. By entry of the level.
+template <class S, int C>
+struct VolumeColumns {
+    Arena arena;
+    int32_t *medium, *shadow_medium;
+    uint32_t *glow_behind;
+    S *length, *probe[3], *shadow[3], *shadow_length, *glow[3];
+    S *probe_value[C], *shadow_value[C], *through[C], *first[C], *weight[C], *glow_weight[C];
+
+    void allocate(size_t n) {
+        arena.allocate([&](Arena &a) {
+            for (int32_t **p : {&medium, &shadow_medium}) a.column(*p, n);
+            a.column(glow_behind, n);
+            for (S **p : {&length, &shadow_length}) a.column(*p, n);
+            for (auto *p : {&probe, &shadow, &glow}) a.column(*p, n);
+            for (auto *p : {&probe_value, &shadow_value, &through, &first, &weight, &glow_weight}) a.column(*p, n);
+        });
+    }
+
+    template <class F>
+    TR_INLINE void put_flight(size_t i, const IntOf<F> &medium_, const F &length_) {
+        store(medium + i, medium_);
+        store(length + i, length_);
+        store(shadow_medium + i, IntOf<F>(-1));
+        store(shadow_length + i, F(0));
+        store(glow_behind + i, UIntOf<F>(0u));
+        for (S *const *p : {probe, shadow, glow})
+            for (int a = 0; a < 3; ++a) store(p[a] + i, F(0));
+        for (S *const *p : {probe_value, shadow_value, first, glow_weight})
+            for (int c = 0; c < C; ++c) store(p[c] + i, F(0));
+        for (S *const *p : {through, weight})
+            for (int c = 0; c < C; ++c) store(p[c] + i, F(1));
+    }
+    template <class F>
+    TR_INLINE void put_weight(size_t i, const Color<F, C> &weight_) {
+        for (int c = 0; c < C; ++c) store(weight[c] + i, weight_[c]);
+    }
+    template <class F>
+    TR_INLINE void put_probe(size_t i, const Vec3<F> &p) {
+        store(probe[0] + i, p.x), store(probe[1] + i, p.y), store(probe[2] + i, p.z);
+    }
+    template <class F>
+    TR_INLINE void put_glow(size_t i, const Vec3<F> &p, const MaskOf<F> &behind, const Color<F, C> &weight_,
+                            const Color<F, C> &first_) {
+        store(glow[0] + i, p.x), store(glow[1] + i, p.y), store(glow[2] + i, p.z);
+        store(glow_behind + i, select(mask<UIntOf<F>>(behind), UIntOf<F>(1u), UIntOf<F>(0u)));
+        for (int c = 0; c < C; ++c) store(glow_weight[c] + i, weight_[c]), store(first[c] + i, first_[c]);
+    }
+
+    template <class F>
+    TR_INLINE FlightRecord<F, C> get(size_t i) const {
+        auto integer = [&](const int32_t *p) {
+            return IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i));
+        };
+        auto vec = [&](S *const(&p)[3]) { return Vec3<F>{load<F>(p[0] + i), load<F>(p[1] + i), load<F>(p[2] + i)}; };
+        auto color = [&](S *const(&p)[C]) {
+            Color<F, C> r;
+            for (int c = 0; c < C; ++c) r[c] = load<F>(p[c] + i);
+            return r;
+        };
+        FlightRecord<F, C> r;
+        r.medium = integer(medium), r.shadow_medium = integer(shadow_medium);
+        r.length = load<F>(length + i), r.shadow_length = load<F>(shadow_length + i);
+        r.probe = vec(probe), r.shadow = vec(shadow), r.glow = vec(glow);
+        r.glow_behind = mask<F>(load_uint<F>(glow_behind + i) != UIntOf<F>(0u));
+        r.probe_value = color(probe_value), r.shadow_value = color(shadow_value);
+        r.first = color(first), r.weight = color(weight), r.glow_weight = color(glow_weight);
+        return r;
+    }
+};
+
+// Of the paths that go on from probes: the segment each belongs to, and what it brings. By slot of the tile.
+template <class S, int C>
+struct BranchColumns {
+    const uint32_t *level = nullptr, *entry = nullptr;
+    S *const *radiance = nullptr;
 };
 
 template <class S, int C>
@@ -63,6 +151,7 @@ struct TapeLevel {
     std::vector<Segment> segments;
     int parent_level = -1;
     bool scatters = false;
+    VolumeColumns<S, C> volume;  // of volumetric paths
 
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
@@ -75,9 +164,10 @@ struct TapeLevel {
     S *d[3], *p[3], *segment[3], *t;
     uint32_t *attached;
 
-    void reserve(size_t n) {
+    void reserve(size_t n, bool volumetric) {
         if (n <= capacity) return;
         capacity = n;
+        if (volumetric) volume.allocate(n);
         arena.allocate([&](Arena &a) {
             for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive, &attached,
                                  &next_shape, &next_primitive})
@@ -131,26 +221,61 @@ struct TapeLevel {
         store(uv[0] + i, uv_.x);
         store(uv[1] + i, uv_.y);
         put(wi, i, wi_);
-        store(light_emitter + i, s.light.point.emitter);
-        store(light_shape + i, s.light.point.at.shape);
-        store(light_primitive + i, s.light.point.at.primitive);
-        store(light_b1 + i, s.light.point.at.b1);
-        store(light_b2 + i, s.light.point.at.b2);
-        put(wo_light, i, s.wo_light);
-        store(light_weight + i, s.light_weight);
-        for (int c = 0; c < C; ++c) store(emitted[c] + i, s.emitted[c]);
-        put(wo, i, s.sample.wo);
-        store(lobe + i, s.sample.lobe);
-        store(inverse_pdf + i, inverse_pdf_);
-        store(light_distance + i, s.light.distance);
+        put_light(i, s.light.point, s.wo_light, s.light_weight, s.emitted, s.light.distance);
+        put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
         put(normal, i, normal_);
     }
 
     template <class F>
+    TR_INLINE void put_light(size_t i, const EmitterPoint<F> &point, const Vec3<F> &wo_light_, const F &weight_,
+                             const Color<F, C> &emitted_, const F &distance_) {
+        store(light_emitter + i, point.emitter);
+        store(light_shape + i, point.at.shape);
+        store(light_primitive + i, point.at.primitive);
+        store(light_b1 + i, point.at.b1);
+        store(light_b2 + i, point.at.b2);
+        put(wo_light, i, wo_light_);
+        store(light_weight + i, weight_);
+        for (int c = 0; c < C; ++c) store(emitted[c] + i, emitted_[c]);
+        store(light_distance + i, distance_);
+    }
+    template <class F>
+    TR_INLINE void put_direction(size_t i, const Vec3<F> &wo_, const IntOf<F> &lobe_, const F &inverse_pdf_) {
+        put(wo, i, wo_);
+        store(lobe + i, lobe_);
+        store(inverse_pdf + i, inverse_pdf_);
+    }
+    // A boundary that rays pass through unchanged: no emitter sample, and all that comes from behind it.
+    template <class F>
+    TR_INLINE void put_passage(size_t i, const F &passes) {
+        Vec3<F> z{F(0), F(0), F(1)};
+        put_light(i, no_emitter_sample<F>().point, z, F(0), uniform_color<C>(F(0)), F(1));
+        put_direction(i, z, IntOf<F>(0), passes);
+        put(wi, i, z);
+        put(normal, i, z);
+        store(bsdf + i, IntOf<F>(0));
+        store(mirror + i, F(1));
+        for (S *column : uv) store(column + i, F(0));
+    }
+    // A collision in a medium: where, and the direction of travel.
+    template <class F>
+    TR_INLINE void put_point(size_t i, const Vec3<F> &p_, const Vec3<F> &d_) {
+        put(p, i, p_);
+        put(d, i, d_);
+    }
+    template <class F>
+    TR_INLINE VertexRecord<F, C> get_collision(size_t i) const {
+        VertexRecord<F, C> v = get<F>(i, false);
+        get_outgoing(i, v);
+        v.p = get_vec<F>(p, i);
+        v.d = get_vec<F>(d, i);
+        return v;
+    }
+
+    template <class F>
     TR_INLINE VertexRecord<F, C> get(size_t i, bool scattering) const {
         VertexRecord<F, C> v;
-        using U = UIntOf<F>;
         v.at = {{load_uint<F>(shape + i), load_uint<F>(primitive + i), load<F>(b1 + i), load<F>(b2 + i)}, {F(0), F(0)}};
         v.emission = {IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(emission_emitter) + i)), v.at};
         v.emission_weight = load<F>(emission_weight + i);
@@ -158,11 +283,19 @@ struct TapeLevel {
         v.emission_radiance = get_color<F>(emission_radiance, i);
         if (!scattering) return v;
         v.at.uv = {load<F>(uv[0] + i), load<F>(uv[1] + i)};
-        auto integer = [&](const int32_t *p) {
-            return IntOf<F>(U(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i)));
-        };
-        v.bsdf = integer(bsdf);
+        v.bsdf = IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(bsdf) + i));
         v.wi = get_vec<F>(wi, i);
+        get_outgoing(i, v);
+        v.mirror = load<F>(mirror + i);
+        v.normal = get_vec<F>(normal, i);
+        return v;
+    }
+    // To the light, and on along the path.
+    template <class F>
+    TR_INLINE void get_outgoing(size_t i, VertexRecord<F, C> &v) const {
+        auto integer = [&](const int32_t *p) {
+            return IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i));
+        };
         v.light = {integer(light_emitter),
                    {load_uint<F>(light_shape + i), load_uint<F>(light_primitive + i), load<F>(light_b1 + i),
                     load<F>(light_b2 + i)}};
@@ -173,9 +306,6 @@ struct TapeLevel {
         v.lobe = integer(lobe);
         v.inverse_pdf = load<F>(inverse_pdf + i);
         v.light_distance = load<F>(light_distance + i);
-        v.mirror = load<F>(mirror + i);
-        v.normal = get_vec<F>(normal, i);
-        return v;
     }
     template <class F>
     TR_INLINE void get_motion(size_t i, VertexRecord<F, C> &v) const {

@@ -15,12 +15,14 @@ class TapeSweep {
     static constexpr int W = Lanes<F>::Width;
 
 public:
+    struct InMedium {};  // in the place of a BSDF model
     using Levels = std::vector<std::unique_ptr<TapeLevel<S, C>>>;
     // Columns by slot of the tile: adjoint and derivative of a path's radiance, position on the film.
     struct Paths {
         S *const *delta, *const *radiance;
         const S *film_x, *film_y;
         size_t n;
+        BranchColumns<S, C> branches{};
     };
 
     TapeSweep(const RenderCall<S> &call, const DerivativeCall<S> &derivative, Levels &levels, int n_levels,
@@ -55,28 +57,40 @@ private:
         for (int l = n_levels_ - 1; l >= 0; --l) {
             TapeLevel<S, C> &level = *levels_[size_t(l)];
             for (const Segment &segment : level.segments)
-                if (segment.kind == Segment::Miss || !level.scatters)
-                    sweep_segment<void>(level, segment, sink, unit_adjoint);
+                if (segment.kind == Segment::Collision)
+                    sweep_segment<InMedium>(l, segment, sink, unit_adjoint);
+                else if (segment.kind == Segment::Miss || !level.scatters)
+                    sweep_segment<void>(l, segment, sink, unit_adjoint);
                 else
                     dispatch(Bsdfs{}, segment.kind,
-                             [&](auto m) { sweep_segment<decltype(m)>(level, segment, sink, unit_adjoint); });
+                             [&](auto m) { sweep_segment<decltype(m)>(l, segment, sink, unit_adjoint); });
         }
     }
 
     template <class Model, class Sink>
-    void sweep_segment(TapeLevel<S, C> &level, const Segment &segment, Sink &sink, bool unit_adjoint) {
-        constexpr bool scattering = !std::is_void_v<Model>;
+    void sweep_segment(int number, const Segment &segment, Sink &sink, bool unit_adjoint) {
+        constexpr bool collision = std::is_same_v<Model, InMedium>;
+        constexpr bool scattering = !std::is_void_v<Model> && !collision;
+        TapeLevel<S, C> &level = *levels_[size_t(number)];
         const Wanted &wanted = derivative_.wanted;
+        const bool volumetric = call_.config.volumetric;
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
-            VertexRecord<F, C> v = level.template get<F>(i, scattering);
+            VertexRecord<F, C> v =
+                collision ? level.template get_collision<F>(i) : level.template get<F>(i, scattering);
+            FlightRecord<F, C> flight;
+            if (volumetric) {
+                flight = level.volume.template get<F>(i);
+                for (int c = 0; c < C; ++c) v.through[c] = load<F>(level.volume.through[c] + i);
+            }
             if (wanted.geometry) level.template get_motion<F>(i, v);
             U slot = select(mask<U>(active), load_uint<F>(level.slot + i), U(0u));
-            Color<F, C> a = v.beta;
+            Color<F, C> delta = uniform_color<C>(F(1));
             if (!unit_adjoint) {
                 LaneSet<F> paths(slot, active);
-                for (int c = 0; c < C; ++c) a[c] = a[c] * paths.get(paths_.delta[c]);
+                for (int c = 0; c < C; ++c) delta[c] = paths.get(paths_.delta[c]);
             }
+            Color<F, C> a = v.beta * delta;
             sink.begin();
             HitAdjoint<F> hit;
             Vec3<F> d_bar{F(0), F(0), F(0)};
@@ -87,6 +101,12 @@ private:
             if constexpr (scattering)
                 r = r + sweep_scattering<Model, C>(scene_, v, a, level.template get_next<F>(i, wanted.geometry), wanted,
                                                    active, hit, d_bar, sink);
+            if constexpr (collision)
+                r = r + sweep_collision(scene_, v, flight.medium, a, level.template get_next<F>(i, false).radiance,
+                                        wanted, active, sink);
+            if (volumetric)
+                r = sweep_flight<C>(scene_, flight, delta, v.beta, r, branch(number, i, slot, active), wanted.medium,
+                                    active, sink);
             TapeLevel<S, C> *parents = level.parent_level >= 0 ? levels_[size_t(level.parent_level)].get() : nullptr;
             if (parents) hand_to_parent(*parents, level.parent + i, r, active);
             if (wanted.geometry) {
@@ -109,6 +129,19 @@ private:
             if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>)
                 add_to_slots<F>(paths_.radiance, slot, sink.derivative, active);
         }
+    }
+
+    // What the path that goes on from the probe of these segments has brought; 0 where there is none.
+    Color<F, C> branch(int level, uint32_t i, const U &slot, const M &active) {
+        Color<F, C> r = uniform_color<C>(F(0));
+        const BranchColumns<S, C> &branches = paths_.branches;
+        if (!branches.level) return r;
+        auto active_u = mask<U>(active);
+        M here = active && mask<F>(gather<U>(branches.level, slot, active_u) == U(uint32_t(level))) &&
+                 mask<F>(gather<U>(branches.entry, slot, active_u) == U(i) + lane_index<F>());
+        if (!any(here)) return r;
+        for (int c = 0; c < C; ++c) r[c] = gather<F>(branches.radiance[c], slot, here);
+        return r;
     }
 
     void hand_motion(TapeLevel<S, C> &parents, const TapeLevel<S, C> &level, uint32_t entry, const RayAdjoint<F> &ray,

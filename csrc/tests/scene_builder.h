@@ -142,7 +142,7 @@ DerivativeCall<S> make_derivative(const SceneData<S> &scene) {
     d.n_constants = scene.n_constants();
     d.sizes = scene.layout().slot_sizes;
     d.bsdf_wanted.assign(scene.layout().records.at("bsdf").size(), 1);
-    d.wanted = {true, true, true, false, false};  // no motion
+    d.wanted = {true, true, true, false, false, {1, 1, 1, 1}};  // no motion
     return d;
 }
 

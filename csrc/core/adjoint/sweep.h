@@ -15,7 +15,7 @@
 // of the ray is handed on from vertex to vertex (RayAdjoint) until a smooth BSDF ends the chain.
 #pragma once
 
-#include "../integrator/path.h"
+#include "../integrator/medium.h"
 #include "surface.h"
 
 namespace tr {
@@ -35,6 +35,7 @@ struct VertexRecord {
     Vec3<F> wo_light;
     F light_weight, light_distance;
     Color<F, C> emitted;
+    Color<F, C> through = uniform_color<C>(F(1));  // transmittance of media on the way to the light
     // BSDF sample; inverse_pdf = 1 / (p q)
     Vec3<F> wo;
     IntOf<F> lobe;
@@ -52,6 +53,7 @@ struct Wanted {
     bool bsdf, emitter, light_position;
     bool geometry;  // anything that moves rays, hits or look-ups
     bool camera;
+    MediumWanted medium{};
     bool numbers() const { return light_position || geometry; }  // adjoints that are sums over channels
 };
 
@@ -225,7 +227,7 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
                                        const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
                                        HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
     auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
-    Color<F, C> light_factor = v.emitted * v.light_weight;  // N = f_light * light_factor
+    Color<F, C> light_factor = v.emitted * v.through * v.light_weight;  // N = f_light * light_factor
     Color<F, C> path_factor = next.radiance * v.inverse_pdf;
     Color<F, C> f, f_light = uniform_color<C>(F(0));
     auto lit = active && mask<F>(v.light_weight > F(0));
@@ -270,7 +272,8 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
         if (any(lit) && (wanted.emitter || wanted.geometry)) {
             Vec3<F> d{F(0), F(0), F(1)};
             if (wanted.geometry) d = VertexFrame<F>(v.normal, v.mirror).frame.to_world(v.wo_light);
-            sweep_emitter(scene, v.light, d, a * f_light * v.light_weight, wanted, lit, light_at, light_d_bar, sink);
+            sweep_emitter(scene, v.light, d, a * f_light * v.through * v.light_weight, wanted, lit, light_at,
+                          light_d_bar, sink);
         }
     }
     if (wanted.numbers())

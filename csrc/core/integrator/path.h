@@ -24,6 +24,7 @@ struct PathConfig {
     uint64_t seed;
     uint32_t sensor;
     SamplerConfig sampler;
+    bool volumetric;  // through media; see medium.h here
 };
 
 // Random numbers of a path: block 0 is the camera's; scattering j takes block 1 + 2 j (emitter: 3 numbers, roulette: 1)

@@ -28,10 +28,20 @@ TR_INLINE void philox(U (&c)[4], uint32_t k0, uint32_t k1) {
 
 // `block` counts groups of four dimensions along a path: 0 is the camera's, see integrator/path.h.
 template <class F>
-TR_INLINE Random4<F> random4(uint64_t seed, uint32_t sensor, UIntOf<F> pixel, UIntOf<F> sample, uint32_t block) {
+struct RandomBits4 {
+    UIntOf<F> bits[4];
+};
+template <class F>
+TR_INLINE RandomBits4<F> random_bits4(uint64_t seed, uint32_t sensor, const UIntOf<F> &pixel, const UIntOf<F> &sample,
+                                      const UIntOf<F> &block) {
     using U = UIntOf<F>;
-    U c[4] = {pixel, sample, U(block), U(sensor)};
-    philox(c, uint32_t(seed), uint32_t(seed >> 32));
+    RandomBits4<F> r{{pixel, sample, block, U(sensor)}};
+    philox(r.bits, uint32_t(seed), uint32_t(seed >> 32));
+    return r;
+}
+template <class F>
+TR_INLINE Random4<F> random4(uint64_t seed, uint32_t sensor, UIntOf<F> pixel, UIntOf<F> sample, uint32_t block) {
+    auto [c] = random_bits4<F>(seed, sensor, pixel, sample, UIntOf<F>(block));
     Random4<F> r;
     for (int i = 0; i < 4; ++i) r.u[i] = convert<F>(convert<IntOf<F>>(c[i] >> 8)) * F(1.0 / 16777216.0);
     return r;

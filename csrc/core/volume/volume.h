@@ -37,6 +37,17 @@ TR_INLINE Color<F, C> gather_voxels(const TensorView<S> &grid, const Footprint<F
     return uniform_color<C>(sum);
 }
 
+// A grid at a point of its unit cube.
+template <int C, class F, class S>
+TR_INLINE Color<F, C> eval_grid(const Values<S> &values, const Record &record, const Vec3<F> &local,
+                                const MaskOf<F> &active) {
+    const TensorView<S> &grid = values.tensors[record.field[GridVolume::Data]];
+    if (!grid.data) return uniform_color<C>(F(0));  // a tangent that was not given
+    const bool adjacent =
+        record.field[GridVolume::Wrap] == 2 && record.field[GridVolume::Filter] == 0 && grid.shape[1] > 1;
+    return gather_voxels<C>(grid, GridVolume::footprint(grid, record, local), adjacent, active);
+}
+
 // `values` is the scene's own for the value, a tangent's for its forward-mode derivative: volumes are linear in their
 // data.
 template <int C, class F, class S>
@@ -49,11 +60,7 @@ TR_INLINE Color<F, C> eval_volume(const SceneView<S> &scene, const Values<S> &va
         for (int c = 0; c < C; ++c) r[c] = F(value[c]);
         return r;
     }
-    const TensorView<S> &grid = values.tensors[record.field[GridVolume::Data]];
-    if (!grid.data) return uniform_color<C>(F(0));  // a tangent that was not given
-    const bool adjacent =
-        record.field[GridVolume::Wrap] == 2 && record.field[GridVolume::Filter] == 0 && grid.shape[1] > 1;
-    return gather_voxels<C>(grid, GridVolume::footprint(grid, record, to_volume(scene, volume, p)), adjacent, active);
+    return eval_grid<C>(values, record, to_volume(scene, volume, p), active);
 }
 
 }  // namespace tr

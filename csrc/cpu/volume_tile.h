@@ -1,0 +1,582 @@
+// The part of a tile that knows media: free flight before the vertices are shaded, collisions, shadow rays through
+// media and index-matched boundaries, and the paths that derivatives of the extinction ask for.
+#pragma once
+
+#include "core/integrator/medium.h"
+#include "tile_base.h"
+#include "tracker.h"
+
+namespace tr {
+
+template <class F, int C>
+class VolumeTile : public TileBase<F, C> {
+protected:
+    using Base = TileBase<F, C>;
+    using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::hits_, Base::stats;
+    using Base::hit_shape_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::hit_primitive_, Base::order_, Base::ray_;
+    using Base::W, Base::pixel, Base::sample, Base::radiance, Base::n_slots_, Base::NullKind;
+    using typename Base::I;
+    using typename Base::M;
+    using typename Base::S;
+    using typename Base::U;
+    static constexpr uint32_t CollisionShape = 0xFFFFFFFEu, NoLevel = 0xFFFFFFFFu;
+    static_assert(CollisionShape != Accel::Miss);
+
+public:
+    VolumeTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
+        : Base(call, capacity, derivative), tracker_(scene_), volumetric_(call.config.volumetric) {
+        if (!volumetric_) return;
+        for (int m = 0; m < scene_.n_media; ++m) {
+            chromatic_ |= C > 1 && (scene_.media[m].flags & IsChromatic) != 0;
+            emissive_ |= scene_.media[m].emission >= 0;
+        }
+        probing_ = derivative && derivative->wanted.medium.extinction;
+        size_t n = capacity + 2 * W, shadows = 2 * n;
+        flight_.allocate(n);
+        paths_.allocate([&](Arena &a) {
+            for (uint32_t **p : {&hero_, &chosen_level_, &chosen_entry_, &branch_depth_}) a.column(*p, n);
+            for (S **p : {&choice_, &total_weight_}) a.column(*p, n);
+            for (auto *p : {&branch_o_, &branch_d_}) a.column(*p, n);
+            for (auto *p : {&branch_beta_, &branch_channel_, &branch_}) a.column(*p, n);
+            a.column(branch_medium_, n);
+            for (auto *p : {&first_, &probe_channel_}) a.column(*p, n);
+        });
+        through_.allocate([&](Arena &a) {
+            for (S **p : {&way_end_, &way_start_, &way_length_, &way_total_, &pick_, &spot_, &ray_length_})
+                a.column(*p, shadows);
+            for (auto *p : {&way_point_, &ray_o_, &ray_d_}) a.column(*p, shadows);
+            a.column(transmittance_, shadows);
+            a.column(way_seed_, shadows);
+            a.column(way_medium_, shadows);
+            for (uint32_t **p : {&pending_, &queue_}) a.column(*p, shadows);
+        });
+    }
+
+protected:
+    uint32_t max_depth() const { return call_.config.max_depth < 0 ? 0x7FFFFFFFu : uint32_t(call_.config.max_depth); }
+
+    // Of camera rays.
+    void begin_volumetric(Front<S, C> &front) {
+        const int32_t medium = scene_.sensors[call_.config.sensor].field[Perspective::Medium];
+        std::fill_n(front.medium, front.n, medium);
+        std::fill_n(front.depth, front.n, 0u);
+        for (int c = 0; c < C; ++c) std::fill_n(front.channel[c], front.n, S(1));
+        for (size_t i = 0; i < n_slots_; i += W) {
+            auto u = random4<F>(call_.config.seed, call_.config.sensor, load_uint<F>(pixel + i),
+                                load_uint<F>(sample + i), ChannelBlock);
+            store(hero_ + i, U(I(u.u[0] * F(C))));
+        }
+        std::fill_n(total_weight_, n_slots_, S(0));
+        std::fill_n(chosen_level_, n_slots_, NoLevel);
+        for (int c = 0; c < C; ++c) std::fill_n(branch_[c], n_slots_, S(0));
+    }
+
+    // After the query: where rays collide in their media, that is what they hit.
+    template <bool Derivative>
+    void fly(Front<S, C> &front, uint32_t level) {
+        const PathConfig &config = call_.config;
+        for (size_t i = 0; i < front.n; i += W) {
+            M active = mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(front.n)));
+            M missed = mask<F>(load_uint<F>(hit_shape_ + i) == U(Accel::Miss));
+            store(flight_.end + i, select(missed, load<F>(front.length + i), load<F>(hit_t_ + i)));
+            for (S *p : {flight_.start, flight_.length}) store(p + i, F(0));
+            store(flight_.collided + i, U(0u));
+            if (chromatic_)
+                for (int c = 0; c < C; ++c) store(flight_.weight[c] + i, F(1));
+            M inside = active && mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0);
+            if (!any(inside)) continue;
+            U slot = select(mask<U>(active), load_uint<F>(front.slot + i), U(0u));
+            LaneSet<F> lanes(slot, active);
+            auto bits = random_bits4<F>(config.seed, config.sensor, lanes.get(pixel), lanes.get(sample),
+                                        U(SegmentBlock + BlocksPerSegment * level));
+            store(flight_.seed[0] + i, bits.bits[0] | U(1u));
+            store(flight_.seed[1] + i, bits.bits[1]);
+            store(choice_ + i, convert<F>(convert<I>(bits.bits[2] >> 8)) * F(1.0 / 16777216.0));
+            if (chromatic_) store(flight_.hero + i, lanes.get(hero_));
+        }
+        for (int32_t m = 0; m < scene_.n_media; ++m) {
+            size_t n = queue_of(front.medium, front.n, m, order_);
+            if (n > 0) tracker_.fly(m, front.o, front.d, flight_, order_, n, probing_ || emissive_);
+        }
+        for (size_t i = 0; i < front.n; i += W) {
+            M collided = mask<F>(load_uint<F>(flight_.collided + i) != U(0u));
+            U shape = load_uint<F>(hit_shape_ + i);
+            store(hit_shape_ + i, select(mask<U>(collided), U(CollisionShape), shape));
+            F end = load<F>(flight_.start + i) + load<F>(flight_.length + i);
+            store(hit_t_ + i, select(collided, end, load<F>(hit_t_ + i)));
+        }
+        if (chromatic_) weigh_channels(front);
+        if (emissive_ && !Derivative) add_emission(front);
+    }
+
+    // Collisions in media.
+    template <bool Derivative>
+    void shade_collision(const Front<S, C> &front, Front<S, C> &next, const LaneSet<F> &lanes, uint32_t i, int depth) {
+        const PathConfig &config = call_.config;
+        Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
+        Vec3<F> p = ray.o + ray.d * lanes.get(hit_t_);
+        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        U slot = lanes.get(front.slot), path_depth = lanes.get(front.depth);
+        Color<F, C> beta = lanes.template color<C>(front.beta);
+        Emission<F, C> none;
+        none.point.emitter = I(-1);
+        none.point.at = {U(0u), U(0u), F(0), F(0)};
+        none.weight = F(0);
+        none.radiance = uniform_color<C>(F(0));
+        if (Derivative) {
+            this->level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, none.point.at, none);
+            this->level().template put_point<F>(i, p, ray.d);
+        } else {
+            this->see(slot, lanes.get(front.seen), lanes.active);
+        }
+        M may = lanes.active && mask<F>(I(path_depth) + 1 < I(int32_t(max_depth())));
+        LaneSet<F> paths(slot, lanes.active);
+        U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
+        uint32_t block = BlocksPerScattering * uint32_t(depth);
+        Random4<F> ue = draw4<F>(config, path_pixel, path_sample, EmitterBlock + block, 4);
+        Random4<F> ub = draw4<F>(config, path_pixel, path_sample, BsdfBlock + block, 3);
+        MediumScattering<F, C> s = no_medium_scattering<C, F>();
+        scatter_in_medium<C>(scene_, medium, p, ray.d, ue, ub, may, s);
+        Color<F, C> contribution = beta * s.albedo * s.emitted * (s.phase_light * s.light_weight);
+        M lit = s.shadow_ray && this->finite(contribution, s.shadow_ray, "medium", medium);
+        s.light_weight = select(lit, s.light_weight, F(0));
+        if (!Derivative) lit = lit && mask<F>(max_channel(contribution) > F(0));
+        push_shadow(p, s.light, contribution, medium, slot, U(i) + lane_index<F>(), ShadowPurpose::Vertex, lit);
+
+        Color<F, C> survival = lanes.template color<C>(front.survival);
+        M alive = may;
+        if (Derivative) {
+            // a path that an albedo of zero would end goes on where that albedo has a derivative
+            survival = survival * (derivative_->wanted.medium.albedo ? max_with(s.albedo, F(0.05)) : s.albedo);
+        } else {
+            survival = beta * s.albedo;
+        }
+        F eta = lanes.get(front.eta), largest = max_channel(survival), keep(1);
+        alive = alive && mask<F>(largest > F(0));
+        M roulette = alive && mask<F>(I(path_depth) + 1 >= I(config.rr_depth));
+        if (any(roulette)) {
+            F q = min(largest * eta * eta, F(0.95));
+            alive = alive && (!roulette || mask<F>(ue.u[3] < q));
+            keep = select(alive && roulette, F(1) / select(alive, q, F(1)), F(1));
+        }
+        if (Derivative) {
+            this->level().template put_light<F>(i, s.light.point, s.light.d, s.light_weight, s.emitted,
+                                                s.light.distance);
+            this->level().template put_direction<F>(i, s.wo, I(0),
+                                                    select(alive, keep / select(alive, s.pdf, F(1)), F(0)));
+        }
+        if (!any(alive)) return;
+        M weighted = samples_lights<F>(scene_, medium, alive);
+        size_t at = next.n;
+        this->append(next, {p, s.wo}, F(S(INFINITY)), p, select(weighted, s.pdf, F(0)), beta * s.albedo * keep,
+                     survival * keep, eta, slot, U(i) + lane_index<F>(), U(1u), alive);
+        put_volumetric(next, at, medium, path_depth + 1u, lanes.template color<C>(front.channel), alive);
+    }
+
+    // Boundaries that do not scatter: the ray goes on behind them, as if from where it came.
+    template <bool Derivative>
+    void pass(const Front<S, C> &front, Front<S, C> &next, const LaneSet<F> &lanes, uint32_t i,
+              const Interaction<F> &si, const U &slot, const Color<F, C> &beta) {
+        Vec3<F> d = lanes.vec(front.d);
+        F length = lanes.get(front.length) - lanes.get(hit_t_);
+        M on = lanes.active && mask<F>(length > F(0));
+        if (Derivative) this->level().template put_passage<F>(i, select(on, F(1), F(0)));
+        if (!any(on)) return;
+        size_t at = next.n;
+        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        this->append(next, {offset_origin(si.p, si.ng, d), d}, length, lanes.vec(front.from), lanes.get(front.pdf),
+                     beta, lanes.template color<C>(front.survival), lanes.get(front.eta), slot, U(i) + lane_index<F>(),
+                     lanes.get(front.seen), on);
+        put_volumetric(next, at, medium_behind(scene_, si.at.shape, si.ng, d, medium, on), lanes.get(front.depth),
+                       lanes.template color<C>(front.channel), on);
+    }
+
+    TR_INLINE void put_volumetric(Front<S, C> &f, size_t at, const I &medium, const U &depth,
+                                  const Color<F, C> &channel, const M &m) {
+        store_compressed<F>(reinterpret_cast<uint32_t *>(f.medium) + at, U(medium), m);
+        store_compressed<F>(f.depth + at, depth, m);
+        for (int c = 0; c < C; ++c) store_compressed<F>(f.channel[c] + at, channel[c], m);
+    }
+
+    TR_INLINE void push_shadow(const Vec3<F> &o, const EmitterSample<F> &light, const Color<F, C> &contribution,
+                               const I &medium, const U &slot, const U &position, ShadowPurpose purpose,
+                               const M &wanted) {
+        if (!any(wanted)) return;
+        M near = mask<F>(light.distance < F(S(1e30)));
+        push_shadow(o, light.d, select(near, light.distance * F(1 - ShadowEpsilon), F(S(INFINITY))), contribution,
+                    medium, slot, position, purpose, wanted);
+    }
+    TR_INLINE void push_shadow(const Vec3<F> &o, const Vec3<F> &d, const F &length, const Color<F, C> &contribution,
+                               const I &medium, const U &slot, const U &position, ShadowPurpose purpose,
+                               const M &wanted) {
+        size_t n = shadow_.n;
+        const F *numbers[7] = {&o.x, &o.y, &o.z, &d.x, &d.y, &d.z, &length};
+        S *columns[7] = {shadow_.o[0], shadow_.o[1], shadow_.o[2],  shadow_.d[0],
+                         shadow_.d[1], shadow_.d[2], shadow_.length};
+        for (int k = 0; k < 7; ++k) store_compressed<F>(columns[k] + n, *numbers[k], wanted);
+        for (int c = 0; c < C; ++c) store_compressed<F>(shadow_.contribution[c] + n, contribution[c], wanted);
+        store_compressed<F>(shadow_.slot + n, slot, wanted);
+        store_compressed<F>(shadow_.position + n, position, wanted);
+        store_compressed<F>(reinterpret_cast<uint32_t *>(shadow_.medium) + n, U(medium), wanted);
+        store_compressed<F>(shadow_.purpose + n, U(uint32_t(purpose)), wanted);
+        shadow_.n += size_t(count(wanted));
+    }
+
+    // What the tape keeps of a segment, and the emitter sample of its probe.
+    void put_flight(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, int depth) {
+        VolumeColumns<S, C> &tape = this->level().volume;
+        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        M inside = lanes.active && mask<F>(medium >= 0);
+        F length = lanes.get(flight_.length);
+        inside = inside && mask<F>(length > F(0));
+        tape.put_flight(i, select(mask<I>(inside), medium, I(-1)), length);
+        Color<F, C> beta = lanes.template color<C>(front.beta);
+        if (chromatic_) tape.template put_weight<F>(i, lanes.template color<C>(flight_.weight));
+        if (!any(inside)) return;
+        Vec3<F> o = lanes.vec(front.o), d = lanes.vec(front.d);
+        F probe = lanes.get(flight_.probe);
+        if (emissive_) {
+            F glow = lanes.get(flight_.glow);
+            Color<F, C> one = uniform_color<C>(F(1));
+            tape.template put_glow<F>(i, o + d * glow, mask<F>(glow > probe),
+                                      chromatic_ ? lanes.template color<C>(flight_.glow_weight) : one,
+                                      chromatic_ ? lanes.template color<C>(first_) : beta);
+        }
+        if (!probing_) return;
+        Vec3<F> p = o + d * probe;
+        tape.template put_probe<F>(i, p);
+        U slot = lanes.get(front.slot), path_depth = lanes.get(front.depth);
+        M may = inside && mask<F>(I(path_depth) + 1 < I(int32_t(max_depth())));
+        if (!any(may)) return;
+        if (chromatic_) beta = lanes.template color<C>(flight_.probe_weight);
+        LaneSet<F> paths(slot, lanes.active);
+        Random4<F> ue = draw4<F>(call_.config, paths.get(pixel), paths.get(sample),
+                                 EmitterBlock + BlocksPerScattering * uint32_t(depth), 4);
+        MediumScattering<F, C> s = no_medium_scattering<C, F>();
+        for_each_distinct<F>(medium, may, [&](int32_t m, const M &same) {
+            const MediumInfo &info = scene_.media[m];
+            s.albedo = select(same, eval_volume<C>(scene_, scene_.values, info.albedo, p, same), s.albedo);
+            sample_light(scene_, info, p, d, ue, same, s);
+        });
+        Color<F, C> scattered = beta * s.albedo;
+        Color<F, C> contribution = scattered * s.emitted * (s.phase_light * s.light_weight);
+        M lit = s.shadow_ray && is_finite(contribution) && mask<F>(max_channel(contribution) > F(0));
+        push_shadow(p, s.light, contribution, medium, slot, U(i) + lane_index<F>(), ShadowPurpose::Probe, lit);
+        choose_branch(front, lanes, i, p, d, length * max_channel(scattered), scattered, may);
+    }
+
+    // Rays to lights: through media, and through boundaries that do not scatter.
+    template <bool Derivative>
+    void trace_through(uint32_t level) {
+        const size_t all = shadow_.n;
+        if (all == 0) return;
+        for (int c = 0; c < C; ++c) std::fill_n(transmittance_[c], all, S(1));
+        std::fill_n(way_total_, all, S(0));
+        for (size_t k = 0; k < all; ++k) pending_[k] = uint32_t(k);
+        for (size_t n = all, round = 0; n > 0; ++round) {
+            for (size_t j = 0; j < n; ++j) {
+                uint32_t k = pending_[j];
+                for (int a = 0; a < 3; ++a) ray_o_[a][j] = shadow_.o[a][k], ray_d_[a][j] = shadow_.d[a][k];
+                ray_length_[j] = shadow_.length[k];
+            }
+            query(n);
+            seed_ways(level, uint32_t(round), n);
+            // the parts of the rays in front of what they hit
+            for (size_t j = 0; j < n; ++j) {
+                uint32_t k = pending_[j], shape = hit_shape_[j];
+                bool hit = shape != Accel::Miss;
+                way_end_[k] = hit ? hit_t_[j] : shadow_.length[k];
+                if (hit && !passes(shape)) {
+                    for (int c = 0; c < C; ++c) transmittance_[c][k] = S(0);
+                    hit_shape_[j] = CollisionShape;  // in the dark
+                }
+            }
+            for (int32_t m = 0; m < scene_.n_media; ++m) {
+                size_t waiting = 0;
+                for (size_t j = 0; j < n; ++j)
+                    if (shadow_.medium[pending_[j]] == m && hit_shape_[j] != CollisionShape)
+                        queue_[waiting++] = pending_[j];
+                if (waiting == 0) continue;
+                TransmittanceColumns<S, C> columns{way_end_, way_seed_, transmittance_, way_start_, way_length_};
+                tracker_.transmit(m, shadow_.o, shadow_.d, columns, queue_, waiting);
+                if (Derivative && probing_) choose_points(waiting, m);
+            }
+            n = cross_boundaries(n);
+        }
+        for (size_t k = 0; k < all; ++k) {
+            uint32_t position = shadow_.position[k], slot = shadow_.slot[k];
+            if (!Derivative) {
+                for (int c = 0; c < C; ++c) radiance[c][slot] += transmittance_[c][k] * shadow_.contribution[c][k];
+                continue;
+            }
+            VolumeColumns<S, C> &tape = this->level().volume;
+            bool probe = shadow_.purpose[k] == uint32_t(ShadowPurpose::Probe);
+            S *const *value = probe ? tape.probe_value : tape.shadow_value;
+            for (int c = 0; c < C; ++c) value[c][position] = transmittance_[c][k] * shadow_.contribution[c][k];
+            if (probe) continue;
+            for (int c = 0; c < C; ++c) tape.through[c][position] = transmittance_[c][k];
+            if (!probing_ || way_total_[k] == 0) continue;
+            for (int a = 0; a < 3; ++a) tape.shadow[a][position] = way_point_[a][k];
+            tape.shadow_length[position] = way_total_[k];
+            tape.shadow_medium[position] = way_medium_[k];
+        }
+    }
+
+    // The front of the paths that go on from probes, one a slot at most.
+    void start_branches(Front<S, C> &front) {
+        front.n = 0;
+        for (size_t i = 0; i < n_slots_; i += W) {
+            U slot = U(uint32_t(i)) + lane_index<F>();
+            M active = mask<F>(slot < U(uint32_t(n_slots_))) && !mask<F>(load_uint<F>(chosen_level_ + i) == U(NoLevel));
+            if (!any(active)) continue;
+            auto vec = [&](S *const(&column)[3]) {
+                return Vec3<F>{load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
+            };
+            Vec3<F> p = vec(branch_o_), d = vec(branch_d_);
+            I medium = I(load_uint<F>(reinterpret_cast<uint32_t *>(branch_medium_) + i));
+            Random4<F> u = draw4<F>(call_.config, load_uint<F>(pixel + i), load_uint<F>(sample + i),
+                                    BsdfBlock + BlocksPerScattering * (BranchLevel - 1), 3);
+            Vec3<F> wo = d;
+            F pdf(0);
+            for_each_distinct<F>(medium, active, [&](int32_t m, const M &same) {
+                const MediumInfo &info = scene_.media[m];
+                wo = select(same, sample_phase(scene_, info.phase, p, d, u.u[0], u.u[1], u.u[2], same), wo);
+                if (!info.enclosed) pdf = select(same, eval_phase(scene_, info.phase, p, d, wo, same), pdf);
+            });
+            Color<F, C> beta, channel;
+            for (int c = 0; c < C; ++c) {
+                beta[c] = load<F>(branch_beta_[c] + i);
+                channel[c] = load<F>(branch_channel_[c] + i);
+            }
+            size_t at = front.n;
+            this->append(front, {p, wo}, F(S(INFINITY)), p, pdf, beta, beta, F(1), slot, U(0u), U(1u), active);
+            put_volumetric(front, at, medium, load_uint<F>(branch_depth_ + i), channel, active);
+        }
+    }
+
+    // Keeps what the branches have brought, and makes room for the rest.
+    void finish_branches() {
+        for (int c = 0; c < C; ++c) {
+            std::copy_n(radiance[c], n_slots_, branch_[c]);
+            std::fill_n(radiance[c], n_slots_, S(0));
+        }
+    }
+
+    BranchColumns<S, C> branches() const { return {chosen_level_, chosen_entry_, branch_}; }
+
+    FlightColumns<S, C> flight_;
+    Tracker<F, C> tracker_;
+    bool volumetric_, chromatic_ = false, emissive_ = false, probing_ = false;
+
+private:
+    void query(size_t n) {
+        auto begin = std::chrono::steady_clock::now();
+        constexpr bool single = sizeof(S) == 4;
+        RayBatch rays = ray_batch(ray_o_, ray_d_, ray_length_, n, ray_);
+        HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : this->float_t_,
+                      single ? (float *)hit_b1_ : this->float_b1_, single ? (float *)hit_b2_ : this->float_b2_};
+        call_.accel->intersect(rays, hits, n, false);
+        for (size_t j = 0; !single && j < n; ++j)
+            hit_t_[j] = S(this->float_t_[j]), hit_b1_[j] = S(this->float_b1_[j]), hit_b2_[j] = S(this->float_b2_[j]);
+        stats.shadow_rays += n;
+        stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    }
+
+    // Entries whose medium is m, ascending.
+    static size_t queue_of(const int32_t *medium, size_t n, int32_t m, uint32_t *to) {
+        size_t found = 0;
+        for (size_t i = 0; i < n; ++i) {
+            to[found] = uint32_t(i);
+            found += medium[i] == m;
+        }
+        return found;
+    }
+
+    bool passes(uint32_t shape) const { return scene_.bsdfs[scene_.shapes[shape].bsdf].kind == NullKind; }
+
+    // Spectral MIS: throughput and the densities of the channels after the segment, whose mean stays one.
+    void weigh_channels(Front<S, C> &front) {
+        for (size_t i = 0; i < front.n; i += W) {
+            M inside = mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0);
+            Color<F, C> p, beta, survival;
+            for (int c = 0; c < C; ++c) {
+                p[c] = load<F>(front.channel[c] + i);
+                beta[c] = load<F>(front.beta[c] + i);
+                survival[c] = load<F>(front.survival[c] + i);
+                store(first_[c] + i, beta[c]);
+            }
+            auto ratio = [&](S *const(&column)[C], Color<F, C> &weight) {
+                F mean(0);
+                for (int c = 0; c < C; ++c) {
+                    weight[c] = select(inside, load<F>(column[c] + i), F(1));
+                    mean = fmadd(p[c], weight[c], mean);
+                }
+                return F(C) / mean;
+            };
+            Color<F, C> w;
+            F scale = ratio(flight_.weight, w);
+            for (int c = 0; c < C; ++c) {
+                F factor = select(inside, w[c] * scale, F(1));
+                store(flight_.weight[c] + i, factor);
+                store(front.beta[c] + i, beta[c] * factor);
+                store(front.survival[c] + i, survival[c] * factor);
+                store(front.channel[c] + i, p[c] * factor);
+            }
+            if (!probing_ && !emissive_) continue;
+            scale = ratio(flight_.probe_weight, w);
+            for (int c = 0; c < C; ++c) {
+                store(flight_.probe_weight[c] + i, beta[c] * w[c] * scale);
+                store(probe_channel_[c] + i, p[c] * w[c] * scale);
+            }
+            scale = ratio(flight_.glow_weight, w);
+            for (int c = 0; c < C; ++c) store(flight_.glow_weight[c] + i, w[c] * scale);
+        }
+    }
+
+    void add_emission(const Front<S, C> &front) {
+        for (size_t i = 0; i < front.n; i += W) {
+            M active = mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(front.n)));
+            I medium = I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i));
+            F length = load<F>(flight_.length + i);
+            active = active && mask<F>(medium >= 0) && mask<F>(length > F(0));
+            for_each_distinct<F>(medium, active, [&](int32_t m, const M &same) {
+                const MediumInfo &info = scene_.media[m];
+                if (info.emission < 0) return;
+                auto vec = [&](S *const(&column)[3]) {
+                    return Vec3<F>{load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
+                };
+                Vec3<F> p = vec(front.o) + vec(front.d) * load<F>(flight_.glow + i);
+                Color<F, C> r = eval_volume<C>(scene_, scene_.values, info.emission, p, same) * length;
+                for (int c = 0; c < C; ++c)
+                    r[c] = r[c] * (chromatic_ ? load<F>(first_[c] + i) * load<F>(flight_.glow_weight[c] + i)
+                                              : load<F>(front.beta[c] + i));
+                add_to_slots<F>(radiance, load_uint<F>(front.slot + i), r, same);
+            });
+        }
+    }
+
+    // One of the path's segments, drawn in proportion to `weight` as they come by.
+    void choose_branch(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, const Vec3<F> &p,
+                       const Vec3<F> &d, const F &weight, const Color<F, C> &beta, const M &may) {
+        alignas(64) uint32_t slots[W], set[W], media[W], depths[W];
+        alignas(64) S w[W], u[W], numbers[6][W], colors[2][C][W];
+        store(&slots[0], lanes.get(front.slot));
+        store(&set[0], select(mask<U>(may && mask<F>(weight > F(0))), U(1u), U(0u)));
+        store(&media[0], lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        store(&depths[0], lanes.get(front.depth));
+        store(&w[0], weight);
+        store(&u[0], lanes.get(choice_));
+        const F *from[6] = {&p.x, &p.y, &p.z, &d.x, &d.y, &d.z};
+        for (int k = 0; k < 6; ++k) store(&numbers[k][0], *from[k]);
+        for (int c = 0; c < C; ++c) {
+            store(&colors[0][c][0], beta[c]);
+            store(&colors[1][c][0], chromatic_ ? lanes.get(probe_channel_[c]) : F(1));
+        }
+        const uint32_t level = uint32_t(this->n_levels_ - 1);
+        for (int l = 0; l < W; ++l) {
+            if (!set[l]) continue;
+            uint32_t s = slots[l];
+            total_weight_[s] += w[l];
+            if (!(u[l] * total_weight_[s] < w[l])) continue;
+            chosen_level_[s] = level;
+            chosen_entry_[s] = i + uint32_t(l);
+            branch_medium_[s] = int32_t(media[l]);
+            branch_depth_[s] = depths[l] + 1;
+            for (int a = 0; a < 3; ++a) branch_o_[a][s] = numbers[a][l], branch_d_[a][s] = numbers[3 + a][l];
+            for (int c = 0; c < C; ++c) {
+                branch_beta_[c][s] = colors[0][c][l] / w[l];  // times the total weight, which is known at the end
+                branch_channel_[c][s] = colors[1][c][l];
+            }
+        }
+    }
+
+protected:
+    void weigh_branches() {
+        for (size_t s = 0; s < n_slots_; ++s)
+            for (int c = 0; c < C; ++c) branch_beta_[c][s] *= total_weight_[s];
+    }
+
+private:
+    void seed_ways(uint32_t level, uint32_t round, size_t n) {
+        const PathConfig &config = call_.config;
+        for (size_t j = 0; j < n; j += W) {
+            M active = mask<F>(U(uint32_t(j)) + lane_index<F>() < U(uint32_t(n)));
+            U id = select(mask<U>(active), load_uint<F>(pending_ + j), U(0u));
+            auto get = [&](const uint32_t *column, const U &at) { return gather<U>(column, at, mask<U>(active)); };
+            U slot = get(shadow_.slot, id), purpose = get(shadow_.purpose, id);
+            U block = U(SegmentBlock + BlocksPerSegment * level + 1u) + purpose;
+            auto bits =
+                random_bits4<F>(config.seed, config.sensor + (round << 16), get(pixel, slot), get(sample, slot), block);
+            scatter_lanes<F>(way_seed_[0], id, bits.bits[0] | U(1u), active);
+            scatter_lanes<F>(way_seed_[1], id, bits.bits[1], active);
+            scatter_lanes<F>(pick_, id, convert<F>(convert<I>(bits.bits[2] >> 8)) * F(1.0 / 16777216.0), active);
+            scatter_lanes<F>(spot_, id, convert<F>(convert<I>(bits.bits[3] >> 8)) * F(1.0 / 16777216.0), active);
+        }
+    }
+
+    // A point uniform on all of the parts of a ray that are in media.
+    void choose_points(size_t waiting, int32_t m) {
+        for (size_t q = 0; q < waiting; ++q) {
+            uint32_t k = queue_[q];
+            S length = way_length_[k];
+            if (!(length > 0)) continue;
+            way_total_[k] += length;
+            if (!(pick_[k] * way_total_[k] < length)) continue;
+            way_medium_[k] = m;
+            S t = way_start_[k] + spot_[k] * length;
+            for (int a = 0; a < 3; ++a) way_point_[a][k] = shadow_.o[a][k] + shadow_.d[a][k] * t;
+        }
+    }
+
+    // Rays that have come to a boundary go on behind it; returns how many.
+    size_t cross_boundaries(size_t n) {
+        size_t left = 0;
+        for (size_t j = 0; j < n; j += W) {
+            U row = U(uint32_t(j)) + lane_index<F>();
+            U shape = load_uint<F>(hit_shape_ + j);
+            M on = mask<F>(row < U(uint32_t(n))) && !mask<F>(shape == U(Accel::Miss)) &&
+                   !mask<F>(shape == U(CollisionShape));
+            if (!any(on)) continue;
+            U id = select(mask<U>(on), load_uint<F>(pending_ + j), U(0u));
+            auto vec = [&](S *const(&column)[3]) {
+                return Vec3<F>{gather<F>(column[0], id, on), gather<F>(column[1], id, on),
+                               gather<F>(column[2], id, on)};
+            };
+            Ray<F> ray{vec(shadow_.o), vec(shadow_.d)};
+            F t = load<F>(hit_t_ + j), length = gather<F>(shadow_.length, id, on) - t;
+            SurfacePoint<F> at{select(mask<U>(on), shape, U(0u)),
+                               select(mask<U>(on), load_uint<F>(hit_primitive_ + j), U(0u)), load<F>(hit_b1_ + j),
+                               load<F>(hit_b2_ + j)};
+            Interaction<F> si = make_interaction(scene_, ray, at, t, on);
+            I medium = I(gather<U>(reinterpret_cast<const uint32_t *>(shadow_.medium), id, mask<U>(on)));
+            Vec3<F> o = offset_origin(si.p, si.ng, ray.d);
+            medium = medium_behind(scene_, at.shape, si.ng, ray.d, medium, on);
+            const F *moved[3] = {&o.x, &o.y, &o.z};
+            for (int a = 0; a < 3; ++a) scatter_lanes<F>(shadow_.o[a], id, *moved[a], on);
+            scatter_lanes<F>(shadow_.length, id, length, on);
+            scatter_lanes<F>(reinterpret_cast<uint32_t *>(shadow_.medium), id, U(medium), on);
+            M lit(false);
+            for (int c = 0; c < C; ++c) lit = lit || mask<F>(gather<F>(transmittance_[c], id, on) > F(0));
+            on = on && lit && mask<F>(length > F(0));
+            store_compressed<F>(pending_ + left, id, on);
+            left += size_t(count(on));
+        }
+        return left;
+    }
+
+    Arena paths_, through_;
+    // by slot
+    uint32_t *hero_, *chosen_level_, *chosen_entry_, *branch_depth_;
+    int32_t *branch_medium_;
+    S *total_weight_, *branch_o_[3], *branch_d_[3], *branch_beta_[C], *branch_channel_[C], *branch_[C];
+    // by entry of the front
+    S *choice_, *first_[C], *probe_channel_[C];
+    // by shadow ray
+    S *way_end_, *way_start_, *way_length_, *way_total_, *pick_, *spot_, *way_point_[3], *transmittance_[C];
+    uint32_t *way_seed_[2], *pending_, *queue_;
+    int32_t *way_medium_;
+    // of those in flight
+    S *ray_o_[3], *ray_d_[3], *ray_length_;
+};
+
+}  // namespace tr
