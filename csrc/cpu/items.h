@@ -157,6 +157,8 @@ inline void sum_stats(RenderStats &to, const RenderStats &from) {
     to.shadow_rays += from.shadow_rays;
     to.lanes += from.lanes;
     to.lane_slots += from.lane_slots;
+    to.collisions += from.collisions;
+    to.majorants_exceeded += from.majorants_exceeded;
     to.seconds_trace += from.seconds_trace;
     if (to.non_finite_where.empty()) to.non_finite_where = from.non_finite_where;
 }

@@ -4,6 +4,7 @@
 #pragma once
 
 #include <algorithm>
+#include <utility>
 
 #include "volume_tile.h"
 
@@ -68,7 +69,8 @@ public:
     // vertex, and ends the paths.
     template <bool Derivative, class Stop>
     void run(Stop &&stop) {
-        n_levels_ = 0;
+        n_levels_ = this->first_level_ = 0;
+        checkpoints_.clear();
         const PathConfig &config = call_.config;
         if (config.max_depth == 0 || fronts_[0].n == 0) return;
         if (volumetric_) return run_volumetric<Derivative>(stop);
@@ -106,10 +108,13 @@ public:
     // Runs over the tape from its end; `forward`: all adjoints are one.
     template <class Sink>
     void sweep(Sink &sink, bool forward) {
-        typename TapeSweep<F, C>::Paths paths{delta, radiance, film_x, film_y, n_slots_, {}};
-        if (volumetric_ && probing_) paths.branches = this->branches();
-        TapeSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, paths);
-        sweep.run(sink, forward);
+        size_t block = volumetric_ && checkpoints_.size() ? checkpoints_.size() - 1 : 0;
+        sweep_tape(sink, forward, block);
+        while (block > 0) {
+            replay_block(--block);
+            boundary_.hand_to(*levels_[size_t(n_levels_ - 1)]);
+            sweep_tape(sink, forward, block);
+        }
         stats.non_finite += sink.non_finite;
         if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
         sink.non_finite = 0;
@@ -132,11 +137,49 @@ private:
     void run_levels(uint32_t first, Stop &stop) {
         Front<S, C> *current = &fronts_[0], *next = &fronts_[1];
         for (uint32_t level = first; current->n > 0 && !stop(); ++level) {
-            trace(*current);
-            this->template fly<Derivative>(*current, level);
-            step<Derivative>(*current, *next, int(level), 0, true, n_levels_ - 1);
+            if (Derivative && level % BlockLevels == 0) {
+                checkpoints_.save(*current);
+                this->first_level_ = int(level);
+                n_levels_ = 0;
+            }
+            run_level<Derivative>(*current, *next, level);
             std::swap(current, next);
         }
+        stats.collisions += std::exchange(this->tracker_.collisions, 0);
+        stats.majorants_exceeded += std::exchange(this->tracker_.exceeded, 0);
+    }
+
+    template <bool Derivative>
+    void run_level(Front<S, C> &current, Front<S, C> &next, uint32_t level) {
+        trace(current);
+        this->template fly<Derivative>(current, level);
+        int parents = n_levels_ > 0 ? n_levels_ - 1 : level > 0 ? TapeLevel<S, C>::InBlockBefore : -1;
+        step<Derivative>(current, next, int(level), 0, true, parents);
+    }
+
+    // The levels of a block onto the tape once more.
+    void replay_block(size_t block) {
+        Front<S, C> *current = &fronts_[0], *next = &fronts_[1];
+        checkpoints_.restore(block, *current);
+        this->replaying_ = true;
+        this->first_level_ = int(block) * BlockLevels;
+        n_levels_ = 0;
+        for (int l = 0; l < BlockLevels; ++l) {
+            run_level<true>(*current, *next, uint32_t(this->first_level_ + l));
+            std::swap(current, next);
+        }
+        this->replaying_ = false;
+    }
+
+    template <class Sink>
+    void sweep_tape(Sink &sink, bool forward, size_t block) {
+        typename TapeSweep<F, C>::Paths paths{delta, radiance, film_x, film_y, n_slots_, {}};
+        if (volumetric_ && probing_) paths.branches = this->branches();
+        paths.first_level = this->first_level_;
+        boundary_.clear();
+        if (block > 0) paths.boundary = &boundary_;
+        TapeSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, paths);
+        sweep.run(sink, forward);
     }
 
     // ------------------------------------------------------------------------------------------------------ queries
@@ -500,6 +543,8 @@ private:
     }
 
     std::vector<int> leaf_kind_;
+    Checkpoints<S, C> checkpoints_;
+    BlockBoundary<S, C> boundary_;
 };
 
 }  // namespace tr

@@ -52,6 +52,7 @@ struct DerivativeCall {
 
 struct RenderStats {
     uint64_t non_finite = 0, closest_rays = 0, shadow_rays = 0, lanes = 0, lane_slots = 0;
+    uint64_t collisions = 0, majorants_exceeded = 0;  // tentative collisions in gridded media
     std::string non_finite_where;
     double seconds = 0, seconds_trace = 0;
     bool interrupted = false;

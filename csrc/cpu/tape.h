@@ -24,16 +24,24 @@ struct Front {
     uint32_t *depth;
     S *channel[C];
 
+    // An upper bound for the columns below.
+    static constexpr size_t Columns = 17 + 3 * C;
+    template <class Visit>
+    void for_columns(Visit &&visit) const {
+        for (S *p : {o[0], o[1], o[2], d[0], d[1], d[2], length, from[0], from[1], from[2], pdf, eta}) visit(p);
+        for (auto *p : {&beta, &survival, &channel})
+            for (int c = 0; c < C; ++c) visit((*p)[c]);
+        for (uint32_t *p : {slot, parent, seen, depth}) visit(p);
+        visit(medium);
+    }
+
     void allocate(size_t capacity) {
         arena.allocate([&](Arena &a) {
-            a.column(medium, capacity);
-            a.column(depth, capacity);
-            a.column(channel, capacity);
             for (S **p : {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta})
                 a.column(*p, capacity);
-            a.column(beta, capacity);
-            a.column(survival, capacity);
-            for (uint32_t **p : {&slot, &parent, &seen}) a.column(*p, capacity);
+            for (auto *p : {&beta, &survival, &channel}) a.column(*p, capacity);
+            for (uint32_t **p : {&slot, &parent, &seen, &depth}) a.column(*p, capacity);
+            a.column(medium, capacity);
         });
     }
 };
@@ -149,7 +157,8 @@ struct TapeLevel {
     Arena arena;
     size_t capacity = 0;
     std::vector<Segment> segments;
-    int parent_level = -1;
+    static constexpr int NoParent = -1, InBlockBefore = -2;
+    int parent_level = NoParent;
     bool scatters = false;
     VolumeColumns<S, C> volume;  // of volumetric paths
 

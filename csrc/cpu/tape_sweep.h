@@ -1,9 +1,9 @@
 // The sweep over the tape of a tile from its end to its beginning: what core/adjoint/sweep.h says of a vertex, for all.
 #pragma once
 
+#include "checkpoints.h"
 #include "core/adjoint/camera.h"
 #include "render.h"
-#include "tape.h"
 
 namespace tr {
 
@@ -23,6 +23,8 @@ public:
         const S *film_x, *film_y;
         size_t n;
         BranchColumns<S, C> branches{};
+        int first_level = 0;                      // number of the tape's first level among all
+        BlockBoundary<S, C> *boundary = nullptr;  // takes what that hands to the level before it
     };
 
     TapeSweep(const RenderCall<S> &call, const DerivativeCall<S> &derivative, Levels &levels, int n_levels,
@@ -105,10 +107,13 @@ private:
                 r = r + sweep_collision(scene_, v, flight.medium, a, level.template get_next<F>(i, false).radiance,
                                         wanted, active, sink);
             if (volumetric)
-                r = sweep_flight<C>(scene_, flight, delta, v.beta, r, branch(number, i, slot, active), wanted.medium,
-                                    active, sink);
+                r = sweep_flight<C>(scene_, flight, delta, v.beta, r,
+                                    branch(paths_.first_level + number, i, slot, active), wanted.medium, active, sink);
             TapeLevel<S, C> *parents = level.parent_level >= 0 ? levels_[size_t(level.parent_level)].get() : nullptr;
-            if (parents) hand_to_parent(*parents, level.parent + i, r, active);
+            if (parents)
+                hand_to_parent(*parents, level.parent + i, r, active);
+            else if (level.parent_level == level.InBlockBefore)
+                keep_for_parent(level.parent + i, r, active);
             if (wanted.geometry) {
                 RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
                 Vec3<F> u{F(0), F(0), F(0)};
@@ -156,6 +161,18 @@ private:
             for (int k = 0; k < 3; ++k) parents.next_p[k][to] = level.p[k][from];
             parents.next_b[0][to] = level.b1[from], parents.next_b[1][to] = level.b2[from];
             parents.next_shape[to] = level.shape[from], parents.next_primitive[to] = level.primitive[from];
+        }
+    }
+
+    void keep_for_parent(const uint32_t *parent, const Color<F, C> &r, const M &active) {
+        BlockBoundary<S, C> &to = *paths_.boundary;
+        size_t n = size_t(count(active)), before = to.parent.size();
+        to.parent.insert(to.parent.end(), parent, parent + n);
+        alignas(64) S v[W];
+        for (int c = 0; c < C; ++c) {
+            store(&v[0], r[c]);
+            to.radiance[c].resize(before + n);
+            std::copy_n(v, n, &to.radiance[c][before]);
         }
     }
 

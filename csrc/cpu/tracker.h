@@ -75,6 +75,7 @@ public:
     }
 
     uint64_t collisions = 0;  // tentative ones
+    uint64_t exceeded = 0;    // of them with an extinction above the majorant: there must be none
 
 private:
     const SceneView<S> &scene_;
@@ -135,6 +136,8 @@ private:
             if (any(stopped) && (count(stopped) * 2 >= count(walking || stopped))) {
                 collisions += uint64_t(count(stopped));
                 Color<F, N> sigma = grid_extinction<N>(scene_, medium, s.walk.local(), stopped);
+                M above = stopped && mask<F>(max_channel(sigma) > s.walk.majorant);
+                if (any(above)) exceeded += uint64_t(count(above));
                 M goes_on = sink.collide(s, sigma, stopped);
                 s.depth = select(goes_on, optical_depth(s.random.next(goes_on)), s.depth);
                 walking = walking || goes_on;

@@ -366,7 +366,8 @@ protected:
 
     FlightColumns<S, C> flight_;
     Tracker<F, C> tracker_;
-    bool volumetric_, chromatic_ = false, emissive_ = false, probing_ = false;
+    bool volumetric_, chromatic_ = false, emissive_ = false, probing_ = false, replaying_ = false;
+    int first_level_ = 0;  // number of the tape's first level
 
 private:
     void query(size_t n) {
@@ -458,6 +459,7 @@ private:
     // One of the path's segments, drawn in proportion to `weight` as they come by.
     void choose_branch(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, const Vec3<F> &p,
                        const Vec3<F> &d, const F &weight, const Color<F, C> &beta, const M &may) {
+        if (replaying_) return;  // chosen when the path was traced first
         alignas(64) uint32_t slots[W], set[W], media[W], depths[W];
         alignas(64) S w[W], u[W], numbers[6][W], colors[2][C][W];
         store(&slots[0], lanes.get(front.slot));
@@ -472,7 +474,7 @@ private:
             store(&colors[0][c][0], beta[c]);
             store(&colors[1][c][0], chromatic_ ? lanes.get(probe_channel_[c]) : F(1));
         }
-        const uint32_t level = uint32_t(this->n_levels_ - 1);
+        const uint32_t level = uint32_t(first_level_ + this->n_levels_ - 1);
         for (int l = 0; l < W; ++l) {
             if (!set[l]) continue;
             uint32_t s = slots[l];

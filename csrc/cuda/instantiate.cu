@@ -3,7 +3,7 @@
 // what keeps the core free of everything that a device cannot do. `make cuda` does that.
 #include "core/adjoint/camera.h"
 #include "core/bsdf/diffuse.h"
-#include "core/integrator/path.h"
+#include "core/integrator/medium.h"
 
 namespace tr {
 
@@ -84,6 +84,41 @@ __global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n,
     ++path.depth;
 }
 
+// Delta tracking to the next collision in a gridded medium, and scattering there.
+template <int C>
+__global__ void scatter_in_media(SceneView<S> scene, PathConfig config, uint32_t n, int32_t medium, PathState *paths,
+                                 const S *length, MediumScattering<float, C> *out) {
+    uint32_t i = thread_index();
+    if (i >= n) return;
+    PathState &path = paths[i];
+    const MediumInfo &info = scene.media[medium];
+    uint32_t block = SegmentBlock + BlocksPerSegment * uint32_t(path.depth);
+    auto bits = random_bits4<float>(config.seed, config.sensor, path.pixel, path.sample, block);
+    TrackingRandom<float> random{bits.bits[0] | 1u, bits.bits[1]};
+    MajorantWalk<float, S> walk{};
+    bool walking = walk.start(scene, info, path.origin, path.direction, length[i], true), stopped = false, left = false;
+    float depth = optical_depth(random.next(true));
+    while (walking) {
+        walk.advance(scene, info, depth, walking, stopped, left);
+        if (!stopped) continue;
+        float sigma = grid_extinction<1>(scene, info, walk.local(), true)[0];
+        if (random.next(true) * walk.majorant < sigma) break;
+        depth = optical_depth(random.next(true));
+        walking = true, stopped = false;
+    }
+    out[i] = no_medium_scattering<C, float>();
+    if (!stopped) return;
+    Vec3<float> p = path.origin + path.direction * (walk.enter + walk.t);
+    block = BlocksPerScattering * uint32_t(path.depth);
+    Random4<float> ue = draw4<float>(config, path.pixel, path.sample, EmitterBlock + block, 4);
+    Random4<float> ub = draw4<float>(config, path.pixel, path.sample, BsdfBlock + block, 3);
+    scatter_in_medium<C>(scene, medium, p, path.direction, ue, ub, true, out[i]);
+    path.origin = p;
+    path.direction = out[i].wo;
+    path.from = {p, out[i].pdf};
+    ++path.depth;
+}
+
 // The derivative of a BSDF's value in each of its parameters, by dual numbers.
 template <class Model, int C>
 __device__ void differentiate(const SceneView<S> &scene, int32_t bsdf, const SurfacePoint<float> &at,
@@ -124,15 +159,17 @@ __global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uin
     sweep_camera(scene, camera, x[i], y[i], S(width), S(height), g, true, sinks[i]);
 }
 
-#define TR_INSTANTIATE(C)                                                                                          \
-    template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *); \
-    template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,        \
-                                              Scattering<float, C> *);                                             \
-    template __global__ void move_hits<C>(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,     \
-                                          const HitAdjoint<float> *, const float *, const float *,                 \
-                                          ForwardSink<float, C> *);                                                \
-    template __global__ void differentiate_bsdfs<C>(SceneView<S>, uint32_t, const int32_t *,                       \
-                                                    const SurfacePoint<float> *, const Vec3<float> *,              \
+#define TR_INSTANTIATE(C)                                                                                             \
+    template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);    \
+    template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,           \
+                                              Scattering<float, C> *);                                                \
+    template __global__ void scatter_in_media<C>(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *, \
+                                                 MediumScattering<float, C> *);                                       \
+    template __global__ void move_hits<C>(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,        \
+                                          const HitAdjoint<float> *, const float *, const float *,                    \
+                                          ForwardSink<float, C> *);                                                   \
+    template __global__ void differentiate_bsdfs<C>(SceneView<S>, uint32_t, const int32_t *,                          \
+                                                    const SurfacePoint<float> *, const Vec3<float> *,                 \
                                                     const Vec3<float> *, S *, uint32_t);
 TR_INSTANTIATE(1)
 TR_INSTANTIATE(3)
