@@ -12,7 +12,7 @@ from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
 from .errors import MissingTermWarning, NotDifferentiableError, RenderError
-from .integrators import AOV, DirectIllumination, Integrator, PathTracer
+from .integrators import AOV, DirectIllumination, Integrator, PathTracer, VolumetricPathTracer
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
 from .render import Renderer, render
@@ -21,9 +21,11 @@ from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.materials import Conductor, Dielectric, TwoSided
+from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
+from .scene.volumes import ConstantVolume, GridVolume
 from .transform import Transform
 from .versions import count_fused_steps
 
@@ -50,12 +52,16 @@ __all__ = [
     "Bitmap",
     "Checkerboard",
     "Conductor",
+    "ConstantVolume",
     "Cube",
     "Dielectric",
     "DirectIllumination",
     "Disk",
     "EnvironmentMap",
     "Film",
+    "GridVolume",
+    "HeterogeneousMedium",
+    "HomogeneousMedium",
     "Integrator",
     "Mesh",
     "MeshAttribute",
@@ -73,6 +79,7 @@ __all__ = [
     "Sphere",
     "Transform",
     "TwoSided",
+    "VolumetricPathTracer",
     "backends",
     "from_trimesh",
     "integrators",

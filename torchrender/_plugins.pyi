@@ -6,7 +6,7 @@ from typing import Any
 import torch
 
 from .scene.plugin import Plugin
-from .typing import Array, Color, Matrix, Number, TextureLike
+from .typing import Color, Number, TextureLike
 
 class AreaLight(Plugin):
     """An emitting shape."""
@@ -45,17 +45,6 @@ class ConstantTexture(Plugin):
     ) -> None: ...
     value: Any
 
-class Constvolume(Plugin):
-    """The same value everywhere."""
-
-    def __init__(
-        self,
-        *,
-        value: Color = 1.0,
-        **properties: Any,
-    ) -> None: ...
-    value: Any
-
 class Diffuse(Plugin):
     """Ideal diffuse (Lambertian) reflection, one-sided."""
 
@@ -67,43 +56,7 @@ class Diffuse(Plugin):
     ) -> None: ...
     reflectance: Any
 
-class Gridvolume(Plugin):
-    """Voxels, trilinear or nearest."""
-
-    def __init__(
-        self,
-        *,
-        data: Array | None = None,
-        to_world: Matrix | None = None,
-        filter_type: str = 'bilinear',
-        wrap_mode: str = 'clamp',
-        **properties: Any,
-    ) -> None: ...
-    data: torch.Tensor
-    to_world: torch.Tensor
-    filter_type: Any
-    wrap_mode: Any
-
-class Heterogeneous(Plugin):
-    """A medium whose extinction may be a grid."""
-
-    def __init__(
-        self,
-        *,
-        sigma_t: Any | None = None,
-        albedo: Any | None = None,
-        emission: Any | None = None,
-        scale: Number = 1.0,
-        phase: Any | None = None,
-        **properties: Any,
-    ) -> None: ...
-    sigma_t: torch.Tensor
-    albedo: torch.Tensor
-    emission: torch.Tensor
-    scale: torch.Tensor
-    phase: torch.Tensor
-
-class Hg(Plugin):
+class HenyeyGreenstein(Plugin):
     """Henyey and Greenstein's phase function."""
 
     def __init__(
@@ -113,25 +66,6 @@ class Hg(Plugin):
         **properties: Any,
     ) -> None: ...
     g: torch.Tensor
-
-class Homogeneous(Plugin):
-    """A medium whose extinction is the same everywhere."""
-
-    def __init__(
-        self,
-        *,
-        sigma_t: Any | None = None,
-        albedo: Any | None = None,
-        emission: Any | None = None,
-        scale: Number = 1.0,
-        phase: Any | None = None,
-        **properties: Any,
-    ) -> None: ...
-    sigma_t: torch.Tensor
-    albedo: torch.Tensor
-    emission: torch.Tensor
-    scale: torch.Tensor
-    phase: torch.Tensor
 
 class Isotropic(Plugin):
     """Scatters alike in all directions."""

@@ -72,6 +72,48 @@ class PathTracer(Integrator):
         return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
 
 
+class VolumetricPathTracer(Integrator):
+    """Path tracer through media: free flights by delta tracking, light through media by ratio tracking.
+
+    Emitter samples are combined with those of BSDFs and phase functions by the power heuristic. Media are those that
+    shapes have as `interior` or `exterior`, and the `medium` of the camera. Surfaces whose BSDF is `null` bound a
+    medium and are otherwise invisible: they let light through, and they do not count as segments.
+
+    There are derivatives with respect to media, textures, materials and lights, and none with respect to what moves
+    rays (shapes, cameras, positions, transforms); asking for one raises `NotDifferentiableError`. With
+    ``render(..., correlated=True)`` image and derivative share their samples; no hits are kept.
+
+    Args:
+        max_depth: longest path in segments, whose ends are surfaces and collisions in media; 1 shows emitters and
+            emission only, 2 adds light that was scattered once, -1 is unlimited.
+        rr_depth: number of segments after which Russian roulette may end a path, at least 1.
+        hide_emitters: emitters are not seen directly by the camera.
+    """
+
+    kind = "volpath"
+
+    def __init__(self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False) -> None:
+        super().__init__()
+        self.max_depth = max_depth
+        self.rr_depth = rr_depth
+        self.hide_emitters = hide_emitters
+        self.config()
+
+    def config(self) -> dict[str, Any]:
+        return {
+            "integrator": "path",
+            "volumetric": True,
+            "max_depth": _integer("VolumetricPathTracer", "max_depth", self.max_depth, -1),
+            "rr_depth": _integer("VolumetricPathTracer", "rr_depth", self.rr_depth, 1),
+            "hide_emitters": _boolean("VolumetricPathTracer", "hide_emitters", self.hide_emitters),
+            "emitter_samples": 1,
+            "bsdf_samples": 1,
+        }
+
+    def extra_repr(self) -> str:
+        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
+
+
 class DirectIllumination(Integrator):
     """Direct light only: emitter and BSDF sampling at the first hit, combined by the power heuristic.
 
@@ -218,13 +260,14 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "prb": (PathTracer, _PATH, {"max_depth": 6}),
     "prb_basic": (PathTracer, _PATH, {"max_depth": 6}),
     "prb_projective": (PathTracer, _PATH, {"max_depth": 6}),
+    "volpath": (VolumetricPathTracer, _PATH, {}),
+    "volpathmis": (VolumetricPathTracer, _PATH, {}),
+    "prbvolpath": (VolumetricPathTracer, _PATH, {"max_depth": 6}),
     "direct": (DirectIllumination, _DIRECT, {}),
     "direct_projective": (DirectIllumination, ("hide_emitters",), {}),
     "aov": (AOV, ("aovs",), {}),
 }
-DOCUMENTED = (
-    "depth emission moment ptracer stokes volpath volpathmis prbvolpath direct_reparam prb_reparam bdpt"
-).split()
+DOCUMENTED = ("depth emission moment ptracer stokes direct_reparam prb_reparam bdpt").split()
 
 
 def from_dict(properties: dict[str, Any], path: str) -> Integrator:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import warnings
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -17,9 +18,10 @@ from .errors import describe, nearest
 from .integrators import AOV, Integrator, PathTracer
 from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
 from .progress import progress
+from .scene.boundaries import warn_of_open_boundaries
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
-from .scene.derivatives import Wanted
+from .scene.derivatives import Wanted, depth_outside
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
@@ -114,6 +116,10 @@ def render(
         refuse_batches(value)
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
     tensors = gather(scene, packed, params)
+    shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
+    volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
+    if shows_radiance and packed.media:
+        _check_media(scene, packed, volumetric)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
@@ -127,6 +133,10 @@ def render(
         used = tensors
         if index == len(packed.sensors) - 1:
             used = substitute(scene, packed, tensors, camera)
+            if volumetric and camera.medium is not None:
+                raise ValueError(
+                    "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
+                )
         native = scene.native(packed, [tuple(t.shape) for t in used])
         alpha = "alpha" in names or (stack is not None and stack.wants_alpha(film))
         call = RenderCall(
@@ -151,11 +161,12 @@ def render(
             alpha=alpha,
             variance="variance" in names,
             statistics=scene.statistics,
-            wanted=Wanted(packed, scene.warned, alpha),
+            wanted=Wanted(packed, scene.warned, alpha, volumetric),
             adaptive_grad=adaptive_grad,
         )
         call.keep_hits = (
             correlated
+            and not volumetric
             and call.spp_grad == call.spp
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
@@ -166,6 +177,16 @@ def render(
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=OUTPUTS[n] != 0) for n in names]
     return found[0] if outputs is None else collect(names, found)
+
+
+def _check_media(scene: Scene, packed: Layout, volumetric: bool) -> None:
+    """Media that are in the scene: whether they are rendered, and whether their boundaries are closed."""
+    if volumetric:
+        warn_of_open_boundaries(scene, packed)
+    elif "media" not in scene.warned:
+        scene.warned.add("media")
+        text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
+        warnings.warn(text, UserWarning, stacklevel=depth_outside())
 
 
 def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor]) -> dict[str, Any]:

@@ -24,3 +24,5 @@ ObjectLike: TypeAlias = nn.Module | Mapping[str, Any] | Any
 """A built object, or the dict that describes one; ``{"type": "ref", "id": "..."}`` refers to another."""
 TextureLike: TypeAlias = Color | ObjectLike
 """A colour, a texture object or dict, or texels (H, W, C)."""
+VolumeLike: TypeAlias = Color | ObjectLike
+"""A number or colour, a volume object or dict, or voxels (Z, Y, X) or (Z, Y, X, C)."""

@@ -24,7 +24,7 @@ def read_volume(path: str | os.PathLike) -> torch.Tensor:
             or (Z, Y, X, C).
 
     Returns:
-        float32 tensor (Z, Y, X, C). The bounding box that a ``.vol`` file stores is not part of it.
+        float32 tensor (Z, Y, X, C). `read_volume_bounds` reads the bounding box that a ``.vol`` file stores.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -38,6 +38,26 @@ def read_volume(path: str | os.PathLike) -> torch.Tensor:
     if head == b"\x93NUMPY":
         return _read_npy(path)
     raise ValueError(f"{path}: expected a volume: a .vol file (beginning with 'VOL') or a .npy file")
+
+
+def read_volume_bounds(path: str | os.PathLike) -> torch.Tensor:
+    """Read the bounding box that a ``.vol`` file states for its grid.
+
+    Returns:
+        float32 tensor (2, 3): lower and upper corner, (x, y, z).
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if the file is no ``.vol`` file, or its header is truncated.
+    """
+    path = existing_file(path)
+    with path.open("rb") as file:
+        head = file.read(_HEADER.size)
+    if not head.startswith(b"VOL"):
+        raise ValueError(f"{path}: expected a .vol file (beginning with 'VOL'), which others have no bounding box")
+    if len(head) < _HEADER.size:
+        raise truncated(path, _HEADER.size, len(head))
+    return torch.tensor(_HEADER.unpack(head)[-6:], dtype=torch.float32).reshape(2, 3)
 
 
 def write_volume(

@@ -76,6 +76,7 @@ class PerspectiveCamera(Plugin):
         principal_point_offset_x, principal_point_offset_y: fractions of the film's width and height by which the
             image moves left and up.
         film, sampler: dicts or objects.
+        medium: the medium that the camera is in, if it is in one.
     """
 
     category, type = "sensor", "perspective"

@@ -17,12 +17,13 @@ from typing import TYPE_CHECKING
 from ..errors import MissingTermWarning, NotDifferentiableError
 
 if TYPE_CHECKING:
-    from .packing import Layout
+    from .packing import Layout, Slot
 
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
 COVERAGE = "outputs: alpha"  # among the names that were warned about
 ZERO = "zero where no such edge is in view"
+MOVING = "VolumetricPathTracer has none with respect to what moves surfaces, rays or texture coordinates"
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,13 @@ class Wanted:
         layout: of the packed scene.
         warned: names that were warned about in this scene before; grows.
         alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
+        volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
     """
 
     layout: Layout
     warned: set[str]
     alpha: bool = False
+    volumetric: bool = False
 
     def check(self, indices: Iterable[int]) -> None:
         """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
@@ -79,8 +82,9 @@ class Wanted:
             slot = self.layout.slots[i]
             if id(slot.module) not in self.layout.used and slot.name not in self.warned:
                 unused.append(slot.name)
-            if slot.refusal:
-                refuse(slot.name, slot.refusal)
+            refusal = refusal_of(slot, self.volumetric)
+            if refusal:
+                refuse(slot.name, refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
                 lacking.setdefault(slot.caveat, []).append(slot.name)
         if unused:
@@ -115,6 +119,23 @@ class Wanted:
         return None
 
 
+def refusal_of(slot: Slot, volumetric: bool) -> str:
+    """Why there is no derivative with respect to a parameter, or an empty string."""
+    return slot.refusal or (MOVING if volumetric and moves_rays(slot) else "")
+
+
+def moves_rays(slot: Slot) -> bool:
+    """Whether rays, their hits, or where on a surface or map something is looked up depend on a parameter."""
+    category = getattr(slot.module, "category", "")
+    if category == "shape":
+        return slot.attribute in slot.module.fields()  # other tensors of a mesh are colours
+    if category == "sensor" or slot.kind == "transform2" or slot.caveat:
+        return True
+    if category == "emitter":
+        return slot.kind in ("transform", "point")
+    return getattr(slot.module, "type", "") == "mesh_attribute"
+
+
 def _listing(names: list[str], most: int = 6) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
@@ -142,7 +163,7 @@ Made from the native declaration of the models, by
 
 *Complete* derivatives are the derivatives of the expected image, in forward and reverse mode. Where a term is missing,
 the rest of the derivative is there, and asking for it gives one `tr.MissingTermWarning`. Where there is none, asking
-for it raises `tr.NotDifferentiableError`. The parameters of a texture have what the parameter has that the texture
+for it raises `tr.NotDifferentiableError`. The parameters of a texture or volume have what the parameter has that it
 stands for. `print(scene)` says the same for the parameters of one scene.
 
 How things move: what a ray of the camera, or one that was reflected or refracted smoothly, has hit slides over the
@@ -150,7 +171,12 @@ surface. Points to which light was sampled or scattered are glued to theirs, and
 form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). So the
 derivative with respect to the place of an area light, or of a wall of a convex room, is complete but for the edges of
 shadows. What depends on the object: `to_uv` of a bitmap with nearest texels has no derivative; that of
-`vertex_normals` is complete on diffuse surfaces."""
+`vertex_normals` is complete on diffuse surfaces.
+
+`tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
+rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of
+refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking for one of those raises
+`tr.NotDifferentiableError`."""
 
 
 def page() -> str:
@@ -164,7 +190,7 @@ def page() -> str:
         names = {f.name: f.name for f in model.fields}
         if (group, kind) != ("attribute", "attribute"):
             names.update({f.name: name for name, f in plugin_class(group, kind).fields().items()})
-        fields = [f for f in model.fields if f.kind in (*TENSOR_KINDS, "texture")]
+        fields = [f for f in model.fields if f.kind in (*TENSOR_KINDS, "texture", "volume")]
         if not fields:
             continue
         if group != category:

@@ -33,7 +33,7 @@ def gather(
         if not isinstance(params, Mapping):
             raise TypeError(f"{function}: params: expected a mapping from names to tensors, got {describe(params)}")
         for name, tensor in params.items():
-            index = layout.by_name.get(name)
+            index = layout.index_of(name)
             if index is None:
                 raise ValueError(
                     f"{function}: params: the scene has no parameter {name!r}; {nearest(name, layout.by_name)}"

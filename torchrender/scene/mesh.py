@@ -30,6 +30,7 @@ class Mesh(Shape):
         face_normals: shade flat although there are vertex normals.
         flip_normals: turn normals around.
         bsdf, emitter: material and area light.
+        interior, exterior: media inside and outside; the mesh is closed then, with normals that point outside.
         to_world: 4x4 matrix applied once, when the mesh is made.
         attributes: colours by name, ``vertex_*`` (V, C) or ``face_*`` (F, C), for `mesh_attribute` textures.
 
@@ -41,6 +42,7 @@ class Mesh(Shape):
 
     type = "mesh"
     renames: ClassVar[dict[str, str]] = {
+        **Shape.renames,
         "vertices": "vertex_positions",
         "normals": "vertex_normals",
         "texcoords": "vertex_texcoords",
@@ -74,7 +76,7 @@ class Mesh(Shape):
     @classmethod
     def parameter_names(cls) -> list[str]:
         mine = ["vertices", "faces", "vertex_normals", "vertex_texcoords", "face_normals", "flip_normals"]
-        return [*mine, "to_world", "attributes", "bsdf", "emitter"]
+        return [*mine, "to_world", "attributes", "bsdf", "emitter", "interior", "exterior"]
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         positions = properties.pop("vertices", properties.pop("vertex_positions", None))
@@ -336,6 +338,7 @@ class Cube(Mesh):
         to_world: 4x4 matrix.
         flip_normals: normals point inside.
         bsdf, emitter: material and area light.
+        interior, exterior: media inside and outside.
     """
 
     def __init__(self, **properties: Any) -> None:
@@ -350,7 +353,7 @@ class Cube(Mesh):
 
     @classmethod
     def parameter_names(cls) -> list[str]:
-        return ["to_world", "flip_normals", "bsdf", "emitter", "attributes"]
+        return ["to_world", "flip_normals", "bsdf", "emitter", "interior", "exterior", "attributes"]
 
 
 @builder("cube", "shape")
@@ -362,6 +365,7 @@ def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plug
     from ..loaders import geometry
 
     names = ["filename", "face_normals", "flip_tex_coords", "flip_normals", "to_world", "bsdf", "emitter"]
+    names += ["interior", "exterior"]
     for name, value in properties.items():
         nested = isinstance(value, Plugin) or (isinstance(value, Mapping) and "type" in value)
         if name not in names and name not in SILHOUETTE and not nested:

@@ -15,11 +15,17 @@ from torch import nn
 
 from .declaration import TENSOR_KINDS, models
 from .derivatives import COMPLETE, Limits
+from .media import Medium
 from .mesh import Mesh
 from .plugin import Plugin
+from .shapes import Shape
 
 if TYPE_CHECKING:
     from .scene import Scene
+
+
+# Kinds of objects whose parameters have the derivatives that the field has in which the object sits.
+LIMITING = ("spectrum", "texture", "volume")
 
 
 @dataclass
@@ -49,9 +55,10 @@ class Slot:
                 raise ValueError(f"{what}: expected shape {expected}, got {shape}")
             return
         current = tuple(self.tensor().shape)
-        if len(current) == 3:  # texels: any size
-            if len(shape) != 3 or shape[2] not in (1, channels) or 0 in shape:
-                raise ValueError(f"{what}: expected shape (H, W, C) with C = 1 or {channels}, got {shape}")
+        if len(current) in (3, 4):  # texels and voxels: any size
+            if len(shape) != len(current) or shape[-1] not in (1, channels) or 0 in shape:
+                size = "(H, W, C)" if len(current) == 3 else "(Z, Y, X, C)"
+                raise ValueError(f"{what}: expected shape {size} with C = 1 or {channels}, got {shape}")
         elif shape != current:
             raise ValueError(f"{what}: expected shape {current}, got {shape}")
 
@@ -68,10 +75,17 @@ class Layout:
     sensors: list[Plugin] = field(default_factory=list)
     smooth_meshes: list[Mesh] = field(default_factory=list)  # those whose normals follow from their positions
     used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
+    media: bool = False  # some shape or camera has a medium
+    boundaries_seen: bool = False  # the media's boundaries were looked at
 
     def index_key(self) -> list[tuple[int, int, int]]:
         """Tells whether the index arrays are still those that a native scene was built with."""
         return [(t.data_ptr(), t.shape[0], 0 if t.is_inference() else t._version) for t in self.index_tensors]
+
+    def index_of(self, name: str) -> int | None:
+        """The slot of the parameter that goes by this name, also by one with the words of a scene dict."""
+        found = self.by_name.get(name)
+        return self.by_name.get(canonical(name)) if found is None else found
 
     def camera_slots(self, camera: Plugin) -> dict[str, int]:
         """Slots of the fields of `camera`, which is among the packed sensors."""
@@ -126,7 +140,7 @@ class _Packer:
             else:
                 child = plugin._modules.get(field_name)
                 if isinstance(child, Plugin):
-                    self.alias(child, f"{name}.{field_name}", own if declared.kind != "bsdf" else limits)
+                    self.alias(child, f"{name}.{field_name}", own if declared.kind in LIMITING else limits)
 
     def _number(self, plugin: Plugin, field_name: str, declared: Any, name: str, limits: Limits) -> int:
         kind = declared.kind
@@ -149,7 +163,7 @@ class _Packer:
             return -1
         if kind == "spectrum":
             return self.slot(child, "value", f"{name}.value", kind, own)
-        return self.add(child, name, own if kind == "texture" else limits)
+        return self.add(child, name, own if kind in LIMITING else limits)
 
     def _mesh(self, mesh: Mesh, name: str, row: int) -> None:
         if mesh.computed_normals and not mesh.face_normals:
@@ -171,8 +185,14 @@ class _Packer:
             self.layout.objects["attribute"].append(("attribute", numbers, f"{name}.{attribute}"))
 
 
+def canonical(name: str) -> str:
+    """A dotted name with the words of a scene dict (``ball.interior.phase.g``) in those of the modules."""
+    words = {**Shape.aliases, **Medium.aliases}
+    return ".".join(words.get(part, part) for part in name.split("."))
+
+
 # Objects that others refer to come first, so that a parameter goes by the id of the object that owns it.
-ORDER = ("texture", "medium", "bsdf", "emitter", "shape", "sensor")
+ORDER = ("texture", "volume", "phase", "medium", "bsdf", "emitter", "shape", "sensor")
 
 
 def top_level(scene: Scene) -> Iterator[tuple[str, Plugin]]:
@@ -215,6 +235,7 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
     layout = packer.layout
     layout.sensors.append(free_camera)
     layout.used = _used(scene) | {id(free_camera)}
+    layout.media = any(isinstance(m, Medium) and id(m) in layout.used for m in scene.modules())
     # It is no part of the scene, so nothing of it can be asked for by name.
     layout.by_name = {n: i for n, i in layout.by_name.items() if layout.slots[i].module is not free_camera}
     return layout

@@ -46,6 +46,8 @@ class Plugin(nn.Module):
     category: ClassVar[str] = ""
     type: ClassVar[str] = ""
     renames: ClassVar[dict[str, str]] = {}  # native field -> name in Python
+    aliases: ClassVar[dict[str, str]] = {}  # further names, those of a scene dict -> name in Python
+    enumerations: ClassVar[dict[str, tuple[str, ...]]] = ENUMERATIONS
     optional: ClassVar[frozenset[str]] = frozenset()  # absent unless given: the native default applies
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
@@ -78,7 +80,8 @@ class Plugin(nn.Module):
     @classmethod
     def parameter_names(cls) -> list[str]:
         """Names accepted in a scene dict."""
-        return [*cls.fields(), *cls.inert]
+        shown = {name: alias for alias, name in cls.aliases.items()}
+        return [*(shown.get(name, name) for name in cls.fields()), *cls.inert]
 
     # ------------------------------------------------------------------------------------------------- building
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
@@ -94,7 +97,7 @@ class Plugin(nn.Module):
         for name in self.unsupported:
             if name in properties:
                 ctx.error(f"{self.type}: the documented parameter {name!r} is not supported by this version")
-        properties = self.prepare(properties, ctx)
+        properties = self._unaliased(self.prepare(properties, ctx), ctx)
         fields = self.fields()
         self._check_names(properties, ctx)
         for name, field in fields.items():
@@ -107,10 +110,17 @@ class Plugin(nn.Module):
         self._fill(ctx)
         self.check(ctx)
 
+    def _unaliased(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        """`properties` under the names in Python."""
+        for alias, name in self.aliases.items():
+            if alias in properties and name in properties:
+                ctx.error(f"{self.type}: {alias} and {name} are the same parameter; give one of them")
+        return {self.aliases.get(name, name): value for name, value in properties.items()}
+
     def _check_names(self, properties: Mapping[str, Any], ctx: Context) -> None:
         nested = {f.kind for f in self.fields().values() if f.kind in CHILD_KINDS}
         for name, value in properties.items():
-            if name in self.fields():
+            if name in self.fields() or name in self.aliases:
                 continue
             looks_nested = isinstance(value, (Plugin, Reference)) or (isinstance(value, Mapping) and "type" in value)
             if not (nested and looks_nested):
@@ -239,16 +249,16 @@ class Plugin(nn.Module):
     def _encode_check(self, name: str, value: Any, ctx: Context) -> Any:
         if name in BOOLEANS:
             return values.boolean(value, ctx)
-        if name in ENUMERATIONS:
-            return ENUMERATIONS[name][values.choice(value, ENUMERATIONS[name], ctx)]
+        if name in self.enumerations:
+            return self.enumerations[name][values.choice(value, self.enumerations[name], ctx)]
         return values.integer(value, ctx)
 
-    @staticmethod
-    def _decode(name: str, value: int) -> Any:
+    @classmethod
+    def _decode(cls, name: str, value: int) -> Any:
         if name in BOOLEANS:
             return bool(value)
-        if name in ENUMERATIONS:
-            return ENUMERATIONS[name][value]
+        if name in cls.enumerations:
+            return cls.enumerations[name][value]
         return value
 
     def derivative_of(self, field: Field) -> str:
@@ -258,8 +268,8 @@ class Plugin(nn.Module):
     def encode(self, name: str) -> int:
         """The static field `name` as the integer that the core takes."""
         value = getattr(self, name)
-        if name in ENUMERATIONS:
-            return ENUMERATIONS[name].index(value)
+        if name in self.enumerations:
+            return self.enumerations[name].index(value)
         return int(value)
 
     # --------------------------------------------------------------------------------------------------- checks
@@ -270,14 +280,16 @@ class Plugin(nn.Module):
                 tensor = self._parameters.get(name)
                 if tensor is not None:
                     check_range(tensor, field, ctx.at(name), constant=tensor.ndim <= 1)
-            elif field.kind in ("texture", "spectrum"):
+            elif field.kind in ("texture", "spectrum", "volume"):
                 child = self._modules.get(name)
                 if child is not None:
                     for leaf_name, tensor in child.texels():
-                        check_range(tensor, field, ctx.at(name).at(leaf_name), constant=tensor.ndim <= 1)
+                        # Images may go too far here and there; a medium of negative density has no tracking at all.
+                        fatal = tensor.ndim <= 1 or field.kind == "volume"
+                        check_range(tensor, field, ctx.at(name).at(leaf_name), constant=fatal)
 
     def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
-        """For a texture: names and tensors of the values that it can take."""
+        """For a texture or volume: names and tensors of the values that it can take."""
         for name in ("value", "data"):
             tensor = self._parameters.get(name)
             if tensor is not None:
@@ -288,6 +300,7 @@ class Plugin(nn.Module):
         if not self.__dict__.get("_built", False) or isinstance(getattr(type(self), name, None), property):
             super().__setattr__(name, value)
             return
+        name = self.aliases.get(name, name)
         field = self.fields().get(name)
         if field is None:
             super().__setattr__(name, value)
@@ -371,13 +384,13 @@ class Plugin(nn.Module):
             if parameter is None:
                 continue
             data = parameter.data
-            if recolor and name in ("value", "data") and data.ndim in (1, 3) and data.shape[-1] == 3:
+            if recolor and name in ("value", "data") and data.ndim in (1, 3, 4) and data.shape[-1] == 3:
                 data = values.luminance(data)
             parameter.data = data.to(dtype=ctx.dtype, device=ctx.device).contiguous()
         for name in self.fields():
             tensor = self.__dict__.get(name)
             if isinstance(tensor, torch.Tensor):  # part of a graph, which this extends
-                if recolor and name in ("value", "data") and tensor.ndim in (1, 3) and tensor.shape[-1] == 3:
+                if recolor and name in ("value", "data") and tensor.ndim in (1, 3, 4) and tensor.shape[-1] == 3:
                     tensor = values.luminance(tensor)
                 self.__dict__[name] = tensor.to(dtype=ctx.dtype, device=ctx.device)
         self.__dict__["_color"] = ctx.color
@@ -389,6 +402,8 @@ class Plugin(nn.Module):
         try:
             return super().__getattr__(name)
         except AttributeError:
+            if name in self.aliases:
+                return getattr(self, self.aliases[name])
             known = [*self._parameters, *self._modules, *self._buffers]
             raise AttributeError(f"{type(self).__name__} has no attribute {name!r}; {nearest(name, known)}") from None
 
@@ -433,7 +448,10 @@ def check_range(tensor: torch.Tensor, field: Field, ctx: Context, constant: bool
 
 
 def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Reference:
-    """`value` as an object of `category` (any if None): built objects, dicts, references, numbers as textures."""
+    """`value` as an object of `category` (any if None).
+
+    Built objects, dicts and references; numbers and arrays as textures or volumes where these are wanted.
+    """
     from . import registry
 
     if isinstance(value, Plugin):
@@ -451,6 +469,8 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
                 ctx.error(f"a reference is {{'type': 'ref', 'id': NAME}}, got {describe(dict(value))}")
             return Reference(value["id"])
         if values.is_spectrum(value):
+            if category == "volume":
+                return registry.build({"type": "constvolume", "value": value}, ctx, category)
             if category != "texture":
                 ctx.error(f"expected a {category or 'nested object'}, got a colour")
             return registry.constant(value, ctx)
@@ -460,4 +480,8 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
         if tensor.ndim == 3:
             return registry.build({"type": "bitmap", "data": value, "raw": True}, ctx, "texture")
         return registry.constant(value, ctx)
+    if category == "volume":
+        if values.floating(value, ctx).ndim in (3, 4):
+            return registry.build({"type": "gridvolume", "data": value}, ctx, "volume")
+        return registry.build({"type": "constvolume", "value": value}, ctx, "volume")
     ctx.error(f"expected a {category or 'nested object'} (a dict or a built object), got {describe(value)}")

@@ -25,6 +25,11 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("emitter", "point"): "PointLight",
     ("sensor", "perspective"): "PerspectiveCamera",
     ("shape", "mesh"): "Mesh",
+    ("volume", "constvolume"): "ConstantVolume",
+    ("volume", "gridvolume"): "GridVolume",
+    ("phase", "hg"): "HenyeyGreenstein",
+    ("medium", "homogeneous"): "HomogeneousMedium",
+    ("medium", "heterogeneous"): "HeterogeneousMedium",
 }
 INTERNAL = frozenset({"attribute"})  # categories that have no class of their own
 

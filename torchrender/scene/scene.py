@@ -12,14 +12,15 @@ from torch import nn
 
 from ..errors import NotDifferentiableError, describe, nearest
 from ..integrators import TYPES as INTEGRATORS
-from ..integrators import Integrator
+from ..integrators import Integrator, VolumetricPathTracer
 from ..integrators import from_dict as integrator_from
 from . import registry
 from .camera import PerspectiveCamera
 from .context import Context, Reference
+from .derivatives import refusal_of
 from .film import SAMPLERS, Film, Sampler
 from .native import NativeScene
-from .packing import ORDER, Layout, pack
+from .packing import ORDER, Layout, canonical, pack
 from .plugin import Plugin, child_of, structure_changed, structure_epoch
 
 VARIANTS = ("mono", "rgb")
@@ -287,13 +288,15 @@ class Scene(nn.Module):
             patterns = tuple(patterns[0])
         names: dict[str, nn.Parameter] = self._by_every_name()
         layout = self.layout()
-        refusals = {n: layout.slots[i].refusal for n, i in layout.by_name.items()}
+        volumetric = isinstance(self.integrator, VolumetricPathTracer)
+        refusals = {n: refusal_of(layout.slots[i], volumetric) for n, i in layout.by_name.items()}
         following = {id(m._parameters.get("vertex_normals")) for m in layout.smooth_meshes}
         chosen: dict[int, nn.Parameter] = {}
         for pattern in patterns:
             if not isinstance(pattern, str):
                 raise TypeError(f"train_only: expected glob patterns, got {describe(pattern)}")
             found = [n for n in names if fnmatch.fnmatchcase(n, pattern)]
+            found = found or [n for n in names if fnmatch.fnmatchcase(n, canonical(pattern))]
             if not found:
                 raise ValueError(f"train_only: no parameter matches {pattern!r}; {nearest(pattern, names)}")
             usable = [n for n in found if not refusals.get(n)]

@@ -17,9 +17,13 @@ SILHOUETTE: dict[str, tuple[Any, ...]] = {"silhouette_sampling_weight": ()}
 
 
 class Shape(Plugin):
-    """What all shapes share: a BSDF (if none is given diffuse 0.5, or 0 where it emits), and possibly an area light."""
+    """What all shapes share: a BSDF (if none is given diffuse 0.5, or 0 where it emits), possibly an area light, and
+    media on its two sides: `interior` on the one that normals point away from, `exterior` on the other.
+    """
 
     category = "shape"
+    renames: ClassVar[dict[str, str]] = {"interior": "interior_medium", "exterior": "exterior_medium"}
+    aliases: ClassVar[dict[str, str]] = {"interior": "interior_medium", "exterior": "exterior_medium"}
     inert: ClassVar[dict[str, tuple[Any, ...]]] = SILHOUETTE
 
     def _fill(self, ctx: Context) -> None:
@@ -38,6 +42,11 @@ class Shape(Plugin):
         if self._modules.get("bsdf") is None:
             self._modules["bsdf"] = self._default_bsdf(ctx)
 
+    def adopt(self, child: Plugin, ctx: Context) -> None:
+        if child.category == "medium":
+            ctx.error("a medium of a shape goes by the name 'interior' or 'exterior'")
+        super().adopt(child, ctx)
+
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         emitter = self._modules.get("emitter")
@@ -53,6 +62,7 @@ class Rectangle(Shape):
         to_world: 4x4 matrix.
         flip_normals: the normal points to -z.
         bsdf, emitter: material and area light.
+        interior, exterior: media behind and in front of it.
     """
 
     type = "rectangle"
@@ -75,6 +85,7 @@ class Disk(Shape):
         to_world: 4x4 matrix.
         flip_normals: the normal points to -z.
         bsdf, emitter: material and area light.
+        interior, exterior: media behind and in front of it.
     """
 
     type = "disk"
@@ -95,6 +106,7 @@ class Sphere(Shape):
         to_world: 4x4 matrix.
         flip_normals: normals point inside.
         bsdf, emitter: material and area light.
+        interior, exterior: media inside and outside.
     """
 
     type = "sphere"

@@ -9,7 +9,7 @@ import inspect
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaration import Field
+from .declaration import CHILD_KINDS, Field
 
 if TYPE_CHECKING:
     from .plugin import Plugin
@@ -29,6 +29,8 @@ ANNOTATIONS = {
     "emitter": "ObjectLike",
     "shape": "ObjectLike",
     "medium": "ObjectLike",
+    "phase": "ObjectLike",
+    "volume": "VolumeLike",
 }
 # Parameters that no native field has, by name.
 OTHERS = {
@@ -43,6 +45,8 @@ OTHERS = {
     "attributes": "Mapping[str, Array]",
     "filename": "str | os.PathLike[str]",
     "bitmap": "Any",
+    "grid": "Any",
+    "use_grid_bbox": "bool",
     "raw": "bool",
     "int_ior": "Number | str",
     "ext_ior": "Number | str",
@@ -71,7 +75,7 @@ def signature_of(cls: type[Plugin]) -> inspect.Signature:
     for name in cls.parameter_names():
         if name in found or name in cls.inert:
             continue
-        field = fields.get(name)
+        field = fields.get(cls.aliases.get(name, name))
         annotation = annotation_of(name, field, cls)
         default = default_of(name, field, cls)
         found[name] = inspect.Parameter(
@@ -99,7 +103,9 @@ def default_of(name: str, field: Field | None, cls: type[Plugin]) -> Any:
         return None
     if field.kind == "int":
         return cls._decode(name, int(field.default))
-    return field.default if field.kind in ("float", "spectrum", "texture") else None
+    if field.kind == "volume" and field.default < 0:  # the core's word for none
+        return None
+    return field.default if field.kind in ("float", "spectrum", "texture", "volume") else None
 
 
 HEADER = """# Types of the classes that are generated from the native declaration, made by:
@@ -131,7 +137,9 @@ def stub() -> str:
         lines += [f"    {field_name}: {_attribute(field)}" for field_name, field in cls.fields().items()]
     body = "\n".join(lines)
     names = [
-        n for n in ("Array", "Color", "Matrix", "Number", "ObjectLike", "TextureLike", "Vector") if f": {n}" in body
+        n
+        for n in ("Array", "Color", "Matrix", "Number", "ObjectLike", "TextureLike", "Vector", "VolumeLike")
+        if f": {n}" in body
     ]
     imports = ["from typing import Any\n"]
     if "torch.Tensor" in body:
@@ -143,7 +151,7 @@ def stub() -> str:
 
 def _attribute(field: Field) -> str:
     """What reading the attribute of a built object gives."""
-    if field.kind in ("spectrum", "texture", "bsdf", "emitter", "shape", "medium"):
+    if field.kind in ("spectrum", "texture", *CHILD_KINDS):
         return "Any"  # an object of any class of that category, with attributes of its own
     return "Any" if field.kind == "int" else "torch.Tensor"
 

@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from .derivatives import describe_derivative
+from ..integrators import VolumetricPathTracer
+from .derivatives import describe_derivative, refusal_of
 from .packing import pack, top_level
 
 if TYPE_CHECKING:
@@ -22,13 +23,14 @@ def summarise(scene: Scene) -> str:
     integrator = scene.integrator
     if integrator is not None:
         lines.append(f"  integrator: {integrator!r}")
+    volumetric = isinstance(integrator, VolumetricPathTracer)
     rows = []
     for slot in pack(scene, scene._free_camera).slots:
         if slot.name.startswith("camera.") and slot.module is scene._free_camera:
             continue
         tensor = slot.tensor().detach()
         shape = "x".join(str(n) for n in tensor.shape) or "number"
-        derivative = describe_derivative(slot.refusal, slot.caveat)
+        derivative = describe_derivative(refusal_of(slot, volumetric), slot.caveat)
         if slot.tensor().requires_grad:
             derivative += ", requires grad"
         rows.append((slot.name, shape, str(tensor.dtype).removeprefix("torch."), _range(tensor), derivative))

@@ -176,6 +176,16 @@ def image(value: Any, ctx: Context) -> torch.Tensor:
     return to_channels(tensor, ctx).contiguous()
 
 
+def voxels(value: Any, ctx: Context) -> torch.Tensor:
+    """Voxels (Z, Y, X, C), C = 1 or 3, contiguous; (Z, Y, X) counts as one channel, mono has luminance."""
+    tensor = floating(value, ctx)
+    if tensor.ndim == 3:
+        tensor = tensor[..., None]
+    if tensor.ndim != 4 or tensor.shape[-1] not in (1, 3) or 0 in tensor.shape:
+        ctx.error(f"expected voxels of shape (Z, Y, X, C) with C = 1 or 3 and Z, Y, X > 0, got {describe(value)}")
+    return to_channels(tensor, ctx).contiguous()
+
+
 def integer(value: Any, ctx: Context, minimum: int | None = None) -> int:
     """An integer; booleans are refused."""
     if isinstance(value, bool) or not (

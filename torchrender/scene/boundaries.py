@@ -1,0 +1,74 @@
+"""What a scene's media need of the shapes around them, looked at once for each structure of a scene."""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import torch
+
+from .derivatives import depth_outside
+from .mesh import Mesh
+from .plugin import Plugin
+
+if TYPE_CHECKING:
+    from .packing import Layout
+    from .scene import Scene
+
+# Odd constants of 64 bits with irregular digits, as signed numbers.
+_ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8796714831421723037)
+
+
+def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:
+    """One UserWarning for each mesh of `scene` that is the boundary of a medium and not closed.
+
+    A medium is entered and left where a ray crosses a surface, so one whose boundary has holes leaks. Several meshes
+    may close a boundary together. Where a rectangle or disk takes part, nothing is said: those have no edges in common
+    with meshes that could be compared.
+    """
+    if layout.boundaries_seen:
+        return
+    layout.boundaries_seen = True
+    groups: dict[int, list[tuple[str, Plugin]]] = {}
+    for name, shape in scene._modules.items():
+        if isinstance(shape, Plugin) and shape.category == "shape":
+            for medium in {id(shape._modules.get(side)) for side in ("interior_medium", "exterior_medium")}:
+                groups.setdefault(medium, []).append((name, shape))
+    groups.pop(id(None), None)
+    for group in groups.values():
+        if any(shape.type in ("rectangle", "disk") for _, shape in group):
+            continue
+        loose = [(name, edge_sum(mesh)) for name, mesh in group if isinstance(mesh, Mesh)]
+        if sum(total for _, total in loose) % 2**64 == 0:
+            continue
+        for name, total in loose:
+            if total and f"{name}: open" not in scene.warned:
+                scene.warned.add(f"{name}: open")
+                warnings.warn(
+                    f"{name}: the boundary of a medium, but not closed: some edge is not shared by two triangles that "
+                    "turn the same way round, and the medium leaks there",
+                    UserWarning,
+                    stacklevel=depth_outside(),
+                )
+
+
+def edge_sum(mesh: Mesh) -> int:
+    """Zero if every edge of `mesh` is passed as often in one direction as in the other, which is what closed means.
+
+    Vertices in one place count as one. An edge from a to b adds u(a) v(b) - u(b) v(a) with two hashes of places, which
+    changes its sign with the direction; by chance the sum, modulo 2^64, vanishes with a probability of about 1e-19.
+    """
+    places = (mesh.vertex_positions.detach().double() + 0.0).view(torch.int64)  # + 0.0: minus zero becomes zero
+    u = _mix(_mix(places[:, 0] * _ODD[0] + places[:, 1] * _ODD[1]) * _ODD[3] + places[:, 2] * _ODD[2])
+    faces = mesh.faces.long()
+    from_, to = u[faces], _mix(u * _ODD[2])[faces]
+    following = [1, 2, 0]
+    total = int((from_ * to[:, following] - from_[:, following] * to).sum())
+    return (-total if mesh.flip_normals else total) % 2**64
+
+
+def _mix(x: torch.Tensor) -> torch.Tensor:
+    """A hash of 64-bit integers, by multiplications and shifts; overflow wraps around."""
+    for constant in _ODD[:2]:
+        x = (x ^ (x >> 29)) * constant
+    return x ^ (x >> 32)
