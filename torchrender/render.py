@@ -18,7 +18,7 @@ from .errors import describe, nearest
 from .integrators import AOV, Integrator, PathTracer
 from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
 from .progress import progress
-from .scene.boundaries import warn_of_open_boundaries
+from .scene.boundaries import check_phases, warn_of_open_boundaries
 from .scene.camera import PerspectiveCamera
 from .scene.context import Context
 from .scene.derivatives import Wanted, depth_outside
@@ -119,7 +119,7 @@ def render(
     shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
     volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
     if shows_radiance and packed.media:
-        _check_media(scene, packed, volumetric)
+        _check_media(scene, packed, tensors, volumetric)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
@@ -179,9 +179,10 @@ def render(
     return found[0] if outputs is None else collect(names, found)
 
 
-def _check_media(scene: Scene, packed: Layout, volumetric: bool) -> None:
-    """Media that are in the scene: whether they are rendered, and whether their boundaries are closed."""
+def _check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volumetric: bool) -> None:
+    """Media that are in the scene: whether they are rendered, in their range, and within closed boundaries."""
     if volumetric:
+        check_phases(packed, tensors)
         warn_of_open_boundaries(scene, packed)
     elif "media" not in scene.warned:
         scene.warned.add("media")

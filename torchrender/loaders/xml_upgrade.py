@@ -12,6 +12,7 @@ from .xml_tree import Element
 
 _UV = ("uscale", "vscale", "uoffset", "voffset")
 _NAMED = ("integer", "float", "boolean", "string", "point", "vector", "rgb", "spectrum", "srgb", "transform", "texture")
+_NAMED += ("volume", "medium", "phase")
 
 
 def snake_case(name: str) -> str:

@@ -1,4 +1,4 @@
-"""What a scene's media need of the shapes around them, looked at once for each structure of a scene."""
+"""What media need before they are rendered: phase functions in their range, closed shapes around them."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from .context import Context
 from .derivatives import depth_outside
 from .mesh import Mesh
-from .plugin import Plugin
+from .plugin import Plugin, check_range
 
 if TYPE_CHECKING:
     from .packing import Layout
@@ -17,6 +18,16 @@ if TYPE_CHECKING:
 
 # Odd constants of 64 bits with irregular digits, as signed numbers.
 _ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8796714831421723037)
+
+
+def check_phases(layout: Layout, tensors: list[torch.Tensor]) -> None:
+    """ValueError for a number of a phase function that is out of its range, among this call's `tensors`.
+
+    Objects check theirs when they are made; this is about edits in place and substitutes. (The core looks at volumes.)
+    """
+    for slot, tensor in zip(layout.slots, tensors, strict=True):
+        if slot.kind == "float" and getattr(slot.module, "category", "") == "phase":
+            check_range(tensor.detach(), slot.module.fields()[slot.attribute], Context(path=(slot.name,)), True)
 
 
 def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:

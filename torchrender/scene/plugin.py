@@ -437,7 +437,7 @@ def check_range(tensor: torch.Tensor, field: Field, ctx: Context, constant: bool
         ctx.error("has values that are not finite")
     minimum = -float("inf") if field.min is None else field.min
     maximum = float("inf") if field.max is None else field.max
-    slack = 1e-6 * max(1.0, abs(maximum) if maximum < float("inf") else 1.0)
+    slack = 0.0 if field.kind == "volume" else 1e-6 * max(1.0, abs(maximum) if maximum < float("inf") else 1.0)
     if low >= minimum and high <= maximum + slack:
         return
     value = low if low < minimum else high
