@@ -210,6 +210,15 @@ def test_xml(tmp_path):
     assert scene.a.exterior is scene.fog is scene.sensors[0].medium and float(scene.fog.phase.g) == pytest.approx(0.8)
 
 
+def test_xml_of_old_files():
+    built = parse_string(
+        """<scene version="0.6.0"><shape type="sphere" id="a"><medium type="heterogeneous" name="interior">
+        <volume name="sigmaT" type="constvolume"><float name="value" value="2"/></volume>
+        </medium></shape></scene>"""
+    )
+    assert float(tr.load_dict(built).a.interior.sigma_t.value.value) == 2
+
+
 # --------------------------------------------------------------------------------------------------------- as a module
 def test_copies_files_and_precision():
     scene = load({"type": "heterogeneous", "sigma_t": grid(), "phase": {"type": "hg", "g": 0.3}})
