@@ -112,6 +112,12 @@ def test_grids_of_files_and_their_bounding_boxes(tmp_path):
     placed = tr.GridVolume(filename=vol, use_grid_bbox=True, to_world=moved).to_world.detach()
     corners = torch.tensor([[0.0, 0, 0, 1], [1, 1, 1, 1]]) @ placed.T
     assert corners[:, :3].tolist() == [[4, 0, 2], [6, 3, 6]]
+    # Mitsuba 3.9.1 gives this box for such a file and transform.
+    transform = tr.Transform.translate([5, 1, -2]).rotate([0, 0, 1], 90).scale([2, 1, 3])
+    volume = tr.GridVolume(filename=vol, use_grid_bbox=True, to_world=transform)
+    corners = torch.cartesian_prod(*[torch.tensor([0.0, 1.0])] * 3) @ volume.to_world[:3, :3].T + volume.to_world[:3, 3]
+    torch.testing.assert_close(corners.amin(0).detach(), torch.tensor([2.0, -1, 4]), rtol=0, atol=1e-6)
+    torch.testing.assert_close(corners.amax(0).detach(), torch.tensor([5.0, 3, 16]), rtol=0, atol=1e-6)
     with pytest.raises(ValueError, match=r"fog\.npy: expected a \.vol file"):
         tr.GridVolume(filename=npy, use_grid_bbox=True)
     with pytest.raises(ValueError, match=r"use_grid_bbox: only \.vol files have a bounding box, but data is given"):

@@ -129,8 +129,10 @@ def moves_rays(slot: Slot) -> bool:
     category = getattr(slot.module, "category", "")
     if category == "shape":
         return slot.attribute in slot.module.fields()  # other tensors of a mesh are colours
-    if category == "sensor" or slot.kind == "transform2" or slot.caveat:
+    if category == "sensor" or slot.kind == "transform2":
         return True
+    if category == "bsdf":
+        return bool(slot.caveat)  # what bends rays at smooth surfaces moves the edges that are seen through them
     if category == "emitter":
         return slot.kind in ("transform", "point")
     return getattr(slot.module, "type", "") == "mesh_attribute"
