@@ -11,6 +11,7 @@
 #include "host/dependence.h"
 #include "host/normals.h"
 #include "host/scene_data.h"
+#include "phase_probe.h"
 #include "probes.h"
 
 namespace py = pybind11;
@@ -195,6 +196,13 @@ public:
             throw std::invalid_argument("bsdf: expected a number below " + std::to_string(scene.n_bsdfs));
         if (what.rfind("emitter_sample", 0) == 0 && scene.n_emitters == 0)
             throw std::invalid_argument("the scene has no emitters");
+        if (what.rfind("phase", 0) == 0) {
+#if TR_HAS_PACKETS
+            if constexpr (std::is_same_v<S, float>)
+                if (arrays.count("packet")) return probe_phases<FloatPacket>(what, index, n, arrays);
+#endif
+            return probe_phases<S>(what, index, n, arrays);
+        }
         if (what == "bsdf")
             probe_bsdf<S, C>(scene, index, n, at("wi"), at("wo"), at("uv"), at("value"), at("pdf"));
         else if (what == "bsdf_sample")
@@ -252,6 +260,33 @@ private:
                     columns[6].data()};
         }
     };
+
+    // See phase_probe.h; gradients and tangents go by the number of their slot.
+    template <class F>
+    void probe_phases(const std::string &what, int index, size_t n, const Arrays &arrays) {
+        const SceneView<S> &scene = data_.view();
+        size_t n_phases = data_.layout().records.at("phase").size();
+        if (index < 0 || size_t(index) >= n_phases)
+            throw std::invalid_argument("phase: expected a number below " + std::to_string(n_phases));
+        auto at = [&](const char *name) { return reinterpret_cast<S *>(arrays.at(name)); };
+        if (what == "phase") return probe_phase<F>(scene, index, n, at("p"), at("d"), at("wo"), at("value"));
+        if (what == "phase_sample") return probe_phase_sample<F>(scene, index, n, at("p"), at("d"), at("u"), at("wo"));
+        Addresses slots(data_.n_params(), 0);
+        for (size_t i = 0; i < slots.size(); ++i)
+            if (auto found = arrays.find(std::to_string(i)); found != arrays.end()) slots[i] = found->second;
+        if (what == "phase_reverse") {
+            DerivativeCall<S> d{};
+            d.sums.constants.assign(data_.n_constants(), 0.0);
+            std::vector<S *> gradients = tensors(slots);
+            probe_phase_reverse<F, C>(scene, index, n, at("p"), at("d"), at("wo"), at("g"), d.sums.constants.data(),
+                                      gradients.data());
+            return add_gradients(d, slots);
+        }
+        Tangents tangent;
+        data_.fill_values(pointers(slots), tangent.arrays.constants, tangent.tensors);
+        probe_phase_forward<F, C>(scene, index, n, at("p"), at("d"), at("wo"), at("g"),
+                                  {tangent.arrays.constants.data(), tangent.tensors.data()}, at("derivative"));
+    }
 
     static std::vector<const S *> pointers(const Addresses &addresses) {
         std::vector<const S *> r;

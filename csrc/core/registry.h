@@ -26,7 +26,7 @@ using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmi
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
 using Sensors = TypeList<Perspective>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
-using Phases = TypeList<Isotropic, HenyeyGreenstein>;
+using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
 using Attributes = TypeList<AttributeModel>;
 

@@ -78,6 +78,7 @@ struct SceneView {
     int32_t n_media;
     const S *volume_to_local;  // 12 a volume
     const S *majorants;
+    const S *phase_tables;  // see phase/tabulated.h
 };
 
 // ------------------------------------------------------------------------------------------------- reading records

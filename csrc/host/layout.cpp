@@ -48,6 +48,7 @@ public:
         for (size_t i = 0; i < list("texture").size(); ++i) texture_depth(int(i), 1);
         check_bsdfs();
         connect_media();
+        lay_out_phases(out_, shapes_);
         connect_shapes();
         find_enclosed_media();
         connect_emitters();

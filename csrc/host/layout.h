@@ -62,10 +62,14 @@ struct SceneLayout {
     int environment = -1;
     std::vector<MediumInfo> media;
     int n_majorants = 0;
+    int n_phase_numbers = 0;  // in the tables of tabulated phase functions
 };
 
 // std::invalid_argument: "scene.path: field 'x': expected ..., got ...".
 SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
                     const std::vector<IndexArray> &index_arrays, int channels);
+
+// Of that, the phase functions: checks, and where their tables lie. The rest is there.
+void lay_out_phases(SceneLayout &layout, const std::vector<std::vector<int64_t>> &param_shapes);
 
 }  // namespace tr

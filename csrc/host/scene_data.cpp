@@ -117,6 +117,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_environment(params, new_environment ? all : changed);
     update_emitters();
     update_media(first ? all : changed);
+    update_phases(first ? all : changed);
     refresh_view();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }
@@ -269,6 +270,7 @@ void SceneData<S>::refresh_view() {
     view_.n_media = int32_t(layout_.media.size());
     view_.volume_to_local = volume_to_local_.data();
     view_.majorants = majorants_.data();
+    view_.phase_tables = phase_tables_.data();
 }
 
 template class SceneData<float>;

@@ -91,7 +91,7 @@ private:
     std::vector<S> emitter_cdf_, emitter_pmf_;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
-    std::vector<S> volume_to_local_, majorants_;
+    std::vector<S> volume_to_local_, majorants_, phase_tables_;
 
     void allocate_geometry();
     void take_over(SceneData &previous);
@@ -109,6 +109,7 @@ private:
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
     void update_media(const std::vector<uint8_t> &dirty);
+    void update_phases(const std::vector<uint8_t> &dirty);
     void refresh_view();
 };
 

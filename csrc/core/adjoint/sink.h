@@ -76,6 +76,17 @@ public:
             }
         }
     }
+    // of the sum of weight(i) times number i of a tensor of one channel, the same for all lanes
+    template <class Weight>
+    TR_INLINE void weighted_sum(const SceneView<S> &, int32_t slot, int32_t n, const Weight &weight,
+                                const Color<F, C> &g, const MaskOf<F> &active) {
+        S *gradient = tensors[slot];
+        if (!gradient) return;
+        auto usable = finite(g, active);
+        S total(0);
+        for (int c = 0; c < C; ++c) total += lane_sum(select(usable, g[c], F(0)));
+        for (int32_t i = 0; i < n; ++i) gradient[i] += total * weight(i);
+    }
     // of a number in the block of small parameters
     TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
         add(constants, UIntOf<F>(offset), g, active);
@@ -153,6 +164,15 @@ public:
     TR_INLINE void footprint(const SceneView<S> &, int32_t slot, const Footprint<F, N> &at, const Color<F, C> &g,
                              const MaskOf<F> &active) {
         if (tangent.tensors[slot].data) add(g * gather_footprint<C>(tangent.tensors[slot], at, active), active);
+    }
+    template <class Weight>
+    TR_INLINE void weighted_sum(const SceneView<S> &, int32_t slot, int32_t n, const Weight &weight,
+                                const Color<F, C> &g, const MaskOf<F> &active) {
+        const S *data = tangent.tensors[slot].data;
+        if (!data) return;
+        S sum(0);
+        for (int32_t i = 0; i < n; ++i) sum += weight(i) * data[i];
+        add(g * F(sum), active);
     }
     TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
         add(g * gather<F>(tangent.constants, UIntOf<F>(offset), active), active);

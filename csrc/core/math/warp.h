@@ -44,6 +44,14 @@ TR_INLINE Vec3<F> square_to_cone(const F &u1, const F &u2, const F &one_minus_co
     return {r * c, r * s, F(1) - a};
 }
 
+// The unit vector at an angle to `axis`, of which cosine and sine are given; u turns it about the axis.
+template <class F>
+TR_INLINE Vec3<F> direction_about(const Vec3<F> &axis, const F &cosine, const F &sine, const F &u) {
+    F s, c;
+    sincos(u * F(2 * Pi), s, c);
+    return normalize(make_frame(axis).to_world({sine * c, sine * s, cosine}));
+}
+
 // Barycentric coordinates (b1, b2), uniform on the triangle.
 template <class F>
 TR_INLINE Vec2<F> square_to_triangle(const F &u1, const F &u2) {

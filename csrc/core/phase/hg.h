@@ -1,8 +1,13 @@
-// `hg`: Henyey and Greenstein, "Diffuse Radiation in the Galaxy", Astrophysical Journal 93 (1941).
+// `hg`: Henyey and Greenstein, "Diffuse Radiation in the Galaxy", Astrophysical Journal 93 (1941), equation 2.
+//
+// Near |g| = 1 all light goes into a cone that is narrower than what cosines resolve in single precision. Everything is
+// therefore expressed in t = 1 - cos of the angle to the lobe's axis, which is d for g >= 0 and -d for g < 0; t is half
+// the squared distance of the two unit vectors.
 #pragma once
 
+#include "../math/dual.h"
 #include "../math/warp.h"
-#include "../model.h"
+#include "../scene.h"
 
 namespace tr {
 
@@ -13,22 +18,43 @@ struct HenyeyGreenstein {
     };
     static constexpr Model model = {"phase", "hg", "Henyey and Greenstein's phase function.", fields, 1};
 
-    // `cosine` between the direction of travel and the scattered one. T may be a dual number.
-    template <class T, class F>
-    TR_INLINE static T eval(const T &g, const F &cosine) {
-        T d = g * g + F(1) - g * (cosine * F(2));
-        return (F(1) - g * g) * F(1 / (4 * Pi)) / (d * sqrt(d));
+    template <class S>
+    TR_INLINE static S g_of(const SceneView<S> &scene, const Record &record) {
+        return scene.values.constants[record.field[G]];
     }
 
-    template <class F>
-    TR_INLINE static F sample(const F &g, const F &u) {
-        // the inverse of the cumulative distribution; near g = 0 its limit
-        auto straight = mask<F>(abs(g) < F(1e-3));
-        F safe = select(straight, F(1), g), s = (F(1) - safe * safe) / (F(1) - safe + F(2) * safe * u);
-        F peaked = (F(1) + safe * safe - s * s) / (F(2) * safe);
-        F linear = F(2) * u - F(1);  // plus g times what vanishes with it
-        F flat = linear + F(1.5) * g * (F(1) - linear * linear);
-        return max(F(-1), min(F(1), select(straight, flat, peaked)));
+    // T is F or a dual number.
+    template <class T, class F>
+    TR_INLINE static T value(const T &g, const Vec3<F> &d, const Vec3<F> &wo) {
+        T a = abs(g), rest = T(F(1)) - a;
+        Vec3<F> apart = select(mask<F>(value_of(g) < F(0)), wo + d, wo - d);
+        T squared = rest * rest + a * squared_norm(apart);
+        return rest * (T(F(1)) + a) * F(1 / (4 * Pi)) / (squared * sqrt(squared));
+    }
+
+    template <class F, class S>
+    TR_INLINE static F eval(const SceneView<S> &scene, const Record &record, const Vec3<F> &d, const Vec3<F> &wo) {
+        return value(F(g_of(scene, record)), d, wo);
+    }
+
+    // Inverts the cumulative distribution, which is written so that g = 0 is no special case.
+    template <class F, class S>
+    TR_INLINE static Vec3<F> sample(const SceneView<S> &scene, const Record &record, const Vec3<F> &d, const F &u1,
+                                    const F &u2, const MaskOf<F> &) {
+        const S g = g_of(scene, record), a = abs(g), rest = S(1) - a;
+        const bool backward = g < S(0);
+        F u = backward ? F(1) - u1 : u1;  // the cosine grows with u1 in both cases
+        F scale = F(rest) / fmadd(F(S(2) * a), u, F(rest));
+        F t = F(2) * scale * scale * (F(1) - u) * fmadd(F(a), u, F(1));
+        F cosine = backward ? t - F(1) : F(1) - t;
+        return direction_about(d, cosine, sqrt(max(t * (F(2) - t), F(0))), u2);
+    }
+
+    template <class F, int C, class S, class Sink>
+    TR_INLINE static void sweep(const SceneView<S> &scene, const Record &record, const Vec3<F> &d, const Vec3<F> &wo,
+                                const Color<F, C> &g, const MaskOf<F> &active, Sink &sink) {
+        auto dual = value(Dual<F, 1>(F(g_of(scene, record)), 0), d, wo);
+        sink.number(scene, IntOf<F>(record.field[G]), g * dual.d[0], active);
     }
 };
 
