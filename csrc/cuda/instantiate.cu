@@ -159,12 +159,27 @@ __global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uin
     sweep_camera(scene, camera, x[i], y[i], S(width), S(height), g, true, sinks[i]);
 }
 
+// Scattering in a medium: a new direction, and the forward-mode derivative of its density.
+template <int C>
+__global__ void scatter_by_phase(SceneView<S> scene, uint32_t n, const int32_t *phases, const Vec3<float> *u,
+                                 PathState *paths, ForwardSink<float, C> *sinks, S *density) {
+    uint32_t i = thread_index();
+    if (i >= n) return;
+    const Vec3<float> p = paths[i].origin, d = paths[i].direction;
+    Vec3<float> wo = sample_phase(scene, phases[i], p, d, u[i].x, u[i].y, u[i].z, true);
+    density[i] = eval_phase(scene, phases[i], p, d, wo, true);
+    sweep_phase(scene, phases[i], p, d, wo, uniform_color<C>(1.f), true, sinks[i]);
+    paths[i].direction = wo;
+}
+
 #define TR_INSTANTIATE(C)                                                                                             \
     template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);    \
     template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,           \
                                               Scattering<float, C> *);                                                \
     template __global__ void scatter_in_media<C>(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *, \
                                                  MediumScattering<float, C> *);                                       \
+    template __global__ void scatter_by_phase<C>(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,        \
+                                                 PathState *, ForwardSink<float, C> *, S *);                          \
     template __global__ void move_hits<C>(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,        \
                                           const HitAdjoint<float> *, const float *, const float *,                    \
                                           ForwardSink<float, C> *);                                                   \
