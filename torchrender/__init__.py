@@ -23,6 +23,7 @@ from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.materials import Conductor, Dielectric, TwoSided
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
+from .scene.phases import BlendPhase, TabulatedPhase
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
 from .scene.volumes import ConstantVolume, GridVolume
@@ -50,6 +51,7 @@ __all__ = [
     "AOV",
     "SAMPLERS",
     "Bitmap",
+    "BlendPhase",
     "Checkerboard",
     "Conductor",
     "ConstantVolume",
@@ -77,6 +79,7 @@ __all__ = [
     "Sampler",
     "Scene",
     "Sphere",
+    "TabulatedPhase",
     "Transform",
     "TwoSided",
     "VolumetricPathTracer",

@@ -82,3 +82,11 @@ class Null(Plugin):
         self,
         **properties: Any,
     ) -> None: ...
+
+class Rayleigh(Plugin):
+    """Rayleigh's phase function, of particles like molecules."""
+
+    def __init__(
+        self,
+        **properties: Any,
+    ) -> None: ...

@@ -6,6 +6,7 @@ from . import (  # noqa: F401  (they register their classes)
     materials,
     media,
     mesh,
+    phases,
     shapes,
     textures,
     volumes,

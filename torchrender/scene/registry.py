@@ -18,6 +18,8 @@ _builders: dict[str, tuple[str, Builder]] = {}  # scene types that are no native
 # Class names that are not the type name in capitals, so that a class says what it is.
 CLASS_NAMES: dict[tuple[str, str], str] = {
     ("texture", "constant"): "ConstantTexture",
+    ("phase", "tabphase"): "TabulatedPhase",
+    ("phase", "blendphase"): "BlendPhase",
     ("bsdf", "twosided"): "TwoSided",
     ("emitter", "area"): "AreaLight",
     ("emitter", "constant"): "ConstantLight",

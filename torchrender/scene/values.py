@@ -143,7 +143,7 @@ def _spectrum_from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     content = value[key]
     if kind in ("rgb", "srgb"):
         if isinstance(content, str):
-            content = _numbers(content, ctx)
+            content = numbers(content, ctx)
         tensor = floating(content, ctx)
         if tensor.numel() == 1:
             tensor = tensor.reshape(1).expand(3)
@@ -153,13 +153,14 @@ def _spectrum_from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     if isinstance(content, Sequence) and len(content) and isinstance(content[0], (Sequence, Mapping)):
         ctx.error(f"{kind}: tabulated spectra are not supported in the variant {ctx.color or 'rgb'!r}: give rgb values")
     if isinstance(content, str):
-        content = _numbers(content, ctx)
+        content = numbers(content, ctx)
     if kind == "rawconstant":
         return spectrum(content, ctx)
     return number(content, ctx)
 
 
-def _numbers(text: str, ctx: Context) -> list[float]:
+def numbers(text: str, ctx: Context) -> list[float]:
+    """The numbers in a text, which commas or spaces separate."""
     try:
         return [float(word) for word in text.replace(",", " ").split()]
     except ValueError:

@@ -13,7 +13,7 @@ from .gradients import (
     finite_differences,
 )
 from .images import ZTestResult, mean_and_variance, z_test
-from .probes import BsdfProbe, emitter_density, sample_emitters
+from .probes import BsdfProbe, PhaseProbe, emitter_density, sample_emitters
 from .statistics import chi2_p_value, normal_p_value, sidak, student_p_value
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "DotProductResult",
     "FiniteDifferences",
     "GradientResult",
+    "PhaseProbe",
     "ZTestResult",
     "check_gradients",
     "chi2_p_value",

@@ -1,4 +1,4 @@
-"""One model of a scene at a time: BSDFs and emitters evaluated and sampled by the functions that rendering uses.
+"""One model of a scene at a time: BSDFs, phase functions and emitters, by the functions that rendering uses.
 
 Together with `chi2_test` they show that a sampler does what its density says:
 
@@ -9,6 +9,7 @@ Together with `chi2_test` they show that a sampler does what its density says:
 from __future__ import annotations
 
 from collections import namedtuple
+from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -37,11 +38,7 @@ class BsdfProbe:
 
     def __init__(self, scene: Scene, name: str) -> None:
         self.scene = scene
-        entries = scene.layout().objects["bsdf"]
-        names = [entry[2] for entry in entries]
-        if name not in names:
-            raise ValueError(f"BsdfProbe: name: no BSDF {name!r}; there are {', '.join(names)}")
-        self.index = names.index(name)
+        self.index = _index(scene, "bsdf", name, "BsdfProbe: name: no BSDF")
 
     def eval(self, wi: Any, wo: Any, uv: Any = None) -> BsdfEvaluation:
         """Value (N, C), the BSDF times ``|cos(wo)|``, and density per solid angle (N,), both without delta lobes."""
@@ -70,6 +67,81 @@ class BsdfProbe:
         return tuple(_expand(t, n) for t in (wi, other, uv))
 
 
+class PhaseProbe:
+    """A phase function of a scene, by itself.
+
+    Directions are unit vectors (N, 3) in world space: `d` is the one that light or a path travels in before it
+    scatters, `wo` the one afterwards. `positions` (N, 3) are where it scatters, which only the weight of a blend asks.
+
+    Args:
+        scene: a built scene.
+        name: path of a medium's phase function, such as ``"ball.interior_medium.phase_function"``, or the name of a
+            top-level one.
+        packets: compute in packets of single precision, as rendering does; else a number at a time.
+
+    Raises:
+        ValueError: there is no phase function of that name; the message lists those there are. Packets are asked for
+            in double precision.
+    """
+
+    def __init__(self, scene: Scene, name: str, packets: bool = False) -> None:
+        self.scene = scene
+        self.index = _index(scene, "phase", name, "PhaseProbe: name: no phase function")
+        if packets and scene.dtype != torch.float32:
+            raise ValueError(f"PhaseProbe: packets: expected a scene in float32, got {scene.dtype}")
+        self.packets = packets
+
+    def eval(self, d: Any, wo: Any, positions: Any = None) -> torch.Tensor:
+        """Value (N,), which is the density per solid angle with which `sample` takes `wo`."""
+        rows = self._rows(d, wo, positions)
+        out = _new(self.scene, len(rows["p"]), value=0)
+        self._call("phase", rows, out)
+        return out["value"]
+
+    def sample(self, d: Any, u: Any, positions: Any = None) -> torch.Tensor:
+        """Directions (N, 3) from uniform numbers `u` (N, 3), of which the first chooses a part of a blend."""
+        rows = self._rows(d, u, positions)
+        rows["u"] = rows.pop("wo")
+        out = _new(self.scene, len(rows["p"]), wo=3)
+        self._call("phase_sample", rows, out)
+        return out["wo"]
+
+    def reverse(self, d: Any, wo: Any, adjoint: Any, positions: Any = None) -> dict[str, torch.Tensor]:
+        """Gradients of the sum over ``adjoint * value``, with `adjoint` (N, C), by the names of all parameters."""
+        rows = self._rows(d, wo, positions, adjoint)
+        tensors = gather(self.scene, self.scene.layout(), None)
+        gradients = [torch.zeros_like(t.detach()) for t in tensors]
+        self._call("phase_reverse", rows, {str(i): t for i, t in enumerate(gradients)})
+        return {name: gradients[i] for name, i in self.scene.layout().by_name.items()}
+
+    def forward(
+        self, d: Any, wo: Any, adjoint: Any, tangents: Mapping[str, torch.Tensor], positions: Any = None
+    ) -> torch.Tensor:
+        """``adjoint * derivative`` (N, C) of the value in the direction of `tangents`, by the names of parameters."""
+        rows = self._rows(d, wo, positions, adjoint)
+        by_name = self.scene.layout().by_name
+        given = {str(by_name[name]): t.to(self.scene.dtype).contiguous() for name, t in tangents.items()}
+        out = _new(self.scene, len(rows["p"]), derivative=_channels(self.scene))
+        self._call("phase_forward", {**rows, **given}, out)
+        return out["derivative"]
+
+    def _rows(self, d: Any, wo: Any, positions: Any, adjoint: Any = None) -> dict[str, torch.Tensor]:
+        positions = torch.zeros(1, 3) if positions is None else positions
+        rows = {
+            "d": _rows(self.scene, "d", d, 3),
+            "wo": _rows(self.scene, "wo or u", wo, 3),
+            "p": _rows(self.scene, "positions", positions, 3),
+        }
+        if adjoint is not None:
+            rows["g"] = _rows(self.scene, "adjoint", adjoint, _channels(self.scene))
+        n = max(len(t) for t in rows.values())
+        return {name: _expand(t, n) for name, t in rows.items()}
+
+    def _call(self, what: str, rows: dict[str, torch.Tensor], out: dict[str, torch.Tensor]) -> None:
+        flag = {"packet": torch.zeros(1)} if self.packets else {}
+        _probe(self.scene, what, self.index, len(rows["p"]), {**rows, **out, **flag})
+
+
 def sample_emitters(scene: Scene, positions: Any, u: Any) -> EmitterSamples:
     """Emitter samples at `positions` (N, 3) from uniform numbers `u` (N, 3).
 
@@ -93,6 +165,13 @@ def emitter_density(scene: Scene, positions: Any, directions: Any) -> EmitterDen
     out = _new(scene, n, pdf=0, radiance=_channels(scene))
     _probe(scene, "emitter_pdf", 0, n, {"p": positions, "d": directions, **out})
     return EmitterDensity(**out)
+
+
+def _index(scene: Scene, category: str, name: str, missing: str) -> int:
+    names = [entry[2] for entry in scene.layout().objects[category]]
+    if name not in names:
+        raise ValueError(f"{missing} {name!r}; there are {', '.join(names) or 'none'}")
+    return names.index(name)
 
 
 def _channels(scene: Scene) -> int:
