@@ -187,6 +187,60 @@ def _dielectric() -> ReferenceScene:
     )
 
 
+def _rough(distribution: str, gradients: tuple[str, ...]) -> ReferenceScene:
+    """A rough glass ball and a tinted rough slab, lit through by a lamp and a sky."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 6, "rr_depth": 100},
+            _camera(),
+            ball={
+                "type": "sphere",
+                "center": [-0.6, -0.1, 0.2],
+                "radius": 0.8,
+                "bsdf": {"type": "roughdielectric", "distribution": distribution, "alpha": 0.3, "int_ior": 1.5},
+            },
+            slab={
+                "type": "cube",
+                "to_world": translate(1.1, -0.3, 0.0) @ rotate("y", 20) @ scale(0.4, 0.6, 0.1),
+                "bsdf": {
+                    "type": "roughdielectric",
+                    "distribution": distribution,
+                    "alpha": 0.1,
+                    "int_ior": "water",
+                    "ext_ior": 1.0,
+                    "specular_reflectance": _rgb(0.9, 0.8, 0.7),
+                    "specular_transmittance": _rgb(0.5, 0.9, 0.7),
+                },
+            },
+            floor=_floor(_bitmap(5, 8, 8)),
+            lamp=_lamp(_rgb(8.0, 7.0, 5.0)),
+            sky={"type": "constant", "radiance": _rgb(0.3, 0.4, 0.5)},
+        ),
+        gradients,
+    )
+
+
+def _rough_ggx() -> ReferenceScene:
+    return _rough(
+        "ggx",
+        (
+            "ball.bsdf.alpha",
+            "ball.bsdf.eta",
+            "slab.bsdf.alpha",
+            "slab.bsdf.eta",
+            "slab.bsdf.specular_reflectance.value",
+            "slab.bsdf.specular_transmittance.value",
+            "floor.bsdf.reflectance.data",
+            "lamp.emitter.radiance.value",
+            "sky.radiance.value",
+        ),
+    )
+
+
+def _rough_beckmann() -> ReferenceScene:
+    return _rough("beckmann", ("ball.bsdf.alpha", "ball.bsdf.eta", "slab.bsdf.alpha"))
+
+
 def _conductor() -> ReferenceScene:
     """A golden ball and a tinted mirror, one-sided and two-sided, in a rotated environment map."""
     gold = {"type": "conductor", "eta": _rgb(0.143, 0.375, 1.442), "k": _rgb(3.983, 2.386, 1.603)}
@@ -368,6 +422,8 @@ SCENES = {
     "shapes": _shapes,
     "bitmaps": _bitmaps,
     "dielectric": _dielectric,
+    "rough_ggx": _rough_ggx,
+    "rough_beckmann": _rough_beckmann,
     "conductor": _conductor,
     "environment": _environment,
     "area": _area,

@@ -20,7 +20,7 @@ from .scene import Scene
 from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
-from .scene.materials import Conductor, Dielectric, TwoSided
+from .scene.materials import Conductor, Dielectric, RoughDielectric, TwoSided
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
 from .scene.phases import BlendPhase, TabulatedPhase
@@ -76,6 +76,7 @@ __all__ = [
     "Rectangle",
     "RenderError",
     "Renderer",
+    "RoughDielectric",
     "Sampler",
     "Scene",
     "Sphere",

@@ -5,6 +5,7 @@
 #include "bsdf/dielectric.h"
 #include "bsdf/diffuse.h"
 #include "bsdf/null.h"
+#include "bsdf/roughdielectric.h"
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
 #include "medium/medium.h"
@@ -20,8 +21,8 @@ struct TypeList {
 };
 
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
-using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor>;  // the ones that scatter
-using BsdfWrappers = TypeList<TwoSided>;                           // resolved to one of those at a hit
+using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric>;  // the ones that scatter
+using BsdfWrappers = TypeList<TwoSided>;                                            // resolved to one of those at a hit
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
 using Sensors = TypeList<Perspective>;

@@ -7,6 +7,16 @@
 
 namespace tr {
 
+namespace {
+
+bool has_delta_lobes(int kind) {
+    bool r = false;
+    dispatch(Bsdfs{}, kind, [&](auto model) { r = decltype(model)::Delta; });
+    return r;
+}
+
+}  // namespace
+
 Dependence::Dependence(const SceneLayout &layout, const std::vector<bool> &wanted) : layout_(layout), wanted_(wanted) {
     for (const ConstantEntry &e : layout.entries)
         if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
@@ -71,9 +81,12 @@ bool Dependence::motion(size_t sensor) const {
             if (any_number(category, i, kinds)) return true;
         return false;
     };
-    // maps of texture coordinates and factors of attributes; the environment's rotation; indices of refraction
-    return any("texture", {Kind::Transform2, Kind::Float}) || any("emitter", {Kind::Transform}) ||
-           any("bsdf", {Kind::Float});
+    // maps of texture coordinates and factors of attributes; the environment's rotation; what turns delta lobes
+    if (any("texture", {Kind::Transform2, Kind::Float}) || any("emitter", {Kind::Transform})) return true;
+    const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
+    for (size_t i = 0; i < bsdfs.size(); ++i)
+        if (has_delta_lobes(bsdfs[i].kind) && any_number("bsdf", i, {Kind::Float})) return true;
+    return false;
 }
 
 GeometrySizes Dependence::geometry_sizes() const {

@@ -272,7 +272,8 @@ private:
                 int32_t nested = value("bsdf", int(i), f);
                 if (nested < 0) continue;
                 const std::string &type = list("bsdf")[size_t(nested)].type;
-                if (type == TwoSided::model.type || type == Dielectric::model.type || type == NullBsdf::model.type)
+                if (type == TwoSided::model.type || type == Dielectric::model.type || type == NullBsdf::model.type ||
+                    type == RoughDielectric::model.type)
                     fail(where("bsdf", int(i), field("bsdf", int(i), f).name), "a bsdf that only reflects",
                          "'" + type + "'");
             }

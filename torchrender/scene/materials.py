@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, ClassVar
 
 import torch
 
@@ -85,12 +86,37 @@ class Dielectric(Plugin):
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         given = [n for n in ("int_ior", "ext_ior") if n in properties]
         if given and "eta" in properties:
-            ctx.error(f"dielectric: give eta, or {' and '.join(given)}, but not both")
+            ctx.error(f"{self.type}: give eta, or {' and '.join(given)}, but not both")
         if "eta" not in properties:
             inside, outside = properties.pop("int_ior", "bk7"), properties.pop("ext_ior", "air")
             eta = refractive_index(inside, ctx.at("int_ior")) / refractive_index(outside, ctx.at("ext_ior"))
             properties["eta"] = values.rounded(eta, inside, ctx)
         return properties
+
+
+@register
+class RoughDielectric(Dielectric):
+    """Rough dielectric interface: microscopic facets that reflect and refract, seen once each (energy that facets throw
+    onto one another is lost: 1 % at alpha 0.1, 20 % at alpha 0.5).
+
+    Args:
+        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha: roughness, from 0.001 to 10, default 0.1; equal in all directions. Below its range while rendering it
+            counts as 0.001.
+        int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two. Within 0.001 of 1 it counts as 1.001 or 0.999.
+        specular_reflectance, specular_transmittance: factors for tinting (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "roughdielectric"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
+    unsupported = ("alpha_u", "alpha_v")
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        if isinstance(properties.get("alpha"), (Plugin, Mapping)):
+            ctx.at("alpha").error("expected a number: this roughness cannot be a texture")
+        return super().prepare(properties, ctx)
 
 
 @register

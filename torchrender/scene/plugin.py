@@ -24,6 +24,7 @@ BOOLEANS = frozenset({"flip_normals", "face_normals", "per_face"})
 ENUMERATIONS: dict[str, tuple[str, ...]] = {
     "filter_type": ("bilinear", "nearest"),
     "wrap_mode": ("repeat", "mirror", "clamp"),
+    "distribution": ("beckmann", "ggx"),
 }
 
 _epoch = 0

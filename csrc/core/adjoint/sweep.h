@@ -179,7 +179,7 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
         auto chain = [&](int i) { return to.x.d[i] * to_bar.x + to.y.d[i] * to_bar.y + to.z.d[i] * to_bar.z; };
         wi_bar = wi_bar + Vec3<F>{chain(0), chain(1), chain(2)};
         int number = 0;
-        for (int i = 0; i < Model::model.n_fields; ++i)
+        for (int i = 0; i < ParamCount<Model>::All; ++i)
             if ((ParamCount<Model>::NumberFields >> i) & 1)
                 sink.scalar(record_field<F>(scene.bsdfs, i, v.bsdf, active), chain(3 + number++), active);
     }

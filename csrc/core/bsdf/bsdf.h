@@ -33,17 +33,31 @@ struct BsdfSample {
     MaskOf<F> delta, null;  // a delta lobe; passed through unchanged
 };
 
-// The parameters of a model in the order of its fields: textures and spectra as colours, single numbers as scalars.
-template <class T, int C, int NColors, int NNumbers>
-struct Params {
+// The parameters of a model in the order of its fields: textures and spectra as colours, single numbers as scalars,
+// switches, which come last, as integers.
+template <class T, int N>
+struct Switches {
+    IntOf<T> choice[N];
+};
+template <class T>
+struct Switches<T, 0> {};
+
+template <class T, int C, int NColors, int NNumbers, int NSwitches = 0>
+struct Params : Switches<T, NSwitches> {
     Color<T, C> color[NColors > 0 ? NColors : 1];
     T number[NNumbers > 0 ? NNumbers : 1];
 };
 
-constexpr int count_fields(const Field *fields, int n, bool numbers) {
+constexpr int count_fields(const Field *fields, int n, Kind kind) {
     int r = 0;
-    for (int i = 0; i < n; ++i) r += (fields[i].kind == Kind::Float) == numbers;
+    for (int i = 0; i < n; ++i) r += fields[i].kind == kind;
     return r;
+}
+
+constexpr bool switches_are_last(const Field *fields, int n) {
+    for (int i = 1; i < n; ++i)
+        if (fields[i - 1].kind == Kind::Int && fields[i].kind != Kind::Int) return false;
+    return true;
 }
 
 // Bit i is set where field i is a single number. (Device code reads constants, but no table of the host's.)
@@ -56,13 +70,15 @@ constexpr uint32_t number_fields(const Field *fields, int n) {
 template <class Model>
 struct ParamCount {
     static constexpr uint32_t NumberFields = number_fields(Model::fields, Model::model.n_fields);
-    static constexpr int Colors = count_fields(Model::fields, Model::model.n_fields, false);
-    static constexpr int Numbers = count_fields(Model::fields, Model::model.n_fields, true);
-    static constexpr int All = Colors + Numbers;
+    static constexpr int Numbers = count_fields(Model::fields, Model::model.n_fields, Kind::Float);
+    static constexpr int Switches = count_fields(Model::fields, Model::model.n_fields, Kind::Int);
+    static constexpr int All = Model::model.n_fields - Switches;  // the continuous ones
+    static constexpr int Colors = All - Numbers;
+    static_assert(switches_are_last(Model::fields, Model::model.n_fields), "continuous parameters are counted first");
 };
 
 template <class Model, class T, int C>
-using ParamsOf = Params<T, C, ParamCount<Model>::Colors, ParamCount<Model>::Numbers>;
+using ParamsOf = Params<T, C, ParamCount<Model>::Colors, ParamCount<Model>::Numbers, ParamCount<Model>::Switches>;
 
 // Reads the parameters of a record at a surface point.
 template <class Model, int C, template <class> class Point, class F, class S>
@@ -70,13 +86,16 @@ TR_INLINE ParamsOf<Model, F, C> load_params(const SceneView<S> &scene, const Int
                                             const MaskOf<F> &active) {
     ParamsOf<Model, F, C> p{};
     int color = 0, number = 0;
-    for (int i = 0; i < Model::model.n_fields; ++i) {
+    for (int i = 0; i < ParamCount<Model>::All; ++i) {
         IntOf<F> field = record_field<F>(scene.bsdfs, i, bsdf, active);
         if ((ParamCount<Model>::NumberFields >> i) & 1)
             p.number[number++] = gather<F>(scene.values.constants, UIntOf<F>(field), active);
         else
             p.color[color++] = eval_texture<C>(scene, scene.values, field, at, active);
     }
+    if constexpr (ParamCount<Model>::Switches > 0)
+        for (int i = 0; i < ParamCount<Model>::Switches; ++i)
+            p.choice[i] = record_field<F>(scene.bsdfs, ParamCount<Model>::All + i, bsdf, active);
     return p;
 }
 
@@ -87,7 +106,7 @@ TR_INLINE auto seed_params(const ParamsOf<Model, F, C> &p) {
     using D = Dual<F, ParamCount<Model>::All>;
     ParamsOf<Model, D, C> r;
     int color = 0, number = 0;
-    for (int i = 0; i < Model::model.n_fields; ++i) {
+    for (int i = 0; i < ParamCount<Model>::All; ++i) {
         if ((ParamCount<Model>::NumberFields >> i) & 1) {
             r.number[number] = D(p.number[number], i);
             ++number;
@@ -96,6 +115,8 @@ TR_INLINE auto seed_params(const ParamsOf<Model, F, C> &p) {
             ++color;
         }
     }
+    if constexpr (ParamCount<Model>::Switches > 0)
+        for (int i = 0; i < ParamCount<Model>::Switches; ++i) r.choice[i] = p.choice[i];
     return r;
 }
 

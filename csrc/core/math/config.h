@@ -31,6 +31,6 @@
 
 namespace tr {
 
-constexpr double Pi = 3.14159265358979323846;
+constexpr double Pi = 3.14159265358979323846, SqrtPi = 1.77245385090551602730;
 
 }  // namespace tr

@@ -13,6 +13,15 @@ struct Fresnel {
     T eta_ti;  // its inverse
 };
 
+// Reflectance of a dielectric interface by the cosines on both sides, not both zero, and the index behind it over the
+// one before it.
+template <class T>
+TR_INLINE T fresnel_of_cosines(const T &ci, const T &ct, const T &eta_it) {
+    T a_s = (ci - eta_it * ct) / (ci + eta_it * ct);
+    T a_p = (ct - eta_it * ci) / (ct + eta_it * ci);
+    return T(0.5) * (a_s * a_s + a_p * a_p);
+}
+
 // Dielectric interface. eta = index below the surface / index above; cos_i may have either sign.
 // Born and Wolf, "Principles of Optics", section 1.5.2.
 template <class T>
@@ -24,9 +33,7 @@ TR_INLINE Fresnel<T> fresnel_dielectric(const T &cos_i, const T &eta) {
     r.eta_ti = select(outside, inverse, eta);
     T cos_t_squared = T(1) - r.eta_ti * r.eta_ti * (T(1) - cos_i * cos_i);
     T ci = abs(cos_i), ct = sqrt(max(cos_t_squared, T(0)));
-    T a_s = (ci - r.eta_it * ct) / (ci + r.eta_it * ct);
-    T a_p = (ct - r.eta_it * ci) / (ct + r.eta_it * ci);
-    T value = T(0.5) * (a_s * a_s + a_p * a_p);
+    T value = fresnel_of_cosines(ci, ct, r.eta_it);
     // ci = ct = 0 (eta = 1, grazing) is 0 / 0: nothing is reflected where there is no interface
     auto matched = mask<T>(value_of(eta) == value_of(T(1))), grazing = mask<T>(value_of(ci) == value_of(T(0)));
     value = select(matched, T(0), select(grazing, T(1), value));
