@@ -67,9 +67,10 @@ def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np
     params = mi.traverse(scene)
     leaves = {}
     for name in description.gradients:
-        value = type(params[name])(dr.detach(params[name]))
+        key = name if name in params else f"{name}.value"  # where a texture could be, Mitsuba has one
+        value = type(params[key])(dr.detach(params[key]))
         dr.enable_grad(value)
-        params[name] = leaves[name] = value
+        params[key] = leaves[name] = value
     params.update()
     image = mi.render(
         scene, params, integrator=integrator, spp=16, spp_grad=GRADIENT_SPP, seed=seed, seed_grad=seed + 10_000

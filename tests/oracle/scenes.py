@@ -93,6 +93,38 @@ def glass() -> dict:
     )
 
 
+def rough() -> dict:
+    """Light that goes through and off rough glass, from outside and from inside; a mesh with smooth normals."""
+
+    def interface(distribution: str, **more) -> dict:
+        return {"type": "roughdielectric", "distribution": distribution, **more}
+
+    return r._scene(
+        {"type": "path", "max_depth": 6, "rr_depth": 3},
+        r._camera(),
+        ball={
+            "type": "sphere",
+            "center": [-0.9, -0.1, 0.2],
+            "radius": 0.7,
+            "bsdf": interface("ggx", alpha=0.3, specular_reflectance=r._rgb(0.9, 0.8, 0.7)),
+        },
+        tube=_tube(
+            to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
+            bsdf=interface("beckmann", alpha=0.2, int_ior=1.3, specular_transmittance=r._bitmap(61, 3, 3)),
+        ),
+        bubble={
+            "type": "sphere",
+            "center": [0.4, 0.2, -1.0],
+            "radius": 0.6,
+            "bsdf": interface("beckmann", alpha=0.6, eta=0.7),
+        },
+        floor=r._floor(r._bitmap(62, 5, 5)),
+        lamp=r._lamp(r._bitmap(63, 3, 4, 1.0, 9.0)),
+        bulb={"type": "point", "position": [-2.0, 2.0, 1.0], "intensity": r._rgb(4.0, 5.0, 3.0)},
+        sky={"type": "envmap", "data": r._noise(64, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )
+
+
 def lights() -> dict:
     """Emitting disk, mesh, mirrored rectangle, sphere from outside and from inside; the camera does not see them."""
 
@@ -142,5 +174,5 @@ def splits() -> dict:
 
 SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
-    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, lights, splits)},
+    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, lights, splits)},
 }
