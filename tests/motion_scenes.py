@@ -110,6 +110,7 @@ METAL = {
 }
 GLASS = {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0}
 PAINT = {"type": "diffuse", "reflectance": bitmap()}
+FROSTED = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.4, "int_ior": 1.3, "ext_ior": 1.0}
 
 
 def environment() -> dict:
@@ -160,6 +161,7 @@ SCENES = {
     ),
     "glass_ball": lambda: scene(4, at_ball(), ball=ball(GLASS), sky=environment()),
     "glass_in_room": lambda: scene(4, at_ball(), ball=ball(GLASS), room=black_room()),
+    "frosted_in_room": lambda: scene(4, at_ball(), ball=ball(FROSTED), room=black_room()),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "core/math/dual.h"
+#include "core/math/erf.h"
 #include "core/math/fresnel.h"
 #include "core/math/philox.h"
 #include "core/math/warp.h"
@@ -104,6 +105,36 @@ TR_TEST(fresnel_dielectric_matches_complex_formula) {
     CHECK_NEAR(fresnel_dielectric(1.0, 1.5).reflectance, 0.04, 1e-12);
 }
 
+template <class Function>
+static void check_dual(Function f, double a, double b) {
+    using D = Dual<double, 2>;
+    D y = f(D(a, 0), D(b, 1));
+    const double h = 1e-6;
+    CHECK_NEAR(y.v, f(a, b), 1e-14);
+    CHECK_NEAR(y.d[0], (f(a + h, b) - f(a - h, b)) / (2 * h), 1e-7);
+    CHECK_NEAR(y.d[1], (f(a, b + h) - f(a, b - h)) / (2 * h), 1e-7);
+}
+
+template <class S>
+static void check_error_functions(double tolerance) {
+    for (double x = 0; x < 9; x += 0.125) {
+        CHECK_NEAR(erfc_scaled(S(x)) / (std::exp(x * x) * std::erfc(x)), 1, tolerance);
+        double integral = std::exp(-x * x) - SqrtPi * x * std::erfc(x);
+        CHECK_NEAR(erfc_integral(S(x)), integral, tolerance);
+        if (x > 0 && x < 4) {
+            double p = std::erfc(x) / 2;
+            CHECK_NEAR(erf_inverse_of_share(S(p)) / x, -1, 4 * tolerance);
+            if (x < 2) CHECK_NEAR(erf_inverse_of_share(S(1 - p)) / x, 1, 100 * tolerance);
+        }
+    }
+}
+
+TR_TEST(error_functions_match_the_standard_library) {
+    check_error_functions<double>(1e-14);
+    check_error_functions<float>(4e-7);
+    check_dual([](auto x, auto y) { return erfc_integral(x * y); }, 0.6, 1.5);
+}
+
 TR_TEST(fresnel_conductor_matches_complex_formula) {
     for (double eta : {0.2, 1.1, 3.0}) {
         for (double k : {0.0, 0.5, 3.9}) {
@@ -115,16 +146,6 @@ TR_TEST(fresnel_conductor_matches_complex_formula) {
             }
         }
     }
-}
-
-template <class Function>
-static void check_dual(Function f, double a, double b) {
-    using D = Dual<double, 2>;
-    D y = f(D(a, 0), D(b, 1));
-    const double h = 1e-6;
-    CHECK_NEAR(y.v, f(a, b), 1e-14);
-    CHECK_NEAR(y.d[0], (f(a + h, b) - f(a - h, b)) / (2 * h), 1e-7);
-    CHECK_NEAR(y.d[1], (f(a, b + h) - f(a, b - h)) / (2 * h), 1e-7);
 }
 
 TR_TEST(dual_numbers_match_finite_differences) {

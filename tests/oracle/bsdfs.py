@@ -209,13 +209,13 @@ class RoughDielectric(Bsdf):
         h = h * torch.sign(h[:, 2:])
         i, o = dot(wi, h), dot(wo, h)
         possible = (i * wi[:, 2] > 0) & (o * wo[:, 2] > 0)
-        # of refraction by both cosines (Snell's law holds), as in C++: lines do not start at the very point that was
-        # hit, and unequal functions off the unit sphere would have derivatives unequal by so much
+        # By both cosines (of refraction Snell's law holds), as in C++: lines do not start at the very point that was
+        # hit, and unequal functions off the unit sphere would have derivatives unequal by so much.
         safe_i, safe_o = torch.where(possible, i, 1.0).abs(), torch.where(possible, o, 1.0).abs()
         senkrecht = (safe_i - eta * safe_o) / (safe_i + eta * safe_o)
         parallel = (safe_o - eta * safe_i) / (safe_o + eta * safe_i)
         refracted = 0.5 * (senkrecht.square() + parallel.square())
-        fresnel = torch.where(reflects, fresnel_dielectric(i, self.eta)[0], refracted)
+        fresnel = torch.where(reflects, fresnel_dielectric(0.5 * (i + o), self.eta)[0], refracted)
         return h, eta, fresnel, reflects, possible
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:

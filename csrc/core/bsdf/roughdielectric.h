@@ -73,7 +73,7 @@ struct RoughDielectric {
         wi_h = abs(wi_h), wo_h = abs(wo_h);
         T ci = wi_h, ct = wo_h;
         if (any(r.reflects)) {
-            T c = sqrt(wi_h * wi_h * inverse2);
+            T c = sqrt(length2) * T(0.5);  // wi.h = wo.h = |h|^2 / 2
             T t = sqrt(max(T(1) - (T(1) - c * c) / (r.eta * r.eta), T(0)));
             ci = select(r.reflects, c, ci), ct = select(r.reflects, t, ct);
         }
@@ -121,8 +121,8 @@ struct RoughDielectric {
         Fresnel<F> fresnel = fresnel_dielectric(cos_i, index(params.number[Eta]));
         auto reflects = mask<F>(u0 < fresnel.reflectance);
         BsdfSample<F> r;
-        r.wo = m * select(reflects, F(2) * cos_i, fmadd(fresnel.eta_ti, cos_i, fresnel.cos_t)) -
-               wi * select(reflects, F(1), fresnel.eta_ti);
+        Vec3<F> along = wi - m * cos_i;  // the part of wi along the facet
+        r.wo = normalize(m * select(reflects, cos_i, fresnel.cos_t) - along * select(reflects, F(1), fresnel.eta_ti));
         auto right_side = mask<F>(mulsign(select(reflects, r.wo.z, -r.wo.z), wi.z) > F(0));
         r.pdf = select(right_side, pdf<C>(params, wi, r.wo), F(0));
         r.eta = select(reflects, F(1), fresnel.eta_it);
