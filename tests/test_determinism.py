@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import pytest
 import torch
@@ -112,6 +113,21 @@ def test_gradients_at_other_numbers_of_threads_differ_in_rounding_only(dtype):
     for name, reference, *others in zip(PARAMETERS, *found, strict=True):
         for other in others:
             assert (other - reference).abs().max() <= tolerance * reference.abs().max(), name
+
+
+def test_gradients_of_large_textures_begin_with_zeros():
+    """Their memory comes from the system, in large pages: again and again, for every thread but the first."""
+    scene = make_scene()
+    shape = (1700, 1700, 3)
+    assert 4 * math.prod(shape) > 1 << 25
+    scene.get_submodule("wall.bsdf.reflectance").data = torch.full(shape, 0.5)
+    found = []
+    for threads in (1, 3, 3):
+        torch.set_num_threads(threads)
+        found.append(gradients(scene, seed=3)[0])
+    assert (found[0] != 0).any(dim=-1).sum() > 1000
+    assert torch.equal(found[1], found[2])
+    assert (found[1] - found[0]).abs().max() <= 1e-4 * found[0].abs().max()
 
 
 def test_forward_mode_is_the_same_bit_for_bit_at_any_number_of_threads():

@@ -243,7 +243,7 @@ class RenderVjpFunction(_Derivative):
         adjoint = adjoint.detach().to(dtype=call.native.dtype).contiguous()
         if call.passes > 1:
             adjoint = adjoint / call.passes
-        grads = [torch.zeros_like(p) if n else None for p, n in zip(params, needed, strict=True)]
+        grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
         addresses = [0 if g is None else g.data_ptr() for g in grads]
         all_stats = []
         for config in _passes(call.with_hits(call.configs(derivative=True))):
@@ -251,6 +251,15 @@ class RenderVjpFunction(_Derivative):
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)
         return tuple(grads)
+
+
+def zero_gradient(parameter: torch.Tensor) -> torch.Tensor:
+    """Zeros like `parameter`. Of a large texture they lie in large pages, where the system has them, before the first
+    touch: page by page that takes longer than clearing them.
+    """
+    gradient = torch.empty_like(parameter)
+    backends.core().use_large_pages(gradient.data_ptr(), gradient.nbytes)
+    return gradient.zero_()
 
 
 def refuse_batches(tensor: Any) -> None:

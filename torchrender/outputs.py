@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from torch.autograd import Function
 
-from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches
+from .autograd import BATCHED, RenderCall, _Derivative, zero_gradient, refuse_batches
 from .errors import NotDifferentiableError, describe, nearest
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
@@ -175,7 +175,7 @@ class FirstHitVjpFunction(_Derivative):
             for name, g in zip(call.names, adjoints, strict=True)
             if g is not None and name not in IDENTIFIERS
         }
-        grads = [torch.zeros_like(p) if n else None for p, n in zip(params, needed, strict=True)]
+        grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
         if dense:
             addresses = {name: tensor.data_ptr() for name, tensor in dense.items()}
             to = [0 if g is None else g.data_ptr() for g in grads]

@@ -8,6 +8,7 @@
 #include "config.h"
 #include "cpu/aov.h"
 #include "cpu/render.h"
+#include "cpu/zeros.h"
 #include "host/dependence.h"
 #include "host/normals.h"
 #include "host/scene_data.h"
@@ -459,6 +460,9 @@ void declare_scene(py::module_ &m) {
             dtype == "float64" ? run(0.0) : run(0.f);
         },
         Release());
+    m.def(
+        "use_large_pages",
+        [](uintptr_t memory, size_t bytes) { use_large_pages(reinterpret_cast<void *>(memory), bytes); }, Release());
     // the modules of other instruction sets have one, too
     py::class_<RayRecord, std::shared_ptr<RayRecord>>(m, "RayRecord", py::module_local())
         .def(py::init<size_t>(), py::arg("limit"))

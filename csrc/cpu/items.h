@@ -13,6 +13,7 @@
 #include "columns.h"
 #include "core/integrator/path.h"
 #include "render.h"
+#include "zeros.h"
 
 namespace tr {
 
@@ -301,11 +302,8 @@ struct GradientBuffers {
         pointers.assign(derivative.gradients.size(), nullptr);
         for (size_t i = 0; i < pointers.size(); ++i) {
             if (!derivative.gradients[i]) continue;
-            // pages that nobody touches are never cleared
-            memory_.emplace_back(
-                static_cast<S *>(std::calloc(std::max<size_t>(1, size_t(derivative.sizes[i])), sizeof(S))));
-            if (!memory_.back()) throw std::bad_alloc();
-            pointers[i] = memory_.back().get();
+            memory_.emplace_back(size_t(derivative.sizes[i]));
+            pointers[i] = memory_.back().data();
         }
     }
     template <class Sink>
@@ -318,10 +316,7 @@ struct GradientBuffers {
     }
 
 private:
-    struct Free {
-        void operator()(S *p) const { std::free(p); }
-    };
-    std::vector<std::unique_ptr<S, Free>> memory_;
+    std::vector<Zeros<S>> memory_;
 };
 
 // Adds what the threads have summed up, in their order.
