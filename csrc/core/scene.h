@@ -40,6 +40,14 @@ struct ShapeInfo {
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");
 
+// All that belongs to a vertex of a mesh, so that it is one load a lane. Numbers that a mesh does not have are zero.
+template <class S>
+struct alignas(8 * sizeof(S)) VertexRow {
+    S p[3], n[3], uv[2];
+    static constexpr uint32_t Size = 8, Texcoords = 6;  // in numbers
+};
+static_assert(sizeof(VertexRow<float>) == 32, "gathered with a stride of 8 numbers");
+
 struct AttributeInfo {
     int32_t name, tensor, per_face, next;  // a list a shape: next = -1 ends it
 };
@@ -54,7 +62,7 @@ struct SceneView {
     int32_t n_textures, n_bsdfs, n_emitters, n_sensors;
 
     // geometry: all meshes one after the other, indices global
-    const S *positions, *normals, *texcoords;
+    const S *vertices;  // VertexRow
     const uint32_t *faces;
     const ShapeInfo *shapes;
     const S

@@ -414,8 +414,6 @@ private:
         begin_mesh(info, n_vertices, array.rows, at);
         if (mesh.normals >= 0) info.flags |= HasNormals;
         if (mesh.texcoords >= 0) info.flags |= HasTexcoords;
-        out_.has_normals |= mesh.normals >= 0;
-        out_.has_texcoords |= mesh.texcoords >= 0;
         out_.faces.reserve(out_.faces.size() + size_t(array.rows) * 3);
         for (int64_t k = 0; k < array.rows * 3; ++k) {
             int32_t index = array.data[k];
@@ -432,7 +430,6 @@ private:
     void add_rectangle(int i, ShapeInfo &info) {
         begin_mesh(info, 4, 2, path("shape", i));
         info.flags |= HasTexcoords;
-        out_.has_texcoords = true;
         for (uint32_t corner : {0u, 1u, 2u, 0u, 2u, 3u}) out_.faces.push_back(uint32_t(info.first_vertex) + corner);
         out_.meshes.push_back({i, -1, -1, -1, info.first_vertex, 4});
     }

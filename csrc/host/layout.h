@@ -58,7 +58,6 @@ struct SceneLayout {
     std::vector<uint32_t> faces;  // indices into the vertices of all meshes
     std::vector<AttributeInfo> attributes;
     int n_vertices = 0, n_cdf_faces = 0;
-    bool has_normals = false, has_texcoords = false;
     int environment = -1;
     std::vector<MediumInfo> media;
     int n_majorants = 0;

@@ -31,9 +31,7 @@ template <class S>
 void SceneData<S>::allocate_geometry() {
     size_t n_vertices = size_t(layout_.n_vertices), n_shapes = layout_.shapes.size();
     shapes_ = layout_.shapes;
-    positions_.assign(n_vertices * 3, S(0));
-    normals_.assign(layout_.has_normals ? n_vertices * 3 : 0, S(0));
-    texcoords_.assign(layout_.has_texcoords ? n_vertices * 2 : 0, S(0));
+    vertices_.assign(n_vertices, VertexRow<S>{});
     matrices_.assign(n_shapes * 24, S(0));
     areas_.assign(n_shapes, S(0));
     dark_.assign(n_shapes, 0);
@@ -73,8 +71,8 @@ void SceneData<S>::take_over(SceneData &previous) {
         std::swap(accel_, previous.accel_);
         std::swap(shapes_, previous.shapes_);
         std::swap(dark_, previous.dark_);
-        for (auto member : {&SceneData::positions_, &SceneData::normals_, &SceneData::texcoords_, &SceneData::matrices_,
-                            &SceneData::areas_, &SceneData::area_cdf_})
+        std::swap(vertices_, previous.vertices_);
+        for (auto member : {&SceneData::matrices_, &SceneData::areas_, &SceneData::area_cdf_})
             std::swap(this->*member, previous.*member);
         for (size_t i = 0; i < shapes_.size(); ++i) {
             const ShapeInfo &now = layout_.shapes[i];
@@ -131,10 +129,18 @@ std::vector<uint8_t> SceneData<S>::with_silent_changes(const std::vector<const S
         if (slot >= 0 && !dirty[size_t(slot)]) dirty[size_t(slot)] = !std::equal(copy, copy + n, params[size_t(slot)]);
     };
     for (const MeshSource &mesh : layout_.meshes) {
-        size_t first = size_t(mesh.first_vertex), n = size_t(mesh.n_vertices);
-        if (mesh.vertices >= 0) compare(mesh.vertices, 3 * n, &positions_[3 * first]);
-        if (mesh.normals >= 0) compare(mesh.normals, 3 * n, &normals_[3 * first]);
-        if (mesh.texcoords >= 0) compare(mesh.texcoords, 2 * n, &texcoords_[2 * first]);
+        // a few rows at a time, which stay in the cache for all of their columns
+        constexpr int32_t Rows = 256;
+        auto compare_rows = [&](int slot, auto column, int32_t begin, int32_t end) {
+            if (slot >= 0 && !dirty[size_t(slot)])
+                dirty[size_t(slot)] = !same_rows(mesh, column, params[size_t(slot)], begin, end);
+        };
+        for (int32_t begin = 0; begin < mesh.n_vertices; begin += Rows) {
+            int32_t end = std::min(begin + Rows, mesh.n_vertices);
+            compare_rows(mesh.vertices, &VertexRow<S>::p, begin, end);
+            compare_rows(mesh.normals, &VertexRow<S>::n, begin, end);
+            compare_rows(mesh.texcoords, &VertexRow<S>::uv, begin, end);
+        }
     }
     if (layout_.environment >= 0 && !environment_.texels.empty()) {
         const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];
@@ -242,9 +248,7 @@ void SceneData<S>::refresh_view() {
     view_.bsdfs = records("bsdf"), view_.n_bsdfs = count("bsdf");
     view_.emitters = records("emitter"), view_.n_emitters = count("emitter");
     view_.sensors = records("sensor"), view_.n_sensors = count("sensor");
-    view_.positions = positions_.data();
-    view_.normals = normals_.data();
-    view_.texcoords = texcoords_.data();
+    view_.vertices = reinterpret_cast<const S *>(vertices_.data());
     view_.faces = layout_.faces.data();
     view_.shapes = shapes_.data();
     view_.shape_matrices = matrices_.data();

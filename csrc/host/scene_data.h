@@ -84,7 +84,7 @@ private:
 
     std::vector<S> constants_;
     std::vector<TensorView<S>> tensors_;
-    std::vector<S> positions_, normals_, texcoords_;
+    std::vector<VertexRow<S>> vertices_;
     std::vector<ShapeInfo> shapes_;
     std::vector<S> matrices_, areas_, area_cdf_;
     std::vector<uint8_t> dark_;  // emitting meshes without any area
@@ -101,10 +101,20 @@ private:
                        const std::vector<S> &old, bool first);
     bool update_mesh(const MeshSource &mesh, const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
                      bool first);
+    // Whether a column of the vertices begin .. end of a mesh is what an array (n_vertices, N) has.
+    template <size_t N>
+    bool same_rows(const MeshSource &mesh, S (VertexRow<S>::*column)[N], const S *from, int32_t begin,
+                   int32_t end) const {
+        const VertexRow<S> *rows = &vertices_[size_t(mesh.first_vertex)];
+        bool same = true;
+        for (size_t i = size_t(begin); i < size_t(end); ++i)
+            for (size_t k = 0; k < N; ++k) same &= (rows[i].*column)[k] == from[N * i + k];
+        return same;
+    }
     void update_rectangle(const MeshSource &mesh, bool first);
     void update_quadric(int shape);
     Affine set_matrices(int shape);
-    void set_mesh(const MeshSource &mesh, bool first);
+    void set_mesh(const MeshSource &mesh, const S *positions, bool first);
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();

@@ -47,30 +47,32 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
 template <class S>
 bool SceneData<S>::update_mesh(const MeshSource &mesh, const std::vector<const S *> &params,
                                const std::vector<uint8_t> &dirty, bool first) {
-    auto copy = [&](int slot, int columns, std::vector<S> &to) {
-        if (slot >= 0 && dirty[size_t(slot)])
-            std::copy_n(params[size_t(slot)], size_t(mesh.n_vertices) * size_t(columns),
-                        &to[size_t(mesh.first_vertex) * size_t(columns)]);
+    VertexRow<S> *rows = &vertices_[size_t(mesh.first_vertex)];
+    auto copy = [&](int slot, auto column) {
+        if (slot < 0 || !dirty[size_t(slot)]) return;
+        const S *from = params[size_t(slot)];
+        for (int32_t i = 0; i < mesh.n_vertices; ++i)
+            for (S &x : rows[i].*column) x = *from++;
     };
-    copy(mesh.normals, 3, normals_);
-    copy(mesh.texcoords, 2, texcoords_);
+    copy(mesh.normals, &VertexRow<S>::n);
+    copy(mesh.texcoords, &VertexRow<S>::uv);
     if (!dirty[size_t(mesh.vertices)]) return false;
     const S *from = params[size_t(mesh.vertices)];
     const size_t n = size_t(mesh.n_vertices) * 3;
     // written to, but with the numbers that were there already
-    if (!first && std::equal(from, from + n, &positions_[size_t(mesh.first_vertex) * 3])) return false;
+    if (!first && same_rows(mesh, &VertexRow<S>::p, from, 0, mesh.n_vertices)) return false;
     for (size_t i = 0; i < n; ++i)
         if (!(std::abs(from[i]) <= S(LargestCoordinate)))
             bad_value(path("shape", mesh.shape) + ": field 'vertices'", "coordinates up to 1e18",
                       std::to_string(from[i]));
-    copy(mesh.vertices, 3, positions_);
-    set_mesh(mesh, first);
+    copy(mesh.vertices, &VertexRow<S>::p);
+    set_mesh(mesh, from, first);
     return true;
 }
 
-// Area, its distribution over the faces of a light, and Embree's copy of a mesh whose positions are in place.
+// Area, its distribution over the faces of a light, and Embree's copy of a mesh with positions p (n_vertices, 3).
 template <class S>
-void SceneData<S>::set_mesh(const MeshSource &mesh, bool first) {
+void SceneData<S>::set_mesh(const MeshSource &mesh, const S *p, bool first) {
     const ShapeInfo &info = shapes_[size_t(mesh.shape)];
     size_t n_faces = size_t(info.n_faces);
     const uint32_t *global = &layout_.faces[size_t(info.face_offset) * 3];
@@ -79,7 +81,6 @@ void SceneData<S>::set_mesh(const MeshSource &mesh, bool first) {
         faces.resize(n_faces * 3);
         for (size_t i = 0; i < faces.size(); ++i) faces[i] = global[i] - uint32_t(mesh.first_vertex);
     }
-    const S *p = &positions_[size_t(mesh.first_vertex) * 3];
 
     if (info.emitter >= 0) {
         std::vector<double> areas(n_faces);
@@ -144,17 +145,18 @@ template <class S>
 void SceneData<S>::update_rectangle(const MeshSource &mesh, bool first) {
     Affine to_world = set_matrices(mesh.shape);
     const double *m = to_world.m;
+    S positions[12];
     for (size_t i = 0; i < 4; ++i) {
-        size_t vertex = size_t(mesh.first_vertex) + i;
+        VertexRow<S> &row = vertices_[size_t(mesh.first_vertex) + i];
         for (size_t k = 0; k < 3; ++k)
-            positions_[vertex * 3 + k] =
+            row.p[k] = positions[3 * i + k] =
                 S(m[4 * k] * RectangleCorner[i][0] + m[4 * k + 1] * RectangleCorner[i][1] + m[4 * k + 3]);
-        for (size_t k = 0; k < 2; ++k) texcoords_[vertex * 2 + k] = S((RectangleCorner[i][k] + 1) / 2);
+        for (size_t k = 0; k < 2; ++k) row.uv[k] = S((RectangleCorner[i][k] + 1) / 2);
     }
     // mirroring turns the faces round, but not the normal that is transformed with the shape
     ShapeInfo &info = shapes_[size_t(mesh.shape)];
     info.flags = layout_.shapes[size_t(mesh.shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
-    set_mesh(mesh, first);
+    set_mesh(mesh, positions, first);
 }
 
 template <class S>

@@ -50,9 +50,9 @@ TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const Interaction<F>
     F inverse = F(1) / sqrt(select(wanted, squared, F(1)));
     Vec3<F> area_bar = unnormalize(area * inverse, n_bar, inverse);
     Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
-    sweep_vertex(&Tables::positions, tri.i0, -(e1_bar + e2_bar), wanted, sink);
-    sweep_vertex(&Tables::positions, tri.i1, e1_bar, wanted, sink);
-    sweep_vertex(&Tables::positions, tri.i2, e2_bar, wanted, sink);
+    sweep_vertex(&Tables::positions, tri.corner[0], -(e1_bar + e2_bar), wanted, sink);
+    sweep_vertex(&Tables::positions, tri.corner[1], e1_bar, wanted, sink);
+    sweep_vertex(&Tables::positions, tri.corner[2], e2_bar, wanted, sink);
 }
 
 // `d`: the camera ray's direction, (x, y): its position on the film.

@@ -64,7 +64,9 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     using U = UIntOf<F>;
     using Tables = decltype(sink.geometry);
     Vec3<F> zero{F(0), F(0), F(0)};
-    Triangle<F, S> tri(scene, U(shape.face_offset) + at.primitive, mesh);
+    auto smooth = mesh && shape.has(HasNormals), has = mesh && shape.has(HasTexcoords);
+    Corners<F> corners;
+    Triangle<F, S> tri(scene, U(shape.face_offset) + at.primitive, mesh, smooth || has, corners);
     F b1 = at.b1, b2 = at.b2, b0 = F(1) - b1 - b2;
     Vec3<F> area = cross(tri.e1, tri.e2);
     F area_squared = squared_norm(area), cosine = dot(area, select(in.attached, in.d, in.D));
@@ -77,10 +79,10 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
 
     // normal: of the vertices or of the face
     Vec3<F> area_bar = select(glued, in.D * (in.log_jacobian_bar / cosine), zero);
-    auto smooth = usable && shape.has(HasNormals);
+    smooth = smooth && usable;
+    has = has && usable;
     if (any(smooth)) {
-        Vec3<F> n0 = gather_vec3<F>(scene.normals, tri.i0, smooth), n1 = gather_vec3<F>(scene.normals, tri.i1, smooth),
-                n2 = gather_vec3<F>(scene.normals, tri.i2, smooth);
+        const Vec3<F> &n0 = corners.n[0], &n1 = corners.n[1], &n2 = corners.n[2];
         Vec3<F> m = n0 * b0 + n1 * b1 + n2 * b2;
         F length_squared = squared_norm(m);
         smooth = smooth && mask<F>(length_squared > F(0));
@@ -90,32 +92,27 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
         g.at.b.y = select(smooth, g.at.b.y + dot(m_bar, n2 - n0), g.at.b.y);
         auto to_normals = smooth && wanted;
         if (any(to_normals)) {
-            sweep_vertex(&Tables::normals, tri.i0, m_bar * b0, to_normals, sink);
-            sweep_vertex(&Tables::normals, tri.i1, m_bar * b1, to_normals, sink);
-            sweep_vertex(&Tables::normals, tri.i2, m_bar * b2, to_normals, sink);
+            sweep_vertex(&Tables::normals, tri.corner[0], m_bar * b0, to_normals, sink);
+            sweep_vertex(&Tables::normals, tri.corner[1], m_bar * b1, to_normals, sink);
+            sweep_vertex(&Tables::normals, tri.corner[2], m_bar * b2, to_normals, sink);
         }
     }
     area_bar = select(smooth, area_bar, area_bar + unnormalize(area * inverse_area, g.n, inverse_area));
 
     // texture coordinates
-    auto has = usable && shape.has(HasTexcoords);
     if (any(has)) {
-        U i0 = tri.i0 * 2u, i1 = tri.i1 * 2u, i2 = tri.i2 * 2u;
-        F uv0[2], uv1[2], uv2[2];
-        gather_rows<F>(scene.texcoords, i0, has, uv0);
-        gather_rows<F>(scene.texcoords, i1, has, uv1);
-        gather_rows<F>(scene.texcoords, i2, has, uv2);
-        F by_b1 = g.at.uv.x * (uv1[0] - uv0[0]) + g.at.uv.y * (uv1[1] - uv0[1]);
-        F by_b2 = g.at.uv.x * (uv2[0] - uv0[0]) + g.at.uv.y * (uv2[1] - uv0[1]);
+        const Vec2<F>(&uv)[3] = corners.uv;
+        F by_b1 = g.at.uv.x * (uv[1].x - uv[0].x) + g.at.uv.y * (uv[1].y - uv[0].y);
+        F by_b2 = g.at.uv.x * (uv[2].x - uv[0].x) + g.at.uv.y * (uv[2].y - uv[0].y);
         g.at.b.x = select(has, g.at.b.x + by_b1, g.at.b.x);
         g.at.b.y = select(has, g.at.b.y + by_b2, g.at.b.y);
         auto to_texcoords = has && wanted;
         if (any(to_texcoords)) {
-            const U index[3] = {i0, i1, i2};
             const F weight[3] = {b0, b1, b2};
             for (int k = 0; k < 3; ++k) {
-                sink.vertex(&Tables::texcoords, index[k], g.at.uv.x * weight[k], to_texcoords);
-                sink.vertex(&Tables::texcoords, index[k] + 1u, g.at.uv.y * weight[k], to_texcoords);
+                U index = tri.corner[k] * 2u;
+                sink.vertex(&Tables::texcoords, index, g.at.uv.x * weight[k], to_texcoords);
+                sink.vertex(&Tables::texcoords, index + 1u, g.at.uv.y * weight[k], to_texcoords);
             }
         }
     }
@@ -133,9 +130,9 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     q = select(glued, g.p + from_segment, q);
     if (any(wanted)) {
         Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
-        sweep_vertex(&Tables::positions, tri.i0, q * b0 - e1_bar - e2_bar, wanted, sink);
-        sweep_vertex(&Tables::positions, tri.i1, q * b1 + e1_bar, wanted, sink);
-        sweep_vertex(&Tables::positions, tri.i2, q * b2 + e2_bar, wanted, sink);
+        sweep_vertex(&Tables::positions, tri.corner[0], q * b0 - e1_bar - e2_bar, wanted, sink);
+        sweep_vertex(&Tables::positions, tri.corner[1], q * b1 + e1_bar, wanted, sink);
+        sweep_vertex(&Tables::positions, tri.corner[2], q * b2 + e2_bar, wanted, sink);
     }
     auto attached = usable && in.attached;
     d_bar = select(attached, in.d_bar + moved * in.t, zero);

@@ -92,6 +92,51 @@ struct RowRegisters<N, S, 16> {
 };
 #endif
 
+#if defined(DRJIT_X86_AVX)
+// Number k of a row of 4, in each 128 bits of 4 registers.
+template <class V>
+TR_INLINE V column_of(const V (&r)[4], int k) {
+    return interleave_pairs(interleave(r[0], r[1], k > 1), interleave(r[2], r[3], k > 1), k % 2 == 1);
+}
+
+// The first or the second 128 bits of every 256, those of a before those of b.
+TR_INLINE __m256 halves(__m256 a, __m256 b, bool second) {
+    return second ? _mm256_permute2f128_ps(a, b, 0x31) : _mm256_permute2f128_ps(a, b, 0x20);
+}
+#if defined(DRJIT_X86_AVX512)
+TR_INLINE __m512 halves(__m512 a, __m512 b, bool second) {
+    return second ? _mm512_shuffle_f32x4(a, b, 0xDD) : _mm512_shuffle_f32x4(a, b, 0x88);
+}
+#endif
+
+// Rows of 8: register j of a group holds those of lanes j and 4 + j of its 8 lanes (AVX: of lane j of its 4), so that
+// columns of both groups put together are in order.
+template <class S, int W>
+struct LongRowRegisters;
+template <class S>
+struct LongRowRegisters<S, 8> {
+    __m256 r[2][4];
+    TR_INLINE LongRowRegisters(const S *base, const uint32_t *at) {
+        for (int j = 0; j < 8; ++j) r[j / 4][j % 4] = _mm256_loadu_ps(reinterpret_cast<const float *>(base + at[j]));
+    }
+    // Column k in the first half, k + 4 in the second.
+    TR_INLINE __m256 column(int group, int k) const { return column_of(r[group], k); }
+};
+#if defined(DRJIT_X86_AVX512)
+template <class S>
+struct LongRowRegisters<S, 16> {
+    __m512 r[2][4];
+    TR_INLINE LongRowRegisters(const S *base, const uint32_t *at) {
+        auto load = [&](int lane) { return _mm256_loadu_ps(reinterpret_cast<const float *>(base + at[lane])); };
+        for (int g = 0; g < 2; ++g)
+            for (int j = 0; j < 4; ++j)
+                r[g][j] = _mm512_insertf32x8(_mm512_castps256_ps512(load(8 * g + j)), load(8 * g + 4 + j), 1);
+    }
+    TR_INLINE __m512 column(int group, int k) const { return column_of(r[group], k); }
+};
+#endif
+#endif
+
 template <class V, class T>
 TR_INLINE void put_bits(const V &bits, T &out) {
     static_assert(sizeof(V) == sizeof(T));
@@ -129,6 +174,31 @@ TR_INLINE void gather_rows(const S *base, const UIntOf<F> &index, const MaskOf<F
 #endif
     else {
         for (int k = 0; k < N; ++k) out[k] = gather<T>(base, index + uint32_t(k), mask<T>(active));
+    }
+}
+
+// A row of 8 numbers a lane: from 256 bits a load, half the loads of two rows of 4.
+template <class F, class T, class S>
+TR_INLINE void gather_long_rows(const S *base, const UIntOf<F> &index, const MaskOf<F> &active, T (&out)[8]) {
+#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX)
+    constexpr int W = Lanes<F>::Width;
+    if constexpr (W >= 8 && sizeof(S) == 4) {
+        alignas(64) uint32_t at[W];
+        store(&at[0], select(mask<UIntOf<F>>(active), index, UIntOf<F>(0u)));
+        __asm__("" : "+m"(at));
+        detail::LongRowRegisters<S, W> row(base, at);
+        for (int k = 0; k < 4; ++k) {
+            auto low = row.column(0, k), high = row.column(1, k);
+            detail::put_bits(detail::halves(low, high, false), out[k]);
+            detail::put_bits(detail::halves(low, high, true), out[4 + k]);
+        }
+        return;
+    }
+#endif
+    T half[4];
+    for (uint32_t h = 0; h < 2; ++h) {
+        gather_rows<F>(base, index + 4u * h, active, half);
+        for (int k = 0; k < 4; ++k) out[4 * h + uint32_t(k)] = half[k];
     }
 }
 

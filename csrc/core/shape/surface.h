@@ -35,40 +35,64 @@ struct Interaction {
     F t;
 };
 
-template <class F, class S>
-TR_INLINE Vec3<F> gather_vec3(const S *base, const UIntOf<F> &index, const MaskOf<F> &active) {
-    F row[3];
-    gather_rows<F>(base, index * 3u, active, row);
-    return {row[0], row[1], row[2]};
-}
-
-template <class F, class S>
-struct Triangle {
-    UIntOf<F> i0, i1, i2;
-    Vec3<F> p0, e1, e2;
-
-    TR_INLINE Triangle(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &active) {
-        UIntOf<F> row[3];
-        gather_rows<F>(scene.faces, face * 3u, active, row);
-        i0 = row[0], i1 = row[1], i2 = row[2];
-        p0 = gather_vec3<F>(scene.positions, i0, active);
-        e1 = gather_vec3<F>(scene.positions, i1, active) - p0;
-        e2 = gather_vec3<F>(scene.positions, i2, active) - p0;
-    }
+// Normals and texture coordinates at the corners of a triangle, arbitrary where its mesh has none.
+template <class F>
+struct Corners {
+    Vec3<F> n[3];
+    Vec2<F> uv[3];
 };
 
 template <class F, class S>
-TR_INLINE Vec2<F> interpolate_coordinates(const SceneView<S> &scene, const UIntOf<F> (&corner)[3], const F &b1,
-                                          const F &b2, const MaskOf<F> &active) {
-    const F b[3] = {F(1) - b1 - b2, b1, b2};
-    Vec2<F> uv{F(0), F(0)};
-    for (int k = 0; k < 3; ++k) {
-        F row[2];
-        gather_rows<F>(scene.texcoords, corner[k] * 2u, active, row);
-        uv.x = fmadd(b[k], row[0], uv.x);
-        uv.y = fmadd(b[k], row[1], uv.y);
+struct Triangle {
+    UIntOf<F> corner[3];
+    Vec3<F> p0, e1, e2;
+
+    TR_INLINE Triangle(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &active) {
+        gather_rows<F>(scene.faces, face * 3u, active, corner);
+        Vec3<F> p[3];
+        for (int k = 0; k < 3; ++k) {
+            F row[4];  // one load; the last is not used
+            gather_rows<F>(scene.vertices, corner[k] * VertexRow<S>::Size, active, row);
+            p[k] = {row[0], row[1], row[2]};
+        }
+        set_edges(p);
     }
-    return uv;
+    // The same and, where any lane has `more`, the rest of the rows.
+    TR_INLINE Triangle(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &active, const MaskOf<F> &more,
+                       Corners<F> &rest) {
+        if (!any(more)) {
+            *this = Triangle(scene, face, active);
+            return;
+        }
+        gather_rows<F>(scene.faces, face * 3u, active, corner);
+        Vec3<F> p[3];
+        for (int k = 0; k < 3; ++k) {
+            F row[8];
+            gather_long_rows<F>(scene.vertices, corner[k] * VertexRow<S>::Size, active, row);
+            p[k] = {row[0], row[1], row[2]};
+            rest.n[k] = {row[3], row[4], row[5]};
+            rest.uv[k] = {row[6], row[7]};
+        }
+        set_edges(p);
+    }
+
+private:
+    TR_INLINE void set_edges(const Vec3<F> (&p)[3]) {
+        p0 = p[0];
+        e1 = p[1] - p0;
+        e2 = p[2] - p0;
+    }
+};
+
+template <class F>
+TR_INLINE Vec2<F> interpolate_coordinates(const Vec2<F> (&uv)[3], const F &b1, const F &b2) {
+    const F b[3] = {F(1) - b1 - b2, b1, b2};
+    Vec2<F> r{F(0), F(0)};
+    for (int k = 0; k < 3; ++k) {
+        r.x = fmadd(b[k], uv[k].x, r.x);
+        r.y = fmadd(b[k], uv[k].y, r.y);
+    }
+    return r;
 }
 
 template <class F, class S>
@@ -79,7 +103,13 @@ TR_INLINE Vec2<F> texture_coordinates(const SceneView<S> &scene, const SurfacePo
     if (any(has)) {
         UIntOf<F> corner[3];
         gather_rows<F>(scene.faces, (UIntOf<F>(shape.face_offset) + at.primitive) * 3u, has, corner);
-        Vec2<F> given = interpolate_coordinates(scene, corner, at.b1, at.b2, has);
+        Vec2<F> corners[3];
+        for (int k = 0; k < 3; ++k) {
+            F row[2];
+            gather_rows<F>(scene.vertices, corner[k] * VertexRow<S>::Size + VertexRow<S>::Texcoords, has, row);
+            corners[k] = {row[0], row[1]};
+        }
+        Vec2<F> given = interpolate_coordinates(corners, at.b1, at.b2);
         uv = {select(has, given.x, uv.x), select(has, given.y, uv.y)};
     }
     return uv;
@@ -129,7 +159,10 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
     Vec2<F> given{F(0), F(0)};
     MaskOf<F> mapped(false);
     if (any(mesh)) {
-        Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh);
+        auto smooth = mesh && shape.has(HasNormals);
+        if (scene.textured) mapped = mesh && shape.has(HasTexcoords);
+        Corners<F> corners;
+        Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh, smooth || mapped, corners);
         Vec3<F> n = cross(tri.e1, tri.e2);
         if constexpr (sizeof(S) == 8) {  // Moeller and Trumbore 1997, for a triangle that is known to be hit
             Vec3<F> q = cross(ray.d, tri.e2), s = ray.o - tri.p0, r = cross(s, tri.e1);
@@ -142,19 +175,15 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         n = normalize(n);
         si.ng = n;
         ns = n;
-        auto smooth = mesh && shape.has(HasNormals);
         if (any(smooth)) {
-            Vec3<F> interpolated = gather_vec3<F>(scene.normals, tri.i0, smooth) * (F(1) - at.b1 - at.b2) +
-                                   gather_vec3<F>(scene.normals, tri.i1, smooth) * at.b1 +
-                                   gather_vec3<F>(scene.normals, tri.i2, smooth) * at.b2;
+            const Vec3<F>(&corner)[3] = corners.n;
+            Vec3<F> interpolated = corner[0] * (F(1) - at.b1 - at.b2) + corner[1] * at.b1 + corner[2] * at.b2;
             F length_squared = squared_norm(interpolated);
             auto usable = smooth && mask<F>(length_squared > F(0));
             interpolated = interpolated * rsqrt(select(usable, length_squared, F(1)));
             ns = select(usable, interpolated, ns);
         }
-        mapped = mesh && shape.has(HasTexcoords);
-        if (scene.textured && any(mapped))
-            given = interpolate_coordinates(scene, {tri.i0, tri.i1, tri.i2}, at.b1, at.b2, mapped);
+        if (any(mapped)) given = interpolate_coordinates(corners.uv, at.b1, at.b2);
     }
     auto curved = active && !mesh;
     if (any(curved)) {
