@@ -24,7 +24,7 @@ from typing import Any
 import torch
 from torch.autograd import Function
 
-from .autograd import BATCHED, RenderCall, _Derivative, zero_gradient, refuse_batches
+from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches, zero_gradient
 from .errors import NotDifferentiableError, describe, nearest
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
