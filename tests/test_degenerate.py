@@ -103,7 +103,7 @@ def test_normals_that_are_zero_or_against_the_face(variant, dtype):
 
 
 @variants
-@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "conductor", "null"])
+@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "roughdielectric", "conductor", "null"])
 def test_coincident_surfaces(bsdf, variant, dtype):
     # Of surfaces in one place either may be hit; energy is neither made nor lost without end.
     objects = {"sky": SKY, "lamp": LAMP}
@@ -126,13 +126,14 @@ def test_grazing_angles(height, variant, dtype):
     glossy = {**FLOOR, "bsdf": {"type": "dielectric"}}
     side = {"type": "disk", "to_world": tr.Transform.translate([0, 1.4, height]).rotate([1, 0, 0], 90).scale(0.3)}
     view = camera(origin=(0, -4, height), target=(0, 0, height), up=(0, 0, 1))
-    for floor in (FLOOR, glossy):
+    rough = {**FLOOR, "bsdf": {"type": "roughdielectric", "alpha": 1e-3}}
+    for floor in (FLOOR, glossy, rough):
         objects = {"camera": view, "floor": floor, "side": {**side, "emitter": {"type": "area", "radiance": 1.0}}}
         check(tr.load_dict({"type": "scene", **objects}, variant=variant, dtype=dtype))
 
 
 @variants
-@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "conductor"])
+@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "roughdielectric", "conductor"])
 def test_a_camera_on_a_surface(bsdf, variant, dtype):
     material = {"type": bsdf}
     for origin, target in (

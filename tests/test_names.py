@@ -42,6 +42,7 @@ def ball(bsdf) -> set[str]:
         ),
         ({"type": "dielectric"}, {"eta"}),
         ({"type": "dielectric", "specular_reflectance": 0.5}, {"eta", "specular_reflectance.value"}),
+        ({"type": "roughdielectric", "distribution": "ggx"}, {"eta", "alpha"}),
         ({"type": "conductor"}, {"eta.value", "k.value", "specular_reflectance.value"}),
         ({"type": "conductor", "eta": RGB, "k": 3.0}, {"eta.value", "k.value", "specular_reflectance.value"}),
         ({"type": "null"}, set()),

@@ -180,13 +180,15 @@ def test_parameters_out_of_range_have_derivatives_that_lead_back(distribution, d
     ("distribution", "alpha", "least", "most"),
     [
         ("ggx", 0.01, 0.995, 1.003),
-        ("ggx", 0.5, 0.6, 0.9),
+        ("ggx", 0.5, 0.58, 0.62),
         ("beckmann", 0.01, 0.995, 1.003),
-        ("beckmann", 0.5, 0.8, 0.97),
+        ("beckmann", 0.5, 0.81, 0.85),
     ],
 )
 def test_furnace(distribution, alpha, least, most):
-    """A ball without absorption under a uniform sky cannot be seen, but for what facets throw onto one another."""
+    """A ball without absorption under a uniform sky cannot be seen, but for what facets throw onto one another: of that
+    what is lost today, since nothing else tells how much.
+    """
     scene = tr.load_dict(view(rough(distribution, alpha, 1.5), sky={"type": "constant", "radiance": 1.0}))
     image = tr.render(scene, spp=256, seed=1)
     assert torch.isfinite(image).all()

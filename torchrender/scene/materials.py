@@ -96,8 +96,11 @@ class Dielectric(Plugin):
 
 @register
 class RoughDielectric(Dielectric):
-    """Rough dielectric interface: microscopic facets that reflect and refract, seen once each (energy that facets throw
-    onto one another is lost: 1 % at alpha 0.1, 20 % at alpha 0.5).
+    """Rough dielectric interface: microscopic facets that reflect and refract once.
+
+    What facets throw onto one another is lost. An interface of index 1.5 without absorption loses, of light that comes
+    straight / under 75 degrees: GGX 0.1 % / 3 % at alpha 0.1 and 3 % / 20 % at alpha 0.5; Beckmann 0 / 1 % and
+    0.3 % / 5 %.
 
     Args:
         distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
