@@ -294,3 +294,47 @@ def test_tensors_of_a_graph_stay_in_it():
     assert tr.render(scene, spp=1).requires_grad
     scene.ball.interior.sigma_t = torch.rand(2, 2, 2, requires_grad=True)  # an assigned leaf gives numbers and its wish
     assert scene.ball.interior.sigma_t.data.requires_grad and isinstance(scene.ball.interior.sigma_t, tr.GridVolume)
+
+
+# ---------------------------------------------------------------------------------------------------- down to the image
+SMOKE = {
+    **{"type": "heterogeneous", "albedo": grid(data=VOXELS / 2), "emission": 0.1, "scale": 2.0},
+    "sigma_t": grid(to_world=tr.Transform.translate([-1, -1, -1]).scale(2)),
+    "phase": {"type": "hg", "g": 0.3},
+}
+OTHERS = {
+    "sigma_t": {"sigma_t": grid(data=VOXELS + 0.5, to_world=SMOKE["sigma_t"]["to_world"])},
+    "filter_type": {"sigma_t": {**SMOKE["sigma_t"], "filter_type": "nearest"}},
+    "to_world": {"sigma_t": grid(to_world=tr.Transform.translate([-1, -1, -1]).scale(1.5))},
+    "albedo": {"albedo": grid(data=VOXELS)},
+    "wrap_mode": {"albedo": grid(data=VOXELS / 2, wrap_mode="repeat")},
+    "emission": {"emission": 0.2},
+    "scale": {"scale": 2.5},
+    "g": {"phase": {"type": "hg", "g": -0.3}},
+    "phase": {"phase": {"type": "isotropic"}},
+}
+
+
+def picture(**changes) -> torch.Tensor:
+    objects = {k: changes.pop(k) for k in ("ball", "camera", "sky", "lamp", "integrator") if k in changes}
+    return tr.render(load({**SMOKE, **changes}, **objects), spp=16, seed=0)
+
+
+@pytest.mark.core
+@pytest.mark.parametrize("changed", OTHERS)
+def test_every_setting_of_a_medium_reaches_the_image(changed):
+    assert not torch.equal(picture(**OTHERS[changed]), picture())
+
+
+@pytest.mark.core
+def test_media_around_the_camera_and_outside_of_shapes_reach_the_image():
+    plain = picture(scale=0.0, emission=None)
+    torch.testing.assert_close(plain, torch.ones_like(plain))  # nothing but the sky
+    fog = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.0}
+    camera = {"type": "perspective", "to_world": tr.Transform.translate([0, 0, -3]), "film": FILM}
+    # From within a fog that ends at the ball and begins again behind it, nothing of the sky is left.
+    ball = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {**fog, "sigma_t": 0.1}, "exterior": fog}
+    inside = tr.render(load(None, ball=ball, camera={**camera, "medium": fog}), spp=4, seed=0)
+    assert not bool(inside.any())
+    # Without the camera's medium it begins behind the ball, which all rays in the middle of the film reach.
+    assert bool((tr.render(load(None, ball=ball, camera=camera), spp=4, seed=0)[1, 1:3] == 0).all())
