@@ -1,4 +1,5 @@
-"""Render the scenes of `tests/reference_scenes.py` with Mitsuba 3.9.1 into `tests/data/references.npz`.
+"""Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`,
+those of `tests/media_scenes.py` into `tests/data/media_references.npz`.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -21,8 +22,10 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
+import media_scenes  # noqa: E402
 import reference_scenes as rs  # noqa: E402
 
+FILES = {"references.npz": rs.SCENES, "media_references.npz": media_scenes.SCENES}
 RUNS = 16
 SPP, GRADIENT_SPP = 1024, 512
 
@@ -33,7 +36,7 @@ def to_mitsuba(value, key: str = ""):
         value = {name: to_mitsuba(entry, name) for name, entry in value.items()}
         if value.get("type") == "envmap":
             value["bitmap"] = mi.Bitmap(np.ascontiguousarray(value.pop("data")))
-        elif value.get("type") == "bitmap":
+        elif value.get("type") in ("bitmap", "gridvolume"):
             value["data"] = mi.TensorXf(value["data"])
         return value
     if key == "to_world":
@@ -82,21 +85,23 @@ def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np
         gradient = np.array(dr.grad(leaves[name]), dtype=np.float64)
         if gradient.ndim < 3:  # colours come as (3, 1), single numbers as (1,)
             gradient = gradient.ravel()
-        is_environment = name.endswith(".data") and "reflectance" not in name and "radiance" not in name
+        is_environment = name.endswith(".data") and not any(w in name for w in ("reflectance", "radiance", "medium"))
         result[name] = unpadded(gradient) if is_environment else gradient
     return result
 
 
-def make(name: str) -> dict[str, np.ndarray]:
-    description = rs.SCENES[name]()
+def make(name: str, description: rs.ReferenceScene) -> dict[str, np.ndarray]:
     scene = mi.load_dict(to_mitsuba(description.scene), optimize=False)
     images = [blocks(np.array(mi.render(scene, spp=SPP, seed=run + 1))[..., :3]) for run in range(RUNS)]
     mean, variance = mean_and_variance(images)
     result = {f"{name}.mean": mean, f"{name}.var": variance}
-    settings = {key: value for key, value in description.scene["integrator"].items() if key != "type"}
+    settings = dict(description.scene["integrator"])
+    kind = "prbvolpath" if settings.pop("type").startswith("volpath") else "prb"
     if description.gradients:
-        integrator = mi.load_dict({"type": "prb", **settings})
-        weight = mi.TensorXf(rs.weight().astype(np.float32))
+        integrator = mi.load_dict({"type": kind, **settings})
+        film = description.scene["sensor"]["film"]
+        height, width = film.get("crop_height", film["height"]), film.get("crop_width", film["width"])
+        weight = mi.TensorXf(rs.weight(height, width).astype(np.float32))
         runs = [gradients(scene, description, integrator, weight, 1000 + run) for run in range(RUNS)]
         for parameter in description.gradients:
             mean, variance = mean_and_variance([run[parameter] for run in runs])
@@ -108,19 +113,20 @@ def make(name: str) -> dict[str, np.ndarray]:
 
 def main() -> None:
     mi.set_variant("llvm_ad_rgb")
-    target = rs.DATA / "references.npz"
     rs.write_twisted_mesh(rs.DATA / "twisted.ply")
-    stored = dict(np.load(target)) if target.exists() else {}
-    for name in sys.argv[1:] or rs.SCENES:
-        stored = {key: value for key, value in stored.items() if not key.startswith(f"{name}.")}
-        made = make(name)
-        stored.update({key: value.astype(np.float32) for key, value in made.items()})
-        mean, variance = made[f"{name}.mean"], made[f"{name}.var"]
-        print(
-            f"{name}: mean {mean.mean():.4f}, mean relative error {np.sqrt(variance).mean() / mean.mean():.2e}",
-            flush=True,
-        )
-        np.savez_compressed(target, **stored)
+    for file, scenes in FILES.items():
+        target = rs.DATA / file
+        stored = dict(np.load(target)) if target.exists() else {}
+        for name, describe in scenes.items():
+            if sys.argv[1:] and name not in sys.argv[1:]:
+                continue
+            stored = {key: value for key, value in stored.items() if not key.startswith(f"{name}.")}
+            made = make(name, describe())
+            stored.update({key: value.astype(np.float32) for key, value in made.items()})
+            mean, variance = made[f"{name}.mean"], made[f"{name}.var"]
+            error = np.sqrt(variance).mean() / mean.mean()
+            print(f"{name}: mean {mean.mean():.4f}, mean relative error {error:.2e}", flush=True)
+            np.savez_compressed(target, **stored)
 
 
 if __name__ == "__main__":
