@@ -124,7 +124,7 @@ def square_light(center, edge_u, edge_v):
         square = to.square().sum(1)
         w = to / square.sqrt()[:, None]
         cosine = (-(w * normal).sum(1)).clamp(min=0.0)
-        through = media.between(start, start + to * (1 - 1e-6), at)
+        through = media.between(start, start + 0.998 * to, at)  # just before the light
         value = scattered(world, media, start, d.repeat_interleave(k, 0), w, at) * cosine / square * weights.repeat(n)
         radiance = _texture_value(world)
         return (through * value[:, None]).reshape(n, k, -1).sum(1) * radiance
