@@ -18,6 +18,9 @@ BENCHMARKS = {
     "memory": "peak memory beyond gradients and gradient buffers, at several sample counts",
     "scaling": "time over samples, pixels, threads, triangles and texture sizes",
     "variance": "error of image and gradient at equal time, by sampler, against a reference",
+    "smoke": "one full-size iteration of the smoke, and what a reconstruction finds in a given time",
+    "slab": "one full-size iteration of the translucent slab",
+    "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
 }
 COMPARE = "compare A.json B.json: which figures became slower by more than their spread"
@@ -25,8 +28,8 @@ COMPARE = "compare A.json B.json: which figures became slower by more than their
 
 def listing() -> str:
     """The list of benchmarks."""
-    lines = [f"  {name:<11}{text}" for name, text in BENCHMARKS.items()]
-    lines.append(f"  {'compare':<11}{COMPARE.partition(': ')[2]} ({COMPARE.partition(':')[0]})")
+    lines = [f"  {name:<18}{text}" for name, text in BENCHMARKS.items()]
+    lines.append(f"  {'compare':<18}{COMPARE.partition(': ')[2]} ({COMPARE.partition(':')[0]})")
     return "\n".join(["python -m bench NAME [options], where NAME is one of", *lines])
 
 

@@ -74,9 +74,31 @@ def peak_memory(
     return {"scene": scene, "peak": max(0.0, memory("VmHWM") - before), "gradients": gradients}
 
 
+def media_memory(
+    size: int, threads: int, resolution: int, spp: int, renderer: dict[str, Any], steps: int
+) -> dict[str, float]:
+    """MiB that steps add, at their peak, to a process that has loaded the cloud; and the size of its gradient."""
+    from argparse import Namespace
+
+    import torch
+
+    from .media import CLOUD, Loaded
+
+    torch.set_num_threads(threads)
+    torch.ones(3, requires_grad=True).square().sum().backward()
+    with Loaded(CLOUD, size) as loaded:
+        ours = loaded.ours(Namespace(resolution=resolution, renderer=list(renderer.items())), spp)
+    before = settled_memory()
+    for seed in range(steps):
+        ours.step(seed)
+    gradients = sum(p.numel() * p.element_size() for p in ours.parameters) / 2**20
+    return {"peak": max(0.0, memory("VmHWM") - before), "gradients": gradients}
+
+
 def main() -> None:
     what, settings = sys.argv[1], json.loads(sys.argv[2])
-    print(json.dumps({"coldstart": coldstart, "memory": peak_memory}[what](**settings)))
+    kinds = {"coldstart": coldstart, "memory": peak_memory, "media_memory": media_memory}
+    print(json.dumps(kinds[what](**settings)))
 
 
 if __name__ == "__main__":

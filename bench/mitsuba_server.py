@@ -21,11 +21,20 @@ class Server:
         self.import_seconds = time.perf_counter() - started
         self.mi, self.dr, self.version = mi, dr, mi.__version__
 
-    def load(self, path: str, arguments: dict, parameters: list, resolution: int, spp: int, arrays: str | None) -> dict:
+    def load(
+        self,
+        path: str,
+        arguments: dict,
+        parameters: list,
+        resolution: int,
+        spp: int,
+        arrays: str | None,
+        integrator: dict | None = None,
+    ) -> dict:
         mi, dr = self.mi, self.dr
         # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
         self.scene = mi.load_file(path, optimize=False, resolution=resolution, spp=spp, **arguments)
-        self.integrator = mi.load_dict({"type": "prb", "max_depth": 5, "rr_depth": 100})
+        self.integrator = mi.load_dict(integrator or {"type": "prb", "max_depth": 5, "rr_depth": 100})
         self.params = mi.traverse(self.scene)
         self.names, self.spp = parameters, spp
         for name in parameters:
@@ -101,8 +110,69 @@ class Server:
         seconds = time.perf_counter() - start
         arrays = [np.array(g, dtype=np.float64) for g in gradients]
         if file:
-            np.savez(file, *[a if a.ndim == 3 else a.ravel() for a in arrays])
+            np.savez(file, *[a if a.ndim >= 3 else a.ravel() for a in arrays])
         return {"sums": [float(a.sum()) for a in arrays], "seconds": seconds}
+
+    def iteration(self, seed: int, views: list, spp: int, spp_grad: int, passes: int) -> dict:
+        """Pictures of several sensors and their derivatives, in passes whose gradients add up."""
+        mi, dr = self.mi, self.dr
+        for name in self.names:
+            dr.set_grad(self.params[name], 0)
+        answer = {"forward": 0.0, "backward": 0.0, "bad image": 0, "bad gradient": 0}
+        for number, view in enumerate(views * passes):
+            n = seed * len(views) * passes + number
+            dr.sync_thread()
+            start = time.perf_counter()
+            image = mi.render(
+                self.scene,
+                self.params,
+                sensor=view,
+                integrator=self.integrator,
+                spp=spp,
+                spp_grad=spp_grad,
+                seed=2 * n,
+                seed_grad=2 * n + 1,
+            )
+            dr.eval(image)
+            dr.sync_thread()
+            middle = time.perf_counter()
+            dr.backward(dr.mean(dr.square(image), axis=None))
+            gradients = [dr.grad(self.params[name]) for name in self.names]
+            dr.eval(gradients)
+            dr.sync_thread()
+            answer["forward"] += middle - start
+            answer["backward"] += time.perf_counter() - middle
+            answer["bad image"] += self._not_finite(image) // 3
+        answer["bad gradient"] = sum(self._not_finite(self._tensor(gradient)) for gradient in gradients)
+        return answer
+
+    def _not_finite(self, tensor) -> int:
+        return int(self.dr.count(~self.dr.isfinite(tensor.array))[0])
+
+    def loss_gradient(self, seed: int, values: str, target: str, view: int, spp: int, spp_grad: int, file: str) -> dict:
+        """The gradient of the mean squared difference of one picture by new values of the one parameter."""
+        import numpy as np
+
+        mi, dr = self.mi, self.dr
+        (name,) = self.names
+        value, wanted = mi.TensorXf(np.load(values)), mi.TensorXf(np.load(target))
+        dr.eval(value, wanted)
+        dr.sync_thread()
+        start = time.perf_counter()
+        dr.enable_grad(value)
+        self.params[name] = value
+        self.params.update()
+        seeds = {"seed": 2 * seed, "seed_grad": 2 * seed + 1}
+        image = mi.render(
+            self.scene, self.params, sensor=view, integrator=self.integrator, spp=spp, spp_grad=spp_grad, **seeds
+        )
+        dr.backward(dr.mean(dr.square(image - wanted), axis=None))
+        gradient = dr.grad(self.params[name])
+        dr.eval(gradient)
+        dr.sync_thread()
+        seconds = time.perf_counter() - start
+        np.save(file, np.array(gradient))
+        return {"seconds": seconds}
 
 
 if __name__ == "__main__":

@@ -42,12 +42,12 @@ class Ours:
             self.renderer(seed=seed)
         return {"forward": time.perf_counter() - start}
 
-    def step(self, seed: int) -> dict[str, float]:
-        """Seconds of one forward and one backward pass; the loss is the mean square of the image."""
+    def step(self, seed: int, **settings: Any) -> dict[str, float]:
+        """Seconds of one forward and one backward pass; the loss is the mean square of the image, or images."""
         for parameter in self.parameters:
             parameter.grad = None
         start = time.perf_counter()
-        image = self.renderer(seed=seed)
+        image = self.renderer(seed=seed, **settings)
         middle = time.perf_counter()
         image.square().mean().backward()
         return {"forward": middle - start, "backward": time.perf_counter() - middle}

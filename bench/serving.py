@@ -4,13 +4,20 @@ A server reads one JSON request a line from standard input and answers each with
 before any request, is {"version": str, "import_seconds": float}.
 
     {"do": "load", "path": str, "arguments": {...}, "parameters": [...], "resolution": int, "spp": int, "arrays": str}
-                                        arrays: the same scene as NumPy arrays, see `scene_arrays.py`
+                                        arrays: the same scene as NumPy arrays, see `scene_arrays.py`; optional:
+                                        "integrator", a dict of its type and settings
     {"do": "forward", "seed": int}   -> {"forward": seconds}                 an image without derivatives
     {"do": "step", "seed": int}      -> {"forward": seconds, "backward": seconds}     loss: mean square of the image
     {"do": "image", "seed": int, "spp": int, "file": str}      -> {"seconds": float}  saved with numpy.save, (H, W, 3)
     {"do": "gradient", "seed": int, "spp": int, "file": str | null}
                                      -> {"sums": [...], "seconds": float}    of mean(image * weight), with independent
                                         samples; `file`: the gradients in order, with numpy.savez
+    {"do": "iteration", "seed": int, "views": [int], "spp": int, "spp_grad": int, "passes": int}
+                                     -> {"forward": seconds, "backward": seconds, "bad image": int,
+                                         "bad gradient": int}    sums over sensors and passes; bad: NaN or infinite
+    {"do": "loss_gradient", "seed": int, "values": str, "target": str, "view": int, "spp": int, "spp_grad": int,
+     "file": str}                    -> {"seconds": float}    of the mean squared difference from `target` (numpy.save),
+                                        by `values` of the one parameter, which may have a new size; saved to `file`
     {"do": "settle"}                 -> {"memory": MiB}       what is in use now; its peak is measured anew from here
     {"do": "memory"}                 -> {"peak": MiB}
     {"do": "quit"}

@@ -46,7 +46,7 @@ class Server:
         self.spp = 0
 
     def load(self, spp, **arguments):
-        self.parameters = arguments["parameters"]
+        self.parameters, self.arguments = arguments["parameters"], arguments["arguments"]
         return {{"loaded": True}}
 
     def forward(self, seed):
@@ -57,7 +57,21 @@ class Server:
     def step(self, seed):
         return {{"forward": 0.5, "backward": 1.5}}
 
+    def iteration(self, seed, views, spp, spp_grad, passes):
+        return {{"forward": 0.5, "backward": 1.5, "bad image": 3, "bad gradient": 0}}
+
+    def loss_gradient(self, seed, values, file, **arguments):
+        import numpy as np
+
+        np.save(file, np.full_like(np.load(values), np.nan))
+        return {{"seconds": 0.6}}
+
     def gradient(self, seed, spp, file=None):
+        if file:  # of the volume that the scene has
+            import numpy as np
+
+            x, y, z, channels = np.fromfile(self.arguments["density"], "<i4", 4, offset=8)
+            np.savez(file, np.full((z, y, x, channels), 1e-3 * (1 + seed % 2)))
         return {{"sums": [1.0 + 0.1 * (seed % 2)] * len(self.parameters), "seconds": 2.0}}
 
 
@@ -67,7 +81,8 @@ serve(Server)
 
 @pytest.fixture
 def fake_peer(tmp_path, monkeypatch):
-    """A renderer that takes the place of Mitsuba: it always needs 0.5 s for an image and 1.5 s for a gradient."""
+    """A renderer that takes the place of Mitsuba: it always needs 0.5 s for an image and 1.5 s for a gradient,
+    which has no meaning."""
     import dataclasses
 
     from bench import peers

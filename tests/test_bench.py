@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib
 import json
 import platform
@@ -205,6 +206,60 @@ def test_variance(tmp_path):
     assert first["program"] == "ours, independent"
     assert first["relative to the first"] == 1
     assert 0 < first["error, 8 spp"] < first["error, 2 spp"] < 10  # a factor of 2, of 768 numbers in 2 rounds
+
+
+def test_smoke(tmp_path, fake_peer):
+    options = ["--size", "8", "--spp-grad", "1", "--passes", "2", "--seconds", "1", "--target", "8", "--rounds", "1"]
+    result = run(tmp_path, "smoke", *TINY, *options, "--peer", f"mitsuba={sys.executable}")
+    iteration, reconstruction = (table["rows"] for table in result["tables"])
+    assert [row["program"] for row in iteration] == ["ours", "Mitsuba"]
+    ours, other = iteration
+    assert 0 < ours["forward s"]["median"] < 10 and 0 < ours["backward s"]["median"] < 10
+    assert ours["not finite, image"] == ours["not finite, gradient"] == 0
+    assert other["sum s"]["median"] == 2 * 2.0 and other["not finite, image"] == 2 * 3
+    ours, other = reconstruction
+    assert ours["iterations"] > 2 and ours["not finite, gradient"] == 0
+    # every gradient of what takes Mitsuba's place is NaN in all voxels, on one grid or two
+    assert other["iterations"] == 2 and other["not finite, gradient"] in (2 * 2**3, 2**3 + 4**3)
+    names = ("PSNR of the held-back view dB", "gain of ours dB")
+    assert other[names[1]] == pytest.approx(ours[names[0]] - other[names[0]])
+    assert ours[names[0]] > 10
+
+
+def test_slab(tmp_path, fake_peer):
+    options = ["--size", "2", "8", "8", "--spp-grad", "1", "--passes", "2", "--peer", f"mitsuba={sys.executable}"]
+    ours, other = run(tmp_path, "slab", *TINY, *options)["tables"][0]["rows"]
+    assert ours["scene"] == "slab, 2 x 8 x 8 albedos"
+    assert ours["sum s"]["n"] == 2 and 0 < ours["sum s"]["median"] < 10
+    assert other["sum / ours"] == pytest.approx(2 / ours["sum s"]["median"])
+    assert ours["not finite, image"] == ours["not finite, gradient"] == 0
+    assert other["not finite, image"] == 6
+
+
+def test_volume_gradients(tmp_path, fake_peer):
+    options = ["--size", "8", "--seeds", "4", "--reference", "64", "--differences", "2", "--rounds", "1"]
+    result = run(tmp_path, "volume_gradients", *TINY, *options, "--peer", f"mitsuba={sys.executable}")
+    time, variance, bias, memory = (table["rows"] for table in result["tables"])
+    assert time[1]["sum / ours"] == pytest.approx(2 / time[0]["sum s"]["median"])
+    assert 0 < variance[0]["variance x s"] and variance[0]["variance x s / ours"] == 1
+    # 0.001 and 0.002 in turns: a variance of 1 / 3 of 10^-6, twice a second's
+    assert variance[1]["variance x s"] == pytest.approx(2e-6 / 3)
+    assert variance[1]["not finite"] == 0
+    cells = {row["cells"]: row for row in bias}
+    assert cells["all"]["number"] == 8**3
+    assert sum(cells[name]["number"] for name in ("empty", "thin", "dense")) == 8**3
+    assert cells["all"]["Mitsuba: sum"] == pytest.approx(1.5e-3 * 8**3)
+    assert cells["64 blocks, largest |z|"]["ours: z"] >= cells["64 blocks, root mean square of z"]["ours: z"] > 0
+    assert memory[0]["parameter and gradient MiB"] == pytest.approx(2 * 8**3 * 4 / 2**20)
+    assert 0 < memory[0]["peak above the loaded scene MiB"]["median"] < 1000
+
+
+def test_media_are_not_redners(tmp_path, fake_peer, monkeypatch, capsys):
+    from bench import peers
+
+    monkeypatch.setitem(peers.KNOWN, "mitsuba", dataclasses.replace(peers.KNOWN["mitsuba"], reads_arrays=True))
+    assert main(["slab", *TINY, "--size", "1", "4", "4", "--peer", f"mitsuba={sys.executable}"]) == 2
+    assert "Mitsuba has no participating media" in capsys.readouterr().err
 
 
 def test_rays(tmp_path):

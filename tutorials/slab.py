@@ -4,8 +4,8 @@
     python tutorials/slab.py --full     # 64 x 256 x 256 voxels, 128 x 128 pixels, 6 passes of 16 + 4 samples
 
 The block is a hundred mean free paths thick, of something like wax, behind a rough surface. Light enters anywhere,
-scatters hundreds of times and leaves somewhere else, so that every voxel has a part in many pixels, and a picture that is
-painted into it is blurred. We are given a photograph of such a block and find the albedo of each of its voxels.
+scatters hundreds of times and leaves somewhere else, so that every voxel has a part in many pixels, and a picture that
+is painted into it is blurred. We are given a photograph of such a block and find the albedo of each of its voxels.
 
 As in `smoke.py`, a long run leaves pictures on its way and goes on from its checkpoint when it is started again.
 """
@@ -25,7 +25,7 @@ from volumes import SCENES, make_media, psnr, volume_of
 
 import torchrender as tr
 
-ALBEDO = "slab.interior.albedo.data"
+ALBEDO = "slab.interior_medium.albedo.data"
 GROW_AT = (0.2, 0.5)  # parts of the run after which the grid becomes twice as fine
 
 

@@ -27,7 +27,7 @@ from volumes import SCENES, make_media, projections, psnr, turntable, volume_of
 
 import torchrender as tr
 
-DENSITY = "smoke.interior.sigma_t.data"
+DENSITY = "smoke.interior_medium.sigma_t.data"
 HELD_BACK = make_media.VIEWS  # the sensor after those of the ring
 GROW_AT = (0.04, 0.16)  # parts of the run after which the grid becomes twice as fine
 
@@ -77,7 +77,7 @@ def run(
     state = checkpoint.load()
 
     scene = tr.load_file(SCENES / "smoke.xml", resolution=resolution, max_depth=max_depth)
-    scale = float(scene.get_parameter("smoke.interior.scale"))
+    scale = float(scene.get_parameter("smoke.interior_medium.scale"))
     truth = volume_of(make_media.smoke(size))
     renderer = tr.Renderer(scene, spp=spp, spp_grad=spp_grad, passes=passes)
     save(projections(truth, 2 * scale), folder, "density_target")
