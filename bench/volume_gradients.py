@@ -177,7 +177,7 @@ def bias_table(
             row[f"{who}: sum"] = sums[name].mean
             row[f"{who}: z"] = sums[name].z(true[name])
         rows.append(row)
-    row = {"cells": f"{len(blocks)} blocks, largest |z|", "number": int(next(iter(groups.values())).size)}
+    row = {"cells": f"{len(blocks)} blocks, largest absolute z", "number": int(next(iter(groups.values())).size)}
     rms: dict[str, Any] = {"cells": f"{len(blocks)} blocks, root mean square of z", "number": row["number"]}
     for who, sums in estimates.items():
         z = [sums[name].z(true[name]) for name in blocks]

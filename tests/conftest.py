@@ -18,10 +18,12 @@ PYTHON_ONLY = {
     "test_layer_display",
     "test_layer_module",
     "test_layer_processes",
+    "test_make_media",
     "test_optim",
     "test_project",
     "test_queries",
     "test_testing",
+    "test_tutorial_media",
     "test_tutorials",
     "test_xml",
 }
