@@ -77,6 +77,11 @@ struct SceneView {
     const S *emitter_cdf, *emitter_pmf;
     int32_t environment;  // emitter index or -1
 
+    // boxes of the shapes that emit, lower and upper corner, a little larger than they are; -1: too many, or light
+    // comes from everywhere
+    const S *light_boxes;
+    int32_t n_light_boxes;
+
     // environment map: cells between texels, chosen by row, then by column
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;

@@ -91,9 +91,11 @@ public:
             for (int depth = 1; next->n > 0 && !stop() && (config.max_depth < 0 || depth < config.max_depth); ++depth) {
                 current = next;
                 std::swap(next, spare);
+                const bool last = config.max_depth >= 0 && depth + 1 >= config.max_depth;
+                if (last) keep_rays_to_lights(*current);
+                if (current->n == 0) break;
                 trace(*current);
-                step<Derivative>(*current, *next, depth, 0, config.max_depth < 0 || depth + 1 < config.max_depth,
-                                 n_levels_ - 1);
+                step<Derivative>(*current, *next, depth, 0, !last, n_levels_ - 1);
                 spare = current;
             }
         }
@@ -183,6 +185,44 @@ private:
     }
 
     // ------------------------------------------------------------------------------------------------------ queries
+    // The last ray of a path brings something only if it meets a light: one that passes all of them is not traced.
+    void keep_rays_to_lights(Front<S, C> &front) {
+        if (scene_.n_light_boxes < 0 || recorder.on() || replay.on()) return;
+        size_t kept = 0;
+        for (size_t i = 0; i < front.n; i += W) {
+            Vec3<F> o{load<F>(front.o[0] + i), load<F>(front.o[1] + i), load<F>(front.o[2] + i)};
+            Vec3<F> d{load<F>(front.d[0] + i), load<F>(front.d[1] + i), load<F>(front.d[2] + i)};
+            M keep = mask<F>(load_uint<F>(front.seen + i) == U(0u));  // what it meets counts as seen, light or not
+            const F *from[3] = {&o.x, &o.y, &o.z}, *along[3] = {&d.x, &d.y, &d.z};
+            F inverse[3];
+            for (int k = 0; k < 3; ++k) {
+                M flat = mask<F>(abs(*along[k]) < F(S(1e-18)));
+                inverse[k] = F(1) / select(flat, F(S(1e-18)), *along[k]);
+            }
+            for (int32_t l = 0; l < scene_.n_light_boxes; ++l) {
+                const S *box = scene_.light_boxes + 6 * l;
+                F first(0), last = F(S(INFINITY));
+                for (int k = 0; k < 3; ++k) {
+                    F a = (F(box[k]) - *from[k]) * inverse[k], b = (F(box[3 + k]) - *from[k]) * inverse[k];
+                    first = max(first, min(a, b));
+                    last = min(last, max(a, b));
+                }
+                keep = keep || mask<F>(first <= last);
+            }
+            keep = keep && mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(front.n)));
+            front.for_columns([&](auto *column) {
+                using T = std::remove_pointer_t<decltype(column)>;
+                if constexpr (std::is_same_v<T, S>)
+                    store_compressed<F>(column + kept, load<F>(column + i), keep);
+                else
+                    store_compressed<F>(reinterpret_cast<uint32_t *>(column) + kept,
+                                        load_uint<F>(reinterpret_cast<uint32_t *>(column) + i), keep);
+            });
+            kept += size_t(count(keep));
+        }
+        front.n = kept;
+    }
+
     // `again`: of the same rays those that have passed through an emitter go on, the others hit what they have hit.
     void trace(Front<S, C> &front, bool again = false) {
         auto begin = std::chrono::steady_clock::now();

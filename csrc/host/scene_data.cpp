@@ -114,6 +114,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_shapes(params, first ? all : changed, old, first);
     update_environment(params, new_environment ? all : changed);
     update_emitters();
+    update_light_boxes();
     update_media(first ? all : changed);
     update_phases(first ? all : changed);
     refresh_view();
@@ -262,6 +263,8 @@ void SceneData<S>::refresh_view() {
     view_.emitter_cdf = emitter_cdf_.data();
     view_.emitter_pmf = emitter_pmf_.data();
     view_.environment = layout_.environment;
+    view_.light_boxes = light_boxes_.data();
+    view_.n_light_boxes = n_light_boxes_;
     view_.env_marginal = environment_.marginal.data();
     view_.env_conditional = environment_.conditional.data();
     view_.env_to_local = env_to_local_;

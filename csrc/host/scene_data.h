@@ -88,7 +88,8 @@ private:
     std::vector<ShapeInfo> shapes_;
     std::vector<S> matrices_, areas_, area_cdf_;
     std::vector<uint8_t> dark_;  // emitting meshes without any area
-    std::vector<S> emitter_cdf_, emitter_pmf_;
+    std::vector<S> emitter_cdf_, emitter_pmf_, light_boxes_;
+    int n_light_boxes_ = -1;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
     std::vector<S> volume_to_local_, majorants_, phase_tables_;
@@ -118,6 +119,7 @@ private:
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
+    void update_light_boxes();
     void update_media(const std::vector<uint8_t> &dirty);
     void update_phases(const std::vector<uint8_t> &dirty);
     void refresh_view();
