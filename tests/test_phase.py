@@ -9,6 +9,8 @@ import math
 
 import pytest
 import torch
+from oracle import phases
+from oracle.world import World
 
 import torchrender as tr
 from torchrender import backends
@@ -293,6 +295,26 @@ def test_derivatives_against_finite_differences(name, variant):
             assert found == pytest.approx(expected, rel=onesided, abs=onesided + rounding), f"{path}[{i}]"
             checked += 1
     assert checked > 0
+
+
+@pytest.mark.parametrize("variant", ["rgb", "mono"])
+@pytest.mark.parametrize("name", PHASES)
+def test_values_and_gradients_are_those_of_the_oracle(name, variant):
+    probe = probe_of(PHASES[name], variant=variant)
+    n = 40
+    d, wo, p = directions(n, 11), directions(n, 12), uniform(n, 3, seed=13) * 1.2 - 0.1
+    adjoint = uniform(n, probe.scene.channels, seed=14) - 0.3
+    wanted = {path: t.requires_grad_() for path, t in phase_parameters(probe.scene).items() if "to_world" not in path}
+    value = phases.evaluate(World(probe.scene), probe.index, p, d, wo)
+    torch.testing.assert_close(probe.eval(d, wo, p), value.detach(), rtol=1e-12, atol=0)
+    if not wanted:
+        return
+    expected = torch.autograd.grad((adjoint.sum(1) * value).sum(), list(wanted.values()))
+    found = probe.reverse(d, wo, adjoint, p)
+    for path, gradient in zip(wanted, expected, strict=True):
+        torch.testing.assert_close(
+            found[path], gradient, rtol=1e-10, atol=1e-14, msg=lambda m, path=path: f"{path}: {m}"
+        )
 
 
 def test_the_derivative_of_hg_at_0():

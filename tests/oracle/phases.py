@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import torch
 
+from . import volumes
 from .geometry import dot
 from .world import Record, World
 
@@ -21,7 +22,33 @@ def hg(world: World, record: Record, p: torch.Tensor, before: torch.Tensor, afte
     return (1 - g * g) / (4 * math.pi * (1 + g * g - 2 * g * dot(before, after)) ** 1.5)
 
 
-PHASES: dict[str, Callable[..., torch.Tensor]] = {"isotropic": isotropic, "hg": hg}
+def rayleigh(world: World, record: Record, p: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
+    return 3 / (16 * math.pi) * (1 + dot(before, after) ** 2)
+
+
+def tabphase(world: World, record: Record, p: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
+    values = world.tensor("phase", record, "values")
+    x = (dot(before, after).clamp(-1, 1) + 1) / 2 * (len(values) - 1)
+    i = x.detach().floor().long().clamp(max=len(values) - 2)
+    integral = torch.trapezoid(values, dx=2 / (len(values) - 1))
+    return torch.lerp(values[i], values[i + 1], x - i) / (2 * math.pi * integral)
+
+
+def blendphase(
+    world: World, record: Record, p: torch.Tensor, before: torch.Tensor, after: torch.Tensor
+) -> torch.Tensor:
+    weight = volumes.evaluate(world, record.field["weight"], p)[:, 0] if record.field["weight"] >= 0 else 0.5
+    first, second = (evaluate(world, record.field[name], p, before, after) for name in ("phase_0", "phase_1"))
+    return (1 - weight) * first + weight * second
+
+
+PHASES: dict[str, Callable[..., torch.Tensor]] = {
+    "isotropic": isotropic,
+    "hg": hg,
+    "rayleigh": rayleigh,
+    "tabphase": tabphase,
+    "blendphase": blendphase,
+}
 
 
 def evaluate(world: World, index: int, p: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
