@@ -112,7 +112,7 @@ def square_light(center, edge_u, edge_v):
     """An area light: a parallelogram with half edges u and v that shines to the side of u x v."""
     center, u, v = (torch.tensor(x, dtype=torch.float64) for x in (center, edge_u, edge_v))
     normal = torch.linalg.cross(u, v)
-    x, w = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(12))
+    x, w = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(6))
     points = center + x[:, None, None] * u + x[None, :, None] * v
     weights = (w[:, None] * w[None, :]).flatten() * torch.linalg.vector_norm(normal)
     points, normal = points.reshape(-1, 3), normal / torch.linalg.vector_norm(normal)

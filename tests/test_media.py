@@ -88,17 +88,17 @@ def test_absorption_of_grids(settings, channels):
 
 
 def test_exact_depths_are_those_of_many_points():
-    """The quadrature of these tests against a sum over 100000 points."""
+    """The quadrature of these tests against a sum over 20000 points."""
     origins, targets = lines(3, 4)
     for settings in GRIDS:
         medium = {"sigma_t": random_grid(3, **settings)}
         objects = {**cameras(origins, targets), "ball": ball(medium, "heterogeneous")}
         (some,) = Media(World(scene(objects, dtype=DOUBLE))).all
         a, b = torch.tensor(origins), torch.tensor(2 * targets - origins)
-        t = (torch.arange(100000, dtype=DOUBLE) + 0.5) / 100000
+        t = (torch.arange(20000, dtype=DOUBLE) + 0.5) / 20000
         for i in range(3):
             sums = some.extinction(a[i] + (b[i] - a[i]) * t[:, None]).mean(0) * (b[i] - a[i]).norm()
-            torch.testing.assert_close(some.optical_depth(a[i : i + 1], b[i : i + 1])[0], sums, rtol=2e-4, atol=0)
+            torch.testing.assert_close(some.optical_depth(a[i : i + 1], b[i : i + 1])[0], sums, rtol=5e-3, atol=0)
 
 
 @pytest.mark.parametrize("shape", [(9, 8, 7, 1), (1, 1, 20, 1), (64, 3, 5, 1)])
@@ -217,7 +217,7 @@ def test_single_scattering(light, medium):
     light_object = lamp(*LAMP, [9.0, 6.0, 3.0]) if emitter is None else emitter
     objects = {**cameras(origins, targets), "ball": ball({**SINGLE[medium], **phase}, kind), "light": light_object}
     exact = scene(objects, 2, dtype=DOUBLE)
-    nodes = 3 if medium == "grid" and light == "area" else 8
+    nodes = 2 if medium == "grid" and light == "area" else 6
     expected = truth.along(exact, origins, targets, arriving, nodes=nodes)
     if light == "constant":
         expected = expected + truth.transmittance(exact, origins, targets) * torch.tensor([0.5, 1.0, 2.0])
@@ -250,8 +250,8 @@ def test_emission_of_grids(albedo):
     objects = {**cameras(origins, targets), "ball": ball(medium, "heterogeneous")}
     view = scene(objects, 1)
     # kinks of the emission are not among the quadrature's nodes
-    expected = truth.along(scene(objects, dtype=DOUBLE), origins, targets, nodes=400)
-    assert_mean(seen(view), expected, systematic=2e-3)
+    expected = truth.along(scene(objects, dtype=DOUBLE), origins, targets, nodes=60)
+    assert_mean(seen(view), expected, systematic=5e-3)
 
 
 def test_emission_scattered_many_times():
@@ -343,7 +343,7 @@ def test_diffusion_limit():
     assert abs(h_function(1.0) - 2.90781) < 1e-5  # Chandrasekhar, Radiative Transfer, table XI
     depth = 12.0
     expected = math.sqrt(3) / 4 * 2.90781 * 4 / 3 / (depth + 2 * 0.710446)
-    view = scene(layers([depth / 2] * 2, [1.0, 1.0]), variant="mono")
+    view = scene(layers([depth / 2] * 2, [1.0, 1.0]), rr_depth=10**6, variant="mono")
     found = seen(view, spp=32)
     assert_mean(found[:, 1], torch.tensor([expected]), systematic=1e-3)
     # and where nothing is lost, what does not pass is reflected; from below comes what the floor swallows

@@ -44,17 +44,20 @@ class Medium:
         return torch.full((len(p), self.world.channels), default, dtype=p.dtype)
 
     def extinction(self, p: torch.Tensor) -> torch.Tensor:
-        sigma = self._value("sigma_t", 1.0, p) * self.scale
+        return self.inside(p, self._value("sigma_t", 1.0, p) * self.scale)
+
+    def inside(self, p: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
+        """The value where the medium is: one with a grid ends where the unit cube of its extinction ends."""
         if self.grid is None:
-            return sigma
+            return value
         q = volumes.to_grid(self.world, self.grid, p)
-        return torch.where(((q >= 0) & (q <= 1)).all(1, keepdim=True), sigma, 0.0)
+        return torch.where(((q >= 0) & (q <= 1)).all(1, keepdim=True), value, 0.0)
 
     def albedo(self, p: torch.Tensor) -> torch.Tensor:
         return self._value("albedo", 0.75, p)
 
     def emission(self, p: torch.Tensor) -> torch.Tensor:
-        return self._value("emission", 0.0, p)
+        return self.inside(p, self._value("emission", 0.0, p))
 
     def majorant(self) -> torch.Tensor:
         """(C,)"""
