@@ -68,7 +68,7 @@ def moving_vertices() -> dict[str, float]:
         (tr.render(scene, spp=1, seed=i) - 0.5).square().mean().backward()
         optimizer.step()
 
-    result = endure(step, 1000)
+    result = endure(step, 3000)
     assert scene.updates["mesh_refits"] > 500
     assert scene.updates["mesh_rebuilds"] >= 1
     return result

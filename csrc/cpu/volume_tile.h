@@ -192,8 +192,9 @@ protected:
         I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
         M inside = lanes.active && mask<F>(medium >= 0);
         F length = lanes.get(flight_.length);
-        inside = inside && mask<F>(length > F(0));
+        // a segment may have no length and end with a collision all the same
         tape.put_flight(i, select(mask<I>(inside), medium, I(-1)), length);
+        inside = inside && mask<F>(length > F(0));
         Color<F, C> beta = lanes.template color<C>(front.beta);
         if (chromatic_) tape.template put_weight<F>(i, lanes.template color<C>(flight_.weight));
         if (!any(inside)) return;
