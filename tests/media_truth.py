@@ -59,16 +59,21 @@ def assert_mean(
     """Student's test of the mean of independent runs (R, ...) against `expected`, entry by entry.
 
     Args:
-        systematic: deviation, relative to the expected value, that does not count: rounding, the width of a pencil.
+        systematic: deviation that does not count, relative to the expected value and a hundredth of the largest one:
+            rounding, the width of a pencil, the error of a quadrature.
         precision: largest standard error, relative to the largest expected value, with which this is a test at all.
     """
-    runs, expected = runs.detach().double().flatten(1), torch.as_tensor(expected).detach().double().flatten()
+    runs, expected = (
+        runs.detach().double().reshape(len(runs), -1),
+        torch.as_tensor(expected).detach().double().flatten(),
+    )
     assert runs.shape[1:] == expected.shape
     assert bool(torch.isfinite(runs).all()), f"{what}: values that are not finite"
     mean, error = runs.mean(0), runs.std(0) / math.sqrt(len(runs))
     assert float(error.max()) <= precision * float(expected.abs().max()), f"{what}: noise {error.max():.2g}"
     difference = mean - expected
-    excess = (difference.abs() - systematic * expected.abs() - 1e-9).clamp(min=0.0)
+    allowed = systematic * (expected.abs() + 0.01 * expected.abs().max())
+    excess = (difference.abs() - allowed).clamp(min=0.0)
     p = torch.where(excess == 0, 1.0, tr.testing.student_p_value(excess / error, len(runs) - 1))
     level = tr.testing.sidak(SIGNIFICANCE, len(p))
     worst = int(p.argmin())
