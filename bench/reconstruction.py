@@ -29,7 +29,7 @@ class Recipe:
     views: int
     spp: int = 16
     spp_grad: int = 8
-    rate: float = 0.15
+    rate: float = 0.2
     start: float = 0.01  # density
     grow_at: tuple[float, float] = (0.15, 0.4)  # parts of the time after which the grid becomes twice as fine
 
@@ -80,14 +80,15 @@ def gradient_of_peer(peer: Peer, folder: Path, targets: list[torch.Tensor], reci
 
 
 def reconstruct(gradient: Gradient, recipe: Recipe) -> Found:
-    """Adam on the inverse softplus of densities, coarse to fine, one random view an iteration, until the time is up.
+    """Adam on the inverse sigmoid of densities, coarse to fine, one random view an iteration, until the time is up.
 
     Iterations count with the seconds that their gradient and their step take; the last one may go beyond.
     """
-    positive = tr.constraints.Positive()
+    bounded = tr.constraints.UnitInterval()
     coarse = max(1, recipe.size // 4)
-    raw = torch.nn.Parameter(positive.right_inverse(torch.full((coarse, coarse, coarse, 1), recipe.start)))
-    optimiser = torch.optim.Adam([raw], lr=recipe.rate, betas=(0.9, 0.95))
+    raw = torch.nn.Parameter(bounded.right_inverse(torch.full((coarse, coarse, coarse, 1), recipe.start)))
+    # gradients of a mean by voxels are tiny, next to which the usual epsilon would be large
+    optimiser = torch.optim.Adam([raw], lr=recipe.rate, betas=(0.9, 0.95), eps=1e-20)
     generator = torch.Generator().manual_seed(0)
     spent, iterations, bad, left = 0.0, 0, 0, list(recipe.grow_at)
     while spent < recipe.seconds:
@@ -97,7 +98,7 @@ def reconstruct(gradient: Gradient, recipe: Recipe) -> Found:
         for group in optimiser.param_groups:
             group["lr"] = recipe.rate * 0.5 * (1 + math.cos(math.pi * spent / recipe.seconds))
         view = int(torch.randint(recipe.views, (), generator=generator))
-        density = positive(raw)
+        density = bounded(raw)
         found, seconds = gradient(density.detach(), view, iterations)
         start = time.perf_counter()
         finite = torch.isfinite(found)
@@ -107,7 +108,7 @@ def reconstruct(gradient: Gradient, recipe: Recipe) -> Found:
         optimiser.step()
         spent += seconds + time.perf_counter() - start
         iterations += 1
-    return Found(tr.optim.resample(positive(raw).detach(), (recipe.size,) * 3, "clamp"), iterations, bad)
+    return Found(tr.optim.resample(bounded(raw).detach(), (recipe.size,) * 3, "clamp"), iterations, bad)
 
 
 def psnr(found: torch.Tensor, true: torch.Tensor) -> float:

@@ -130,7 +130,7 @@ def camera_position(azimuth: float, elevation: float, distance: float) -> tuple[
 
 
 SMOKE = """<?xml version="1.0" encoding="utf-8"?>
-<!-- Smoke in a cube [-1, 1]^3 between a lamp above and a dim sky, and cameras around it. By make_media.py. -->
+<!-- Smoke in a cube [-1, 1]^3 under a bright sky and a lamp, and cameras around it. By make_media.py. -->
 <scene version="3.0.0">
     <default name="resolution" value="128"/>
     <default name="spp" value="64"/>
@@ -144,7 +144,7 @@ SMOKE = """<?xml version="1.0" encoding="utf-8"?>
     </integrator>
 {cameras}
     <emitter type="constant" id="sky">
-        <rgb name="radiance" value="0.35, 0.45, 0.6"/>
+        <rgb name="radiance" value="0.9, 0.95, 1"/>
     </emitter>
     <shape type="rectangle" id="lamp">
         <transform name="to_world">
@@ -155,7 +155,7 @@ SMOKE = """<?xml version="1.0" encoding="utf-8"?>
             <rgb name="reflectance" value="0, 0, 0"/>
         </bsdf>
         <emitter type="area">
-            <rgb name="radiance" value="16, 14, 11"/>
+            <rgb name="radiance" value="6, 5.5, 4.5"/>
         </emitter>
     </shape>
 
@@ -170,7 +170,7 @@ SMOKE = """<?xml version="1.0" encoding="utf-8"?>
                 </transform>
             </volume>
             <volume type="constvolume" name="albedo">
-                <rgb name="value" value="0.8, 0.8, 0.8"/>
+                <rgb name="value" value="0.6, 0.6, 0.6"/>
             </volume>
             <float name="scale" value="14"/>
         </medium>

@@ -94,7 +94,8 @@ def run(
     coarse = tuple(n // 4 for n in size)
     grey = bounded.right_inverse(torch.full((*coarse, 3), 0.85))
     raw = torch.nn.Parameter(grey if state is None else state["raw"])
-    optimiser = torch.optim.Adam([raw], lr=rate, betas=(0.9, 0.95))
+    # The derivatives of a mean by single voxels are tiny, next to which Adam's usual epsilon would be large.
+    optimiser = torch.optim.Adam([raw], lr=rate, betas=(0.9, 0.95), eps=1e-20)
     generator = torch.Generator().manual_seed(0)  # all chance in the loop comes from here
     curves: dict[str, list[float]] = {"loss": []}
     first, start_psnr = 0, 0.0

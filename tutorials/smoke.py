@@ -43,7 +43,7 @@ def run(
     passes: int = 8,
     iterations: int = 250,
     target_spp: int = 2048,
-    rate: float = 0.15,
+    rate: float = 0.2,
     max_depth: int = 256,
     save_every: int = 10,
     restart: bool = False,
@@ -98,13 +98,14 @@ def run(
     save(targets[0], folder, "target")
     save(targets[HELD_BACK], folder, "held_back_target")
 
-    # The optimiser moves numbers without bounds; softplus makes densities of them, which are never negative. A thin
-    # haze is a better start than a dense one: light reaches every voxel, and pictures see through to the other side.
-    positive = tr.constraints.Positive()
+    # The optimiser moves numbers without bounds, of which a sigmoid makes densities from 0 to 1. A thin haze is a
+    # better start than dense smoke: light reaches every voxel, and pictures see through to the other side.
+    bounded = tr.constraints.UnitInterval()
     coarse = size // 4
-    haze = positive.right_inverse(torch.full((coarse, coarse, coarse, 1), 0.01))
+    haze = bounded.right_inverse(torch.full((coarse, coarse, coarse, 1), 0.01))
     raw = torch.nn.Parameter(haze if state is None else state["raw"])
-    optimiser = torch.optim.Adam([raw], lr=rate, betas=(0.9, 0.95))
+    # A mean over many pixels has tiny derivatives by voxels, next to which Adam's usual epsilon would be large.
+    optimiser = torch.optim.Adam([raw], lr=rate, betas=(0.9, 0.95), eps=1e-20)
     # Which views, and the seeds of the samples: all chance in the loop comes from this generator.
     generator = torch.Generator().manual_seed(0)
     curves: dict[str, list[float]] = {"loss": []}
@@ -117,7 +118,7 @@ def run(
 
     def picture(view: int, seed: int) -> torch.Tensor:
         with torch.no_grad():
-            return renderer(sensor=view, seed=seed, spp=64, params={DENSITY: positive(raw)})
+            return renderer(sensor=view, seed=seed, spp=64, params={DENSITY: bounded(raw)})
 
     if state is None:
         start_psnr = psnr(picture(HELD_BACK, 1_000_001), targets[HELD_BACK])
@@ -136,7 +137,7 @@ def run(
         chosen = torch.randperm(make_media.VIEWS, generator=generator)[:views_per_step].sort().values.tolist()
         # Picture and derivative come from independent samples, which makes the gradient of the squared error unbiased.
         # `passes` averages independent passes in the memory of one.
-        images = renderer(sensor=chosen, seed=generator, params={DENSITY: positive(raw)}, layout="bhwc")
+        images = renderer(sensor=chosen, seed=generator, params={DENSITY: bounded(raw)}, layout="bhwc")
         loss = (images - targets[chosen]).square().mean()
         loss.backward()
         optimiser.step()
@@ -146,7 +147,7 @@ def run(
         done = iteration + 1
         if done % save_every == 0 or done == iterations:
             save(images[0], folder, "progress")
-            save(projections(positive(raw), 2 * scale), folder, f"density_{done:04d}")
+            save(projections(bounded(raw), 2 * scale), folder, f"density_{done:04d}")
             save_curves(curves, folder / "loss.png", f"Smoke: {size}^3 densities from {make_media.VIEWS} pictures")
             checkpoint.save(
                 iteration=done,
@@ -158,7 +159,7 @@ def run(
                 targets=targets,
             )
 
-    density = positive(raw).detach()
+    density = bounded(raw).detach()
     tr.io.write_volume(folder / "density.vol", density)
     save(projections(density, 2 * scale), folder, "density_result")
     save(picture(0, 1_000_002), folder, "result")
