@@ -1,5 +1,5 @@
-// Long paths in constant memory: the tape holds one block of levels at a time. Of every block only the front at its
-// beginning is kept; the sweep starts with the last block and traces the ones before it again, with the same random
+// Long paths in nearly constant memory: the tape holds one block of levels at a time. Of every block only the front at
+// its beginning is kept; the sweep starts with the last block and traces the ones before it again, with the same random
 // numbers, as it comes to them.
 #pragma once
 

@@ -163,6 +163,7 @@ private:
     void replay_block(size_t block) {
         Front<S, C> *current = &fronts_[0], *next = &fronts_[1];
         checkpoints_.restore(block, *current);
+        const RenderStats before = stats;  // nothing counts twice
         this->replaying_ = true;
         this->first_level_ = int(block) * BlockLevels;
         n_levels_ = 0;
@@ -171,6 +172,8 @@ private:
             std::swap(current, next);
         }
         this->replaying_ = false;
+        this->tracker_.collisions = this->tracker_.exceeded = 0;
+        stats = before;
     }
 
     template <class Sink>
@@ -207,7 +210,7 @@ private:
                     first = max(first, min(a, b));
                     last = min(last, max(a, b));
                 }
-                keep = keep || mask<F>(first <= last);
+                keep = keep || mask<F>(first <= last * F(1.00001));
             }
             keep = keep && mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(front.n)));
             front.for_columns([&](auto *column) {
@@ -513,7 +516,8 @@ private:
                survival * keep, eta, slot, U(i) + lane_index<F>(), now_seen, alive);
         if (volumetric_)
             this->put_volumetric(next, appended, medium_behind(scene_, at.shape, si.ng, out.d, medium, alive),
-                                 path_depth + 1u, lanes.template color<C>(front.channel), alive);
+                                 path_depth + 1u, dot(out.o - si.p, out.d), lanes.template color<C>(front.channel),
+                                 alive);
     }
 
     template <bool Derivative>
@@ -534,7 +538,7 @@ private:
         Vec3<F> d = select(finite_distance, to_light.d, s.light.d);
         F length = select(finite_distance, to_light.length * F(1 - ShadowEpsilon), F(S(INFINITY)));
         if (volumetric_)
-            return this->push_shadow(o, d, length, contribution,
+            return this->push_shadow(o, d, length, dot(o - si.p, d), contribution,
                                      medium_behind(scene_, si.at.shape, si.ng, d, medium, wanted), slot,
                                      U(i) + lane_index<F>(), ShadowPurpose::Vertex, wanted);
         size_t n = shadow_.n;

@@ -41,17 +41,17 @@ protected:
                                const M &wanted) {
         if (!any(wanted)) return;
         M near = mask<F>(light.distance < F(S(1e30)));
-        push_shadow(o, light.d, select(near, light.distance * F(1 - ShadowEpsilon), F(S(INFINITY))), contribution,
+        push_shadow(o, light.d, select(near, light.distance * F(1 - ShadowEpsilon), F(S(INFINITY))), F(0), contribution,
                     medium, slot, position, purpose, wanted);
     }
-    TR_INLINE void push_shadow(const Vec3<F> &o, const Vec3<F> &d, const F &length, const Color<F, C> &contribution,
-                               const I &medium, const U &slot, const U &position, ShadowPurpose purpose,
-                               const M &wanted) {
+    TR_INLINE void push_shadow(const Vec3<F> &o, const Vec3<F> &d, const F &length, const F &lag,
+                               const Color<F, C> &contribution, const I &medium, const U &slot, const U &position,
+                               ShadowPurpose purpose, const M &wanted) {
         size_t n = shadow_.n;
-        const F *numbers[7] = {&o.x, &o.y, &o.z, &d.x, &d.y, &d.z, &length};
-        S *columns[7] = {shadow_.o[0], shadow_.o[1], shadow_.o[2],  shadow_.d[0],
-                         shadow_.d[1], shadow_.d[2], shadow_.length};
-        for (int k = 0; k < 7; ++k) store_compressed<F>(columns[k] + n, *numbers[k], wanted);
+        const F *numbers[8] = {&o.x, &o.y, &o.z, &d.x, &d.y, &d.z, &length, &lag};
+        S *columns[8] = {shadow_.o[0], shadow_.o[1], shadow_.o[2],   shadow_.d[0],
+                         shadow_.d[1], shadow_.d[2], shadow_.length, shadow_.lag};
+        for (int k = 0; k < 8; ++k) store_compressed<F>(columns[k] + n, *numbers[k], wanted);
         for (int c = 0; c < C; ++c) store_compressed<F>(shadow_.contribution[c] + n, contribution[c], wanted);
         store_compressed<F>(shadow_.slot + n, slot, wanted);
         store_compressed<F>(shadow_.position + n, position, wanted);
@@ -92,7 +92,8 @@ protected:
                     if (shadow_.medium[pending_[j]] == m && hit_shape_[j] != CollisionShape)
                         queue_[waiting++] = pending_[j];
                 if (waiting == 0) continue;
-                TransmittanceColumns<S, C> columns{way_end_, way_seed_, transmittance_, way_start_, way_length_};
+                TransmittanceColumns<S, C> columns{way_end_,       shadow_.lag, way_seed_,
+                                                   transmittance_, way_start_,  way_length_};
                 tracker_.transmit(m, shadow_.o, shadow_.d, columns, queue_, waiting);
                 if (Derivative && probing_) choose_points(waiting, m);
             }
@@ -193,6 +194,7 @@ private:
             const F *moved[3] = {&o.x, &o.y, &o.z};
             for (int a = 0; a < 3; ++a) scatter_lanes<F>(shadow_.o[a], id, *moved[a], on);
             scatter_lanes<F>(shadow_.length, id, length, on);
+            scatter_lanes<F>(shadow_.lag, id, dot(o - si.p, ray.d), on);
             scatter_lanes<F>(reinterpret_cast<uint32_t *>(shadow_.medium), id, U(medium), on);
             M lit(false);
             for (int c = 0; c < C; ++c) lit = lit || mask<F>(gather<F>(transmittance_[c], id, on) > F(0));

@@ -18,17 +18,18 @@ struct Front {
     S *beta[C], *eta;
     S *survival[C];  // the throughput that roulette looks at; beta itself in the primal
     uint32_t *slot, *parent, *seen;
-    // volumetric paths: the medium the ray is in or -1, scatterings so far, and the weights of the channels' densities
-    // where extinction is coloured
+    // volumetric paths: the medium the ray is in or -1, scatterings so far, the weights of the channels' densities
+    // where extinction is coloured, and how far the ray's origin is ahead of the surface it leaves: the medium begins
+    // there
     int32_t *medium;
     uint32_t *depth;
-    S *channel[C];
+    S *channel[C], *lag;
 
     // An upper bound for the columns below.
-    static constexpr size_t Columns = 17 + 3 * C;
+    static constexpr size_t Columns = 18 + 3 * C;
     template <class Visit>
     void for_columns(Visit &&visit) const {
-        for (S *p : {o[0], o[1], o[2], d[0], d[1], d[2], length, from[0], from[1], from[2], pdf, eta}) visit(p);
+        for (S *p : {o[0], o[1], o[2], d[0], d[1], d[2], length, from[0], from[1], from[2], pdf, eta, lag}) visit(p);
         for (auto *p : {&beta, &survival, &channel})
             for (int c = 0; c < C; ++c) visit((*p)[c]);
         for (uint32_t *p : {slot, parent, seen, depth}) visit(p);
@@ -37,7 +38,8 @@ struct Front {
 
     void allocate(size_t capacity) {
         arena.allocate([&](Arena &a) {
-            for (S **p : {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta})
+            for (S **p :
+                 {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta, &lag})
                 a.column(*p, capacity);
             for (auto *p : {&beta, &survival, &channel}) a.column(*p, capacity);
             for (uint32_t **p : {&slot, &parent, &seen, &depth}) a.column(*p, capacity);
@@ -50,7 +52,7 @@ template <class S, int C>
 struct ShadowRays {
     Arena arena;
     size_t n = 0;
-    S *o[3], *d[3], *length, *contribution[C];
+    S *o[3], *d[3], *length, *lag, *contribution[C];
     uint32_t *slot, *position;  // position: entry of the tape level
     int32_t *medium;
     uint32_t *purpose;  // volumetric paths, see ShadowPurpose
@@ -60,6 +62,7 @@ struct ShadowRays {
             a.column(o, capacity);
             a.column(d, capacity);
             a.column(length, capacity);
+            a.column(lag, capacity);
             a.column(contribution, capacity);
             for (uint32_t **p : {&slot, &position, &purpose}) a.column(*p, capacity);
             a.column(medium, capacity);

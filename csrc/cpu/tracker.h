@@ -7,11 +7,11 @@
 
 namespace tr {
 
-// Columns by entry. In: the ray up to `end`, seeds of its random numbers, and the channel that distances are sampled
-// for. Out: where the medium begins, the length of the segment in it, whether it ends with a collision.
-// Coloured extinction: `weight`, see core/medium/tracking.h.
-// Two points uniform on the segment where they are asked for, `probe` for derivatives and `glow` for emission, as
-// distances, with the weights up to there.
+// Columns by entry. In: the ray up to `end` (from `lag` before its origin), seeds of its random numbers, and the
+// channel that distances are sampled for. Out: where the medium begins, the length of the segment in it, whether it
+// ends with a collision. Coloured extinction: `weight`, see core/medium/tracking.h. Two points uniform on the segment
+// where they are asked for, `probe` for derivatives and `glow` for emission, as distances, with the weights up to
+// there.
 template <class S, int C>
 struct FlightColumns {
     Arena arena;
@@ -32,7 +32,7 @@ struct FlightColumns {
 // In: seeds. Out: transmittance, which multiplies what is there; the medium's part of the ray.
 template <class S, int C>
 struct TransmittanceColumns {
-    const S *end;
+    const S *end, *lag;
     const uint32_t *const *seed;
     S *const *transmittance;
     S *start, *length;
@@ -50,16 +50,16 @@ public:
     explicit Tracker(const SceneView<S> &scene) : scene_(scene) {}
 
     // The entries `order`[0 .. n), ascending, with rays in the columns o and d, are in the medium.
-    void fly(int32_t medium, S *const (&o)[3], S *const (&d)[3], FlightColumns<S, C> &at, const uint32_t *order,
-             size_t n, bool probes) {
+    void fly(int32_t medium, S *const (&o)[3], S *const (&d)[3], const S *lag, FlightColumns<S, C> &at,
+             const uint32_t *order, size_t n, bool probes) {
         const MediumInfo &m = scene_.media[medium];
         const bool colored = C > 1 && (m.flags & IsChromatic);
         FlightSink sink{*this, m, at, probes};
-        if (!(m.flags & IsGrid)) return fly_constant(m, o, d, at, order, n, colored, probes);
+        if (!(m.flags & IsGrid)) return fly_constant(m, lag, at, order, n, colored, probes);
         if (colored)
-            walk<C>(m, o, d, at.end, at.seed, order, n, sink);
+            walk<C>(m, o, d, lag, at.end, at.seed, order, n, sink);
         else
-            walk<1>(m, o, d, at.end, at.seed, order, n, sink);
+            walk<1>(m, o, d, lag, at.end, at.seed, order, n, sink);
     }
 
     void transmit(int32_t medium, S *const (&o)[3], S *const (&d)[3], const TransmittanceColumns<S, C> &at,
@@ -69,9 +69,9 @@ public:
         if (!(m.flags & IsGrid)) return transmit_constant(m, at, order, n);
         TransmittanceSink sink{*this, at};
         if (colored)
-            walk<C>(m, o, d, at.end, at.seed, order, n, sink);
+            walk<C>(m, o, d, at.lag, at.end, at.seed, order, n, sink);
         else
-            walk<1>(m, o, d, at.end, at.seed, order, n, sink);
+            walk<1>(m, o, d, at.lag, at.end, at.seed, order, n, sink);
     }
 
     uint64_t collisions = 0;  // tentative ones
@@ -95,7 +95,7 @@ private:
 
     // Deterministic packets: what happens to a lane depends on its own entry alone.
     template <int N, class Sink>
-    void walk(const MediumInfo &medium, S *const (&o)[3], S *const (&d)[3], const S *length,
+    void walk(const MediumInfo &medium, S *const (&o)[3], S *const (&d)[3], const S *lag, const S *length,
               const uint32_t *const *seed, const uint32_t *order, size_t n, Sink &sink) {
         State<N> s;
         clear(s);
@@ -113,7 +113,9 @@ private:
                 s.entry = load_uint<F>(entries);
                 auto get = [&](const S *column) { return gather<F>(column, s.entry, fresh); };
                 Vec3<F> from{get(o[0]), get(o[1]), get(o[2])}, along{get(d[0]), get(d[1]), get(d[2])};
-                M meets = s.walk.start(scene_, medium, from, along, get(length), fresh);
+                F ahead = get(lag);
+                M meets = s.walk.start(scene_, medium, from - along * ahead, along, get(length) + ahead, fresh);
+                s.walk.enter = select(fresh, s.walk.enter - ahead, s.walk.enter);
                 auto fresh_u = mask<U>(fresh);
                 s.random.a = select(fresh_u, gather<U>(seed[0], s.entry, fresh_u), s.random.a);
                 s.random.b = select(fresh_u, gather<U>(seed[1], s.entry, fresh_u), s.random.b);
@@ -290,8 +292,8 @@ private:
         return r;
     }
 
-    void fly_constant(const MediumInfo &medium, S *const (&)[3], S *const (&)[3], FlightColumns<S, C> &at,
-                      const uint32_t *order, size_t n, bool colored, bool probes) {
+    void fly_constant(const MediumInfo &medium, const S *lag, FlightColumns<S, C> &at, const uint32_t *order, size_t n,
+                      bool colored, bool probes) {
         Color<F, C> sigma = constant_extinction(medium);
         for (size_t i = 0; i < n; i += W) {
             LaneSet<F> lanes(order + i, uint32_t(n - i));
@@ -299,25 +301,26 @@ private:
             U entry = load_entries(order + i, lanes);
             TrackingRandom<F> random{lanes.get(at.seed[0]), lanes.get(at.seed[1])};
             I hero = colored ? I(lanes.get(at.hero)) : I(0);
-            F sampled = of_channel(sigma, hero), end = lanes.get(at.end);
+            F ahead = lanes.get(lag), sampled = of_channel(sigma, hero), end = lanes.get(at.end) + ahead;
             M some = mask<F>(sampled > F(0));
             F t = select(some, optical_depth(random.next(m)) / select(some, sampled, F(1)), F(S(INFINITY)));
             M collides = m && mask<F>(t < end);
             F length = select(collides, t, end);
-            length = select(mask<F>(length < F(S(1e30))), length, F(0));  // an endless ray through nothing
-            put(at.start, entry, F(0), m);
+            M endless = !mask<F>(length < F(S(1e30)));  // through nothing
+            length = select(endless, F(0), length);
+            put(at.start, entry, -ahead, m);
             put(at.length, entry, length, m);
             scatter_lanes<F>(at.collided, entry, select(mask<U>(collides), U(1u), U(0u)), m);
             F probe = random.next(m) * length, glow = random.next(m) * length;
             if (probes) {
-                put(at.probe, entry, probe, m);
-                put(at.glow, entry, glow, m);
+                put(at.probe, entry, probe - ahead, m);
+                put(at.glow, entry, glow - ahead, m);
             }
             if (!colored) continue;
             F inverse = F(1) / select(collides, sampled, F(1));
             for (int c = 0; c < C; ++c) {
                 F more = sigma[c] - sampled;
-                F fading = exp(-more * length);
+                F fading = select(endless && mask<F>(more > F(0)), F(0), exp(-more * length));
                 put(at.weight[c], entry, select(collides, fading * sigma[c] * inverse, fading), m);
                 if (!probes) continue;
                 put(at.probe_weight[c], entry, exp(-more * probe), m);
@@ -332,14 +335,14 @@ private:
         for (size_t i = 0; i < n; i += W) {
             LaneSet<F> lanes(order + i, uint32_t(n - i));
             U entry = load_entries(order + i, lanes);
-            F end = lanes.get(at.end);
+            F ahead = lanes.get(at.lag), end = lanes.get(at.end) + ahead;
             M near = mask<F>(end < F(S(1e30)));
             for (int c = 0; c < C; ++c) {
                 F through = select(near, exp(-sigma[c] * select(near, end, F(0))),
                                    select(mask<F>(sigma[c] > F(0)), F(0), F(1)));
                 put(at.transmittance[c], entry, lanes.get(at.transmittance[c]) * through, lanes.active);
             }
-            put(at.start, entry, F(0), lanes.active);
+            put(at.start, entry, -ahead, lanes.active);
             put(at.length, entry, select(near, end, F(0)), lanes.active);
         }
     }

@@ -48,6 +48,7 @@ protected:
         const int32_t medium = scene_.sensors[call_.config.sensor].field[Perspective::Medium];
         std::fill_n(front.medium, front.n, medium);
         std::fill_n(front.depth, front.n, 0u);
+        std::fill_n(front.lag, front.n, S(0));
         for (int c = 0; c < C; ++c) std::fill_n(front.channel[c], front.n, S(1));
         for (size_t i = 0; i < n_slots_; i += W) {
             auto u = random4<F>(call_.config.seed, call_.config.sensor, load_uint<F>(pixel + i),
@@ -69,8 +70,9 @@ protected:
             store(flight_.end + i, select(missed, load<F>(front.length + i), load<F>(hit_t_ + i)));
             for (S *p : {flight_.start, flight_.length}) store(p + i, F(0));
             store(flight_.collided + i, U(0u));
-            if (chromatic_)
-                for (int c = 0; c < C; ++c) store(flight_.weight[c] + i, F(1));
+            if (chromatic_)  // grey media do not write them
+                for (auto *weight : {&flight_.weight, &flight_.probe_weight, &flight_.glow_weight})
+                    for (int c = 0; c < C; ++c) store((*weight)[c] + i, F(1));
             M inside = active && mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0);
             if (!any(inside)) continue;
             U slot = select(mask<U>(active), load_uint<F>(front.slot + i), U(0u));
@@ -84,7 +86,7 @@ protected:
         }
         for (int32_t m = 0; m < scene_.n_media; ++m) {
             size_t n = queue_of(front.medium, front.n, m, order_);
-            if (n > 0) tracker_.fly(m, front.o, front.d, flight_, order_, n, probing_ || emissive_);
+            if (n > 0) tracker_.fly(m, front.o, front.d, front.lag, flight_, order_, n, probing_ || emissive_);
         }
         for (size_t i = 0; i < front.n; i += W) {
             M collided = mask<F>(load_uint<F>(flight_.collided + i) != U(0u));
@@ -158,7 +160,7 @@ protected:
         size_t at = next.n;
         this->append(next, {p, s.wo}, F(S(INFINITY)), p, select(weighted, s.pdf, F(0)), beta * s.albedo * keep,
                      survival * keep, eta, slot, U(i) + lane_index<F>(), U(1u), alive);
-        put_volumetric(next, at, medium, path_depth + 1u, lanes.template color<C>(front.channel), alive);
+        put_volumetric(next, at, medium, path_depth + 1u, F(0), lanes.template color<C>(front.channel), alive);
     }
 
     // Boundaries that do not scatter: the ray goes on behind them, as if from where it came.
@@ -172,17 +174,19 @@ protected:
         if (!any(on)) return;
         size_t at = next.n;
         I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
-        this->append(next, {offset_origin(si.p, si.ng, d), d}, length, lanes.vec(front.from), lanes.get(front.pdf),
-                     beta, lanes.template color<C>(front.survival), lanes.get(front.eta), slot, U(i) + lane_index<F>(),
+        Vec3<F> o = offset_origin(si.p, si.ng, d);
+        this->append(next, {o, d}, length, lanes.vec(front.from), lanes.get(front.pdf), beta,
+                     lanes.template color<C>(front.survival), lanes.get(front.eta), slot, U(i) + lane_index<F>(),
                      lanes.get(front.seen), on);
         put_volumetric(next, at, medium_behind(scene_, si.at.shape, si.ng, d, medium, on), lanes.get(front.depth),
-                       lanes.template color<C>(front.channel), on);
+                       dot(o - si.p, d), lanes.template color<C>(front.channel), on);
     }
 
-    TR_INLINE void put_volumetric(Front<S, C> &f, size_t at, const I &medium, const U &depth,
+    TR_INLINE void put_volumetric(Front<S, C> &f, size_t at, const I &medium, const U &depth, const F &lag,
                                   const Color<F, C> &channel, const M &m) {
         store_compressed<F>(reinterpret_cast<uint32_t *>(f.medium) + at, U(medium), m);
         store_compressed<F>(f.depth + at, depth, m);
+        store_compressed<F>(f.lag + at, lag, m);
         for (int c = 0; c < C; ++c) store_compressed<F>(f.channel[c] + at, channel[c], m);
     }
 
@@ -263,7 +267,7 @@ protected:
             }
             size_t at = front.n;
             this->append(front, {p, wo}, F(S(INFINITY)), p, pdf, beta, beta, F(1), slot, U(0u), U(1u), active);
-            put_volumetric(front, at, medium, load_uint<F>(branch_depth_ + i), channel, active);
+            put_volumetric(front, at, medium, load_uint<F>(branch_depth_ + i), F(0), channel, active);
         }
     }
 

@@ -333,12 +333,14 @@ private:
     void find_enclosed_media() {
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
+            for (const SceneObject &emitter : list("emitter"))
+                open |= emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type;
+            for (const Record &sensor : out_.records["sensor"]) open |= sensor.field[Perspective::Medium] == int32_t(m);
             for (const ShapeInfo &shape : out_.shapes) {
                 if (shape.interior != int32_t(m) && shape.exterior != int32_t(m)) continue;
                 bounded = true;
-                open |= lets_through(shape.bsdf) || shape.emitter >= 0;
+                open |= lets_through(shape.bsdf) || shape.exterior == int32_t(m);
             }
-            for (const SceneObject &emitter : list("emitter")) open |= emitter.type == PointEmitter::model.type;
             out_.media[m].enclosed = bounded && !open;
         }
     }

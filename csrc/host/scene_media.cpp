@@ -1,5 +1,7 @@
 // Media on the host: the maps into grids, and majorants of their extinction.
 #include <algorithm>
+#include <cmath>
+#include <limits>
 
 #include "../core/registry.h"
 #include "scene_data.h"
@@ -25,6 +27,8 @@ std::vector<S> dilated_maximum(const S *from, size_t outer, int n, size_t inner,
         }
     return to;
 }
+
+constexpr double LargestThickness = 1e5;
 
 template <class S>
 void require_range(const S *data, int64_t n, S largest, const std::string &where, const char *expected) {
@@ -67,7 +71,13 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
         check(info.albedo, S(1), "albedo", "numbers from 0 to 1");
         check(info.emission, unlimited, "emission", "numbers that are not negative");
         require_range(&constants_[size_t(info.scale)], 1, unlimited, where("scale"), "a number that is not negative");
-        if (!(info.flags & IsGrid)) continue;
+        const double scale = double(constants_[size_t(info.scale)]);
+        if (!(info.flags & IsGrid)) {
+            const S *value = &constants_[size_t(volumes[size_t(info.extinction)].field[ConstantVolume::Value])];
+            if (!(double(*std::max_element(value, value + layout_.channels)) * scale <= double(unlimited)))
+                bad_value(where("sigma_t"), "a finite product with scale", "infinity");
+            continue;
+        }
         // always made again, for the price of asking whether anything has changed
         const Record &record = volumes[size_t(info.extinction)];
         const TensorView<S> &grid = tensors_[size_t(record.field[GridVolume::Data])];
@@ -81,12 +91,27 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
                 grey[i] = *std::max_element(voxels + i * size_t(channels), voxels + (i + 1) * size_t(channels));
             voxels = grey.data();
         }
+        S low(0);
+        for (size_t i = 0; i < nx * ny * nz; ++i) low = std::min(low, voxels[i]);
+        if (low < 0) bad_value(where("sigma_t"), "numbers that are not negative", std::to_string(low));
         std::vector<S> z = dilated_maximum(voxels, 1, int(nz), ny * nx, info.cell, wrap);
         std::vector<S> y = dilated_maximum(z.data(), size_t(info.cells[2]), int(ny), nx, info.cell, wrap);
         std::vector<S> x =
             dilated_maximum(y.data(), size_t(info.cells[2]) * size_t(info.cells[1]), int(nx), 1, info.cell, wrap);
         // a little more, for the rounding of interpolation
-        for (size_t i = 0; i < x.size(); ++i) majorants_[size_t(info.first) + i] = x[i] * S(1.00001);
+        S largest(0);
+        for (size_t i = 0; i < x.size(); ++i) {
+            majorants_[size_t(info.first) + i] = x[i] * S(1.00001);
+            largest = std::max(largest, x[i]);
+        }
+        const S *to_world = &constants_[size_t(record.field[GridVolume::ToWorld])];
+        double size = 0;
+        for (int k = 0; k < 3; ++k)
+            size = std::max(size, std::hypot(double(to_world[k]), double(to_world[4 + k]), double(to_world[8 + k])));
+        if (!(double(largest) * scale * size <= LargestThickness))
+            bad_value(where("sigma_t"),
+                      "a largest extinction times the grid's size of at most 1e5: tracing takes a step for each",
+                      std::to_string(double(largest) * scale * size));
     }
 }
 

@@ -1,5 +1,6 @@
 // Phase functions on the host: what blends may contain, and the tables of those given by numbers.
 #include <cmath>
+#include <limits>
 
 #include "../core/registry.h"
 #include "scene_data.h"
@@ -75,7 +76,8 @@ void SceneData<S>::update_phases(const std::vector<uint8_t> &dirty) {
                           std::to_string(values.data[k]) + " at element " + std::to_string(k));
             area += double(values.data[k]) * (k == 0 || k == n - 1 ? 0.5 : 1);
         }
-        if (!(area > 0)) bad_value(where("values"), "a positive number among them", "only zeros");
+        if (!(area > double(std::numeric_limits<S>::min()) * 1e6))  // its reciprocal must be finite, and its square
+            bad_value(where("values"), "a positive number among them", "only zeros, or numbers next to them");
         const double factor = (n - 1) / (4 * Pi * area);
         *scale = S(factor);
         double sum = 0;

@@ -179,7 +179,7 @@ void SceneData<S>::update_quadric(int shape) {
     ++counters_.quadrics;
 }
 
-// A ray that meets none of these boxes meets no light, whatever the rounding of Embree's tests.
+// A ray that meets none of these boxes meets no light; they are larger than what rounding may shift.
 template <class S>
 void SceneData<S>::update_light_boxes() {
     constexpr int Most = 8, MostVertices = 4096;

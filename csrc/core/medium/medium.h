@@ -15,7 +15,8 @@ struct MediumInfo {
     int32_t flags;
     // Majorants of a grid: cells of `cell` voxels along every axis, `cells` of them, from `first` in the table.
     int32_t cell, cells[3], first;
-    // the medium's boundaries let no light straight in: emitter samples from within are in vain
+    // all light comes from infinitely far away, and the medium is within boundaries that let none straight in: emitter
+    // samples from within are in vain
     int32_t enclosed;
 };
 

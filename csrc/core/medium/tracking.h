@@ -75,7 +75,7 @@ struct MajorantWalk {
         for (int k = 0; k < 3; ++k) {
             const S n = voxels(scene, medium, k) / S(medium.cell);  // the last cell may reach out of the grid
             I i = max(I(0), min(I(medium.cells[k] - 1), I(floor(*entered[k] * F(n)))));
-            auto up = mask<F>(*along[k] > F(0));
+            auto up = mask<F>(*along[k] > F(0)) || mask<F>(abs(*along[k]) < F(S(1e-18)));
             F edge = (F(i) + select(up, F(1), F(0))) * F(S(1) / n);
             set(border[k], (edge - *entered[k]) * inverse[k], fresh);
             set(width[k], abs(inverse[k]) * F(S(1) / n), fresh);
