@@ -198,6 +198,75 @@ def _nested() -> ReferenceScene:
     )
 
 
+def _frosted() -> ReferenceScene:
+    """A milky ball and a block behind rough glass, between a floor and a lamp, in an environment map."""
+    milk = {"type": "homogeneous", "sigma_t": 3.0, "albedo": _rgb(0.95, 0.9, 0.7), "phase": {"type": "hg", "g": 0.6}}
+    place = translate(0.6, 0, 0) @ TURNED @ scale(0.6)
+    jade = {
+        "type": "heterogeneous",
+        "sigma_t": grid(noise(8, (3, 3, 3, 1), 0.5, 1.0), place @ UNIT_TO_CUBE),
+        "scale": 5.0,
+        "albedo": grid(noise(9, (2, 3, 2, 3), 0.5, 0.95), place @ UNIT_TO_CUBE),
+    }
+    glass = {"type": "roughdielectric", "int_ior": 1.3, "ext_ior": 1.0}
+    return ReferenceScene(
+        _scene(
+            _volpath(16),
+            view(),
+            ball={
+                "type": "sphere",
+                "center": [-0.9, -0.2, 0.4],
+                "radius": 0.6,
+                "bsdf": {**glass, "distribution": "ggx", "alpha": 0.2},
+                "interior": milk,
+            },
+            block={
+                "type": "cube",
+                "to_world": place,
+                "bsdf": {**glass, "distribution": "beckmann", "alpha": 0.1},
+                "interior": jade,
+            },
+            floor={"type": "rectangle", "to_world": FLOOR, "bsdf": _diffuse(0.5)},
+            sky={"type": "envmap", "data": noise(10, (4, 8, 3), 0.1, 1.5), "to_world": rotate("y", 70)},
+        ),
+        (
+            "ball.interior_medium.albedo.value.value",
+            "block.interior_medium.albedo.data",
+            "floor.bsdf.reflectance.value",
+            "sky.data",
+        ),
+    )
+
+
+def _phases() -> ReferenceScene:
+    """Balls of one extinction that scatter in four ways, by a point light behind them and a dim sky."""
+    kinds = {
+        "rayleigh": {"type": "rayleigh"},
+        "table": {"type": "tabphase", "values": "0.5, 0.2, 0.1, 0.4, 1.0, 3.0"},
+        "blend": {
+            "type": "blendphase",
+            "weight": 0.3,
+            "first": {"type": "hg", "g": 0.8},
+            "second": {"type": "rayleigh"},
+        },
+        "same": {"type": "isotropic"},
+    }
+    balls = {}
+    for i, (name, phase) in enumerate(kinds.items()):
+        medium = {"type": "homogeneous", "sigma_t": 1.5, "albedo": _rgb(0.9, 0.8, 0.6), "phase": phase}
+        at = translate(-0.6 + 1.2 * (i % 2), -0.6 + 1.2 * (i // 2), 0) @ scale(0.5)
+        balls[name] = boundary(medium, at, "sphere")
+    return ReferenceScene(
+        _scene(
+            _volpath(6),
+            view((0, 0, 4)),
+            **balls,
+            lamp={"type": "point", "position": [0.5, 1.5, -2.0], "intensity": _rgb(9.0, 8.0, 6.0)},
+            sky={"type": "constant", "radiance": 0.1},
+        )
+    )
+
+
 SCENES = {
     "cloud": _cloud,
     "voxels": _voxels,
@@ -205,6 +274,8 @@ SCENES = {
     "fog": _fog,
     "coloured": _coloured,
     "nested": _nested,
+    "frosted": _frosted,
+    "phases": _phases,
 }
 
 __all__ = ["SCENES", "SIZE", "boundary", "grid", "look_at", "noise", "rotate", "scale", "translate", "view"]

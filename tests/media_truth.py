@@ -83,6 +83,15 @@ def assert_mean(
     )
 
 
+def difference_of_means(a: torch.Tensor, b: torch.Tensor, what: str) -> None:
+    """Student's test that two renderings (R, ...) with different seeds have the same mean."""
+    error = (a.var(0) / len(a) + b.var(0) / len(b)).sqrt()
+    z = ((a.mean(0) - b.mean(0)) / error).flatten()
+    assert float(error.max()) < 0.03 * float(a.mean(0).max())
+    level = tr.testing.sidak(SIGNIFICANCE, len(z))
+    assert bool((tr.testing.student_p_value(z, len(a) - 1) >= level).all()), f"{what}: {z}"
+
+
 # ---------------------------------------------------------------------------------------------------------- quadratures
 def sphere_rule(cosines: int, azimuths: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Directions (K, 3) and their solid angles (K,)."""

@@ -15,9 +15,9 @@ import numpy as np
 import pytest
 import reference_scenes
 import torch
+from media_objects import DOUBLE, LIGHTS, STACKS, ball, colour, layers, random_grid, sky
 from media_truth import assert_mean, cameras, lines, scene
 from slab_truth import one_thread, vertical_radiance
-from test_media import DOUBLE, LIGHTS, STACKS, ball, colour, layers, random_grid, sky
 
 import torchrender as tr
 
