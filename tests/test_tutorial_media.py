@@ -24,10 +24,10 @@ SMOKE = {
     "spp": 8,
     "spp_grad": 4,
     "passes": 1,
-    "iterations": 40,
+    "iterations": 24,
     "target_spp": 64,
     "max_depth": 32,
-    "rate": 0.4,
+    "rate": 0.6,
 }
 SLAB = {
     "size": [4, 16, 16],
@@ -101,16 +101,16 @@ def test_smoke(tutorial, tmp_path, capsys):
 
     # Killed after its first checkpoints, on the way from one grid to the next, it goes on and finds the same.
     folder = tmp_path / "parts"
-    killed_after_a_checkpoint("smoke", folder, {**SMOKE, "save_every": 4})
+    killed_after_a_checkpoint("smoke", folder, {**SMOKE, "save_every": 3})
     at = torch.load(folder / "checkpoint.pt", weights_only=True)["iteration"]
-    assert 4 <= at < SMOKE["iterations"]
-    again = smoke.run(folder, **{**SMOKE, "save_every": 4})
-    assert f"going on from iteration {at} of 40" in capsys.readouterr().out
+    assert 3 <= at < SMOKE["iterations"]
+    again = smoke.run(folder, **{**SMOKE, "save_every": 3})
+    assert f"going on from iteration {at} of 24" in capsys.readouterr().out
     same_checkpoints(tmp_path / "whole", folder)
     assert again == result
 
     # A checkpoint of other settings is not taken for one of these.
-    with pytest.raises(ValueError, match=r"a run with rate 0\.4 \(now 0\.2\); --restart begins anew"):
+    with pytest.raises(ValueError, match=r"a run with rate 0\.6 \(now 0\.2\); --restart begins anew"):
         smoke.run(folder, **{**SMOKE, "rate": 0.2})
 
 
