@@ -46,7 +46,7 @@ def run(
     passes: int = 6,
     iterations: int = 170,
     target_spp: int = 1024,
-    rate: float = 0.1,
+    rate: float = 0.2,
     max_depth: int = 1024,
     save_every: int = 10,
     restart: bool = False,
@@ -107,7 +107,7 @@ def run(
 
     def picture(seed: int) -> torch.Tensor:
         with torch.no_grad():
-            return renderer(seed=seed, passes=max(passes, 8), params={ALBEDO: bounded(raw)})
+            return renderer(seed=seed, passes=max(passes, 32), params={ALBEDO: bounded(raw)})
 
     if state is None:
         start = picture(1_000_001)
