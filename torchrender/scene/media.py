@@ -90,7 +90,7 @@ class HomogeneousMedium(Medium):
 
 @register
 class HeterogeneousMedium(Medium):
-    """A medium whose extinction may be a grid, outside of which it is zero.
+    """A medium whose extinction may be a grid, outside of whose cube there is no medium: no extinction, no emission.
 
     Args:
         sigma_t: extinction per unit length, not negative (number, colour or volume); default 1.
