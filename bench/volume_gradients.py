@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reference", type=positive, default=4096, help="samples of the reference (default %(default)s)"
     )
     parser.add_argument(
-        "--differences", type=positive, default=16, help="runs of finite differences (default %(default)s)"
+        "--differences", type=positive, default=32, help="runs of finite differences (default %(default)s)"
     )
     parser.set_defaults(resolution=128, spp=16, rounds=5, warmup=1)
 
@@ -187,7 +187,8 @@ def bias_table(
         f"Sums of the gradient over cells, {max(2, options.seeds)} runs of {options.spp} spp, against finite "
         f"differences ({options.differences} runs)"
     )
-    return Table(title, ["cells"], [*rows, row, rms], part="bias")
+    notes = ["z follows Student's t of about as many degrees of freedom as there are runs of finite differences."]
+    return Table(title, ["cells"], [*rows, row, rms], notes, part="bias")
 
 
 def memory_table(options: argparse.Namespace) -> Table:
