@@ -10,6 +10,8 @@ PYTHON_ONLY = {
     "test_bench",
     "test_bench_parts",
     "test_constraints",
+    "test_errors_render",
+    "test_errors_scene",
     "test_endurance",  # takes long, and its subject is what is kept between calls
     "test_geometry_files",
     "test_docs",
@@ -19,9 +21,13 @@ PYTHON_ONLY = {
     "test_layer_module",
     "test_layer_processes",
     "test_make_media",
+    "test_media",  # takes long; images of media at every instruction set: test_media_invariants
+    "test_media_integrator",
+    "test_media_scenes",
     "test_optim",
     "test_project",
     "test_queries",
+    "test_scene_loading",
     "test_testing",
     "test_tutorial_media",
     "test_tutorials",
