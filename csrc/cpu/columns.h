@@ -47,6 +47,18 @@ private:
     size_t used_ = 0;
 };
 
+// Consecutive entries of columns.
+template <class F, class S>
+TR_INLINE Vec3<F> load_vec(S *const (&column)[3], size_t i) {
+    return {load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
+}
+template <class F, int C, class S>
+TR_INLINE Color<F, C> load_color(S *const (&column)[C], size_t i) {
+    Color<F, C> r;
+    for (int c = 0; c < C; ++c) r[c] = load<F>(column[c] + i);
+    return r;
+}
+
 // Lanes of columns, in ascending order: loaded where they follow each other, picked from two packets where they are
 // near, gathered otherwise. Columns have room for two packets behind their last entry.
 template <class F>

@@ -14,9 +14,9 @@ template <class F, int C>
 class PathTile : public VolumeTile<F, C> {
     using Base = VolumeTile<F, C>;
     using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::levels_, Base::n_levels_;
-    using Base::float_t_, Base::float_b1_, Base::float_b2_, Base::kind_, Base::occluded_, Base::segments_;
     using Base::hit_shape_, Base::hit_primitive_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::order_, Base::ray_;
-    using Base::level, Base::append, Base::see, Base::finite, Base::entries, Base::bsdf_wanted;
+    using Base::kind_, Base::occluded_, Base::segments_;
+    using Base::level, Base::append, Base::see, Base::finite, Base::entries, Base::bsdf_wanted, Base::no_emission;
     using Base::n_slots_, Base::W, Base::Miss, Base::Collision, Base::NullKind, Base::CollisionShape;
     using Base::volumetric_, Base::probing_;
     using typename Base::I;
@@ -193,8 +193,7 @@ private:
         if (scene_.n_light_boxes < 0 || recorder.on() || replay.on()) return;
         size_t kept = 0;
         for (size_t i = 0; i < front.n; i += W) {
-            Vec3<F> o{load<F>(front.o[0] + i), load<F>(front.o[1] + i), load<F>(front.o[2] + i)};
-            Vec3<F> d{load<F>(front.d[0] + i), load<F>(front.d[1] + i), load<F>(front.d[2] + i)};
+            Vec3<F> o = load_vec<F>(front.o, i), d = load_vec<F>(front.d, i);
             M keep = mask<F>(load_uint<F>(front.seen + i) == U(0u));  // what it meets counts as seen, light or not
             const F *from[3] = {&o.x, &o.y, &o.z}, *along[3] = {&d.x, &d.y, &d.z};
             F inverse[3];
@@ -218,8 +217,7 @@ private:
                 if constexpr (std::is_same_v<T, S>)
                     store_compressed<F>(column + kept, load<F>(column + i), keep);
                 else
-                    store_compressed<F>(reinterpret_cast<uint32_t *>(column) + kept,
-                                        load_uint<F>(reinterpret_cast<uint32_t *>(column) + i), keep);
+                    store_compressed<F>(column + kept, load_uint<F>(column + i), keep);
             });
             kept += size_t(count(keep));
         }
@@ -230,9 +228,7 @@ private:
     void trace(Front<S, C> &front, bool again = false) {
         auto begin = std::chrono::steady_clock::now();
         RayBatch rays = ray_batch(front.o, front.d, front.length, front.n, ray_);
-        constexpr bool single = sizeof(S) == 4;
-        HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : float_t_,
-                      single ? (float *)hit_b1_ : float_b1_, single ? (float *)hit_b2_ : float_b2_};
+        HitBatch hits = this->hit_columns();
         const bool coherent = &front == &fronts_[0];
         auto moved = [&](size_t i) { return !again || passes_emitter(scene_, hit_shape_[i]); };
         if (replay.on()) {
@@ -243,9 +239,7 @@ private:
             if (recorder.on()) recorder.put(front.slot, hits);
             stats.closest_rays += front.n;
         }
-        if (!single)
-            for (size_t i = 0; i < front.n; ++i)
-                hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
+        this->widen_hits(front.n);
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (call_.ray_record && !replay.on()) {
             size_t hits = front.n - size_t(std::count(hit_shape_, hit_shape_ + front.n, Accel::Miss));
@@ -280,7 +274,7 @@ private:
         M collided = active && mask<F>(shape == U(CollisionShape)), missed = active && mask<F>(shape == U(Accel::Miss));
         M shows = missed && M(scene_.environment >= 0);
         if (derivative)  // a segment through a medium has a derivative wherever it ends
-            shows = shows || (missed && mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0));
+            shows = shows || (missed && mask<F>(I(load_uint<F>(front.medium + i)) >= 0));
         I kind = select(mask<I>(collided), I(Collision), select(mask<I>(shows), I(Miss), I(Ignore)));
         M hit = active && !collided && !missed;
         if (!any(hit)) return kind;
@@ -300,8 +294,7 @@ private:
         kind = select(mask<I>(hit), leaf[0], kind);
         M by_side = hit && mask<F>(kind == BySide);
         if (any(by_side)) {
-            Ray<F> ray{{load<F>(front.o[0] + i), load<F>(front.o[1] + i), load<F>(front.o[2] + i)},
-                       {load<F>(front.d[0] + i), load<F>(front.d[1] + i), load<F>(front.d[2] + i)}};
+            Ray<F> ray{load_vec<F>(front.o, i), load_vec<F>(front.d, i)};
             SurfacePoint<F> at{shape, load_uint<F>(hit_primitive_ + i), load<F>(hit_b1_ + i), load<F>(hit_b2_ + i)};
             Interaction<F> si = make_interaction(scene_, ray, at, load<F>(hit_t_ + i), by_side);
             I bsdf = resolve_bsdf<F>(scene_, info.bsdf, mask<F>(dot(si.frame.n, ray.d) > F(0)), by_side).bsdf;
@@ -412,15 +405,6 @@ private:
         put_ray_that_left(front, lanes, i);
     }
 
-    static Emission<F, C> no_emission() {
-        Emission<F, C> e;
-        e.point.emitter = I(-1);
-        e.point.at = {U(0u), U(0u), F(0), F(0)};
-        e.weight = F(0);
-        e.radiance = uniform_color<C>(F(0));
-        return e;
-    }
-
     template <bool Derivative>
     void shade(int kind, const Front<S, C> &front, Front<S, C> &next, const LaneSet<F> &lanes, uint32_t i, int depth,
                int index, bool scatters) {
@@ -460,8 +444,8 @@ private:
         I medium(-1);
         if (volumetric_) {
             path_depth = lanes.get(front.depth);
-            medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
-            may = active && mask<F>(I(path_depth) + 1 < I(int32_t(this->max_depth())));
+            medium = I(lanes.get(front.medium));
+            may = active && this->may_scatter(path_depth);
             counted = mask<F>(I(path_depth) + 1 >= I(config.rr_depth));
         }
 

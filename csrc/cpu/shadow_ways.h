@@ -55,7 +55,7 @@ protected:
         for (int c = 0; c < C; ++c) store_compressed<F>(shadow_.contribution[c] + n, contribution[c], wanted);
         store_compressed<F>(shadow_.slot + n, slot, wanted);
         store_compressed<F>(shadow_.position + n, position, wanted);
-        store_compressed<F>(reinterpret_cast<uint32_t *>(shadow_.medium) + n, U(medium), wanted);
+        store_compressed<F>(shadow_.medium + n, U(medium), wanted);
         store_compressed<F>(shadow_.purpose + n, U(uint32_t(purpose)), wanted);
         shadow_.n += size_t(count(wanted));
     }
@@ -89,7 +89,7 @@ protected:
             for (int32_t m = 0; m < scene_.n_media; ++m) {
                 size_t waiting = 0;
                 for (size_t j = 0; j < n; ++j)
-                    if (shadow_.medium[pending_[j]] == m && hit_shape_[j] != CollisionShape)
+                    if (shadow_.medium[pending_[j]] == uint32_t(m) && hit_shape_[j] != CollisionShape)
                         queue_[waiting++] = pending_[j];
                 if (waiting == 0) continue;
                 TransmittanceColumns<S, C> columns{way_end_,       shadow_.lag, way_seed_,
@@ -124,13 +124,10 @@ protected:
 private:
     void query(size_t n) {
         auto begin = std::chrono::steady_clock::now();
-        constexpr bool single = sizeof(S) == 4;
         RayBatch rays = ray_batch(ray_o_, ray_d_, ray_length_, n, ray_);
-        HitBatch hits{hit_shape_, hit_primitive_, single ? (float *)hit_t_ : this->float_t_,
-                      single ? (float *)hit_b1_ : this->float_b1_, single ? (float *)hit_b2_ : this->float_b2_};
+        HitBatch hits = this->hit_columns();
         call_.accel->intersect(rays, hits, n, false);
-        for (size_t j = 0; !single && j < n; ++j)
-            hit_t_[j] = S(this->float_t_[j]), hit_b1_[j] = S(this->float_b1_[j]), hit_b2_[j] = S(this->float_b2_[j]);
+        this->widen_hits(n);
         stats.shadow_rays += n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     }
@@ -149,8 +146,8 @@ private:
                 random_bits4<F>(config.seed, config.sensor + (round << 16), get(pixel, slot), get(sample, slot), block);
             scatter_lanes<F>(way_seed_[0], id, bits.bits[0] | U(1u), active);
             scatter_lanes<F>(way_seed_[1], id, bits.bits[1], active);
-            scatter_lanes<F>(pick_, id, convert<F>(convert<I>(bits.bits[2] >> 8)) * F(1.0 / 16777216.0), active);
-            scatter_lanes<F>(spot_, id, convert<F>(convert<I>(bits.bits[3] >> 8)) * F(1.0 / 16777216.0), active);
+            scatter_lanes<F>(pick_, id, uniform_of<F>(bits.bits[2]), active);
+            scatter_lanes<F>(spot_, id, uniform_of<F>(bits.bits[3]), active);
         }
     }
 
@@ -188,14 +185,14 @@ private:
                                select(mask<U>(on), load_uint<F>(hit_primitive_ + j), U(0u)), load<F>(hit_b1_ + j),
                                load<F>(hit_b2_ + j)};
             Interaction<F> si = make_interaction(scene_, ray, at, t, on);
-            I medium = I(gather<U>(reinterpret_cast<const uint32_t *>(shadow_.medium), id, mask<U>(on)));
+            I medium = I(gather<U>(shadow_.medium, id, mask<U>(on)));
             Vec3<F> o = offset_origin(si.p, si.ng, ray.d);
             medium = medium_behind(scene_, at.shape, si.ng, ray.d, medium, on);
             const F *moved[3] = {&o.x, &o.y, &o.z};
             for (int a = 0; a < 3; ++a) scatter_lanes<F>(shadow_.o[a], id, *moved[a], on);
             scatter_lanes<F>(shadow_.length, id, length, on);
             scatter_lanes<F>(shadow_.lag, id, dot(o - si.p, ray.d), on);
-            scatter_lanes<F>(reinterpret_cast<uint32_t *>(shadow_.medium), id, U(medium), on);
+            scatter_lanes<F>(shadow_.medium, id, U(medium), on);
             M lit(false);
             for (int c = 0; c < C; ++c) lit = lit || mask<F>(gather<F>(transmittance_[c], id, on) > F(0));
             on = on && lit && mask<F>(length > F(0));

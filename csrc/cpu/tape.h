@@ -21,8 +21,7 @@ struct Front {
     // volumetric paths: the medium the ray is in or -1, scatterings so far, the weights of the channels' densities
     // where extinction is coloured, and how far the ray's origin is ahead of the surface it leaves: the medium begins
     // there
-    int32_t *medium;
-    uint32_t *depth;
+    uint32_t *medium, *depth;
     S *channel[C], *lag;
 
     // An upper bound for the columns below.
@@ -32,8 +31,7 @@ struct Front {
         for (S *p : {o[0], o[1], o[2], d[0], d[1], d[2], length, from[0], from[1], from[2], pdf, eta, lag}) visit(p);
         for (auto *p : {&beta, &survival, &channel})
             for (int c = 0; c < C; ++c) visit((*p)[c]);
-        for (uint32_t *p : {slot, parent, seen, depth}) visit(p);
-        visit(medium);
+        for (uint32_t *p : {slot, parent, seen, medium, depth}) visit(p);
     }
 
     void allocate(size_t capacity) {
@@ -42,8 +40,7 @@ struct Front {
                  {&o[0], &o[1], &o[2], &d[0], &d[1], &d[2], &length, &from[0], &from[1], &from[2], &pdf, &eta, &lag})
                 a.column(*p, capacity);
             for (auto *p : {&beta, &survival, &channel}) a.column(*p, capacity);
-            for (uint32_t **p : {&slot, &parent, &seen, &depth}) a.column(*p, capacity);
-            a.column(medium, capacity);
+            for (uint32_t **p : {&slot, &parent, &seen, &medium, &depth}) a.column(*p, capacity);
         });
     }
 };
@@ -53,9 +50,8 @@ struct ShadowRays {
     Arena arena;
     size_t n = 0;
     S *o[3], *d[3], *length, *lag, *contribution[C];
-    uint32_t *slot, *position;  // position: entry of the tape level
-    int32_t *medium;
-    uint32_t *purpose;  // volumetric paths, see ShadowPurpose
+    uint32_t *slot, *position;   // position: entry of the tape level
+    uint32_t *medium, *purpose;  // volumetric paths, see ShadowPurpose
 
     void allocate(size_t capacity) {
         arena.allocate([&](Arena &a) {
@@ -64,8 +60,7 @@ struct ShadowRays {
             a.column(length, capacity);
             a.column(lag, capacity);
             a.column(contribution, capacity);
-            for (uint32_t **p : {&slot, &position, &purpose}) a.column(*p, capacity);
-            a.column(medium, capacity);
+            for (uint32_t **p : {&slot, &position, &medium, &purpose}) a.column(*p, capacity);
         });
     }
 };
@@ -131,19 +126,14 @@ struct VolumeColumns {
         auto integer = [&](const int32_t *p) {
             return IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(p) + i));
         };
-        auto vec = [&](S *const(&p)[3]) { return Vec3<F>{load<F>(p[0] + i), load<F>(p[1] + i), load<F>(p[2] + i)}; };
-        auto color = [&](S *const(&p)[C]) {
-            Color<F, C> r;
-            for (int c = 0; c < C; ++c) r[c] = load<F>(p[c] + i);
-            return r;
-        };
         FlightRecord<F, C> r;
         r.medium = integer(medium), r.shadow_medium = integer(shadow_medium);
         r.length = load<F>(length + i), r.shadow_length = load<F>(shadow_length + i);
-        r.probe = vec(probe), r.shadow = vec(shadow), r.glow = vec(glow);
+        r.probe = load_vec<F>(probe, i), r.shadow = load_vec<F>(shadow, i), r.glow = load_vec<F>(glow, i);
         r.glow_behind = mask<F>(load_uint<F>(glow_behind + i) != UIntOf<F>(0u));
-        r.probe_value = color(probe_value), r.shadow_value = color(shadow_value);
-        r.first = color(first), r.weight = color(weight), r.glow_weight = color(glow_weight);
+        r.probe_value = load_color<F>(probe_value, i), r.shadow_value = load_color<F>(shadow_value, i);
+        r.first = load_color<F>(first, i), r.weight = load_color<F>(weight, i),
+        r.glow_weight = load_color<F>(glow_weight, i);
         return r;
     }
 };
@@ -280,8 +270,8 @@ struct TapeLevel {
     TR_INLINE VertexRecord<F, C> get_collision(size_t i) const {
         VertexRecord<F, C> v = get<F>(i, false);
         get_outgoing(i, v);
-        v.p = get_vec<F>(p, i);
-        v.d = get_vec<F>(d, i);
+        v.p = load_vec<F>(p, i);
+        v.d = load_vec<F>(d, i);
         return v;
     }
 
@@ -291,15 +281,15 @@ struct TapeLevel {
         v.at = {{load_uint<F>(shape + i), load_uint<F>(primitive + i), load<F>(b1 + i), load<F>(b2 + i)}, {F(0), F(0)}};
         v.emission = {IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(emission_emitter) + i)), v.at};
         v.emission_weight = load<F>(emission_weight + i);
-        v.beta = get_color<F>(beta, i);
-        v.emission_radiance = get_color<F>(emission_radiance, i);
+        v.beta = load_color<F>(beta, i);
+        v.emission_radiance = load_color<F>(emission_radiance, i);
         if (!scattering) return v;
         v.at.uv = {load<F>(uv[0] + i), load<F>(uv[1] + i)};
         v.bsdf = IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(bsdf) + i));
-        v.wi = get_vec<F>(wi, i);
+        v.wi = load_vec<F>(wi, i);
         get_outgoing(i, v);
         v.mirror = load<F>(mirror + i);
-        v.normal = get_vec<F>(normal, i);
+        v.normal = load_vec<F>(normal, i);
         return v;
     }
     // To the light, and on along the path.
@@ -311,31 +301,31 @@ struct TapeLevel {
         v.light = {integer(light_emitter),
                    {load_uint<F>(light_shape + i), load_uint<F>(light_primitive + i), load<F>(light_b1 + i),
                     load<F>(light_b2 + i)}};
-        v.wo_light = get_vec<F>(wo_light, i);
+        v.wo_light = load_vec<F>(wo_light, i);
         v.light_weight = load<F>(light_weight + i);
-        v.emitted = get_color<F>(emitted, i);
-        v.wo = get_vec<F>(wo, i);
+        v.emitted = load_color<F>(emitted, i);
+        v.wo = load_vec<F>(wo, i);
         v.lobe = integer(lobe);
         v.inverse_pdf = load<F>(inverse_pdf + i);
         v.light_distance = load<F>(light_distance + i);
     }
     template <class F>
     TR_INLINE void get_motion(size_t i, VertexRecord<F, C> &v) const {
-        v.d = get_vec<F>(d, i);
-        v.p = get_vec<F>(p, i);
-        v.segment = get_vec<F>(segment, i);
+        v.d = load_vec<F>(d, i);
+        v.p = load_vec<F>(p, i);
+        v.segment = load_vec<F>(segment, i);
         v.t = load<F>(t + i);
         v.attached = mask<F>(load_uint<F>(attached + i) != 0u);
     }
     template <class F>
     TR_INLINE NextVertex<F, C> get_next(size_t i, bool motion) const {
         Vec3<F> zero{F(0), F(0), F(0)};
-        NextVertex<F, C> next{get_color<F>(suffix, i), {zero, zero}, zero, zero, {}};
+        NextVertex<F, C> next{load_color<F>(suffix, i), {zero, zero}, zero, zero, {}};
         if (!motion) return next;
         next.ray.o = {load<F>(ray_bar[0] + i), load<F>(ray_bar[1] + i), load<F>(ray_bar[2] + i)};
         next.ray.d = {load<F>(ray_bar[3] + i), load<F>(ray_bar[4] + i), load<F>(ray_bar[5] + i)};
-        next.segment = get_vec<F>(next_segment, i);
-        next.p = get_vec<F>(next_p, i);
+        next.segment = load_vec<F>(next_segment, i);
+        next.p = load_vec<F>(next_p, i);
         next.at = {load_uint<F>(next_shape + i), load_uint<F>(next_primitive + i), load<F>(next_b[0] + i),
                    load<F>(next_b[1] + i)};
         return next;
@@ -347,16 +337,6 @@ private:
         store(column[0] + i, v.x);
         store(column[1] + i, v.y);
         store(column[2] + i, v.z);
-    }
-    template <class F>
-    TR_INLINE static Vec3<F> get_vec(S *const (&column)[3], size_t i) {
-        return {load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
-    }
-    template <class F>
-    TR_INLINE static Color<F, C> get_color(S *const (&column)[C], size_t i) {
-        Color<F, C> r;
-        for (int c = 0; c < C; ++c) r[c] = load<F>(column[c] + i);
-        return r;
     }
 };
 

@@ -61,6 +61,17 @@ protected:
     // Entries that n hits take at most once they are grouped.
     static constexpr size_t entries(size_t n) { return n + size_t(Collision + 2) * 2 * W; }
 
+    // Where queries write what rays hit: in single precision, which widen_hits then converts.
+    static constexpr bool Single = sizeof(S) == 4;
+    HitBatch hit_columns() const {
+        return {hit_shape_, hit_primitive_, Single ? (float *)hit_t_ : float_t_, Single ? (float *)hit_b1_ : float_b1_,
+                Single ? (float *)hit_b2_ : float_b2_};
+    }
+    void widen_hits(size_t n) {
+        for (size_t i = 0; !Single && i < n; ++i)
+            hit_t_[i] = S(float_t_[i]), hit_b1_[i] = S(float_b1_[i]), hit_b2_[i] = S(float_b2_[i]);
+    }
+
     TR_INLINE void append(Front<S, C> &f, const Ray<F> &ray, const F &length, const Vec3<F> &from, const F &pdf,
                           const Color<F, C> &beta, const Color<F, C> &survival, const F &eta, const U &slot,
                           const U &parent, const U &seen, const M &m) {
@@ -78,6 +89,15 @@ protected:
         store_compressed<F>(f.parent + n, parent, m);
         store_compressed<F>(f.seen + n, seen, m);
         f.n += size_t(count(m));
+    }
+
+    static Emission<F, C> no_emission() {
+        Emission<F, C> e;
+        e.point.emitter = I(-1);
+        e.point.at = {U(0u), U(0u), F(0), F(0)};
+        e.weight = F(0);
+        e.radiance = uniform_color<C>(F(0));
+        return e;
     }
 
     void see(const U &slot, const U &seen, const M &active) {

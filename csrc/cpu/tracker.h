@@ -53,8 +53,8 @@ public:
     void fly(int32_t medium, S *const (&o)[3], S *const (&d)[3], const S *lag, FlightColumns<S, C> &at,
              const uint32_t *order, size_t n, bool probes) {
         const MediumInfo &m = scene_.media[medium];
-        const bool colored = C > 1 && (m.flags & IsChromatic);
-        FlightSink sink{*this, m, at, probes};
+        const bool colored = is_colored(m);
+        FlightSink sink{at, probes};
         if (!(m.flags & IsGrid)) return fly_constant(m, lag, at, order, n, colored, probes);
         if (colored)
             walk<C>(m, o, d, lag, at.end, at.seed, order, n, sink);
@@ -65,10 +65,9 @@ public:
     void transmit(int32_t medium, S *const (&o)[3], S *const (&d)[3], const TransmittanceColumns<S, C> &at,
                   const uint32_t *order, size_t n) {
         const MediumInfo &m = scene_.media[medium];
-        const bool colored = C > 1 && (m.flags & IsChromatic);
         if (!(m.flags & IsGrid)) return transmit_constant(m, at, order, n);
-        TransmittanceSink sink{*this, at};
-        if (colored)
+        TransmittanceSink sink{at};
+        if (is_colored(m))
             walk<C>(m, o, d, at.lag, at.end, at.seed, order, n, sink);
         else
             walk<1>(m, o, d, at.lag, at.end, at.seed, order, n, sink);
@@ -80,12 +79,14 @@ public:
 private:
     const SceneView<S> &scene_;
 
+    static bool is_colored(const MediumInfo &medium) { return C > 1 && (medium.flags & IsChromatic); }
+
     // The state of the lanes of a packet.
     template <int N>
     struct State {
         MajorantWalk<F, S> walk;
         TrackingRandom<F> random;
-        F depth, kept;  // what is left of the optical depth; roulette
+        F depth;  // what is left of the optical depth
         Color<F, N> weight;
         U entry;
         I hero;
@@ -99,7 +100,7 @@ private:
               const uint32_t *const *seed, const uint32_t *order, size_t n, Sink &sink) {
         State<N> s;
         clear(s);
-        M walking(false), stopped(false), left(false);
+        M walking(false), stopped(false);
         alignas(64) uint32_t entries[W] = {}, busy[W] = {};
         size_t taken = 0;
         for (;;) {
@@ -129,7 +130,7 @@ private:
                 if (taken >= n) return;
                 continue;
             }
-            left = M(false);
+            M left(false);
             do {
                 s.walk.advance(scene_, medium, s.depth, walking, stopped, left);
             } while (W > 1 ? count(walking) > count(stopped) && count(left) * 4 < W : any(walking));
@@ -153,8 +154,7 @@ private:
         F zero(0);
         Vec3<F> none{zero, zero, zero};
         s.walk.o = s.walk.d = none;
-        for (F *p :
-             {&s.walk.enter, &s.walk.t, &s.walk.end, &s.walk.majorant, &s.depth, &s.kept, &s.last, &s.probe, &s.glow})
+        for (F *p : {&s.walk.enter, &s.walk.t, &s.walk.end, &s.walk.majorant, &s.depth, &s.last, &s.probe, &s.glow})
             *p = zero;
         for (int k = 0; k < 3; ++k) s.walk.border[k] = s.walk.width[k] = zero, s.walk.at[k] = s.walk.step[k] = I(0);
         s.random.a = s.random.b = s.entry = U(0u);
@@ -174,8 +174,6 @@ private:
 
     // Delta tracking.
     struct FlightSink {
-        Tracker &tracker;
-        const MediumInfo &medium;
         FlightColumns<S, C> &at;
         bool probes;
 
@@ -248,7 +246,6 @@ private:
 
     // Ratio tracking; a ray that brings little is ended by roulette.
     struct TransmittanceSink {
-        Tracker &tracker;
         const TransmittanceColumns<S, C> &at;
 
         template <int N>

@@ -10,8 +10,7 @@ template <class F, int C>
 class VolumeTile : public ShadowWays<F, C> {
 protected:
     using Base = ShadowWays<F, C>;
-    using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::hits_, Base::stats;
-    using Base::hit_shape_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::hit_primitive_, Base::order_, Base::ray_;
+    using Base::call_, Base::scene_, Base::derivative_, Base::hit_shape_, Base::hit_t_, Base::order_;
     using Base::tracker_, Base::volumetric_, Base::probing_, Base::CollisionShape, Base::push_shadow;
     using Base::W, Base::pixel, Base::sample, Base::radiance, Base::n_slots_, Base::NullKind;
     using typename Base::I;
@@ -31,22 +30,24 @@ public:
         size_t n = capacity + 2 * W;
         flight_.allocate(n);
         paths_.allocate([&](Arena &a) {
-            for (uint32_t **p : {&hero_, &chosen_level_, &chosen_entry_, &branch_depth_}) a.column(*p, n);
+            for (uint32_t **p : {&hero_, &chosen_level_, &chosen_entry_, &branch_medium_, &branch_depth_})
+                a.column(*p, n);
             for (S **p : {&choice_, &total_weight_}) a.column(*p, n);
             for (auto *p : {&branch_o_, &branch_d_}) a.column(*p, n);
             for (auto *p : {&branch_beta_, &branch_channel_, &branch_}) a.column(*p, n);
-            a.column(branch_medium_, n);
             for (auto *p : {&first_, &probe_channel_}) a.column(*p, n);
         });
     }
 
 protected:
-    uint32_t max_depth() const { return call_.config.max_depth < 0 ? 0x7FFFFFFFu : uint32_t(call_.config.max_depth); }
+    // Whether a path may scatter once more after `depth` scatterings.
+    M may_scatter(const U &depth) const {
+        return call_.config.max_depth < 0 ? M(true) : mask<F>(I(depth) + 1 < I(call_.config.max_depth));
+    }
 
     // Of camera rays.
     void begin_volumetric(Front<S, C> &front) {
-        const int32_t medium = scene_.sensors[call_.config.sensor].field[Perspective::Medium];
-        std::fill_n(front.medium, front.n, medium);
+        std::fill_n(front.medium, front.n, uint32_t(scene_.sensors[call_.config.sensor].field[Perspective::Medium]));
         std::fill_n(front.depth, front.n, 0u);
         std::fill_n(front.lag, front.n, S(0));
         for (int c = 0; c < C; ++c) std::fill_n(front.channel[c], front.n, S(1));
@@ -73,7 +74,7 @@ protected:
             if (chromatic_)  // grey media do not write them
                 for (auto *weight : {&flight_.weight, &flight_.probe_weight, &flight_.glow_weight})
                     for (int c = 0; c < C; ++c) store((*weight)[c] + i, F(1));
-            M inside = active && mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0);
+            M inside = active && mask<F>(I(load_uint<F>(front.medium + i)) >= 0);
             if (!any(inside)) continue;
             U slot = select(mask<U>(active), load_uint<F>(front.slot + i), U(0u));
             LaneSet<F> lanes(slot, active);
@@ -81,7 +82,7 @@ protected:
                                         U(SegmentBlock + BlocksPerSegment * level));
             store(flight_.seed[0] + i, bits.bits[0] | U(1u));
             store(flight_.seed[1] + i, bits.bits[1]);
-            store(choice_ + i, convert<F>(convert<I>(bits.bits[2] >> 8)) * F(1.0 / 16777216.0));
+            store(choice_ + i, uniform_of<F>(bits.bits[2]));
             if (chromatic_) store(flight_.hero + i, lanes.get(hero_));
         }
         for (int32_t m = 0; m < scene_.n_media; ++m) {
@@ -105,21 +106,17 @@ protected:
         const PathConfig &config = call_.config;
         Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
         Vec3<F> p = ray.o + ray.d * lanes.get(hit_t_);
-        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        I medium = I(lanes.get(front.medium));
         U slot = lanes.get(front.slot), path_depth = lanes.get(front.depth);
         Color<F, C> beta = lanes.template color<C>(front.beta);
-        Emission<F, C> none;
-        none.point.emitter = I(-1);
-        none.point.at = {U(0u), U(0u), F(0), F(0)};
-        none.weight = F(0);
-        none.radiance = uniform_color<C>(F(0));
         if (Derivative) {
+            Emission<F, C> none = this->no_emission();
             this->level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, none.point.at, none);
             this->level().template put_point<F>(i, p, ray.d);
         } else {
             this->see(slot, lanes.get(front.seen), lanes.active);
         }
-        M may = lanes.active && mask<F>(I(path_depth) + 1 < I(int32_t(max_depth())));
+        M may = lanes.active && may_scatter(path_depth);
         LaneSet<F> paths(slot, lanes.active);
         U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
         uint32_t block = BlocksPerScattering * uint32_t(depth);
@@ -173,7 +170,7 @@ protected:
         if (Derivative) this->level().template put_passage<F>(i, select(on, F(1), F(0)));
         if (!any(on)) return;
         size_t at = next.n;
-        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        I medium = I(lanes.get(front.medium));
         Vec3<F> o = offset_origin(si.p, si.ng, d);
         this->append(next, {o, d}, length, lanes.vec(front.from), lanes.get(front.pdf), beta,
                      lanes.template color<C>(front.survival), lanes.get(front.eta), slot, U(i) + lane_index<F>(),
@@ -184,7 +181,7 @@ protected:
 
     TR_INLINE void put_volumetric(Front<S, C> &f, size_t at, const I &medium, const U &depth, const F &lag,
                                   const Color<F, C> &channel, const M &m) {
-        store_compressed<F>(reinterpret_cast<uint32_t *>(f.medium) + at, U(medium), m);
+        store_compressed<F>(f.medium + at, U(medium), m);
         store_compressed<F>(f.depth + at, depth, m);
         store_compressed<F>(f.lag + at, lag, m);
         for (int c = 0; c < C; ++c) store_compressed<F>(f.channel[c] + at, channel[c], m);
@@ -193,7 +190,7 @@ protected:
     // What the tape keeps of a segment, and the emitter sample of its probe.
     void put_flight(const Front<S, C> &front, const LaneSet<F> &lanes, uint32_t i, int depth) {
         VolumeColumns<S, C> &tape = this->level().volume;
-        I medium = I(lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        I medium = I(lanes.get(front.medium));
         M inside = lanes.active && mask<F>(medium >= 0);
         F length = lanes.get(flight_.length);
         // a segment may have no length and end with a collision all the same
@@ -215,7 +212,7 @@ protected:
         Vec3<F> p = o + d * probe;
         tape.template put_probe<F>(i, p);
         U slot = lanes.get(front.slot), path_depth = lanes.get(front.depth);
-        M may = inside && mask<F>(I(path_depth) + 1 < I(int32_t(max_depth())));
+        M may = inside && may_scatter(path_depth);
         if (!any(may)) return;
         if (chromatic_) beta = lanes.template color<C>(flight_.probe_weight);
         LaneSet<F> paths(slot, lanes.active);
@@ -246,11 +243,8 @@ protected:
             U slot = U(uint32_t(i)) + lane_index<F>();
             M active = mask<F>(slot < U(uint32_t(n_slots_))) && !mask<F>(load_uint<F>(chosen_level_ + i) == U(NoLevel));
             if (!any(active)) continue;
-            auto vec = [&](S *const(&column)[3]) {
-                return Vec3<F>{load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
-            };
-            Vec3<F> p = vec(branch_o_), d = vec(branch_d_);
-            I medium = I(load_uint<F>(reinterpret_cast<uint32_t *>(branch_medium_) + i));
+            Vec3<F> p = load_vec<F>(branch_o_, i), d = load_vec<F>(branch_d_, i);
+            I medium = I(load_uint<F>(branch_medium_ + i));
             Random4<F> u = draw4<F>(call_.config, load_uint<F>(pixel + i), load_uint<F>(sample + i),
                                     BsdfBlock + BlocksPerScattering * (BranchLevel - 1), 3);
             Vec3<F> wo = d;
@@ -260,11 +254,7 @@ protected:
                 wo = select(same, sample_phase(scene_, info.phase, p, d, u.u[0], u.u[1], u.u[2], same), wo);
                 if (!info.enclosed) pdf = select(same, eval_phase(scene_, info.phase, p, d, wo, same), pdf);
             });
-            Color<F, C> beta, channel;
-            for (int c = 0; c < C; ++c) {
-                beta[c] = load<F>(branch_beta_[c] + i);
-                channel[c] = load<F>(branch_channel_[c] + i);
-            }
+            Color<F, C> beta = load_color<F>(branch_beta_, i), channel = load_color<F>(branch_channel_, i);
             size_t at = front.n;
             this->append(front, {p, wo}, F(S(INFINITY)), p, pdf, beta, beta, F(1), slot, U(0u), U(1u), active);
             put_volumetric(front, at, medium, load_uint<F>(branch_depth_ + i), F(0), channel, active);
@@ -287,11 +277,11 @@ protected:
 
 private:
     // Entries whose medium is m, ascending.
-    static size_t queue_of(const int32_t *medium, size_t n, int32_t m, uint32_t *to) {
+    static size_t queue_of(const uint32_t *medium, size_t n, int32_t m, uint32_t *to) {
         size_t found = 0;
         for (size_t i = 0; i < n; ++i) {
             to[found] = uint32_t(i);
-            found += medium[i] == m;
+            found += medium[i] == uint32_t(m);
         }
         return found;
     }
@@ -299,14 +289,10 @@ private:
     // Spectral MIS: throughput and the densities of the channels after the segment, whose mean stays one.
     void weigh_channels(Front<S, C> &front) {
         for (size_t i = 0; i < front.n; i += W) {
-            M inside = mask<F>(I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i)) >= 0);
-            Color<F, C> p, beta, survival;
-            for (int c = 0; c < C; ++c) {
-                p[c] = load<F>(front.channel[c] + i);
-                beta[c] = load<F>(front.beta[c] + i);
-                survival[c] = load<F>(front.survival[c] + i);
-                store(first_[c] + i, beta[c]);
-            }
+            M inside = mask<F>(I(load_uint<F>(front.medium + i)) >= 0);
+            Color<F, C> p = load_color<F>(front.channel, i), beta = load_color<F>(front.beta, i);
+            Color<F, C> survival = load_color<F>(front.survival, i);
+            for (int c = 0; c < C; ++c) store(first_[c] + i, beta[c]);
             auto ratio = [&](S *const(&column)[C], Color<F, C> &weight) {
                 F mean(0);
                 for (int c = 0; c < C; ++c) {
@@ -338,16 +324,13 @@ private:
     void add_emission(const Front<S, C> &front) {
         for (size_t i = 0; i < front.n; i += W) {
             M active = mask<F>(U(uint32_t(i)) + lane_index<F>() < U(uint32_t(front.n)));
-            I medium = I(load_uint<F>(reinterpret_cast<uint32_t *>(front.medium) + i));
+            I medium = I(load_uint<F>(front.medium + i));
             F length = load<F>(flight_.length + i);
             active = active && mask<F>(medium >= 0) && mask<F>(length > F(0));
             for_each_distinct<F>(medium, active, [&](int32_t m, const M &same) {
                 const MediumInfo &info = scene_.media[m];
                 if (info.emission < 0) return;
-                auto vec = [&](S *const(&column)[3]) {
-                    return Vec3<F>{load<F>(column[0] + i), load<F>(column[1] + i), load<F>(column[2] + i)};
-                };
-                Vec3<F> p = vec(front.o) + vec(front.d) * load<F>(flight_.glow + i);
+                Vec3<F> p = load_vec<F>(front.o, i) + load_vec<F>(front.d, i) * load<F>(flight_.glow + i);
                 Color<F, C> r = eval_volume<C>(scene_, scene_.values, info.emission, p, same) * length;
                 for (int c = 0; c < C; ++c)
                     r[c] = r[c] * (chromatic_ ? load<F>(first_[c] + i) * load<F>(flight_.glow_weight[c] + i)
@@ -365,7 +348,7 @@ private:
         alignas(64) S w[W], u[W], numbers[6][W], colors[2][C][W];
         store(&slots[0], lanes.get(front.slot));
         store(&set[0], select(mask<U>(may && mask<F>(weight > F(0))), U(1u), U(0u)));
-        store(&media[0], lanes.get(reinterpret_cast<const uint32_t *>(front.medium)));
+        store(&media[0], lanes.get(front.medium));
         store(&depths[0], lanes.get(front.depth));
         store(&w[0], weight);
         store(&u[0], lanes.get(choice_));
@@ -383,7 +366,7 @@ private:
             if (!(u[l] * total_weight_[s] < w[l])) continue;
             chosen_level_[s] = level;
             chosen_entry_[s] = i + uint32_t(l);
-            branch_medium_[s] = int32_t(media[l]);
+            branch_medium_[s] = media[l];
             branch_depth_[s] = depths[l] + 1;
             for (int a = 0; a < 3; ++a) branch_o_[a][s] = numbers[a][l], branch_d_[a][s] = numbers[3 + a][l];
             for (int c = 0; c < C; ++c) {
@@ -395,8 +378,7 @@ private:
 
     Arena paths_;
     // by slot
-    uint32_t *hero_, *chosen_level_, *chosen_entry_, *branch_depth_;
-    int32_t *branch_medium_;
+    uint32_t *hero_, *chosen_level_, *chosen_entry_, *branch_medium_, *branch_depth_;
     S *total_weight_, *branch_o_[3], *branch_d_[3], *branch_beta_[C], *branch_channel_[C], *branch_[C];
     // by entry of the front
     S *choice_, *first_[C], *probe_channel_[C];

@@ -331,10 +331,10 @@ private:
     }
 
     void find_enclosed_media() {
+        for (const SceneObject &emitter : list("emitter"))  // light that does not come from infinitely far away
+            if (emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type) return;
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
-            for (const SceneObject &emitter : list("emitter"))
-                open |= emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type;
             for (const Record &sensor : out_.records["sensor"]) open |= sensor.field[Perspective::Medium] == int32_t(m);
             for (const ShapeInfo &shape : out_.shapes) {
                 if (shape.interior != int32_t(m) && shape.exterior != int32_t(m)) continue;

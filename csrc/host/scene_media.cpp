@@ -67,7 +67,8 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
                 require_range(tensors_[slot].data, layout_.slot_sizes[slot], largest, where(field), expected);
         };
         const S unlimited = std::numeric_limits<S>::max();
-        check(info.extinction, unlimited, "sigma_t", "numbers that are not negative");
+        // a grid's with its majorants, whether or not it says that it has changed
+        if (!(info.flags & IsGrid)) check(info.extinction, unlimited, "sigma_t", "numbers that are not negative");
         check(info.albedo, S(1), "albedo", "numbers from 0 to 1");
         check(info.emission, unlimited, "emission", "numbers that are not negative");
         require_range(&constants_[size_t(info.scale)], 1, unlimited, where("scale"), "a number that is not negative");

@@ -39,11 +39,17 @@ TR_INLINE RandomBits4<F> random_bits4(uint64_t seed, uint32_t sensor, const UInt
     philox(r.bits, uint32_t(seed), uint32_t(seed >> 32));
     return r;
 }
+// In [0, 1), from the upper 24 bits.
+template <class F>
+TR_INLINE F uniform_of(const UIntOf<F> &bits) {
+    return convert<F>(convert<IntOf<F>>(bits >> 8)) * F(1.0 / 16777216.0);
+}
+
 template <class F>
 TR_INLINE Random4<F> random4(uint64_t seed, uint32_t sensor, UIntOf<F> pixel, UIntOf<F> sample, uint32_t block) {
     auto [c] = random_bits4<F>(seed, sensor, pixel, sample, UIntOf<F>(block));
     Random4<F> r;
-    for (int i = 0; i < 4; ++i) r.u[i] = convert<F>(convert<IntOf<F>>(c[i] >> 8)) * F(1.0 / 16777216.0);
+    for (int i = 0; i < 4; ++i) r.u[i] = uniform_of<F>(c[i]);
     return r;
 }
 

@@ -12,6 +12,7 @@
 // are multiplied with, relative to those of h, is the same number: Flight::weight[c].
 #pragma once
 
+#include "../math/philox.h"
 #include "medium.h"
 
 namespace tr {
@@ -29,7 +30,7 @@ struct TrackingRandom {
         U bits = a * U(0x9E3779BBu), x = a ^ b;
         a = select(m, ((a << 26) | (a >> 6)) ^ x ^ (x << 9), a);
         b = select(m, (x << 13) | (x >> 19), b);
-        return convert<F>(convert<IntOf<F>>(bits >> 8)) * F(1.0 / 16777216.0);
+        return uniform_of<F>(bits);
     }
 };
 
