@@ -58,15 +58,16 @@ class Server:
     def forward(self, seed: int) -> dict:
         return {"forward": self._image_alone(seed, self.spp)[1]}
 
-    def step(self, seed: int) -> dict:
-        mi, dr = self.mi, self.dr
+    def _clear(self) -> None:
         for name in self.names:
-            dr.set_grad(self.params[name], 0)
+            self.dr.set_grad(self.params[name], 0)
+
+    def _both_passes(self, **settings) -> tuple:
+        """Image, gradients (added to what is there) and the seconds of both passes, of the mean square of the image."""
+        mi, dr = self.mi, self.dr
         dr.sync_thread()
         start = time.perf_counter()
-        image = mi.render(
-            self.scene, self.params, integrator=self.integrator, spp=self.spp, seed=2 * seed, seed_grad=2 * seed + 1
-        )
+        image = mi.render(self.scene, self.params, integrator=self.integrator, **settings)
         dr.eval(image)
         dr.sync_thread()
         middle = time.perf_counter()
@@ -74,11 +75,16 @@ class Server:
         gradients = [dr.grad(self.params[name]) for name in self.names]
         dr.eval(gradients)
         dr.sync_thread()
-        end = time.perf_counter()
+        return image, gradients, middle - start, time.perf_counter() - middle
+
+    def step(self, seed: int) -> dict:
+        dr = self.dr
+        self._clear()
+        _, gradients, forward, backward = self._both_passes(spp=self.spp, seed=2 * seed, seed_grad=2 * seed + 1)
         size = sum(float(dr.sum(dr.abs(gradient), axis=None).array[0]) for gradient in map(self._tensor, gradients))
         if not size > 0:
             raise RuntimeError(f"no gradient reached {', '.join(self.names)}")
-        return {"forward": middle - start, "backward": end - middle}
+        return {"forward": forward, "backward": backward}
 
     def _tensor(self, value):
         """A colour or tensor as one flat tensor."""
@@ -96,8 +102,7 @@ class Server:
         import numpy as np
 
         mi, dr = self.mi, self.dr
-        for name in self.names:
-            dr.set_grad(self.params[name], 0)
+        self._clear()
         width, height = self.scene.sensors()[0].film().size()
         weight = mi.TensorXf(weight_of(height, width, np))
         start = time.perf_counter()
@@ -115,33 +120,15 @@ class Server:
 
     def iteration(self, seed: int, views: list, spp: int, spp_grad: int, passes: int) -> dict:
         """Pictures of several sensors and their derivatives, in passes whose gradients add up."""
-        mi, dr = self.mi, self.dr
-        for name in self.names:
-            dr.set_grad(self.params[name], 0)
+        self._clear()
         answer = {"forward": 0.0, "backward": 0.0, "bad image": 0, "bad gradient": 0}
         for number, view in enumerate(views * passes):
             n = seed * len(views) * passes + number
-            dr.sync_thread()
-            start = time.perf_counter()
-            image = mi.render(
-                self.scene,
-                self.params,
-                sensor=view,
-                integrator=self.integrator,
-                spp=spp,
-                spp_grad=spp_grad,
-                seed=2 * n,
-                seed_grad=2 * n + 1,
+            image, gradients, forward, backward = self._both_passes(
+                sensor=view, spp=spp, spp_grad=spp_grad, seed=2 * n, seed_grad=2 * n + 1
             )
-            dr.eval(image)
-            dr.sync_thread()
-            middle = time.perf_counter()
-            dr.backward(dr.mean(dr.square(image), axis=None))
-            gradients = [dr.grad(self.params[name]) for name in self.names]
-            dr.eval(gradients)
-            dr.sync_thread()
-            answer["forward"] += middle - start
-            answer["backward"] += time.perf_counter() - middle
+            answer["forward"] += forward
+            answer["backward"] += backward
             answer["bad image"] += self._not_finite(image) // 3
         answer["bad gradient"] = sum(self._not_finite(self._tensor(gradient)) for gradient in gradients)
         return answer

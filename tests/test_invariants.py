@@ -6,13 +6,12 @@ edge or in a roulette, hence the quantiles.
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
 
 import pytest
 import reference_scenes
 import torch
+from instruction_sets import assert_equal_means
 
 import torchrender as tr
 
@@ -70,32 +69,9 @@ def test_threads(name):
     torch.testing.assert_close(one[1], two[1], rtol=1e-3, atol=1e-3 * float(one[1].abs().max()))
 
 
-PRINT_IMAGE = """
-import sys, torch
-sys.path.insert(0, sys.argv[1])
-import reference_scenes, torchrender as tr
-for name in sorted(reference_scenes.SCENES):
-    print(name, *tr.render(tr.load_dict(reference_scenes.SCENES[name]().scene), spp=4, seed=3).mean((0, 1)).tolist())
-"""
-
-
 def test_instruction_sets():
     """Each compiled instruction set that this processor has gives the same images up to rounding along paths."""
-    found = {}
-    for isa in [i for i, s in tr.backends.status().items() if s.startswith(("used", "available"))]:
-        result = subprocess.run(
-            [sys.executable, "-c", PRINT_IMAGE, os.path.dirname(__file__)],
-            env={**os.environ, "TORCHRENDER_ISA": isa},
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=300,
-        )
-        found[isa] = {line.split()[0]: list(map(float, line.split()[1:])) for line in result.stdout.splitlines()}
-    assert found
-    for means in found.values():
-        for name, first in next(iter(found.values())).items():
-            torch.testing.assert_close(torch.tensor(means[name]), torch.tensor(first), rtol=2e-3, atol=1e-5)
+    assert_equal_means("reference_scenes", spp=4, rtol=2e-3)
 
 
 # ------------------------------------------------------------------------------------------------------------ furnaces

@@ -7,8 +7,6 @@ Means of renderings are compared by Student's test, which a right renderer fails
 from __future__ import annotations
 
 import itertools
-import os
-import subprocess
 import sys
 
 import media_scenes as ms
@@ -16,6 +14,7 @@ import media_truth as truth
 import numpy as np
 import pytest
 import torch
+from instruction_sets import assert_equal_means
 from media_objects import DOUBLE, cloud, colour, lamp, random_grid, sky
 from media_truth import assert_mean, difference_of_means, lines, pencil, scene, seen
 from oracle.media import MEDIA, NOTHING, Tracer
@@ -150,32 +149,9 @@ def test_precision_packets_and_threads(name, monkeypatch):
     torch.testing.assert_close(single[1].sum(), numbers[1].sum(), rtol=0.05, atol=1e-6)
 
 
-PRINT_IMAGES = """
-import sys, torch
-sys.path.insert(0, sys.argv[1])
-import media_scenes, torchrender as tr
-for name, make in media_scenes.SCENES.items():
-    print(name, *tr.render(tr.load_dict(make().scene), spp=8, seed=3).mean((0, 1)).tolist())
-"""
-
-
 def test_instruction_sets():
     """Each compiled instruction set gives the same images up to rounding, which turns few paths to others."""
-    found = {}
-    for isa in [i for i, s in tr.backends.status().items() if s.startswith(("used", "available"))]:
-        result = subprocess.run(
-            [sys.executable, "-c", PRINT_IMAGES, os.path.dirname(__file__)],
-            env={**os.environ, "TORCHRENDER_ISA": isa},
-            capture_output=True,
-            text=True,
-            check=True,
-            timeout=300,
-        )
-        found[isa] = {line.split()[0]: list(map(float, line.split()[1:])) for line in result.stdout.splitlines()}
-    assert found
-    for means in found.values():
-        for name, first in next(iter(found.values())).items():
-            torch.testing.assert_close(torch.tensor(means[name]), torch.tensor(first), rtol=5e-3, atol=1e-5)
+    assert_equal_means("media_scenes", spp=8, rtol=5e-3)
 
 
 def test_scenes_contain_every_model():

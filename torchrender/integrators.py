@@ -40,7 +40,32 @@ class Integrator(nn.Module):
         raise NotImplementedError
 
 
-class PathTracer(Integrator):
+class _Paths(Integrator):
+    """What path tracers with and without media have in common."""
+
+    def __init__(self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False) -> None:
+        super().__init__()
+        self.max_depth = max_depth
+        self.rr_depth = rr_depth
+        self.hide_emitters = hide_emitters
+        self.config()
+
+    def config(self) -> dict[str, Any]:
+        name = type(self).__name__
+        return {
+            "integrator": "path",
+            "max_depth": _integer(name, "max_depth", self.max_depth, -1),
+            "rr_depth": _integer(name, "rr_depth", self.rr_depth, 1),
+            "hide_emitters": _boolean(name, "hide_emitters", self.hide_emitters),
+            "emitter_samples": 1,
+            "bsdf_samples": 1,
+        }
+
+    def extra_repr(self) -> str:
+        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
+
+
+class PathTracer(_Paths):
     """Unidirectional path tracer: emitter and BSDF sampling combined by the power heuristic, Russian roulette.
 
     Args:
@@ -51,28 +76,8 @@ class PathTracer(Integrator):
 
     kind = "path"
 
-    def __init__(self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False) -> None:
-        super().__init__()
-        self.max_depth = max_depth
-        self.rr_depth = rr_depth
-        self.hide_emitters = hide_emitters
-        self.config()
 
-    def config(self) -> dict[str, Any]:
-        return {
-            "integrator": "path",
-            "max_depth": _integer("PathTracer", "max_depth", self.max_depth, -1),
-            "rr_depth": _integer("PathTracer", "rr_depth", self.rr_depth, 1),
-            "hide_emitters": _boolean("PathTracer", "hide_emitters", self.hide_emitters),
-            "emitter_samples": 1,
-            "bsdf_samples": 1,
-        }
-
-    def extra_repr(self) -> str:
-        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
-
-
-class VolumetricPathTracer(Integrator):
+class VolumetricPathTracer(_Paths):
     """Path tracer through media: free flights by delta tracking, light through media by ratio tracking.
 
     Emitter samples are combined with those of BSDFs and phase functions by the power heuristic. Media are those that
@@ -92,26 +97,8 @@ class VolumetricPathTracer(Integrator):
 
     kind = "volpath"
 
-    def __init__(self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False) -> None:
-        super().__init__()
-        self.max_depth = max_depth
-        self.rr_depth = rr_depth
-        self.hide_emitters = hide_emitters
-        self.config()
-
     def config(self) -> dict[str, Any]:
-        return {
-            "integrator": "path",
-            "volumetric": True,
-            "max_depth": _integer("VolumetricPathTracer", "max_depth", self.max_depth, -1),
-            "rr_depth": _integer("VolumetricPathTracer", "rr_depth", self.rr_depth, 1),
-            "hide_emitters": _boolean("VolumetricPathTracer", "hide_emitters", self.hide_emitters),
-            "emitter_samples": 1,
-            "bsdf_samples": 1,
-        }
-
-    def extra_repr(self) -> str:
-        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
+        return {**super().config(), "volumetric": True}
 
 
 class DirectIllumination(Integrator):
