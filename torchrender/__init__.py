@@ -12,7 +12,7 @@ from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
 from .errors import MissingTermWarning, NotDifferentiableError, RenderError
-from .integrators import AOV, DirectIllumination, Integrator, PathTracer, VolumetricPathTracer
+from .integrators import AOV, DirectIllumination, Integrator, ParticleTracer, PathTracer, VolumetricPathTracer
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
 from .render import Renderer, render
@@ -69,6 +69,7 @@ __all__ = [
     "MeshAttribute",
     "MissingTermWarning",
     "NotDifferentiableError",
+    "ParticleTracer",
     "PathTracer",
     "PerspectiveCamera",
     "PointLight",

@@ -101,6 +101,32 @@ class VolumetricPathTracer(_Paths):
         return {**super().config(), "volumetric": True}
 
 
+class ParticleTracer(_Paths):
+    """Light tracing: paths from the lights, connected to the camera at every vertex that is not a smooth mirror or glass.
+
+    For caustics, which no path from the camera finds: light through glass, and beams (`directionalarea`). Its blind
+    spot is what the camera sees in mirrors and through smooth glass, which is black. Where both converge the image is
+    that of `PathTracer`. ``spp`` times the number of pixels of the whole film paths are traced, spread evenly over the
+    lights; each pixel of the film is a stratum of the unit square that lights are sampled from. The camera may be an
+    `irradiancemeter`, which measures what arrives on a surface.
+
+    Derivatives include the motion of what is seen over the film, for which the film needs a smooth filter (Gaussian or
+    tent): with a box filter, asking for the derivative of something that moves raises `NotDifferentiableError`.
+    Media are refused. There is no alpha and no variance.
+
+    Args:
+        max_depth: longest path in segments, the one to the camera included; 1 shows emitters only, 2 adds direct light,
+            -1 is unlimited.
+        rr_depth: number of segments after which Russian roulette may end a path, at least 1.
+        hide_emitters: emitters are not seen directly by the camera.
+    """
+
+    kind = "ptracer"
+
+    def config(self) -> dict[str, Any]:
+        return {**super().config(), "integrator": "ptracer"}
+
+
 class DirectIllumination(Integrator):
     """Direct light only: emitter and BSDF sampling at the first hit, combined by the power heuristic.
 
@@ -250,11 +276,12 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "volpath": (VolumetricPathTracer, _PATH, {}),
     "volpathmis": (VolumetricPathTracer, _PATH, {}),
     "prbvolpath": (VolumetricPathTracer, _PATH, {"max_depth": 6}),
+    "ptracer": (ParticleTracer, _PATH, {}),
     "direct": (DirectIllumination, _DIRECT, {}),
     "direct_projective": (DirectIllumination, ("hide_emitters",), {}),
     "aov": (AOV, ("aovs",), {}),
 }
-DOCUMENTED = ("depth emission moment ptracer stokes direct_reparam prb_reparam bdpt").split()
+DOCUMENTED = ("depth emission moment stokes direct_reparam prb_reparam bdpt").split()
 
 
 def from_dict(properties: dict[str, Any], path: str) -> Integrator:

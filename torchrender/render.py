@@ -118,6 +118,11 @@ def render(
     tensors = gather(scene, packed, params)
     shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
     volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
+    light = shows_radiance and integrator_config["integrator"] == "ptracer"
+    if light:
+        _check_light(packed, names, adaptive_grad)
+    elif shows_radiance:
+        _warn_of_beams(scene, packed)
     if shows_radiance and packed.media:
         _check_media(scene, packed, tensors, volumetric)
     views: list[dict[str, torch.Tensor]] = []
@@ -138,7 +143,7 @@ def render(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
                 )
         native = scene.native(packed, [tuple(t.shape) for t in used])
-        alpha = "alpha" in names or (stack is not None and stack.wants_alpha(film))
+        alpha = "alpha" in names or (stack is not None and not light and stack.wants_alpha(film))
         call = RenderCall(
             native=native,
             config={
@@ -161,12 +166,13 @@ def render(
             alpha=alpha,
             variance="variance" in names,
             statistics=scene.statistics,
-            wanted=Wanted(packed, scene.warned, alpha, volumetric),
+            wanted=Wanted(packed, scene.warned, alpha, volumetric, light and film.filter.type == "box"),
             adaptive_grad=adaptive_grad,
         )
         call.keep_hits = (
             correlated
             and not volumetric
+            and not light
             and call.spp_grad == call.spp
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
@@ -188,6 +194,32 @@ def _check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volu
         scene.warned.add("media")
         text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
         warnings.warn(text, UserWarning, stacklevel=depth_outside())
+
+
+def _check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
+    """What light tracing does not have."""
+    if packed.media:
+        raise ValueError(
+            "render: integrator: ParticleTracer does not trace through media, which the scene has; "
+            "VolumetricPathTracer ('volpath') does"
+        )
+    for name in ("alpha", "variance"):
+        if name in names:
+            raise ValueError(f"render: outputs: ParticleTracer has no {name!r}; a path tracer has it")
+    if adaptive_grad:
+        raise ValueError(
+            "render: adaptive_grad: light paths belong to no pixel, so that ParticleTracer has no such choice"
+        )
+
+
+def _warn_of_beams(scene: Scene, packed: Layout) -> None:
+    if "directionalarea" in scene.warned or not any(
+        getattr(module, "type", "") == "directionalarea" and id(module) in packed.used for module in scene.modules()
+    ):
+        return
+    scene.warned.add("directionalarea")
+    text = "the scene has a directionalarea light, whose beams only ParticleTracer ('ptracer') finds"
+    warnings.warn(text, UserWarning, stacklevel=depth_outside())
 
 
 def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor]) -> dict[str, Any]:

@@ -22,7 +22,7 @@ struct Config {
     int height, width, threads;
     Rect crop, window;
     int64_t spp, sample_offset;
-    bool packets;
+    bool packets, light;  // light: paths begin at emitters
     std::optional<std::vector<Pixel>> pixels;
     std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
     bool zero_at_misses;
@@ -67,6 +67,7 @@ inline Config read_config(const py::dict &d) {
     c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), c.sample_offset, c.spp);
     c.packets = d["packet"].cast<bool>();
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
+    c.light = d["integrator"].cast<std::string>() == "ptracer";
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
     if (d.contains("hits")) {  // radiance: the store, the number of the pass

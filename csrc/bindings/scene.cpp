@@ -89,6 +89,7 @@ public:
         data_.update(pointers(params), dirty);
         auto at = [&](size_t i) { return reinterpret_cast<S *>(out[i]); };
         RenderCall<S> primal = call(c);
+        if (c.light) return trace_light<S, C>(primal, c.packets, at(0));
         if (c.hits) primal.keep_hits = c.hits->add_pass();
         return render_primal<S, C>(primal, c.packets, {at(0), at(1), at(2)});
     }
@@ -102,7 +103,8 @@ public:
         d.adaptive = c.adaptive;
         RenderCall<S> reverse = call(c);
         if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
-        RenderStats stats = render_reverse<S, C>(reverse, c.packets, d);
+        RenderStats stats =
+            c.light ? trace_light_reverse<S, C>(reverse, c.packets, d) : render_reverse<S, C>(reverse, c.packets, d);
         add_gradients(d, gradients);
         return stats;
     }
@@ -113,7 +115,9 @@ public:
         data_.update(pointers(params), dirty);
         Tangents storage;
         DerivativeCall<S> d = forward_call(c, tangents, storage);
-        return render_forward<S, C>(call(c), c.packets, d, reinterpret_cast<S *>(image));
+        S *to = reinterpret_cast<S *>(image);
+        if (c.light) return trace_light_forward<S, C>(call(c), c.packets, d, to);
+        return render_forward<S, C>(call(c), c.packets, d, to);
     }
 
     RenderStats aov(const Config &c, const Addresses &params, const std::vector<uint8_t> &dirty,
@@ -396,7 +400,7 @@ private:
             d.wanted.medium.phase |= medium.phase;
         }
         if (sensor < layout.records.at("sensor").size() && !c.path.volumetric) {
-            d.wanted.geometry = depends.motion(sensor);
+            d.wanted.geometry = depends.motion(sensor) || (c.light && d.wanted.light_position);
             d.wanted.camera = depends.camera(sensor);
         }
         for (size_t i = 0; i < layout.records.at("bsdf").size(); ++i) {

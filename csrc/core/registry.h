@@ -23,7 +23,7 @@ struct TypeList {
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric>;  // the ones that scatter
 using BsdfWrappers = TypeList<TwoSided>;                                            // resolved to one of those at a hit
-using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter>;
+using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
 using Sensors = TypeList<Perspective>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;

@@ -82,6 +82,8 @@ struct SceneView {
     const S *light_boxes;
     int32_t n_light_boxes;
 
+    S center[3], radius;  // of a ball around everything
+
     // environment map: cells between texels, chosen by row, then by column
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;

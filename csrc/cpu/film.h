@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "core/math/lanes.h"
+#include "core/math/vector.h"
 
 namespace tr {
 
@@ -34,7 +35,38 @@ public:
         return kind_ == FilterKind::Tent ? 1 - a / radius_ : std::exp(scale_ * a * a) - end_;
     }
 
+    // The same in lanes, of offsets of at most the radius and half a pixel.
+    template <class F>
+    TR_INLINE F weight(const F &x) const {
+        F a = abs(x);
+        if (kind_ == FilterKind::Box) return F(1);
+        F w =
+            kind_ == FilterKind::Tent ? F(1) - a * F(S<F>(1 / radius_)) : exp(a * a * F(S<F>(scale_))) - F(S<F>(end_));
+        return select(mask<F>(a < F(S<F>(radius_))), w, F(0));
+    }
+    // Its derivative; that of the box is not a function.
+    template <class F>
+    TR_INLINE F slope(const F &x) const {
+        F a = abs(x);
+        if (kind_ == FilterKind::Box) return F(0);
+        F w = kind_ == FilterKind::Tent ? mulsign(F(S<F>(-1 / radius_)), x)
+                                        : x * exp(a * a * F(S<F>(scale_))) * F(S<F>(2 * scale_));
+        return select(mask<F>(a < F(S<F>(radius_))), w, F(0));
+    }
+    double integral(double a, double b) const {
+        auto primitive = [&](double x) {
+            x = std::min(std::max(x, -radius_), radius_);
+            if (kind_ == FilterKind::Box) return x;
+            if (kind_ == FilterKind::Tent) return x - std::copysign(0.5 * x * x / radius_, x);
+            double s = std::sqrt(-scale_);
+            return 0.5 * std::sqrt(Pi) / s * std::erf(s * x) - end_ * x;
+        };
+        return primitive(b) - primitive(a);
+    }
+
 private:
+    template <class F>
+    using S = ScalarOf<F>;
     FilterKind kind_;
     double radius_, scale_, end_;
     int reach_;

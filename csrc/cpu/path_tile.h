@@ -12,6 +12,7 @@ namespace tr {
 
 template <class F, int C>
 class PathTile : public VolumeTile<F, C> {
+protected:
     using Base = VolumeTile<F, C>;
     using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::levels_, Base::n_levels_;
     using Base::hit_shape_, Base::hit_primitive_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::order_, Base::ray_;
@@ -122,7 +123,7 @@ public:
         sink.non_finite = 0;
     }
 
-private:
+protected:
     template <bool Derivative, class Stop>
     void run_volumetric(Stop &stop) {
         this->begin_volumetric(fronts_[0]);

@@ -72,4 +72,12 @@ RenderStats render_reverse(const RenderCall<S> &call, bool packets, DerivativeCa
 template <class S, int C>
 RenderStats render_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image);
 
+// The same by light tracing, without alpha and variance.
+template <class S, int C>
+RenderStats trace_light(const RenderCall<S> &call, bool packets, S *image);
+template <class S, int C>
+RenderStats trace_light_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative);
+template <class S, int C>
+RenderStats trace_light_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image);
+
 }  // namespace tr

@@ -6,6 +6,7 @@
 
 #include "columns.h"
 #include "core/adjoint/medium.h"
+#include "core/adjoint/particle.h"
 
 namespace tr {
 
@@ -65,9 +66,10 @@ struct ShadowRays {
     }
 };
 
-// Entries that one BSDF model handles, or the environment, or the media that rays have collided with.
+// Entries that one BSDF model handles, or the environment, or the media that rays have collided with, or emitters, from
+// which light paths begin.
 struct Segment {
-    static constexpr int Miss = Bsdfs::Size, Collision = Miss + 1;
+    static constexpr int Miss = Bsdfs::Size, Collision = Miss + 1, Emission = Collision + 1;
     int kind;
     uint32_t begin, count;
 };
@@ -138,6 +140,31 @@ struct VolumeColumns {
     }
 };
 
+// The columns of a level that light paths add, see ConnectionRecord. By entry of the level.
+template <class S>
+struct LightColumns {
+    Arena arena;
+    S *x_bar, *y_bar, *ng[3];
+    int32_t *emitter_kind;
+
+    void allocate(size_t n) {
+        arena.allocate([&](Arena &a) {
+            for (S **p : {&x_bar, &y_bar}) a.column(*p, n);
+            a.column(ng, n);
+            a.column(emitter_kind, n);
+        });
+    }
+    template <class F>
+    TR_INLINE void put(size_t i, const Vec3<F> &normal) {
+        store(x_bar + i, F(0)), store(y_bar + i, F(0));
+        store(ng[0] + i, normal.x), store(ng[1] + i, normal.y), store(ng[2] + i, normal.z);
+    }
+    template <class F>
+    TR_INLINE ConnectionRecord<F> get(size_t i) const {
+        return {load<F>(x_bar + i), load<F>(y_bar + i), load_vec<F>(ng, i)};
+    }
+};
+
 // Of the paths that go on from probes: the segment each belongs to, and what it brings. By slot of the tile.
 template <class S, int C>
 struct BranchColumns {
@@ -154,6 +181,7 @@ struct TapeLevel {
     int parent_level = NoParent;
     bool scatters = false;
     VolumeColumns<S, C> volume;  // of volumetric paths
+    LightColumns<S> light;       // of light paths
 
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
@@ -166,10 +194,11 @@ struct TapeLevel {
     S *d[3], *p[3], *segment[3], *t;
     uint32_t *attached;
 
-    void reserve(size_t n, bool volumetric) {
+    void reserve(size_t n, bool volumetric, bool of_light = false) {
         if (n <= capacity) return;
         capacity = n;
         if (volumetric) volume.allocate(n);
+        if (of_light) light.allocate(n);
         arena.allocate([&](Arena &a) {
             for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive, &attached,
                                  &next_shape, &next_primitive})
@@ -207,12 +236,13 @@ struct TapeLevel {
     }
     template <class F>
     TR_INLINE void put_motion(size_t i, const Vec3<F> &d_, const Vec3<F> &p_, const Vec3<F> &segment_, const F &t_,
-                              const MaskOf<F> &attached_) {
+                              const MaskOf<F> &attached_, const MaskOf<F> &parallel = MaskOf<F>(false)) {
         put(d, i, d_);
         put(p, i, p_);
         put(segment, i, segment_);
         store(t + i, t_);
-        store(attached + i, select(mask<UIntOf<F>>(attached_), UIntOf<F>(1u), UIntOf<F>(0u)));
+        using U = UIntOf<F>;
+        store(attached + i, select(mask<U>(attached_), U(1u), select(mask<U>(parallel), U(2u), U(0u))));
         for (S *column : ray_bar) store(column + i, F(0));
         put(next_segment, i, Vec3<F>{F(0), F(0), F(0)});
     }
@@ -227,6 +257,57 @@ struct TapeLevel {
         put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
         put(normal, i, normal_);
+    }
+
+    // The same of a light path; put_connection follows.
+    template <class F>
+    TR_INLINE void put_light_scattering(size_t i, const Leaf<F> &leaf, const Vec2<F> &uv_, const Vec3<F> &wi_,
+                                        const Vec3<F> &normal_, const Vec3<F> &ng, const LightScattering<F, C> &s,
+                                        const F &inverse_pdf_) {
+        store(bsdf + i, leaf.bsdf);
+        store(uv[0] + i, uv_.x);
+        store(uv[1] + i, uv_.y);
+        put(wi, i, wi_);
+        put_light(i, no_emitter_sample<F>().point, s.wo_camera, F(0), uniform_color<C>(F(0)), F(1));
+        put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
+        store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
+        put(normal, i, normal_);
+        light.put(i, ng);
+    }
+    template <class F>
+    TR_INLINE void put_connection(size_t i, const Vec3<F> &wo_camera, const F &weight) {
+        put(wo_light, i, wo_camera);
+        store(light_weight + i, weight);
+    }
+    // The beginning of a light path, see EmissionRecord.
+    template <class F>
+    TR_INLINE void put_emission(size_t i, const UIntOf<F> &slot_, const Color<F, C> &sent, const EmitterPoint<F> &point,
+                                const Vec3<F> &p_, const Vec3<F> &n_, const Vec3<F> &d_, const IntOf<F> &kind,
+                                const F &weight) {
+        Vec3<F> zero{F(0), F(0), F(0)}, z{F(0), F(0), F(1)};
+        Emission<F, C> none;
+        none.point.emitter = IntOf<F>(-1);
+        none.weight = F(0);
+        none.radiance = uniform_color<C>(F(0));
+        put_vertex(i, slot_, slot_, sent, point.at, none);
+        put_motion(i, d_, p_, zero, F(0), MaskOf<F>(false));
+        put_light(i, point, z, F(0), uniform_color<C>(F(0)), F(1));
+        put_direction(i, z, IntOf<F>(0), weight);
+        put(normal, i, n_);
+        light.put(i, n_);
+        store(light.emitter_kind + i, kind);
+    }
+    template <class F>
+    TR_INLINE EmissionRecord<F, C> get_emission(size_t i) const {
+        EmissionRecord<F, C> e;
+        e.v = get<F>(i, false);
+        get_outgoing(i, e.v);
+        get_motion(i, e.v);
+        e.v.normal = load_vec<F>(normal, i);
+        e.connection = light.template get<F>(i);
+        e.kind = IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(light.emitter_kind) + i));
+        e.radiance = e.v.beta;
+        return e;
     }
 
     template <class F>
@@ -315,7 +396,7 @@ struct TapeLevel {
         v.p = load_vec<F>(p, i);
         v.segment = load_vec<F>(segment, i);
         v.t = load<F>(t + i);
-        v.attached = mask<F>(load_uint<F>(attached + i) != 0u);
+        v.attached = mask<F>(load_uint<F>(attached + i) == 1u);
     }
     template <class F>
     TR_INLINE NextVertex<F, C> get_next(size_t i, bool motion) const {

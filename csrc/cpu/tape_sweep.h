@@ -9,6 +9,7 @@ namespace tr {
 
 template <class F, int C>
 class TapeSweep {
+protected:
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using M = MaskOf<F>;
@@ -53,7 +54,7 @@ public:
         sweep_levels(sink, unit_adjoint);
     }
 
-private:
+protected:
     template <class Sink>
     void sweep_levels(Sink &sink, bool unit_adjoint) {
         for (int l = n_levels_ - 1; l >= 0; --l) {

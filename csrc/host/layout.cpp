@@ -332,7 +332,9 @@ private:
 
     void find_enclosed_media() {
         for (const SceneObject &emitter : list("emitter"))  // light that does not come from infinitely far away
-            if (emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type) return;
+            if (emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type ||
+                emitter.type == DirectionalAreaEmitter::model.type)
+                return;
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
             for (const Record &sensor : out_.records["sensor"]) open |= sensor.field[Perspective::Medium] == int32_t(m);
@@ -438,24 +440,26 @@ private:
 
     void connect_emitters() {
         std::vector<Record> &records = out_.records["emitter"];
-        const int area = find_model("emitter", AreaEmitter::model.type)->kind;
         std::vector<int> shape_of(records.size(), -1);
         for (size_t s = 0; s < out_.shapes.size(); ++s) {
             int e = out_.shapes[s].emitter;
             if (e < 0) continue;
             std::string at = where("shape", int(s), "emitter");
-            if (records[size_t(e)].kind != area)
-                fail(at, "an area emitter", "'" + list("emitter")[size_t(e)].type + "'");
+            if (!is_surface_emitter(records[size_t(e)].kind))
+                fail(at, "an area or directionalarea emitter", "'" + list("emitter")[size_t(e)].type + "'");
             if (shape_of[size_t(e)] >= 0)
                 fail(at, "an area emitter of its own",
                      path("emitter", e) + ", which belongs to " + path("shape", shape_of[size_t(e)]));
             shape_of[size_t(e)] = int(s);
+            // its normal would turn with the vertex normals, but light leaves along the face's
+            if (records[size_t(e)].kind == int32_t(EmitterKind::DirectionalArea) && (out_.shapes[s].flags & HasNormals))
+                fail(at, "a flat shape, or a mesh without vertex normals (face_normals)", "a mesh with vertex normals");
         }
         for (size_t e = 0; e < records.size(); ++e) {
             const std::string &type = list("emitter")[e].type;
-            if (records[e].kind == area) {
+            if (is_surface_emitter(records[e].kind)) {
                 if (shape_of[e] < 0)
-                    fail(path("emitter", int(e)), "to belong to a shape", "an area emitter without one");
+                    fail(path("emitter", int(e)), "to belong to a shape", "an emitter of surfaces without one");
                 records[e].field[AreaEmitter::ShapeIndex] = shape_of[e];
             } else if (type == ConstantEmitter::model.type || type == EnvironmentMap::model.type) {
                 if (out_.environment >= 0)

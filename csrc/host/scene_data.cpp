@@ -1,6 +1,7 @@
 #include "scene_data.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include "../core/registry.h"
 #include "models.h"
@@ -115,6 +116,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_environment(params, new_environment ? all : changed);
     update_emitters();
     update_light_boxes();
+    update_ball();
     update_media(first ? all : changed);
     update_phases(first ? all : changed);
     refresh_view();
@@ -223,7 +225,7 @@ void SceneData<S>::update_emitters() {
     // lights that have shrunk to nothing are not chosen while there are others
     std::vector<double> seen = weights;
     for (size_t i = 0; i < records.size(); ++i)
-        if (records[i].kind == int32_t(EmitterKind::Area) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
+        if (is_surface_emitter(records[i].kind) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
             seen[i] = 0;
     double total_seen = build_cdf(seen.data(), seen.size(), emitter_cdf_.data());
     if (total_seen > 0)
@@ -231,6 +233,20 @@ void SceneData<S>::update_emitters() {
     else
         build_cdf(weights.data(), weights.size(), emitter_cdf_.data());
     for (size_t i = 0; i < weights.size(); ++i) emitter_pmf_[i] = S(weights[i] / total);
+}
+
+template <class S>
+void SceneData<S>::update_ball() {
+    float box[6];
+    accel_->bounds(box);
+    double squared = 0;
+    for (int k = 0; k < 3; ++k) {
+        bool any = box[k] <= box[3 + k];
+        view_.center[k] = any ? S((double(box[k]) + double(box[3 + k])) / 2) : S(0);
+        double half = any ? (double(box[3 + k]) - double(box[k])) / 2 : 0;
+        squared += half * half;
+    }
+    view_.radius = S(std::sqrt(squared) * 1.001 + 1e-6);
 }
 
 template <class S>

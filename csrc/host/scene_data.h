@@ -120,6 +120,7 @@ private:
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
     void update_light_boxes();
+    void update_ball();
     void update_media(const std::vector<uint8_t> &dirty);
     void update_phases(const std::vector<uint8_t> &dirty);
     void refresh_view();

@@ -25,6 +25,11 @@ COVERAGE = "outputs: alpha"  # among the names that were warned about
 ZERO = "zero where no such edge is in view"
 MOVING = "VolumetricPathTracer has none with respect to what moves surfaces, rays or texture coordinates"
 
+STEADY = (
+    "the particle tracer moves light over the film, whose box filter has no derivative; "
+    "give the film a filter of type 'gaussian' or 'tent'"
+)
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -63,12 +68,14 @@ class Wanted:
         warned: names that were warned about in this scene before; grows.
         alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
         volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
+        steady: the image is splatted by light paths with a filter that has no derivative.
     """
 
     layout: Layout
     warned: set[str]
     alpha: bool = False
     volumetric: bool = False
+    steady: bool = False
 
     def check(self, indices: Iterable[int]) -> None:
         """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
@@ -83,6 +90,8 @@ class Wanted:
             if id(slot.module) not in self.layout.used and slot.name not in self.warned:
                 unused.append(slot.name)
             refusal = refusal_of(slot, self.volumetric)
+            if self.steady and not refusal and moves_rays(slot):
+                refusal = STEADY
             if refusal:
                 refuse(slot.name, refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:

@@ -18,7 +18,7 @@ from .derivatives import COMPLETE, Limits
 from .media import Medium
 from .mesh import Mesh
 from .plugin import Plugin
-from .shapes import Shape
+from .shapes import ON_SHAPES, Shape
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -213,7 +213,7 @@ def _used(scene: Scene) -> set[int]:
                     walk(child)
 
     for _, plugin in top_level(scene):
-        if plugin.category in ("shape", "sensor") or (plugin.category == "emitter" and plugin.type != "area"):
+        if plugin.category in ("shape", "sensor") or (plugin.category == "emitter" and plugin.type not in ON_SHAPES):
             walk(plugin)
     return found
 
@@ -223,7 +223,7 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
     packer = _Packer()
     lights = []
     for name, plugin in top_level(scene):
-        if plugin.type == "area":  # has its row where a shape refers to it
+        if plugin.type in ON_SHAPES:  # has its row where a shape refers to it
             lights.append((name, plugin))
             continue
         packer.add(plugin, name)

@@ -22,6 +22,7 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("phase", "blendphase"): "BlendPhase",
     ("bsdf", "twosided"): "TwoSided",
     ("emitter", "area"): "AreaLight",
+    ("emitter", "directionalarea"): "DirectionalAreaLight",
     ("emitter", "constant"): "ConstantLight",
     ("emitter", "envmap"): "EnvironmentMap",
     ("emitter", "point"): "PointLight",

@@ -12,6 +12,9 @@ from .context import Context
 from .plugin import Plugin
 from .registry import plugin_class, register
 
+ON_SHAPES = ("area", "directionalarea")
+"""Emitters that are surfaces of shapes."""
+
 # Sampling of silhouettes: no derivative of moving edges exists yet, so its weight changes nothing.
 SILHOUETTE: dict[str, tuple[Any, ...]] = {"silhouette_sampling_weight": ()}
 
@@ -50,8 +53,8 @@ class Shape(Plugin):
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         emitter = self._modules.get("emitter")
-        if emitter is not None and emitter.type != "area":
-            ctx.at("emitter").error(f"only an area light can sit on a shape, got {emitter.type!r}")
+        if emitter is not None and emitter.type not in ON_SHAPES:
+            ctx.at("emitter").error(f"only {' or '.join(ON_SHAPES)} can sit on a shape, got {emitter.type!r}")
 
 
 @register

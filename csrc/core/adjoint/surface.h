@@ -12,7 +12,8 @@ namespace tr {
 
 template <class F>
 struct HitAdjoint {
-    Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)};  // position, unit shading normal
+    // position, unit shading normal, unit geometric normal of a mesh
+    Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)}, ng{F(0), F(0), F(0)};
     CoordinateAdjoint<F> at;
 };
 
@@ -22,9 +23,9 @@ struct RayAdjoint {
 };
 
 // How a ray came to a point: where `attached`, along the unit vector d from t away; else from a point that is glued to
-// its own surface, D away. `d_bar` is the adjoint of the unit direction, and `log_jacobian_bar`, of glued points, that
-// of log J, J = |N.D| / |D|^3, N being the area vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit
-// shape.
+// its own surface, D away, or, `parallel`, from infinitely far away along D, J being |N.D|. `d_bar` is the adjoint of
+// the unit direction, and `log_jacobian_bar`, of glued points, that of log J, J = |N.D| / |D|^3, N being the area
+// vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit shape.
 template <class F>
 struct Arrival {
     MaskOf<F> attached;
@@ -32,6 +33,7 @@ struct Arrival {
     F t;
     Vec3<F> D, d_bar;
     F log_jacobian_bar;
+    MaskOf<F> parallel{false};
 };
 
 // Adjoint of v where only its direction counts: n = v / length.
@@ -53,8 +55,9 @@ TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> 
 template <class F>
 TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
     F inverse_squared = F(1) / squared_norm(in.D), inverse = sqrt(inverse_squared);
-    return unnormalize(in.D * inverse, in.d_bar, inverse) +
-           (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.log_jacobian_bar;
+    Vec3<F> bar = unnormalize(in.D * inverse, in.d_bar, inverse) +
+                  (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.log_jacobian_bar;
+    return select(in.parallel, Vec3<F>{F(0), F(0), F(0)}, bar);
 }
 
 template <class F, class S, class Sink>
@@ -97,7 +100,8 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
             sweep_vertex(&Tables::normals, tri.corner[2], m_bar * b2, to_normals, sink);
         }
     }
-    area_bar = select(smooth, area_bar, area_bar + unnormalize(area * inverse_area, g.n, inverse_area));
+    g.ng = select(smooth, g.ng, g.ng + g.n);
+    area_bar = area_bar + unnormalize(area * inverse_area, g.ng, inverse_area);
 
     // texture coordinates
     if (any(has)) {
@@ -210,6 +214,7 @@ TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const Surface
                                         const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active, Sink &sink) {
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
+    g.ng = select(shape.has(FlipNormals), -g.ng, g.ng);
     auto mesh = active && !shape.has(IsCurved);
     auto curved = active && !mesh;
     Vec3<F> zero{F(0), F(0), F(0)};

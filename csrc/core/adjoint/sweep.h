@@ -135,33 +135,31 @@ struct VertexFrame {
     }
 };
 
-// Everything that moves at a scattering vertex. Adds to `hit` and returns the adjoint of the direction of the ray that
-// arrived. `a_light`, `a_path` are A_k times the factors of f in N_k and in the rest of the path.
-template <class Model, int C, class F, class S, class Sink>
-TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F, C> &v,
-                                 const ParamsOf<Model, F, C> &params, const Color<F, C> &a_light,
-                                 const Color<F, C> &a_path, const Color<F, C> &f_light, const NextVertex<F, C> &next,
-                                 const MaskOf<F> &active, const MaskOf<F> &lit, const Vec3<F> &light_d_bar,
-                                 const CoordinateAdjoint<F> &light_at, const Wanted &wanted, HitAdjoint<F> &hit,
-                                 Sink &sink) {
-    VertexFrame<F> frame(v.normal, v.mirror);
-    Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero;
+// Adjoints of both directions of eval, whose value has the weight `weight`.
+template <Transport transport, class Model, int C, class F>
+TR_INLINE void sweep_directions(const ParamsOf<Model, F, C> &params, const Vec3<F> &wi, const Vec3<F> &wo,
+                                const IntOf<F> &lobe, const Color<F, C> &weight, Vec3<F> &wi_bar, Vec3<F> &wo_bar) {
     using D = Dual<F, 6>;
-    Vec3<D> wi{D(v.wi.x, 0), D(v.wi.y, 1), D(v.wi.z, 2)};
-    auto gradient = [&](const Color<D, C> &f, const Color<F, C> &weight, Vec3<F> &wo_bar) {
-        F sum[6];
-        for (int i = 0; i < 6; ++i) {
-            sum[i] = f[0].d[i] * weight[0];
-            for (int c = 1; c < C; ++c) sum[i] = fmadd(f[c].d[i], weight[c], sum[i]);
-        }
-        wi_bar = wi_bar + Vec3<F>{sum[0], sum[1], sum[2]};
-        wo_bar = {sum[3], sum[4], sum[5]};
-    };
+    Vec3<D> from{D(wi.x, 0), D(wi.y, 1), D(wi.z, 2)}, to{D(wo.x, 3), D(wo.y, 4), D(wo.z, 5)};
+    Color<D, C> f = eval_bsdf<transport, Model, C>(params, from, to, lobe);
+    F sum[6];
+    for (int i = 0; i < 6; ++i) {
+        sum[i] = f[0].d[i] * weight[0];
+        for (int c = 1; c < C; ++c) sum[i] = fmadd(f[c].d[i], weight[c], sum[i]);
+    }
+    wi_bar = wi_bar + Vec3<F>{sum[0], sum[1], sum[2]};
+    wo_bar = {sum[3], sum[4], sum[5]};
+}
 
-    // on along the path
+// What moves on along the path; `a_path` is A_k times the factors of f in the rest of it. Adds to `hit` and to the
+// adjoint of the local wi.
+template <Transport transport, class Model, int C, class F, class S, class Sink>
+TR_INLINE void sweep_continuation(const SceneView<S> &scene, const VertexRecord<F, C> &v,
+                                  const ParamsOf<Model, F, C> &params, const Color<F, C> &a_path,
+                                  const NextVertex<F, C> &next, const MaskOf<F> &active, VertexFrame<F> &frame,
+                                  Vec3<F> &wi_bar, HitAdjoint<F> &hit, Sink &sink) {
     Vec3<F> wo_bar;
-    Vec3<D> wo{D(v.wo.x, 3), D(v.wo.y, 4), D(v.wo.z, 5)};
-    gradient(Model::template eval<C>(params, wi, wo, v.lobe), a_path, wo_bar);
+    sweep_directions<transport, Model, C>(params, v.wi, v.wo, v.lobe, a_path, wi_bar, wo_bar);
     hit.p = hit.p + next.ray.o;
     if constexpr (Model::Smooth) {
         Vec3<F> w_bar = frame.into(v.wo, wo_bar) + next.ray.d;
@@ -183,12 +181,27 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
             if ((ParamCount<Model>::NumberFields >> i) & 1)
                 sink.scalar(record_field<F>(scene.bsdfs, i, v.bsdf, active), chain(3 + number++), active);
     }
+}
+
+// Everything that moves at a scattering vertex. Adds to `hit` and returns the adjoint of the direction of the ray that
+// arrived. `a_light`, `a_path` are A_k times the factors of f in N_k and in the rest of the path.
+template <class Model, int C, class F, class S, class Sink>
+TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F, C> &v,
+                                 const ParamsOf<Model, F, C> &params, const Color<F, C> &a_light,
+                                 const Color<F, C> &a_path, const Color<F, C> &f_light, const NextVertex<F, C> &next,
+                                 const MaskOf<F> &active, const MaskOf<F> &lit, const Vec3<F> &light_d_bar,
+                                 const CoordinateAdjoint<F> &light_at, const Wanted &wanted, HitAdjoint<F> &hit,
+                                 Sink &sink) {
+    VertexFrame<F> frame(v.normal, v.mirror);
+    Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero;
+    sweep_continuation<Transport::Radiance, Model, C>(scene, v, params, a_path, next, active, frame, wi_bar, hit, sink);
 
     // to the light
     if constexpr (Model::Smooth) {
         if (any(lit)) {
-            Vec3<D> to_light{D(v.wo_light.x, 3), D(v.wo_light.y, 4), D(v.wo_light.z, 5)};
-            gradient(Model::template eval<C>(params, wi, to_light, IntOf<F>(0)), a_light, wo_bar);
+            Vec3<F> wo_bar;
+            sweep_directions<Transport::Radiance, Model, C>(params, v.wi, v.wo_light, IntOf<F>(0), a_light, wi_bar,
+                                                            wo_bar);
             Vec3<F> w_bar = frame.into(v.wo_light, wo_bar) + light_d_bar;
             Vec3<F> w = frame.frame.to_world(v.wo_light);
             IntOf<F> kind = record_kind<F>(scene.emitters, v.light.emitter, lit);
@@ -220,26 +233,25 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
     return -from_bar;
 }
 
-// One scattering vertex; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit and of the
-// arriving ray's direction.
-template <class Model, int C, class F, class S, class Sink>
-TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRecord<F, C> &v, const Color<F, C> &a,
-                                       const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
-                                       HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
-    auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
-    Color<F, C> light_factor = v.emitted * v.through * v.light_weight;  // N = f_light * light_factor
-    Color<F, C> path_factor = next.radiance * v.inverse_pdf;
-    Color<F, C> f, f_light = uniform_color<C>(F(0));
-    auto lit = active && mask<F>(v.light_weight > F(0));
+// Adjoints of the parameters of a BSDF, which has the values f towards the next vertex and f_light towards the light;
+// `path_factor` and `light_factor` are what they are multiplied with.
+template <Transport transport, class Model, int C, class F, class S, class Sink>
+TR_INLINE void sweep_parameters(const SceneView<S> &scene, const VertexRecord<F, C> &v,
+                                const ParamsOf<Model, F, C> &params, const Color<F, C> &a,
+                                const Color<F, C> &light_factor, const Color<F, C> &path_factor, const Wanted &wanted,
+                                const MaskOf<F> &active, HitAdjoint<F> &hit, Color<F, C> &f, Color<F, C> &f_light,
+                                Sink &sink) {
+    f_light = uniform_color<C>(F(0));
     constexpr int N = ParamCount<Model>::All;
     bool done = false;
     if constexpr (N > 0) {
         if (wanted.bsdf || wanted.geometry) {
             done = true;
             auto seeded = seed_params<Model, C>(params);
-            auto df = Model::template eval<C>(seeded, v.wi, v.wo, v.lobe);
+            auto df = eval_bsdf<transport, Model, C>(seeded, v.wi, v.wo, v.lobe);
             auto df_light = df;
-            if constexpr (Model::Smooth) df_light = Model::template eval<C>(seeded, v.wi, v.wo_light, IntOf<F>(0));
+            if constexpr (Model::Smooth)
+                df_light = eval_bsdf<transport, Model, C>(seeded, v.wi, v.wo_light, IntOf<F>(0));
             for (int c = 0; c < C; ++c) {
                 f[c] = df[c].v;
                 if constexpr (Model::Smooth) f_light[c] = df_light[c].v;
@@ -263,9 +275,24 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
         }
     }
     if (!done) {
-        f = Model::template eval<C>(params, v.wi, v.wo, v.lobe);
-        if constexpr (Model::Smooth) f_light = Model::template eval<C>(params, v.wi, v.wo_light, IntOf<F>(0));
+        f = eval_bsdf<transport, Model, C>(params, v.wi, v.wo, v.lobe);
+        if constexpr (Model::Smooth) f_light = eval_bsdf<transport, Model, C>(params, v.wi, v.wo_light, IntOf<F>(0));
     }
+}
+
+// One scattering vertex; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit and of the
+// arriving ray's direction.
+template <class Model, int C, class F, class S, class Sink>
+TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRecord<F, C> &v, const Color<F, C> &a,
+                                       const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
+                                       HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
+    auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
+    Color<F, C> light_factor = v.emitted * v.through * v.light_weight;  // N = f_light * light_factor
+    Color<F, C> path_factor = next.radiance * v.inverse_pdf;
+    Color<F, C> f, f_light;
+    auto lit = active && mask<F>(v.light_weight > F(0));
+    sweep_parameters<Transport::Radiance, Model, C>(scene, v, params, a, light_factor, path_factor, wanted, active, hit,
+                                                    f, f_light, sink);
     CoordinateAdjoint<F> light_at;
     Vec3<F> light_d_bar{F(0), F(0), F(0)};
     if constexpr (Model::Smooth) {

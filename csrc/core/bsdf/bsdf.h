@@ -5,6 +5,8 @@
 //   static constexpr int Albedo;              the field, a texture, that is the output `albedo`; -1: white
 //   template <class T, int C> struct Params;  the parameters at a point, for a scalar type T (a Float or a dual number)
 //   Params<T, C> params(const T *numbers)     (see ParamList)
+//   static constexpr bool Asymmetric = true;  eval takes, last, what is transported: Transport::Radiance (the default)
+//                                or Importance, for which wi is where light comes from
 //   eval(params, wi, wo, lobe)   f |cos| of the lobe: smooth lobes by value, delta lobes the weight of the lobe times
 //   the
 //                                probability with which `sample` chooses it
@@ -32,6 +34,23 @@ struct BsdfSample {
     IntOf<F> lobe;
     MaskOf<F> delta, null;  // a delta lobe; passed through unchanged
 };
+
+template <class Model>
+constexpr auto is_asymmetric(int) -> decltype(Model::Asymmetric) {
+    return Model::Asymmetric;
+}
+template <class Model>
+constexpr bool is_asymmetric(...) {
+    return false;
+}
+
+template <Transport transport, class Model, int C, class P, class V, class I>
+TR_INLINE auto eval_bsdf(const P &params, const V &wi, const V &wo, const I &lobe) {
+    if constexpr (transport == Transport::Importance && is_asymmetric<Model>(0))
+        return Model::template eval<C>(params, wi, wo, lobe, Transport::Importance);
+    else
+        return Model::template eval<C>(params, wi, wo, lobe);
+}
 
 // The parameters of a model in the order of its fields: textures and spectra as colours, single numbers as scalars,
 // switches, which come last, as integers.

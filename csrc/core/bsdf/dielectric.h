@@ -18,6 +18,7 @@ struct Dielectric {
     };
     static constexpr Model model = {"bsdf", "dielectric", "Smooth dielectric interface.", fields, 3};
     static constexpr bool Smooth = false, Delta = true;
+    static constexpr bool Asymmetric = true;
     static constexpr int Albedo = 2;  // what goes through is most of it
 
     // Radiance is divided by the squared relative index when it enters the denser side (solid angles shrink): Veach,

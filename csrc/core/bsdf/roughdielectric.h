@@ -22,6 +22,7 @@ struct RoughDielectric {
     };
     static constexpr Model model = {"bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5};
     static constexpr bool Smooth = true, Delta = false;
+    static constexpr bool Asymmetric = true;
     static constexpr int Albedo = 3;  // what goes through is most of it
 
     // Without an interface nothing would be scattered: the lobe of refraction is a delta there. Indices next to 1 give

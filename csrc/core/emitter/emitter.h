@@ -3,12 +3,18 @@
 
 #include "area.h"
 #include "constant.h"
+#include "directionalarea.h"
 #include "envmap.h"
 #include "point.h"
 
 namespace tr {
 
-enum class EmitterKind : int32_t { Area = 0, Constant = 1, EnvironmentMap = 2, Point = 3 };  // order of the registry
+enum class EmitterKind : int32_t { Area, Constant, EnvironmentMap, Point, DirectionalArea };  // order of the registry
+
+// Of a shape: such records have the shape's index.
+constexpr bool is_surface_emitter(int32_t kind) {
+    return kind == int32_t(EmitterKind::Area) || kind == int32_t(EmitterKind::DirectionalArea);
+}
 
 // Where on which emitter: on an area light a surface point, on an environment map (b1, b2) are its coordinates.
 template <class F>
@@ -99,23 +105,47 @@ TR_INLINE F area_light_pdf(const SceneView<S> &scene, const IntOf<F> &emitter, c
            gather<F>(scene.emitter_pmf, UIntOf<F>(emitter), active);
 }
 
+// An emitter, the probability of choosing it, and a uniform number that is left of the one that chose.
+template <class F>
+struct ChosenEmitter {
+    UIntOf<F> index{0u};
+    F pmf, left;
+};
+
+template <class F, class S>
+TR_INLINE ChosenEmitter<F> choose_emitter(const SceneView<S> &scene, const F &u, const MaskOf<F> &active) {
+    using U = UIntOf<F>;
+    ChosenEmitter<F> r;
+    r.left = u;
+    if (scene.n_emitters > 1) {
+        r.index = search_cdf<F>(scene.emitter_cdf, U(0u), U(uint32_t(scene.n_emitters)), u, active);
+        r.pmf = gather<F>(scene.emitter_pmf, r.index, active);
+        F before = select(mask<F>(r.index > 0u), gather<F>(scene.emitter_cdf, max(r.index, U(1u)) - 1u, active), F(0));
+        r.left = max(F(0), min((u - before) / max(r.pmf, F(1e-20)), F(1 - 1e-7)));
+    } else {
+        r.pmf = F(scene.emitter_pmf[0]);
+    }
+    return r;
+}
+
+// A direction to the environment, with its density and what eval_emitter takes of it.
+template <class F, class S>
+TR_INLINE Vec3<F> sample_environment(const SceneView<S> &scene, const F &u1, const F &u2, Vec2<F> &uv, F &pdf,
+                                     const MaskOf<F> &active) {
+    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap))
+        return EnvironmentMap::sample(scene, u1, u2, uv, pdf, active);
+    uv = {F(0), F(0)};
+    pdf = F(1 / (4 * Pi));
+    return square_to_sphere(u1, u2);
+}
+
 // u0 chooses the emitter and, with what is left of it, the face of a mesh light; u1, u2 the point or direction.
 template <class F, class S>
 TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<F> &p, const F &u0, const F &u1,
                                           const F &u2, const MaskOf<F> &active) {
     using U = UIntOf<F>;
     EmitterSample<F> r = no_emitter_sample<F>();
-    U index(0u);
-    F left = u0;
-    F pmf(1);
-    if (scene.n_emitters > 1) {
-        index = search_cdf<F>(scene.emitter_cdf, U(0u), U(uint32_t(scene.n_emitters)), u0, active);
-        pmf = gather<F>(scene.emitter_pmf, index, active);
-        F before = select(mask<F>(index > 0u), gather<F>(scene.emitter_cdf, max(index, U(1u)) - 1u, active), F(0));
-        left = max(F(0), min((u0 - before) / max(pmf, F(1e-20)), F(1 - 1e-7)));
-    } else {
-        pmf = F(scene.emitter_pmf[0]);
-    }
+    auto [index, pmf, left] = choose_emitter(scene, u0, active);
     r.point.emitter = IntOf<F>(index);
     IntOf<F> kind = record_kind<F>(scene.emitters, r.point.emitter, active);
 
@@ -151,15 +181,9 @@ TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<
     if (scene.environment >= 0) {
         auto here = active && mask<F>(r.point.emitter == scene.environment);
         if (any(here)) {
-            Vec3<F> d;
-            Vec2<F> uv{F(0), F(0)};
+            Vec2<F> uv;
             F pdf;
-            if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap)) {
-                d = EnvironmentMap::sample(scene, u1, u2, uv, pdf, here);
-            } else {
-                d = square_to_sphere(u1, u2);
-                pdf = F(1 / (4 * Pi));
-            }
+            Vec3<F> d = sample_environment(scene, u1, u2, uv, pdf, here);
             r.d = select(here, d, r.d);
             r.point.at.b1 = select(here, uv.x, r.point.at.b1);
             r.point.at.b2 = select(here, uv.y, r.point.at.b2);

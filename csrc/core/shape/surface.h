@@ -225,7 +225,8 @@ TR_INLINE Vec3<F> offset_origin(const Vec3<F> &p, const Vec3<F> &ng, const Vec3<
 }
 constexpr double ShadowEpsilon = 8.9406967e-4;  // shadow rays stop this fraction short of the light
 
-// A point on a shape, uniform by area. `u` choose the face (u0) and the point.
+// A point on a shape, uniform by area. `u` choose the face (u0) and the point. `unfold`: where a mesh has two faces of
+// one size, (u1, u2) choose the face, too: a rectangle is filled as evenly as they fill the unit square.
 template <class F>
 struct SampledPoint {
     SurfacePoint<F> at;
@@ -235,7 +236,7 @@ struct SampledPoint {
 
 template <class F, class S>
 TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F> &shape, const F &u0, const F &u1,
-                                       const F &u2, const MaskOf<F> &active) {
+                                       const F &u2, const MaskOf<F> &active, bool unfold = false) {
     using U = UIntOf<F>;
     SampledPoint<F> r;
     ShapeLanes<F> info(scene.shapes, shape, active);
@@ -251,8 +252,15 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         gather_few_rows<F>(&scene.shapes->n_faces, shape * 16u, mesh, faces);
         U n = select(mask<U>(mesh), faces[0], U(1u));
         r.at.primitive = search_cdf<F>(scene.area_cdf, faces[1], n, u0, mesh);
-        Triangle<F, S> tri(scene, U(info.face_offset) + r.at.primitive, mesh);
         Vec2<F> b = square_to_triangle(u1, u2);
+        if (unfold) {
+            auto two = mesh && mask<F>(n == 2u) &&
+                       mask<F>(abs(gather<F>(scene.area_cdf, faces[1], mesh) - F(0.5)) < F(1e-5));
+            auto second = mask<F>(u2 > u1);
+            r.at.primitive = select(mask<U>(two), select(mask<U>(second), U(1u), U(0u)), r.at.primitive);
+            b = {select(two, select(second, u1, u1 - u2), b.x), select(two, select(second, u2 - u1, u2), b.y)};
+        }
+        Triangle<F, S> tri(scene, U(info.face_offset) + r.at.primitive, mesh);
         r.at.b1 = b.x;
         r.at.b2 = b.y;
         r.p = tri.p0 + tri.e1 * b.x + tri.e2 * b.y;

@@ -1,0 +1,291 @@
+// Light paths on the CPU: as schedule.h, but what a path brings may be anywhere on the film. The items of the plan are
+// divided into groups, as many whatever the number of threads; a group has a film of its own, and films are added in
+// the order of their groups.
+#pragma once
+
+#include "items.h"
+#include "particle_tile.h"
+#include "splat.h"
+
+namespace tr {
+
+namespace detail {
+
+// Spp paths start in every pixel, taken as a stratum of the emitters.
+template <class S>
+Plan plan_of_light(const RenderCall<S> &call) {
+    Rect film{0, 0, call.film_height, call.film_width};
+    return Plan(film, film, 0, call.spp);
+}
+
+// What sums over all paths are multiplied with: the image is the average that the path tracer takes of a film with
+// `sample_border`. Light counts beyond the film's edge, too, as far as filters reach: it may cross it when things move.
+template <class S>
+double light_scale(const RenderCall<S> &call) {
+    double all = call.filter.integral(-INFINITY, INFINITY);
+    return 1 / (all * all * double(call.spp) * call.film_height * call.film_width);
+}
+
+// The wanted pixels in the order of the results: visit(result, y, x).
+template <class S, class Visit>
+void for_results(const RenderCall<S> &call, Visit &&visit) {
+    size_t i = 0;
+    if (call.pixels) {
+        for (const Pixel &p : *call.pixels) visit(i++, p.y, p.x);
+        return;
+    }
+    for (int y = call.crop.y0; y < call.crop.y1; ++y)
+        for (int x = call.crop.x0; x < call.crop.x1; ++x) visit(i++, y, x);
+}
+
+// Sums up films in the order of their numbers, whoever finishes first.
+template <int C>
+class OrderedFilms {
+public:
+    explicit OrderedFilms(const Rect &rect) : total(rect) {}
+    SplatFilm<double, C> total;
+
+    void push(size_t number, std::unique_ptr<SplatFilm<double, C>> film) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        waiting_.emplace(number, std::move(film));
+        for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(++next_)) {
+            total.add(*it->second);
+            waiting_.erase(it);
+        }
+    }
+
+private:
+    std::mutex mutex_;
+    std::map<size_t, std::unique_ptr<SplatFilm<double, C>>> waiting_;
+    size_t next_ = 0;
+};
+
+template <class F, int C>
+void splat_connections(const Filter &filter, const Connections<ScalarOf<F>, C> &free, SplatFilm<double, C> &film,
+                       SplatAxis<F> &x, SplatAxis<F> &y) {
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    for (size_t k = 0; k < free.n; k += W) {
+        x.set(filter, load<F>(free.x + k), false);
+        y.set(filter, load<F>(free.y + k), false);
+        for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
+            double value[SplatFilm<double, C>::Stride] = {};
+            for (int c = 0; c < C; ++c) value[c] = double(free.value[c][k + i]);
+            film.splat(x, y, int(i), value);
+        }
+    }
+}
+
+// The image's derivative along a tangent, of the connections of one level at a time: its sweeps give the derivatives
+// of what they bring, channel by channel, and of their places.
+template <class F, int C>
+class LightTangents {
+    using S = ScalarOf<F>;
+    static constexpr size_t W = size_t(Lanes<F>::Width);
+
+public:
+    LightTangents(const RenderCall<S> &call, const DerivativeCall<S> &derivative)
+        : call_(call), derivative_(derivative) {}
+
+    void keep(int level, const Connections<S, C> &free) {
+        if (size_t(level) >= levels_.size()) levels_.resize(size_t(level) + 1);
+        Kept &kept = levels_[size_t(level)];
+        kept.x.assign(free.x, free.x + free.n), kept.y.assign(free.y, free.y + free.n);
+        kept.slot.assign(free.slot, free.slot + free.n);
+        kept.position.assign(free.position, free.position + free.n);
+        for (int c = 0; c < C; ++c) kept.value[c].assign(free.value[c], free.value[c] + free.n);
+    }
+
+    void sweep(ParticleTile<F, C> &tile, size_t n, SplatFilm<double, C> &film) {
+        ForwardSink<F, C> sink;
+        sink.tangent = derivative_.tangent;
+        sink.geometry = derivative_.geometry_tangent;
+        for (size_t level = 0; level < levels_.size(); ++level) {
+            Kept &kept = levels_[level];
+            if (kept.slot.empty()) continue;
+            TapeLevel<S, C> &tape = tile.level_at(int(level));
+            // what: a channel, or C and C + 1 for the place
+            auto derivatives = [&](int what, bool all_channels) {
+                for (size_t k = 0; k < kept.slot.size(); ++k) {
+                    uint32_t at = kept.position[k];
+                    for (int c = 0; c < C; ++c) tape.emitted[c][at] = S(all_channels || c == what ? 1 : 0);
+                    tape.light.x_bar[at] = S(what == C ? 1 : 0);
+                    tape.light.y_bar[at] = S(what == C + 1 ? 1 : 0);
+                }
+                for (int c = 0; c < C; ++c) std::fill_n(tile.radiance[c], n, S(0));
+                sink.channel = what < C ? what : 0;
+                tile.sweep(sink);
+            };
+            const bool numbers = derivative_.wanted.geometry;
+            std::vector<double> d[C + 2];
+            for (int what = 0; what < (numbers ? C + 2 : 1); ++what) {
+                derivatives(numbers ? what : 0, !numbers);
+                for (int c = 0; c < C; ++c) {
+                    if (numbers && c != (what < C ? what : 0)) continue;
+                    std::vector<double> &to = numbers ? d[what] : d[c];
+                    for (uint32_t slot : kept.slot) to.push_back(double(tile.radiance[c][slot]));
+                }
+            }
+            for (uint32_t at : kept.position) {  // they count no more
+                for (int c = 0; c < C; ++c) tape.emitted[c][at] = S(0);
+                tape.light.x_bar[at] = tape.light.y_bar[at] = S(0);
+            }
+            splat(kept, d, numbers, film);
+            kept = {};
+        }
+    }
+
+private:
+    struct Kept {
+        std::vector<S> x, y, value[C];
+        std::vector<uint32_t> slot, position;
+    };
+
+    void splat(Kept &kept, const std::vector<double> (&d)[C + 2], bool moves, SplatFilm<double, C> &film) {
+        size_t n = kept.slot.size();
+        kept.x.resize(n + W), kept.y.resize(n + W);
+        for (size_t k = 0; k < n; k += W) {
+            x_.set(call_.filter, load_unaligned(kept.x, k), true);
+            y_.set(call_.filter, load_unaligned(kept.y, k), true);
+            for (size_t i = 0; i < std::min(W, n - k); ++i) {
+                double change[SplatFilm<double, C>::Stride] = {}, value[SplatFilm<double, C>::Stride] = {};
+                for (int c = 0; c < C; ++c) change[c] = d[c][k + i], value[c] = double(kept.value[c][k + i]);
+                film.splat(x_, y_, int(i), change);
+                if (moves) film.splat_motion(x_, y_, int(i), d[C][k + i], d[C + 1][k + i], value);
+            }
+        }
+    }
+    static F load_unaligned(const std::vector<S> &v, size_t k) {
+        alignas(64) S copy[W];
+        std::copy_n(&v[k], W, copy);
+        return load<F>(copy);
+    }
+
+    const RenderCall<S> &call_;
+    const DerivativeCall<S> &derivative_;
+    std::vector<Kept> levels_;
+    SplatAxis<F> x_, y_;
+};
+
+// Primal and forward mode.
+template <class F, int C, bool Forward>
+RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
+                        ScalarOf<F> *image) {
+    using S = ScalarOf<F>;
+    RenderStats stats;
+    auto begin = std::chrono::steady_clock::now();
+    Plan plan = plan_of_light(call);
+    const size_t capacity = Forward ? 512 : 1024;
+    const size_t groups = std::min<size_t>(plan.n_items(), 32);
+    OrderedFilms<C> films(call.crop);
+    std::mutex mutex;
+    run_items(groups, call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
+        auto tile = std::make_shared<ParticleTile<F, C>>(call, capacity, derivative);
+        auto x = std::make_shared<SplatAxis<F>>(), y = std::make_shared<SplatAxis<F>>();
+        return [&, tile, x, y](size_t group, auto &&stop) {
+            auto film = std::make_unique<SplatFilm<double, C>>(call.crop);
+            const size_t end = plan.n_items() * (group + 1) / groups;
+            for (size_t item = plan.n_items() * group / groups; item < end && !stop(); ++item)
+                for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {
+                    if constexpr (Forward) {
+                        LightTangents<F, C> tangents(call, *derivative);
+                        tile->template run<true>(
+                            n, stop, [&](int level, const Connections<S, C> &free) { tangents.keep(level, free); });
+                        tangents.sweep(*tile, n, *film);
+                    } else {
+                        tile->template run<false>(n, stop, [&](int, const Connections<S, C> &free) {
+                            splat_connections<F, C>(call.filter, free, *film, *x, *y);
+                        });
+                    }
+                });
+            films.push(group, std::move(film));
+            std::lock_guard<std::mutex> lock(mutex);
+            sum_stats(stats, tile->stats);
+            tile->stats = {};
+        };
+    });
+    const double scale = light_scale(call);
+    for_results(call, [&](size_t i, int row, int column) {
+        for (int c = 0; c < C; ++c) image[i * C + size_t(c)] = S(films.total.at(row, column)[c] * scale);
+    });
+    stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    return stats;
+}
+
+template <class F, int C>
+RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
+    using S = ScalarOf<F>;
+    RenderStats stats;
+    auto begin = std::chrono::steady_clock::now();
+    derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+    Plan plan = plan_of_light(call);
+    const size_t capacity = 512;
+    using AdjointFilm = SplatFilm<S, C>;
+    AdjointFilm adjoint(call.crop);
+    const double scale = light_scale(call);
+    for_results(call, [&](size_t i, int row, int column) {
+        for (int c = 0; c < C; ++c)
+            adjoint.at(row, column)[c] += S(double(derivative.adjoint[i * C + size_t(c)]) * scale);
+    });
+    std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
+    std::mutex mutex;
+    run_items(plan.n_items(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted,
+              [&](int thread) {
+                  GradientBuffers<S> &local = locals[size_t(thread)];
+                  local.allocate(derivative, thread);
+                  auto tile = std::make_shared<ParticleTile<F, C>>(call, capacity, &derivative);
+                  auto x = std::make_shared<SplatAxis<F>>(), y = std::make_shared<SplatAxis<F>>();
+                  auto collect = [&, tile, x, y](int number, const Connections<S, C> &free) {
+                      TapeLevel<S, C> &level = tile->level_at(number);
+                      constexpr size_t W = size_t(Lanes<F>::Width);
+                      for (size_t k = 0; k < free.n; k += W) {
+                          x->set(call.filter, load<F>(free.x + k), true);
+                          y->set(call.filter, load<F>(free.y + k), true);
+                          for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
+                              S sum[AdjointFilm::Stride], by_x[AdjointFilm::Stride], by_y[AdjointFilm::Stride];
+                              adjoint.collect(*x, *y, int(i), sum, by_x, by_y);
+                              uint32_t at = free.position[k + i];
+                              S x_bar(0), y_bar(0);
+                              for (int c = 0; c < C; ++c) {
+                                  level.emitted[c][at] = sum[c];
+                                  x_bar += by_x[c] * free.value[c][k + i], y_bar += by_y[c] * free.value[c][k + i];
+                              }
+                              level.light.x_bar[at] = x_bar, level.light.y_bar[at] = y_bar;
+                          }
+                      }
+                  };
+                  return [&, tile, collect](size_t item, auto &&stop) {
+                      for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {
+                          tile->template run<true>(n, stop, collect);
+                          ReverseSink<F, C> sink;
+                          local.connect(derivative, sink);
+                          tile->sweep(sink);
+                      });
+                      std::lock_guard<std::mutex> lock(mutex);
+                      sum_stats(stats, tile->stats);
+                      tile->stats = {};
+                  };
+              });
+    add_buffers(locals, derivative);
+    stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+    return stats;
+}
+
+}  // namespace detail
+
+template <class S, int C>
+RenderStats trace_light(const RenderCall<S> &call, bool packets, S *image) {
+    if (packets) return detail::splat_light<typename detail::PacketOf<S>::type, C, false>(call, nullptr, image);
+    return detail::splat_light<S, C, false>(call, nullptr, image);
+}
+template <class S, int C>
+RenderStats trace_light_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &d, S *image) {
+    if (packets) return detail::splat_light<typename detail::PacketOf<S>::type, C, true>(call, &d, image);
+    return detail::splat_light<S, C, true>(call, &d, image);
+}
+template <class S, int C>
+RenderStats trace_light_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &d) {
+    if (packets) return detail::reverse_light<typename detail::PacketOf<S>::type, C>(call, d);
+    return detail::reverse_light<S, C>(call, d);
+}
+
+}  // namespace tr
