@@ -24,6 +24,7 @@ from .scene.materials import Conductor, Dielectric, RoughDielectric, TwoSided
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
 from .scene.phases import BlendPhase, TabulatedPhase
+from .scene.sensor import IrradianceMeter
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
 from .scene.volumes import ConstantVolume, GridVolume
@@ -65,6 +66,7 @@ __all__ = [
     "HeterogeneousMedium",
     "HomogeneousMedium",
     "Integrator",
+    "IrradianceMeter",
     "Mesh",
     "MeshAttribute",
     "MissingTermWarning",

@@ -102,7 +102,7 @@ class VolumetricPathTracer(_Paths):
 
 
 class ParticleTracer(_Paths):
-    """Light tracing: paths from the lights, connected to the camera at every vertex that is not a smooth mirror or glass.
+    """Light tracing: paths from the lights, connected to the camera wherever they meet no smooth mirror or glass.
 
     For caustics, which no path from the camera finds: light through glass, and beams (`directionalarea`). Its blind
     spot is what the camera sees in mirrors and through smooth glass, which is black. Where both converge the image is

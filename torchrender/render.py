@@ -14,7 +14,7 @@ from torch import nn
 
 from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
-from .errors import describe, nearest
+from .errors import NotDifferentiableError, describe, nearest
 from .integrators import AOV, Integrator, PathTracer
 from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
 from .progress import progress
@@ -26,6 +26,7 @@ from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
 from .scene.scene import Scene, default_sampler
+from .scene.sensor import IrradianceMeter, Sensor
 
 PACKETS = True  # false renders a path at a time: slower, for tests
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
@@ -129,6 +130,8 @@ def render(
     chosen: np.ndarray | None = None
     for index, camera in _views(cameras):
         film, own = camera.film, default_sampler(camera)
+        if isinstance(camera, IrradianceMeter):
+            _check_meter(camera, light, names, stack, tensors, packed)
         samples = own.sample_count if spp is None else _count("spp", spp)
         window, size, config = _film_config(film, crop)
         if pixels is not None:
@@ -209,6 +212,23 @@ def _check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> N
     if adaptive_grad:
         raise ValueError(
             "render: adaptive_grad: light paths belong to no pixel, so that ParticleTracer has no such choice"
+        )
+
+
+def _check_meter(
+    meter: IrradianceMeter, light: bool, names: Sequence[str], stack: Any, tensors: list[torch.Tensor], packed: Layout
+) -> None:
+    """What can be measured, and differentiated, on a surface."""
+    if not light:
+        raise ValueError("render: sensor: an irradiancemeter is measured by ParticleTracer ('ptracer')")
+    others = [name for name in names if name != "rgb"] or (["aovs"] if stack is not None else [])
+    if others:
+        raise ValueError(f"render: outputs: an irradiancemeter has no {others[0]!r}, but 'rgb'")
+    slot = packed.slot_of.get((id(meter.shape), "vertex_texcoords"))
+    if slot is not None and tensors[slot].requires_grad and torch.is_grad_enabled():
+        raise NotDifferentiableError(
+            f"{packed.slots[slot].name}: an irradiancemeter has no derivative with respect to the texture coordinates "
+            "of its surface; switch their requires_grad off"
         )
 
 
@@ -329,7 +349,7 @@ def _seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
     return first, second
 
 
-def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int, PerspectiveCamera]], bool]:
+def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], bool]:
     """Pairs of index and camera; the last index of the packed sensors stands for cameras outside of the scene."""
     if isinstance(sensor, (torch.Tensor, np.ndarray)) and sensor.ndim == 1:
         sensor = sensor.tolist()
@@ -338,10 +358,12 @@ def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int,
     if not chosen:
         raise ValueError("render: sensor: an empty list")
     own = packed.sensors[:-1]
-    found: list[tuple[int, PerspectiveCamera]] = []
+    found: list[tuple[int, Sensor]] = []
     for item in chosen:
-        if isinstance(item, PerspectiveCamera):
+        if isinstance(item, Sensor):
             index = next((i for i, camera in enumerate(own) if camera is item), len(own))
+            if index == len(own) and not isinstance(item, PerspectiveCamera):
+                raise ValueError(f"render: sensor: {describe(item)} has to be one of the scene's: scene['meter'] = ...")
             found.append((index, item))
             continue
         if isinstance(item, bool) or not hasattr(item, "__index__"):

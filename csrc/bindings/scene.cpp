@@ -304,6 +304,8 @@ private:
         if (c.path.sensor >= sensors)
             throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors) + ", got " +
                                         std::to_string(c.path.sensor));
+        if (!c.light && data_.layout().records.at("sensor")[c.path.sensor].kind == IrradianceMeterKind)
+            throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");
         RenderCall<S> call{};
         call.scene = &data_.view();
         call.accel = &data_.accel();

@@ -9,6 +9,7 @@
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
 #include "medium/medium.h"
+#include "sensor/irradiancemeter.h"
 #include "sensor/perspective.h"
 #include "shape/models.h"
 #include "texture/texture.h"
@@ -25,7 +26,7 @@ using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric
 using BsdfWrappers = TypeList<TwoSided>;                                            // resolved to one of those at a hit
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel>;
-using Sensors = TypeList<Perspective>;
+using Sensors = TypeList<Perspective, IrradianceMeter>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
 using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;

@@ -16,10 +16,8 @@ class ParticleSweep : TapeSweep<F, C> {
 
 public:
     ParticleSweep(const RenderCall<S> &call, const DerivativeCall<S> &derivative, typename Base::Levels &levels,
-                  int n_levels, const typename Base::Paths &paths, const Pinhole<S> &camera)
-        : Base(call, derivative, levels, n_levels, paths),
-          camera_(camera),
-          record_(scene_.sensors[call.config.sensor]) {}
+                  int n_levels, const typename Base::Paths &paths, const LightSensor<S> &sensor)
+        : Base(call, derivative, levels, n_levels, paths), sensor_(sensor) {}
 
     template <class Sink>
     void run(Sink &sink) {
@@ -52,7 +50,7 @@ private:
             HitAdjoint<F> hit;
             Vec3<F> d_bar{F(0), F(0), F(0)};
             const Color<F, C> &a = v.beta;
-            Color<F, C> r = sweep_light_scattering<Model, C>(scene_, record_, camera_, v, connection, a,
+            Color<F, C> r = sweep_light_scattering<Model, C>(scene_, sensor_, v, connection, a,
                                                              level.template get_next<F>(i, wanted.geometry), wanted,
                                                              active, hit, d_bar, sink);
             TapeLevel<S, C> &parents = *levels_[size_t(level.parent_level)];
@@ -75,7 +73,7 @@ private:
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
             sink.begin();
-            sweep_emission<C>(scene_, record_, camera_, level.template get_emission<F>(i),
+            sweep_emission<C>(scene_, sensor_, level.template get_emission<F>(i),
                               level.template get_next<F>(i, wanted.geometry), wanted, active, sink);
             keep(level, i, sink, active);
         }
@@ -89,8 +87,7 @@ private:
         }
     }
 
-    const Pinhole<S> &camera_;
-    const Record &record_;
+    const LightSensor<S> &sensor_;
 };
 
 }  // namespace tr

@@ -35,7 +35,7 @@ public:
 
     ParticleTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
         : Base(call, capacity, derivative),
-          camera_(scene_, scene_.sensors[call.config.sensor], S(call.film_width), S(call.film_height)) {
+          sensor_(scene_, call.config.sensor, S(call.film_width), S(call.film_height)) {
         place_.allocate([&](Arena &a) {
             a.column(x_, capacity + 2 * size_t(W));
             a.column(y_, capacity + 2 * size_t(W));
@@ -64,7 +64,7 @@ public:
     template <class Sink>
     void sweep(Sink &sink) {
         ParticleSweep<F, C> sweep(call_, *derivative_, levels_, n_levels_, {delta, radiance, film_x, film_y, n_slots_},
-                                  camera_);
+                                  sensor_);
         sweep.run(sink);
         stats.non_finite += sink.non_finite;
         if (sink.non_finite && stats.non_finite_where.empty()) stats.non_finite_where = "a derivative";
@@ -108,7 +108,8 @@ private:
             if (Derivative)
                 level().template put_emission<F>(i, slot, sent, e.point, e.p, e.n, e.d, e.kind,
                                                  select(e.active, e.weight, F(0)));
-            if (!call_.config.hide_emitters) connect_emitter<Derivative>(e, sent, parallel, slot, i);
+            if (!call_.config.hide_emitters && sensor_.meter < 0)
+                connect_emitter<Derivative>(e, sent, parallel, slot, i);
 
             M beam = mask<F>(e.kind == int32_t(EmitterKind::DirectionalArea));
             M surface = beam || mask<F>(e.kind == int32_t(EmitterKind::Area));
@@ -126,7 +127,7 @@ private:
     void connect_emitter(const EmissionSample<F> &e, const Color<F, C> &sent, const M &parallel, const U &slot,
                          size_t i) {
         Vec3<F> p = select(parallel, -e.d, e.p);
-        Connection<F> to = connect(camera_, p, parallel, e.active);
+        Connection<F> to = connect(sensor_.camera, p, parallel, e.active);
         F cosine = emission_cosine(e, to.d);
         M seen = to.seen && mask<F>(cosine > F(0));
         if (!any(seen)) return;
@@ -134,7 +135,7 @@ private:
         Vec3<F> o = offset_origin(e.p, e.n, to.d), d = to.d;
         F length = to.clear;
         if (any(parallel)) {  // from the camera to where light comes from
-            Vec3<F> origin{F(camera_.origin.x), F(camera_.origin.y), F(camera_.origin.z)};
+            Vec3<F> origin{F(sensor_.camera.origin.x), F(sensor_.camera.origin.y), F(sensor_.camera.origin.z)};
             o = select(parallel, origin - to.d * (to.distance - to.clear), o);
             d = select(parallel, -to.d, d);
             length = select(parallel, F(S(INFINITY)), length);
@@ -166,13 +167,15 @@ private:
         if (shadow_.n == 0) return;
         auto begin = std::chrono::steady_clock::now();
         RayBatch rays = ray_batch(shadow_.o, shadow_.d, shadow_.length, shadow_.n, ray_);
-        if (call_.config.hide_emitters)
+        if (sensor_.meter >= 0)
+            std::fill_n(occluded_, shadow_.n, uint8_t(0));
+        else if (call_.config.hide_emitters)
             pass_lights();
         else
             call_.accel->occluded(rays, occluded_, shadow_.n);
-        stats.shadow_rays += shadow_.n;
+        stats.shadow_rays += sensor_.meter >= 0 ? 0 : shadow_.n;
         stats.seconds_trace += std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
-        if (call_.ray_record) {
+        if (call_.ray_record && sensor_.meter < 0) {
             size_t hits = size_t(std::count(occluded_, occluded_ + shadow_.n, uint8_t(1)));
             call_.ray_record->add(RayKind::BounceShadow, rays, shadow_.n, hits);
         }
@@ -258,11 +261,17 @@ private:
         Connection<F> to{};
         bool smooth = false;
         dispatch(Bsdfs{}, kind, [&](auto m) { smooth = decltype(m)::Smooth; });
-        if (smooth) to = connect(camera_, si.p, M(false), active);
+        if (smooth && sensor_.meter < 0) to = connect(sensor_.camera, si.p, M(false), active);
         if (config.hide_emitters) to.seen = to.seen && mask<F>(si.shape.emitter < 0);
         LightScattering<F, C> s;
         dispatch(Bsdfs{}, kind,
                  [&](auto m) { scatter_light<decltype(m)>(scene_, si, ray.d, wi, leaf, to, ub, goes_on, active, s); });
+        if (sensor_.meter >= 0) {
+            to = IrradianceMeter::measure(scene_, sensor_.meter, si, ray.d, S(call_.film_width), S(call_.film_height),
+                                          active);
+            s.connected = to.seen;
+            s.f_camera = uniform_color<C>(F(1));
+        }
 
         Color<F, C> brought = beta * s.f_camera * to.importance;
         M connected = s.connected;
@@ -301,7 +310,7 @@ private:
                survival * keep, F(1), slot, U(i) + lane_index<F>(), U(1u), alive);
     }
 
-    Pinhole<S> camera_;
+    LightSensor<S> sensor_;
     Arena place_;
     S *x_, *y_;  // on the film, beside shadow_
 };

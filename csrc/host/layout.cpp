@@ -53,6 +53,7 @@ public:
         find_enclosed_media();
         connect_emitters();
         connect_attributes();
+        check_meters();
         return std::move(out_);
     }
 
@@ -337,7 +338,8 @@ private:
                 return;
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
-            for (const Record &sensor : out_.records["sensor"]) open |= sensor.field[Perspective::Medium] == int32_t(m);
+            for (const Record &sensor : out_.records["sensor"])
+                open |= sensor.kind != IrradianceMeterKind && sensor.field[Perspective::Medium] == int32_t(m);
             for (const ShapeInfo &shape : out_.shapes) {
                 if (shape.interior != int32_t(m) && shape.exterior != int32_t(m)) continue;
                 bounded = true;
@@ -468,6 +470,16 @@ private:
                 out_.environment = int(e);
                 if (type == EnvironmentMap::model.type) check_image("emitter", int(e), EnvironmentMap::Data);
             }
+        }
+    }
+
+    void check_meters() {
+        for (int i = 0; i < int(list("sensor").size()); ++i) {
+            if (list("sensor")[size_t(i)].type != IrradianceMeter::model.type) continue;
+            int shape = value("sensor", i, IrradianceMeter::ShapeIndex);
+            if (!(out_.shapes[size_t(shape)].flags & HasTexcoords))
+                fail(where("sensor", i, "shape"), "a rectangle, or a mesh with texture coordinates",
+                     "'" + list("shape")[size_t(shape)].type + "' without");
         }
     }
 

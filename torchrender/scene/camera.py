@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -13,9 +13,9 @@ from ..errors import describe
 from ..transform import Transform, as_matrix, on_cpu
 from . import values
 from .context import Context
-from .film import SAMPLERS, Film, ReconstructionFilter, Sampler, film_from, sampler_from
-from .plugin import Plugin
-from .registry import DOCUMENTED, register
+from .film import Film, ReconstructionFilter
+from .registry import register
+from .sensor import Sensor
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 # The diagonal of the 36 mm x 24 mm frame that focal lengths refer to.
@@ -65,7 +65,7 @@ def perspective_rays(
 
 
 @register
-class PerspectiveCamera(Plugin):
+class PerspectiveCamera(Sensor):
     """A pinhole camera that looks along its +z axis, +y up, +x to the left.
 
     Args:
@@ -79,7 +79,7 @@ class PerspectiveCamera(Plugin):
         medium: the medium that the camera is in, if it is in one.
     """
 
-    category, type = "sensor", "perspective"
+    type = "perspective"
     # A pinhole is in focus everywhere; scenes written for lenses say a distance nevertheless.
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {
         "shutter_open": (0, 0.0),
@@ -88,26 +88,13 @@ class PerspectiveCamera(Plugin):
     }
     unsupported: ClassVar[tuple[str, ...]] = ("srf",)
 
-    film: Film
-    sampler: Sampler | None
-
     @classmethod
     def parameter_names(cls) -> list[str]:
-        mine = ["fov", "fov_axis", "focal_length", "film", "sampler"]
-        return [*mine, *super().parameter_names()]
+        return ["fov", "fov_axis", "focal_length", *super().parameter_names()]
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        film, sampler = Film(), None
-        for name in list(properties):
-            value = properties[name]
-            kind = value.get("type") if isinstance(value, Mapping) else None
-            kind = kind if isinstance(kind, str) else ""
-            if name == "film" or isinstance(value, Film) or kind.endswith("film"):
-                film = film_from(properties.pop(name), ctx.at(name))
-            elif name == "sampler" or isinstance(value, Sampler) or kind in (*SAMPLERS, *DOCUMENTED["sampler"]):
-                sampler = sampler_from(properties.pop(name), ctx.at(name))
-        self.__dict__["film"] = film
-        self.__dict__["sampler"] = sampler
+        self.take_film(properties, ctx)
+        film = self.film
         aspect = film.width / film.height
         axis = properties.pop("fov_axis", "x")
         values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
@@ -135,14 +122,6 @@ class PerspectiveCamera(Plugin):
         if not 0 < near < far:
             ctx.error(f"perspective: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
         return properties
-
-    def extra_repr(self) -> str:
-        film = self.film
-        crop = f", crop={film.crop}" if film.crop is not None else ""
-        sampler = self.sampler
-        kind = f"{sampler.type} " if sampler is not None and sampler.type != "independent" else ""
-        count = f", {sampler.sample_count} {kind}samples a pixel" if sampler is not None else ""
-        return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
 
     def rays(self, positions: Any = None) -> Rays:
         """The rays of positions on the film, differentiable in pose, field of view and principal point.

@@ -27,6 +27,7 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("emitter", "envmap"): "EnvironmentMap",
     ("emitter", "point"): "PointLight",
     ("sensor", "perspective"): "PerspectiveCamera",
+    ("sensor", "irradiancemeter"): "IrradianceMeter",
     ("shape", "mesh"): "Mesh",
     ("volume", "constvolume"): "ConstantVolume",
     ("volume", "gridvolume"): "GridVolume",

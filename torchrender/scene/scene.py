@@ -22,6 +22,7 @@ from .film import SAMPLERS, Film, Sampler
 from .native import NativeScene
 from .packing import ORDER, Layout, canonical, pack
 from .plugin import Plugin, child_of, structure_changed, structure_epoch
+from .sensor import Sensor
 
 VARIANTS = ("mono", "rgb")
 
@@ -78,8 +79,8 @@ class Scene(nn.Module):
         return 1 if self._variant == "mono" else 3
 
     @property
-    def sensors(self) -> list[PerspectiveCamera]:
-        """The cameras, in the order of the scene."""
+    def sensors(self) -> list[Sensor]:
+        """Cameras and meters, in the order of the scene."""
         return [m for m in self._modules.values() if isinstance(m, Plugin) and m.category == "sensor"]
 
     @property
@@ -100,7 +101,7 @@ class Scene(nn.Module):
     def _put(self, name: str, value: Any, ctx: Context, resolve: bool = True) -> None:
         if not isinstance(name, str) or not name or "." in name:
             ctx.error(f"an id is a string without dots, got {describe(name)}")
-        ctx = ctx.at(name)
+        above, ctx = ctx, ctx.at(name)
         if isinstance(value, Mapping):
             kind = value.get("type")
             identifier = value.get("id")
@@ -115,6 +116,11 @@ class Scene(nn.Module):
                     f"the integrator {kind!r} is not supported by this version of torchrender; "
                     f"supported are: {', '.join(INTEGRATORS)}"
                 )
+        meters = {}
+        if isinstance(value, Mapping):  # Mitsuba's place for them is inside of their shape
+            nested = {k: v for k, v in value.items() if isinstance(v, Mapping) and v.get("type") == "irradiancemeter"}
+            meters = {f"{name}_{k}": {**v, "shape": Reference(name)} for k, v in nested.items()}
+            value = {k: v for k, v in value.items() if k not in nested} if nested else value
         if not isinstance(value, Integrator):
             value = child_of(value, None, ctx)
             if isinstance(value, Reference):
@@ -138,6 +144,8 @@ class Scene(nn.Module):
         if isinstance(previous, Plugin) and isinstance(value, Plugin):
             self._replace_references(previous, value)
         structure_changed()
+        for meter_name, meter in meters.items():
+            self._put(meter_name, meter, above, resolve)
 
     def _safe(self, name: str, value: Any) -> str:
         """`name`, with a trailing underscore where a module already has an attribute of that name."""
@@ -408,7 +416,7 @@ def _is_documented_integrator(kind: str) -> bool:
     return kind in DOCUMENTED
 
 
-def default_sampler(camera: PerspectiveCamera) -> Sampler:
+def default_sampler(camera: Sensor) -> Sampler:
     """Number and kind of samples when nothing is said: the camera's own, else 16 independent ones.
 
     TypeError or ValueError for one that an edit has made wrong.

@@ -83,10 +83,25 @@ struct CorrectionAdjoint {
     }
 };
 
+// Where light is measured: a place is a pair of texture coordinates, and W is texels per area.
+template <class F, int C, class S, class Sink>
+TR_NOINLINE void sweep_measurement(const SceneView<S> &scene, const LightSensor<S> &sensor, const VertexRecord<F, C> &v,
+                                   const ConnectionRecord<F> &connection, const Color<F, C> &value,
+                                   const MaskOf<F> &active, HitAdjoint<F> &hit, Sink &sink) {
+    hit.at.uv.x = select(active, hit.at.uv.x + connection.x_bar * F(sensor.camera.width), hit.at.uv.x);
+    hit.at.uv.y = select(active, hit.at.uv.y + connection.y_bar * F(sensor.camera.height), hit.at.uv.y);
+    F log_bar = -channel_sum(value);  // of the area |N|: see sweep_light_end, where |E| = 1
+    HitAdjoint<F> area;
+    area.p = connection.ng * (F(2) * log_bar);
+    Vec3<F> zero{F(0), F(0), F(0)};
+    Arrival<F> in{MaskOf<F>(false), connection.ng, F(1), connection.ng, zero, log_bar};
+    sweep_surface(scene, v.at, v.p, in, area, active, sink);
+}
+
 // One scattering vertex. Returns what the light that arrives along v.d brings, divided by its throughput a, every
 // connection being weighted with its adjoint; adds the adjoints of the hit and of the direction.
 template <class Model, int C, class F, class S, class Sink>
-TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Record &record, const Pinhole<S> &camera,
+TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const LightSensor<S> &sensor,
                                              const VertexRecord<F, C> &v, const ConnectionRecord<F> &connection,
                                              const Color<F, C> &a, NextVertex<F, C> next, const Wanted &wanted,
                                              const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
@@ -98,17 +113,21 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Re
     auto lit = active && mask<F>(v.light_weight > F(0));
     F path_correction = shading_correction(wi, wo, v.normal, connection.ng, interpolated);
     F correction = shading_correction(wi, to_camera, v.normal, connection.ng, interpolated);
-    Color<F, C> light_factor = v.emitted * (v.light_weight * correction);
+    const bool measured = sensor.meter >= 0;  // what arrives, not what is scattered
+    Color<F, C> light_factor = v.emitted * (measured ? F(0) : v.light_weight * correction);
     Color<F, C> path_factor = next.radiance * (v.inverse_pdf * path_correction);
     Color<F, C> f, f_light;
     sweep_parameters<importance, Model, C>(scene, v, params, a, light_factor, path_factor, wanted, active, hit, f,
                                            f_light, sink);
     Color<F, C> total = f * path_factor;
-    if constexpr (Model::Smooth) total = total + f_light * light_factor;
+    if (measured)
+        total = total + v.emitted * v.light_weight;
+    else if constexpr (Model::Smooth)
+        total = total + f_light * light_factor;
     if (!wanted.geometry) return total;
 
     Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero, wi_world = zero, camera_bar = zero;
-    F brought = select(lit, channel_sum(a * f_light * light_factor), F(0));
+    F brought = select(lit && !MaskOf<F>(measured), channel_sum(a * f_light * light_factor), F(0));
     if (any(interpolated)) {
         CorrectionAdjoint<F> path(wi, wo, v.normal, connection.ng,
                                   select(interpolated, channel_sum(a * f * path_factor), F(0)));
@@ -120,13 +139,15 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Re
         hit.ng = hit.ng + path.ng + light.ng;
     }
     sweep_continuation<importance, Model, C>(scene, v, params, a * path_factor, next, active, frame, wi_bar, hit, sink);
-    if constexpr (Model::Smooth) {
+    if (measured) {
+        if (any(lit)) sweep_measurement(scene, sensor, v, connection, a * v.emitted * v.light_weight, lit, hit, sink);
+    } else if constexpr (Model::Smooth) {
         if (any(lit)) {
             Vec3<F> wo_bar;
             sweep_directions<importance, Model, C>(params, v.wi, v.wo_light, IntOf<F>(0), a * light_factor, wi_bar,
                                                    wo_bar);
             Vec3<F> w_bar = frame.into(v.wo_light, wo_bar) + camera_bar;
-            Vec3<F> p_bar = sweep_connection(scene, record, camera, v.p, MaskOf<F>(false), w_bar, brought,
+            Vec3<F> p_bar = sweep_connection(scene, sensor.record, sensor.camera, v.p, MaskOf<F>(false), w_bar, brought,
                                              connection.x_bar, connection.y_bar, zero, wanted.camera, lit, sink);
             hit.p = select(lit, hit.p + p_bar, hit.p);
         }
@@ -161,9 +182,9 @@ TR_INLINE Vec3<F> sweep_light_end(const SceneView<S> &scene, const SurfacePoint<
 }
 
 template <int C, class F, class S, class Sink>
-TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const Record &record, const Pinhole<S> &camera,
-                                const EmissionRecord<F, C> &e, const NextVertex<F, C> &next, const Wanted &wanted,
-                                const MaskOf<F> &active, Sink &sink) {
+TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> &sensor, const EmissionRecord<F, C> &e,
+                                const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
+                                Sink &sink) {
     const VertexRecord<F, C> &v = e.v;
     auto is = [&](EmitterKind kind) { return active && mask<F>(e.kind == int32_t(kind)); };
     auto beam = is(EmitterKind::DirectionalArea), area = is(EmitterKind::Area), point = is(EmitterKind::Point);
@@ -203,14 +224,15 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const Record &record,
     }
     auto lit = active && mask<F>(v.light_weight > F(0));
     if (!any(lit)) return;
-    Vec3<F> origin{F(camera.origin.x), F(camera.origin.y), F(camera.origin.z)}, origin_bar = zero;
+    const Vec3<S> &o = sensor.camera.origin;
+    Vec3<F> origin{F(o.x), F(o.y), F(o.z)}, origin_bar = zero;
     auto on_light = lit && area;
     if (any(on_light)) {
         origin_bar = sweep_light_end(scene, v.light.at, v.p, v.p - origin, seen, zero, on_light, sink);
         origin_bar = select(on_light, origin_bar, zero);
     }
     Vec3<F> to = select(parallel, -v.d, v.p);
-    Vec3<F> p_bar = sweep_connection(scene, record, camera, to, parallel, zero, seen, e.connection.x_bar,
+    Vec3<F> p_bar = sweep_connection(scene, sensor.record, sensor.camera, to, parallel, zero, seen, e.connection.x_bar,
                                      e.connection.y_bar, origin_bar, wanted.camera, lit, sink);
     if (any(on_light)) sweep_position(scene, v.light.at, v.p, p_bar, on_light, sink);
 }

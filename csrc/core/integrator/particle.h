@@ -9,7 +9,7 @@
 #pragma once
 
 #include "../emitter/emission.h"
-#include "../sensor/connection.h"
+#include "../sensor/irradiancemeter.h"
 #include "path.h"
 
 namespace tr {
@@ -43,6 +43,22 @@ struct LightScattering {
     BsdfSample<F> sample;
     F inverse_pdf;
     MaskOf<F> alive;
+};
+
+// The sensor as light paths see it.
+template <class S>
+struct LightSensor {
+    const Record &record;
+    Pinhole<S> camera;
+    int32_t meter = -1;  // the shape that an irradiance meter lies on
+
+    LightSensor(const SceneView<S> &scene, uint32_t index, S width, S height)
+        : record(scene.sensors[index]), camera(width, height) {
+        if (record.kind == IrradianceMeterKind)
+            meter = record.field[IrradianceMeter::ShapeIndex];
+        else
+            camera = Pinhole<S>(scene, record, width, height);
+    }
 };
 
 // One vertex. `wi` is local and mirrored where the leaf is; `d` the direction of travel. `goes_on`: the path does.

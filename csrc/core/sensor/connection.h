@@ -10,9 +10,11 @@ namespace tr {
 // solid angle there is |det M| / |M l|^3 times area of the plane z = 1, of which the film takes 4 slope rise.
 template <class S>
 struct Pinhole {
-    S inverse[9], determinant;  // of M
-    Vec3<S> origin;
-    S slope, rise, offset_x, offset_y, near, far, width, height;
+    S inverse[9]{}, determinant{};  // of M
+    Vec3<S> origin{S(0), S(0), S(0)};
+    S slope{}, rise{}, offset_x{}, offset_y{}, near{}, far{}, width, height;
+
+    Pinhole(S width_, S height_) : width(width_), height(height_) {}  // a film without a camera
 
     Pinhole(const SceneView<S> &scene, const Record &record, S width_, S height_) : width(width_), height(height_) {
         Perspective::FilmPoint<S, S> film(scene, record, S(0), S(0), width, height);

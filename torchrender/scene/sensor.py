@@ -1,0 +1,72 @@
+"""What all sensors share, and the one that is no camera."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from .context import Context
+from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
+from .plugin import Plugin
+from .registry import DOCUMENTED, register
+
+
+class Sensor(Plugin):
+    """A film, and how it is sampled."""
+
+    category = "sensor"
+
+    film: Film
+    sampler: Sampler | None
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["film", "sampler", *super().parameter_names()]
+
+    def take_film(self, properties: dict[str, Any], ctx: Context) -> None:
+        """Take film and sampler, by whichever name they go, out of `properties`."""
+        film, sampler = Film(), None
+        for name in list(properties):
+            value = properties[name]
+            kind = value.get("type") if isinstance(value, Mapping) else None
+            kind = kind if isinstance(kind, str) else ""
+            if name == "film" or isinstance(value, Film) or kind.endswith("film"):
+                film = film_from(properties.pop(name), ctx.at(name))
+            elif name == "sampler" or isinstance(value, Sampler) or kind in (*SAMPLERS, *DOCUMENTED["sampler"]):
+                sampler = sampler_from(properties.pop(name), ctx.at(name))
+        self.__dict__["film"] = film
+        self.__dict__["sampler"] = sampler
+
+    def extra_repr(self) -> str:
+        film = self.film
+        crop = f", crop={film.crop}" if film.crop is not None else ""
+        sampler = self.sampler
+        kind = f"{sampler.type} " if sampler is not None and sampler.type != "independent" else ""
+        count = f", {sampler.sample_count} {kind}samples a pixel" if sampler is not None else ""
+        return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
+
+
+@register
+class IrradianceMeter(Sensor):
+    """Irradiance on a surface, per texel: power that arrives on its front, per area, measured by `ParticleTracer`.
+
+    The film covers the square of the surface's texture coordinates, row 0 at v = 0 and column 0 at u = 0; the image is
+    (H, W, C), in the unit of radiance times steradians. The surface's BSDF does not matter; with `null` light passes
+    on through it. In a scene dict it stands beside the shape and names it, or inside of the shape.
+
+    Args:
+        shape: a rectangle, or a mesh with texture coordinates that cover no point of the square twice: the object, or
+            a reference to it.
+        film, sampler: dicts or objects.
+    """
+
+    type = "irradiancemeter"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        self.take_film(properties, ctx)
+        return properties
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        if self._modules.get("shape") is None and not self._references:
+            ctx.error("irradiancemeter: 'shape' is missing: the surface that it lies on")
