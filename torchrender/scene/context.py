@@ -23,6 +23,8 @@ class Context:
         dtype: of every parameter; None keeps the dtype of tensors and arrays, else torch's default dtype.
         path: where in the scene, outermost first.
         folder: relative file names start here.
+        emission: a spectrum here is light, else a factor such as a reflectance.
+        bounded: the channels of a colour here are at most 1.
     """
 
     color: str | None = None
@@ -30,6 +32,8 @@ class Context:
     device: torch.device = field(default_factory=lambda: torch.device("cpu"))
     path: tuple[str, ...] = ()
     folder: Path | None = None
+    emission: bool = False
+    bounded: bool = False
 
     @property
     def channels(self) -> int:

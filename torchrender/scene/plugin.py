@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from typing import Any, ClassVar, NoReturn
 
 import torch
@@ -162,6 +163,7 @@ class Plugin(nn.Module):
         return field.kind in TENSOR_KINDS and not (field.kind == "spectrum" and cls.category != "texture")
 
     def _install(self, name: str, field: Field, value: Any, ctx: Context) -> None:
+        ctx = self._quantity(name, field, ctx)
         if field.kind == "int":
             self.__dict__[name] = self._encode_check(name, value, ctx)
         elif self._leaf(field):
@@ -174,6 +176,15 @@ class Plugin(nn.Module):
             if field.kind == "spectrum" and not (isinstance(child, Plugin) and child.type == "constant"):
                 ctx.error("expected a number or a colour: this parameter cannot be a texture")
             self._install_child(name, child)
+
+    def _quantity(self, name: str, field: Field, ctx: Context) -> Context:
+        """`ctx` with what spectra in this field stand for."""
+        if self.category == "volume" or (self.category, self.type) == ("texture", "constant"):
+            return ctx
+        if self.category == "texture":
+            return replace(ctx, emission=False)
+        emission = self.category == "emitter" or name == "emission"
+        return replace(ctx, emission=emission, bounded=field.max == 1)
 
     def _install_child(self, name: str, child: Plugin | Reference) -> None:
         if isinstance(child, Reference):

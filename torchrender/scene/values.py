@@ -13,8 +13,7 @@ from ..errors import describe, nearest
 from ..transform import Transform, _plain, as_matrix
 from .context import LUMINANCE, Context
 
-SPECTRUM_TYPES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant")
-DOCUMENTED_SPECTRA = ("blackbody", "d65", "irregular", "regular")
+SPECTRUM_TYPES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "regular", "irregular", "blackbody")
 
 
 def floating(value: Any, ctx: Context) -> torch.Tensor:
@@ -81,6 +80,11 @@ def double(value: Any, ctx: Context) -> torch.Tensor:
     return number(value, replace(ctx, dtype=torch.float64))
 
 
+def double_array(value: Any, ctx: Context) -> Any:
+    """Numbers as a float64 NumPy array, for tables that carry no gradient."""
+    return floating(value, replace(ctx, dtype=torch.float64)).detach().cpu().numpy()
+
+
 def rounded(result: torch.Tensor, given: Any, ctx: Context) -> torch.Tensor:
     """`result`, computed in float64 from `given`, in the precision that `given` itself would have been taken in."""
     return result.to(ctx.dtype or _dtype_of(given))
@@ -106,13 +110,15 @@ def to_channels(color: torch.Tensor, ctx: Context) -> torch.Tensor:
 
 def is_spectrum(value: Any) -> bool:
     """Whether `value` is a dict that describes a constant colour."""
-    return isinstance(value, Mapping) and value.get("type") in SPECTRUM_TYPES + DOCUMENTED_SPECTRA
+    return isinstance(value, Mapping) and value.get("type") in SPECTRUM_TYPES
 
 
 def spectrum(value: Any, ctx: Context) -> torch.Tensor:
     """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel."""
     if isinstance(value, Mapping):
-        return _spectrum_from_dict(value, ctx)
+        from . import spectra
+
+        return spectra.from_dict(value, ctx)
     tensor = floating(value, ctx)
     if tensor.ndim == 0:
         return tensor
@@ -121,42 +127,6 @@ def spectrum(value: Any, ctx: Context) -> torch.Tensor:
     if tensor.shape[0] == 3:
         return to_channels(tensor, ctx)
     return tensor if ctx.color == "mono" else tensor.reshape(())
-
-
-def _spectrum_from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
-    kind = value.get("type")
-    if kind in DOCUMENTED_SPECTRA:
-        ctx.error(f"spectra of type {kind!r} are not supported in the variant {ctx.color or 'rgb'!r}: give rgb values")
-    if kind not in SPECTRUM_TYPES:
-        ctx.error(f"unknown spectrum {kind!r}; {nearest(str(kind), SPECTRUM_TYPES)}")
-    key = "color" if kind == "srgb" and "color" in value else "value"
-    accepted = ("type", "id", key)
-    for name in value:
-        if name not in accepted:
-            if kind == "uniform" and name in ("wavelength_min", "wavelength_max"):
-                ctx.error(f"{name} is not supported: a uniform spectrum here extends over all wavelengths")
-            ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
-    if key not in value:
-        if kind == "uniform":
-            return number(1.0, ctx)
-        ctx.error(f"{kind}: {key!r} is missing")
-    content = value[key]
-    if kind in ("rgb", "srgb"):
-        if isinstance(content, str):
-            content = numbers(content, ctx)
-        tensor = floating(content, ctx)
-        if tensor.numel() == 1:
-            tensor = tensor.reshape(1).expand(3)
-        if tensor.shape != (3,):
-            ctx.error(f"rgb: expected three numbers, got {describe(content)}")
-        return to_channels(tensor, ctx)
-    if isinstance(content, Sequence) and len(content) and isinstance(content[0], (Sequence, Mapping)):
-        ctx.error(f"{kind}: tabulated spectra are not supported in the variant {ctx.color or 'rgb'!r}: give rgb values")
-    if isinstance(content, str):
-        content = numbers(content, ctx)
-    if kind == "rawconstant":
-        return spectrum(content, ctx)
-    return number(content, ctx)
 
 
 def numbers(text: str, ctx: Context) -> list[float]:
