@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
-from .errors import MissingTermWarning, NotDifferentiableError, RenderError
+from .errors import MissingTermWarning, NotDifferentiableError, RenderError, SubstitutionWarning
 from .integrators import AOV, DirectIllumination, Integrator, ParticleTracer, PathTracer, VolumetricPathTracer
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
@@ -83,6 +83,7 @@ __all__ = [
     "Sampler",
     "Scene",
     "Sphere",
+    "SubstitutionWarning",
     "TabulatedPhase",
     "Transform",
     "TwoSided",

@@ -20,6 +20,13 @@ class MissingTermWarning(UserWarning):
     """
 
 
+class SubstitutionWarning(UserWarning):
+    """A part of a scene is not supported and something else stands in for it, as ``unsupported="substitute"`` asks.
+
+    The message names the place in the scene, what was there, and what is there now.
+    """
+
+
 class RenderError(RuntimeError):
     """A rendering failed: non-finite samples with ``nan="raise"``, or a broken native library."""
 

@@ -44,12 +44,19 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any) -> torch.dev
     return made
 
 
+def _substituting(function: str, unsupported: Any) -> bool:
+    if unsupported not in ("error", "substitute"):
+        raise ValueError(f"{function}: unsupported: expected 'error' or 'substitute', got {unsupported!r}")
+    return unsupported == "substitute"
+
+
 def load_dict(
     description: Mapping[str, Any],
     *,
     variant: str = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    unsupported: str = "error",
     _folder: Path | None = None,
 ) -> Any:
     """A scene, or a single object, from a nested dict in the format that Mitsuba 3 documents.
@@ -60,6 +67,8 @@ def load_dict(
         variant: colour mode, one of `variants()`.
         dtype: `torch.float32` or `torch.float64`, of all parameters and of the rendering.
         device: ``"cpu"``.
+        unsupported: ``"error"``, or ``"substitute"``: what this version does not have is replaced by the nearest thing
+            that it has or, where there is none, left out; one `SubstitutionWarning` each says what and where.
 
     Raises:
         ValueError: naming the place in the scene, the word that is wrong, and the nearest known ones.
@@ -67,9 +76,13 @@ def load_dict(
     made_device = _settings("load_dict", variant, dtype, device)
     if not isinstance(description, Mapping):
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}")
-    kind = description.get("type")
-    if kind is None:
+    if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
+    if _substituting("load_dict", unsupported):
+        from .substitutes import substitute
+
+        description = substitute(description)
+    kind = description["type"]
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}
         return Scene(objects, variant, dtype, made_device, _folder)
@@ -91,16 +104,18 @@ def load_file(
     variant: str = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    unsupported: str = "error",
     **parameters: Any,
 ) -> Scene:
     """A scene from a file: Mitsuba XML, or geometry that trimesh reads (glTF/GLB, OBJ, PLY, STL).
 
     Args:
         path: the file.
-        variant, dtype, device: as for `load_dict`.
+        variant, dtype, device, unsupported: as for `load_dict`.
         parameters: values for the ``$parameters`` of an XML file.
     """
     _settings("load_file", variant, dtype, device)
+    _substituting("load_file", unsupported)
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(f"load_file: no such file: {file}")
@@ -116,7 +131,8 @@ def load_file(
         from . import geometry
 
         description = geometry.load_scene(file)
-    return load_dict(description, variant=variant, dtype=dtype, device=device, _folder=file.resolve().parent)
+    folder = file.resolve().parent
+    return load_dict(description, variant=variant, dtype=dtype, device=device, unsupported=unsupported, _folder=folder)
 
 
 def from_trimesh(

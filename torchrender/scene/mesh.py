@@ -356,20 +356,22 @@ class Cube(Mesh):
         return ["to_world", "flip_normals", "bsdf", "emitter", "interior", "exterior", "attributes"]
 
 
-@builder("cube", "shape")
+@builder("cube", "shape", (*Cube.parameter_names(), *SILHOUETTE))
 def _cube(properties: dict[str, Any], ctx: Context) -> Plugin:
     return Cube(**properties, _context=ctx)
+
+
+FILE_NAMES = ("filename", "face_normals", "flip_tex_coords", "flip_normals", "to_world", "bsdf", "emitter")
+FILE_NAMES += ("interior", "exterior", *SILHOUETTE)
 
 
 def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plugin:
     from ..loaders import geometry
 
-    names = ["filename", "face_normals", "flip_tex_coords", "flip_normals", "to_world", "bsdf", "emitter"]
-    names += ["interior", "exterior"]
     for name, value in properties.items():
         nested = isinstance(value, Plugin) or (isinstance(value, Mapping) and "type" in value)
-        if name not in names and name not in SILHOUETTE and not nested:
-            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, names)}")
+        if name not in FILE_NAMES and not nested:
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, FILE_NAMES)}")
     if "filename" not in properties:
         ctx.error(f"{kind}: 'filename' is missing")
     path = ctx.at("filename").file(properties.pop("filename"))
@@ -394,11 +396,11 @@ def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plug
     return mesh
 
 
-@builder("ply", "shape")
+@builder("ply", "shape", FILE_NAMES)
 def _ply(properties: dict[str, Any], ctx: Context) -> Plugin:
     return _mesh_from_file("ply", properties, ctx)
 
 
-@builder("obj", "shape")
+@builder("obj", "shape", FILE_NAMES)
 def _obj(properties: dict[str, Any], ctx: Context) -> Plugin:
     return _mesh_from_file("obj", properties, ctx)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from ..errors import describe, nearest
@@ -14,6 +14,7 @@ Builder = Callable[[dict[str, Any], Context], Plugin]
 
 _classes: dict[tuple[str, str], type[Plugin]] = {}
 _builders: dict[str, tuple[str, Builder]] = {}  # scene types that are no native model: name -> (category, function)
+_builder_names: dict[str, tuple[str, ...]] = {}
 
 # Class names that are not the type name in capitals, so that a class says what it is.
 CLASS_NAMES: dict[tuple[str, str], str] = {
@@ -68,14 +69,23 @@ def register(cls: type[Plugin]) -> type[Plugin]:
     return cls
 
 
-def builder(kind: str, category: str) -> Callable[[Builder], Builder]:
-    """Decorator: use this function for a scene type that is no native model of its own."""
+def builder(kind: str, category: str, names: Iterable[str] = ()) -> Callable[[Builder], Builder]:
+    """Decorator: use this function for a scene type that is no native model of its own; it takes these parameters."""
 
     def add(function: Builder) -> Builder:
         _builders[kind] = (category, function)
+        _builder_names[kind] = tuple(names)
         return function
 
     return add
+
+
+def accepted_names(kind: str) -> tuple[str, ...]:
+    """The parameters that a scene dict of this type may have, in all spellings."""
+    if kind in _builders:
+        return _builder_names[kind]
+    cls = plugin_class(scene_types()[kind], kind)
+    return (*cls.parameter_names(), *cls.fields(), *cls.aliases, *cls.inert)
 
 
 def plugin_class(category: str, kind: str) -> type[Plugin]:
