@@ -100,7 +100,7 @@ def test_parameters_cameras_and_integrators(monkeypatch):
 
 
 def test_errors_stay_errors():
-    with pytest.raises(ValueError, match="a.radius: expected a positive number"):
+    with pytest.raises(ValueError, match=r"a\.radius: expected a positive number"):
         tr.load_dict({"type": "scene", "a": {"type": "sphere", "radius": -1}}, unsupported="substitute")
     with pytest.raises(ValueError, match=r"unknown .*'sfere'"):
         tr.load_dict({"type": "scene", "a": {"type": "sfere"}}, unsupported="substitute")

@@ -139,6 +139,68 @@ def test_old_files_are_upgraded():
     assert {name: snake_case(name) for name in names} == names
 
 
+def test_tags_and_words_of_the_oldest_files():
+    built = scene(
+        """<camera type="perspective" id="c"><film type="ldrfilm"/></camera>
+        <luminaire type="point" id="l"><blackbody name="intensity" temperature="5000K"/></luminaire>
+        <texture type="bitmap" id="t"><string name="filterType" value="ewa"/></texture>""",
+        version="0.3.0",
+    )
+    assert built["c"]["film"] == {"type": "hdrfilm"} and built["t"]["filter_type"] == "bilinear"
+    assert built["l"]["intensity"] == {"type": "blackbody", "temperature": 5000}
+    with pytest.raises(ValueError, match="<blackbody>: scale"):
+        scene('<emitter type="point"><blackbody name="a" temperature="5" scale="2"/></emitter>', version="0.6.0")
+
+
+def test_files_elsewhere_are_refused(tmp_path):
+    inside, outside = tmp_path / "scene", tmp_path / "other"
+    inside.mkdir(), outside.mkdir()
+    for name in ("mesh.ply", "red.xml"):
+        (outside / name).write_text('<bsdf version="3.0.0" type="diffuse" id="red"/>')
+    (inside / "link.ply").symlink_to(outside / "mesh.ply")
+    bodies = {
+        '<shape type="ply" id="m"><string name="filename" value="../other/mesh.ply"/></shape>': "<string>",
+        f'<shape type="ply" id="m"><string name="filename" value="{outside}/mesh.ply"/></shape>': "<string>",
+        '<shape type="ply" id="m"><string name="filename" value="link.ply"/></shape>': "<string>",
+        '<include filename="../other/red.xml"/>': "<include>",
+        '<path value="../other"/><shape type="ply" id="m"><string name="filename" value="mesh.ply"/></shape>': "<path>",
+        '<bsdf type="diffuse"><spectrum name="reflectance" filename="../other/mesh.ply"/></bsdf>': "<spectrum>",
+    }
+    for body, tag in bodies.items():
+        (inside / "a.xml").write_text(f'<scene version="3.0.0">{body}</scene>')
+        with pytest.raises(ValueError, match=rf"a\.xml, line 1, {tag}: .*outside of the scene's folder.*trusted=True"):
+            parse(inside / "a.xml")
+        assert parse(inside / "a.xml", trusted=True)["type"] == "scene"
+    # What the caller says himself is his choice.
+    (inside / "b.xml").write_text(
+        '<scene version="3.0.0"><shape type="ply" id="m"><string name="filename" value="$mesh"/></shape></scene>'
+    )
+    assert parse(inside / "b.xml", mesh=outside / "mesh.ply")["m"]["filename"] == str(outside.resolve() / "mesh.ply")
+    with pytest.raises(ValueError, match="outside of the scene's folder"):
+        parse(inside / "b.xml", mesh="../other/mesh.ply")
+
+
+def test_sizes_are_limited(tmp_path, monkeypatch):
+    """Files and parameters that grow exponentially end early, with little memory."""
+    growing = "".join(f'<default name="a{i + 1}" value="{f"$a{i}" * 8}"/>' for i in range(20))
+    with pytest.raises(ValueError, match=r"<default>: .*longer than 1048576 characters"):
+        scene('<default name="a0" value="laughing"/>' + growing)
+    for level in range(12):
+        (tmp_path / f"{level}.xml").write_text(
+            '<scene version="3.0.0">' + f'<include filename="{level + 1}.xml"/>' * 40 + "</scene>"
+        )
+    (tmp_path / "12.xml").write_text('<scene version="3.0.0">' + '<bsdf type="diffuse"/>' * 500 + "</scene>")
+    monkeypatch.setattr("torchrender.loaders.xml._MAX_ELEMENTS", 20_000)
+    with pytest.raises(ValueError, match="too many elements"):
+        parse(tmp_path / "0.xml")
+    deep = '<shape type="a">' * 200 + "</shape>" * 200
+    with pytest.raises(ValueError, match="nested more than 100 deep"):
+        scene(deep)
+    for name in ("\0.ply".replace("\0", "&#0;"), "a" * 5000, "a" * 300):
+        with pytest.raises((ValueError, FileNotFoundError)):
+            scene(f'<shape type="ply"><string name="filename" value="{name}"/></shape>')
+
+
 S = '<shape type="sphere">'
 
 

@@ -105,6 +105,7 @@ def load_file(
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
     unsupported: str = "error",
+    trusted: bool = False,
     **parameters: Any,
 ) -> Scene:
     """A scene from a file: Mitsuba XML, or geometry that trimesh reads (glTF/GLB, OBJ, PLY, STL).
@@ -112,6 +113,8 @@ def load_file(
     Args:
         path: the file.
         variant, dtype, device, unsupported: as for `load_dict`.
+        trusted: the file may use files outside of its own folder, such as textures in ``../textures``. By default that
+            is refused: a scene from elsewhere should not choose which files are read.
         parameters: values for the ``$parameters`` of an XML file.
     """
     _settings("load_file", variant, dtype, device)
@@ -124,7 +127,7 @@ def load_file(
     if file.suffix.lower() == ".xml":
         from . import xml
 
-        description = xml.parse(file, **parameters)
+        description = xml.parse(file, trusted=trusted, **parameters)
     else:
         if parameters:
             raise TypeError(f"load_file: {file.name} takes no parameters, got {', '.join(parameters)}")

@@ -2,6 +2,9 @@
 
 Files of versions 2.x and 3.x are read as they are; older ones (0.x) are brought to today's names first. Which plugins
 and parameters exist is not decided here but by ``load_dict``.
+
+A scene file may come from anywhere, so that it decides little: it names files in its own folder and below, declares no
+entities, fetches nothing, and its size, its elements and its texts after replacing parameters are limited.
 """
 
 from __future__ import annotations
@@ -24,14 +27,19 @@ _OBJECTS = {
 _VALUES = {"integer", "float", "boolean", "string", "point", "vector", "rgb", "srgb", "spectrum", "transform"}
 _DIRECTIVES = {"ref", "default", "include", "alias", "path"}
 _MAX_INCLUDES = 15
+_MAX_BYTES = 1 << 26  # of all files
+_MAX_ELEMENTS = 1 << 18  # of all files; an include counts as often as it is used
+_MAX_TEXT = 1 << 20  # characters of an attribute after its parameters are replaced
 
 
-def parse(path: str | os.PathLike, **params: Any) -> dict[str, Any]:
+def parse(path: str | os.PathLike, *, trusted: bool = False, **params: Any) -> dict[str, Any]:
     """Read a scene file.
 
     Args:
         path: an XML file in Mitsuba's scene format. File names in it are relative to its folder, or to a folder that
             a ``<path>`` element adds.
+        trusted: its file names may lead anywhere. Otherwise they stay in its folder and below (links are followed
+            first), or are, or lie below, absolute paths among `params`.
         **params: values for the file's ``$name`` parameters; they win over its ``<default>`` elements.
 
     Returns:
@@ -42,23 +50,28 @@ def parse(path: str | os.PathLike, **params: Any) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: if the file, or one that it names, is not there.
-        ValueError: naming file, line and tag, for anything that the format does not know.
+        ValueError: naming file, line and tag, for anything that the format does not know, a file elsewhere, or too
+            large a scene.
     """
     path = Path(path)
     if not path.is_file():
         raise FileNotFoundError(f"path: no such scene file: {path}")
-    return _Reader(params).read(path.read_bytes(), str(path), path.resolve().parent)
+    reader = _Reader(params, trusted)
+    return reader.read(reader.content(path), str(path), path.resolve().parent)
 
 
-def parse_string(text: str, folder: str | os.PathLike = ".", **params: Any) -> dict[str, Any]:
+def parse_string(text: str, folder: str | os.PathLike = ".", *, trusted: bool = False, **params: Any) -> dict[str, Any]:
     """The same for a scene given as text; `folder` is where its relative file names begin."""
-    return _Reader(params).read(text.encode(), "scene text", Path(folder).resolve())
+    return _Reader(params, trusted).read(text.encode(), "scene text", Path(folder).resolve())
 
 
 class _Reader:
     """The state of reading one scene: parameters, search folders, ids and aliases."""
 
-    def __init__(self, params: dict[str, Any]) -> None:
+    def __init__(self, params: dict[str, Any], trusted: bool) -> None:
+        self.trusted = trusted
+        self.roots: list[Path] = []
+        self.bytes = self.elements = self.characters = 0
         self.given = {name: _as_text(value) for name, value in params.items()}
         self.params = dict(self.given)
         self.used: set[str] = set()
@@ -67,8 +80,17 @@ class _Reader:
         self.places: dict[str, Element] = {}
         self.aliases: dict[str, str] = {}
 
+    def content(self, path: Path) -> bytes:
+        """The bytes of a file, within the limit for all of them."""
+        self.bytes += path.stat().st_size
+        if self.bytes > _MAX_BYTES:
+            raise ValueError(f"{path}: the scene's files are larger than {_MAX_BYTES >> 20} MiB")
+        return path.read_bytes()
+
     def read(self, content: bytes, name: str, folder: Path) -> dict[str, Any]:
         self.folders = [folder]
+        given = [Path(text) for text in self.given.values() if len(text) < 4096 and os.path.isabs(text)]
+        self.roots = [folder, *(path.resolve() for path in given)]
         root = self.tree(content, name)
         self.expand(root, folder, [name])
         unused = sorted(set(self.given) - self.used)
@@ -79,7 +101,8 @@ class _Reader:
 
     def tree(self, content: bytes, name: str) -> Element:
         """Read one file, check its root and version, and upgrade it if it is old."""
-        root = read_tree(content, name)
+        root = read_tree(content, name, _MAX_ELEMENTS - self.elements)
+        self.elements += _count(root)
         if root.tag not in _OBJECTS:
             raise root.error(f"expected a scene or an object of one; {nearest(root.tag, _OBJECTS)}")
         if "version" not in root.attributes:
@@ -122,7 +145,20 @@ class _Reader:
                     return self.params[word[:end]] + word[end:]
             raise element.error(f"undefined parameter ${word}; {nearest(word, self.params)}")
 
-        return re.sub(r"\$([A-Za-z_]\w*)", replace, text)
+        if "$" not in text:
+            return text
+        # Replaced one by one: a chain of parameters made of parameters may be longer than memory.
+        parts, length, position = [], 0, 0
+        for match in re.finditer(r"\$([A-Za-z_]\w*)", text):
+            parts += [text[position : match.start()], replace(match)]
+            position = match.end()
+            length += len(parts[-2]) + len(parts[-1])
+            if length > _MAX_TEXT:
+                raise element.error(f"an attribute is longer than {_MAX_TEXT} characters with its parameters replaced")
+        self.characters += length
+        if self.characters > _MAX_BYTES:
+            raise element.error(f"the parameters of the scene are replaced by more than {_MAX_BYTES >> 20} MiB of text")
+        return "".join([*parts, text[position:]])
 
     def default(self, element: Element) -> None:
         values.check_attributes(element, ("name", "value"))
@@ -134,6 +170,7 @@ class _Reader:
     def path(self, element: Element, folder: Path) -> None:
         values.check_attributes(element, ("value",))
         added = folder / self.substitute(element, element.attributes["value"])
+        self.confine(element, added)
         if not added.is_dir():
             raise element.error(f"no such folder: {added}", FileNotFoundError)
         self.folders.insert(0, added)
@@ -145,18 +182,34 @@ class _Reader:
         path = self.find(element, name, folder)
         if len(files) >= _MAX_INCLUDES or str(path) in files:
             raise element.error(f"{name!r} includes itself, or files include each other too deeply")
-        root = self.tree(path.read_bytes(), str(path))
+        root = self.tree(self.content(path), str(path))
         self.expand(root, path.parent, [*files, str(path)])
         return root.children if root.tag == "scene" else [root]
 
     def find(self, element: Element, name: str, folder: Path | None = None) -> Path:
         """A file by its name, seen from the folders in question."""
         folders = ([folder] if folder is not None else []) + self.folders
+        if "\0" in name or len(name) > 4096:
+            raise element.error("expected a file name, got something that is none")
         for candidate in folders:
-            if (candidate / name).is_file():
-                return (candidate / name).resolve()
+            try:
+                found = (candidate / name).is_file()
+            except OSError:  # a part of the name is too long, a loop of links
+                found = False
+            if found:
+                return self.confine(element, candidate / name)
         searched = ", ".join(dict.fromkeys(str(candidate) for candidate in folders))
         raise element.error(f"no such file: {name!r}; searched in {searched}", FileNotFoundError)
+
+    def confine(self, element: Element, path: Path) -> Path:
+        """`path`, absolute and without links, if the scene may use what is there."""
+        resolved = path.resolve()
+        if not self.trusted and not any(resolved.is_relative_to(root) for root in self.roots):
+            raise element.error(
+                f"{str(resolved)!r} is outside of the scene's folder {str(self.roots[0])!r}; "
+                "trusted=True allows a file to lead there"
+            )
+        return resolved
 
     # Ids.
 
@@ -254,6 +307,10 @@ _SIMPLE = {
 
 def _is_object(element: Element) -> bool:
     return element.tag in _OBJECTS and (element.tag != "spectrum" or "type" in element.attributes)
+
+
+def _count(element: Element) -> int:
+    return 1 + sum(_count(child) for child in element.children)
 
 
 def _free(tag: str, taken: set[str]) -> str:

@@ -9,7 +9,7 @@ import xml.parsers.expat
 from dataclasses import dataclass, field
 
 
-@dataclass
+@dataclass(slots=True)
 class Element:
     """One XML element.
 
@@ -31,24 +31,32 @@ class Element:
         return kind(f"{self.file}, line {self.line}, <{self.tag}>: {message}")
 
 
-def read_tree(content: bytes, file: str) -> Element:
+def read_tree(content: bytes, file: str, most: int = 1 << 18) -> Element:
     """Parse XML text.
 
     Args:
         content: the document; its encoding is UTF-8 unless its first line says otherwise.
         file: its name, for messages.
+        most: how many elements it may have.
 
     Raises:
-        ValueError: with file and line, if it is not well-formed, holds text between elements, or declares a document
-            type or entities.
+        ValueError: with file and line, if it is not well-formed, holds text between elements, declares a document
+            type or entities, or has too many elements.
     """
+    if b"\0" in content[:4] or content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise ValueError(f"{file}, line 1: expected text in UTF-8, got UTF-16 or binary data")
     parser = xml.parsers.expat.ParserCreate()
     parser.buffer_text = True
     roots: list[Element] = []
     stack: list[Element] = []
+    left = most
 
     def start(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal left
         element = Element(tag, attributes, file, parser.CurrentLineNumber)
+        left -= 1
+        if left < 0:
+            raise element.error("the scene has too many elements")
         (stack[-1].children if stack else roots).append(element)
         if len(stack) > 100:
             raise element.error("elements are nested more than 100 deep")

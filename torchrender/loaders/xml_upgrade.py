@@ -1,7 +1,9 @@
 """Brings scene files of Mitsuba 0.x (written before version 2.0) to today's names, in place.
 
 Facts: Mitsuba 2's documentation, "Scene format": property names changed from camelCase to under_scores, and the
-texture parameters uscale, vscale, uoffset and voffset became a `to_uv` transform.
+texture parameters uscale, vscale, uoffset and voffset became a `to_uv` transform. The manual of 0.6: filters of bitmaps
+were "ewa", "trilinear" and "nearest", black bodies had a tag and films of 8 bits a type of their own; in 0.3 sensors
+were called cameras and emitters luminaires.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ import re
 from .xml_tree import Element
 
 _UV = ("uscale", "vscale", "uoffset", "voffset")
+_TAGS = {"lookAt": "lookat", "camera": "sensor", "luminaire": "emitter"}
 _NAMED = ("integer", "float", "boolean", "string", "point", "vector", "rgb", "spectrum", "srgb", "transform", "texture")
 _NAMED += ("volume", "medium", "phase")
 
@@ -23,12 +26,17 @@ def snake_case(name: str) -> str:
 
 def upgrade(element: Element) -> None:
     """Rewrite `element` and everything in it."""
-    if element.tag == "lookAt":
-        element.tag = "lookat"
+    element.tag = _TAGS.get(element.tag, element.tag)
+    if element.attributes.get("type") == "ldrfilm" and element.tag == "film":
+        element.attributes["type"] = "hdrfilm"
+    if element.tag == "blackbody":
+        _upgrade_blackbody(element)
     if "name" in element.attributes and (element.tag in _NAMED or element.tag == "ref"):
         element.attributes["name"] = snake_case(element.attributes["name"])
     if element.tag == "texture":
         _upgrade_uv(element)
+    if element.attributes.get("name") == "filter_type" and element.attributes.get("value") in ("ewa", "trilinear"):
+        element.attributes["value"] = "bilinear"
     if element.tag == "spectrum" and _is_triple(element.attributes.get("value", "")):
         element.tag = "rgb"
     for child in element.children:
@@ -37,6 +45,19 @@ def upgrade(element: Element) -> None:
 
 def _is_triple(text: str) -> bool:
     return ":" not in text and len(text.replace(",", " ").split()) == 3
+
+
+def _upgrade_blackbody(element: Element) -> None:
+    """``<blackbody temperature="5000K">`` as a spectrum of that type. Its factor `scale` has no counterpart today."""
+    given = element.attributes
+    if given.get("scale", "1") not in ("1", "1.0"):
+        raise element.error("scale: a black body's spectrum has no factor any more; give an rgb value in its place")
+    element.tag = "spectrum"
+    kelvin = given.pop("temperature", "").strip().rstrip("kK")
+    given.pop("scale", None)
+    given["type"] = "blackbody"
+    child = Element("float", {"name": "temperature", "value": kelvin}, element.file, element.line)
+    element.children.append(child)
 
 
 def _upgrade_uv(texture: Element) -> None:
