@@ -66,9 +66,10 @@ def load_mesh(
 
 
 def _normalized(vectors: np.ndarray) -> np.ndarray:
-    """Rows scaled to unit length; rows of zeros stay."""
+    """Rows scaled to unit length; rows of zeros stay, and so do, bit by bit, rows of that length up to rounding."""
     length = np.linalg.norm(vectors, axis=1, keepdims=True)
-    return vectors / np.where(length > 0, length, 1)
+    done = np.abs(length - 1) <= 4 * np.finfo(length.dtype).eps
+    return vectors / np.where((length > 0) & ~done, length, 1)
 
 
 def _check(path: Path, mesh: dict[str, Any]) -> None:

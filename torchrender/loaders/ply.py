@@ -5,6 +5,7 @@ Format: G. Turk, "The PLY Polygon File Format" (1994).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -211,3 +212,53 @@ def _read_ascii(path: Path, body: bytes, elements: list[PlyElement]) -> None:
                 position += length
                 columns[name] += entries if name in element.scalars else [(row, v) for v in entries]
         _take_columns(element, columns)
+
+
+def write_ply(
+    path: Path,
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    normals: np.ndarray | None = None,
+    texcoords: np.ndarray | None = None,
+    attributes: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Write a triangle mesh, binary and little endian, in the precision of its arrays.
+
+    Args:
+        path: where to.
+        vertices, normals: (V, 3). texcoords: (V, 2), the properties u and v.
+        faces: (F, 3) integers.
+        attributes: ``vertex_NAME`` (V, C) and ``face_NAME`` (F, C): the properties r, g, b for the name ``color``,
+            ``NAME_r`` and so on for ``NAME_color``, else ``NAME_0`` and so on.
+    """
+    groups = [(("x", "y", "z"), vertices), (("nx", "ny", "nz"), normals), (("u", "v"), texcoords)]
+    rows = {"vertex": [(names, array) for names, array in groups if array is not None], "face": []}
+    for key, array in (attributes or {}).items():
+        element, base = key.split("_", 1)
+        rows[element].append((_property_names(base, array.shape[1]), array))
+    corners = np.dtype([("n", "u1"), ("corners", "<i4", (3,))])
+    tables = {element: _table(columns, corners if element == "face" else None) for element, columns in rows.items()}
+    tables["face"] = np.zeros(len(faces), tables["face"])
+    tables["vertex"] = np.zeros(len(vertices), tables["vertex"])
+    tables["face"]["n"], tables["face"]["corners"] = 3, faces
+    header = ["ply", "format binary_little_endian 1.0"]
+    for element, table in tables.items():
+        header.append(f"element {element} {len(table)}")
+        header += ["property list uchar int vertex_indices"] * (element == "face")
+        for names, array in rows[element]:
+            header += [f"property {'double' if array.dtype == np.float64 else 'float'} {name}" for name in names]
+            for i, name in enumerate(names):
+                table[name] = array[:, i]
+    content = "\n".join([*header, "end_header", ""]).encode()
+    path.write_bytes(content + tables["vertex"].tobytes() + tables["face"].tobytes())
+
+
+def _property_names(base: str, channels: int) -> tuple[str, ...]:
+    if base == "color" or base.endswith("_color"):
+        return tuple(base.removesuffix("color") + letter for letter in "rgba"[:channels])
+    return tuple(f"{base}_{i}" for i in range(channels))
+
+
+def _table(columns: list, first: np.dtype | None) -> np.dtype:
+    fields: list = [] if first is None else [(name, first[name]) for name in first.names]
+    return np.dtype(fields + [(name, f"<{array.dtype.str[1:]}") for names, array in columns for name in names])

@@ -205,7 +205,7 @@ class Mesh(Shape):
     def compute_normals(self) -> None:
         """Shade smooth, with normals that are computed from the positions and follow them from now on."""
         positions = self.vertex_positions.detach()
-        normals = self.normals_from_positions(positions)
+        normals = _native_normals(positions, self.faces)  # as after an edit: the same bits
         self._install_tensor("vertex_normals", None, normals)
         self.__dict__["computed_normals"] = True
         self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), normals.clone())

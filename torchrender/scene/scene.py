@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fnmatch
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -247,6 +248,24 @@ class Scene(nn.Module):
         except AttributeError:
             modules = self.__dict__.get("_modules", {})
             raise AttributeError(f"the scene has no object {name!r}; {nearest(name, modules)}") from None
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a Mitsuba 3 XML file, and ``meshes/*.ply``, ``textures/*.exr`` and ``volumes/*.vol`` beside it.
+
+        `load_file` gives a scene of the same objects, names and values: in single precision its images have the same
+        bits. Of a double-precision scene, textures and volumes are rounded; in mono, colours become plain numbers. What is
+        not saved: which parameters require gradients, and vertex normals of meshes that are shaded flat. Normals are
+        brought to unit length when they are loaded.
+
+        Args:
+            path: ends in ``.xml``; its folder is made if it is not there, and files of the same names are overwritten.
+
+        Raises:
+            ValueError: naming the object that a scene file has no form for.
+        """
+        from ..loaders.save import save
+
+        save(self, path)
 
     # ------------------------------------------------------------------------------------------------ parameters
     def named_modules(self, memo: set | None = None, prefix: str = "", remove_duplicate: bool = True) -> Any:

@@ -1,0 +1,282 @@
+"""Writes a scene as a Mitsuba 3 XML file, with its meshes, textures and volumes in folders beside it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+import torch
+
+from .. import io
+from ..integrators import TYPES, Integrator
+from ..io._files import as_path
+from ..scene.declaration import CHILD_KINDS
+from ..scene.mesh import Mesh
+from ..scene.plugin import Plugin
+from .materials import identifier
+from .ply import write_ply
+
+if TYPE_CHECKING:
+    from ..scene.film import Film
+    from ..scene.scene import Scene
+
+_INDENT = "    "
+
+
+def save(scene: Scene, path: str | os.PathLike) -> None:
+    """Write `scene` to an XML file, and ``meshes/*.ply``, ``textures/*.exr``, ``volumes/*.vol`` beside it.
+
+    See `Scene.save`.
+    """
+    path = as_path(path)
+    if path.suffix.lower() != ".xml":
+        raise ValueError(f"save: expected a name that ends in .xml, got {str(path)!r}")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = _Writer(scene, path).text()
+    temporary = path.with_name(path.name + ".part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+def number(value: torch.Tensor) -> str:
+    """A scalar tensor as the shortest text that gives its bits back."""
+    if value.dtype == torch.float64:
+        return repr(float(value))
+    single = np.float32(value.item())
+    text = str(single)
+    # By way of double precision, as it will be read; where that rounds otherwise, all digits.
+    return text if np.float32(float(text)) == single else repr(float(single))
+
+
+class _Writer:
+    """The lines of one file, and the names taken so far."""
+
+    def __init__(self, scene: Scene, path: Path) -> None:
+        self.scene = scene
+        self.folder = path.parent
+        self.stem = identifier(path.stem, set())
+        self.lines: list[str] = []
+        self.files: set[str] = set()
+        self.ids = {id(m): name for name, m in scene._modules.items() if not _inline(m)}
+        self.top = set(self.ids)
+        self.written: set[int] = set()
+        self._name_shared()
+
+    def _name_shared(self) -> None:
+        """Ids for objects that several others hold and that are none of the scene's own."""
+        seen: set[int] = set()
+        taken = {*self.scene._modules}
+
+        def walk(module: torch.nn.Module) -> None:
+            for name, child in module._modules.items():
+                if not isinstance(child, Plugin) or _inline(child):
+                    continue
+                if id(child) in seen and id(child) not in self.ids:
+                    self.ids[id(child)] = identifier(str(child.__dict__.get("id") or f"shared_{name}"), taken)
+                if id(child) not in seen:
+                    seen.add(id(child))
+                    walk(child)
+
+        walk(self.scene)
+
+    def text(self) -> str:
+        self.lines = ['<?xml version="1.0" encoding="utf-8"?>', '<scene version="3.0.0">']
+        for name, module in self.scene._modules.items():
+            if isinstance(module, Integrator):
+                self.integrator(module, 1, id=name)
+            elif isinstance(module, Plugin) and not _inline(module):
+                self.plugin(module, 1, name)
+        return "\n".join([*self.lines, "</scene>", ""])
+
+    # ------------------------------------------------------------------------------------------------- elements
+    def line(self, depth: int, tag: str, close: bool = True, **attributes: Any) -> None:
+        given = "".join(f" {k}={quoteattr(str(v))}" for k, v in attributes.items() if v is not None)
+        self.lines.append(f"{_INDENT * depth}<{tag}{given}{'/' if close else ''}>")
+
+    def end(self, depth: int, tag: str) -> None:
+        """Close an element; one without content in a single line."""
+        opening = f"{_INDENT * depth}<{tag} "
+        if self.lines[-1].startswith(opening) and not self.lines[-1].endswith("/>"):
+            self.lines[-1] = self.lines[-1][:-1] + "/>"
+        else:
+            self.lines.append(f"{_INDENT * depth}</{tag}>")
+
+    def value(self, depth: int, name: str, content: Any) -> None:
+        """A plain Python value."""
+        kinds = {bool: "boolean", int: "integer", float: "float", str: "string"}
+        text = str(content).lower() if isinstance(content, bool) else content
+        self.line(depth, kinds[type(content)], name=name, value=text)
+
+    def matrix(self, depth: int, name: str, matrix: torch.Tensor) -> None:
+        if torch.equal(matrix, torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)):
+            return
+        if len(matrix) == 3:  # of texture coordinates: rows and columns 0, 1 and 3 hold the planar map
+            keep = torch.tensor([0, 1, 3])
+            full = torch.eye(4, dtype=matrix.dtype)
+            full[keep[:, None], keep] = matrix.cpu()
+            matrix = full
+        self.line(depth, "transform", close=False, name=name)
+        self.line(depth + 1, "matrix", value=" ".join(number(v) for v in matrix.reshape(-1)))
+        self.end(depth, "transform")
+
+    def file(self, folder: str, name: str, ending: str) -> tuple[Path, str]:
+        """A free name for a file in `folder`: as a path, and as the scene says it."""
+        name = identifier(f"{self.stem}_{name}" if self.stem != "scene" else name, self.files)
+        (self.folder / folder).mkdir(exist_ok=True)
+        return self.folder / folder / f"{name}{ending}", f"{folder}/{name}{ending}"
+
+    # -------------------------------------------------------------------------------------------------- objects
+    def plugin(self, plugin: Plugin, depth: int, name: str, where: str = "") -> None:
+        """An object of the scene (`where` is empty) or one that another holds under `name`."""
+        nested = {"name": name} if where else {}
+        if id(plugin) in self.written or (where and id(plugin) in self.top):
+            self.line(depth, "ref", id=self.ids[id(plugin)], **nested)
+            return
+        self.written.add(id(plugin))
+        where = f"{where}_{name}" if where else name
+        kind = "ply" if isinstance(plugin, Mesh) else plugin.type
+        self.line(depth, plugin.category, close=False, type=kind, id=self.ids.get(id(plugin)), **nested)
+        done = self.mesh(plugin, depth + 1, where) if isinstance(plugin, Mesh) else set()
+        if plugin.category == "sensor":
+            done |= self.sensor(plugin, depth + 1)
+        shown = {theirs: ours for ours, theirs in plugin.aliases.items()}
+        for field_name, field in plugin.fields().items():
+            if field_name not in done:
+                self.field(plugin, field_name, shown.get(field_name, field_name), field, depth + 1, where)
+        self.end(depth, plugin.category)
+
+    def field(self, plugin: Plugin, name: str, shown: str, field: Any, depth: int, where: str) -> None:
+        content = getattr(plugin, name, None)
+        if content is None:
+            return
+        if isinstance(content, Plugin):
+            if _inline(content):
+                self.constant(depth, shown, content)
+            else:
+                self.plugin(content, depth, shown, where)
+            return
+        if field.kind == "int":
+            if field.default is None or plugin.encode(name) != int(field.default):
+                self.value(depth, shown, content)
+            return
+        tensor = content.detach().cpu()
+        if field.kind in ("transform", "transform2"):
+            self.matrix(depth, shown, tensor)
+        elif field.kind in ("point", "vector"):
+            x, y, z = (number(v) for v in tensor)
+            self.line(depth, field.kind, name=shown, x=x, y=y, z=z)
+        elif field.kind == "float":
+            if name == "eta" and "int_ior" in plugin.parameter_names():
+                self.line(depth, "float", name="int_ior", value=number(tensor))
+                self.line(depth, "float", name="ext_ior", value="1")
+            elif field.default is None or float(tensor) != field.default:
+                self.line(depth, "float", name=shown, value=number(tensor))
+        elif field.kind == "spectrum":
+            self.colour(depth, shown, tensor)
+        elif field.kind == "tensor":
+            self.tensor(plugin, shown, tensor, depth, where)
+        elif field.kind not in CHILD_KINDS:
+            raise ValueError(f"save: {where}.{shown}: a parameter of kind {field.kind!r} has no form in a scene file")
+
+    def constant(self, depth: int, name: str, plugin: Plugin) -> None:
+        """A texture or volume of one colour, in place."""
+        value = plugin.value
+        if isinstance(value, Plugin):  # a volume's is a texture
+            value = value.value
+        self.colour(depth, name, value.detach().cpu())
+
+    def colour(self, depth: int, name: str, value: torch.Tensor) -> None:
+        if value.numel() == 1:
+            self.line(depth, "float", name=name, value=number(value.reshape(())))
+        else:
+            self.line(depth, "rgb", name=name, value=", ".join(number(v) for v in value))
+
+    def tensor(self, plugin: Plugin, name: str, tensor: torch.Tensor, depth: int, where: str) -> None:
+        """An image or a grid in a file of its own, a table in place."""
+        if plugin.category == "volume":
+            path, said = self.file("volumes", where, ".vol")
+            io.write_volume(path, tensor)
+        elif tensor.ndim == 1:
+            self.line(depth, "string", name=name, value=", ".join(number(v) for v in tensor))
+            return
+        elif "filename" in plugin.parameter_names() and tensor.ndim in (2, 3):
+            path, said = self.file("textures", where, ".exr")
+            channels = tensor.shape[2] if tensor.ndim == 3 else 1
+            names = None if channels in (1, 3, 4) else [f"c{i:03d}" for i in range(channels)]
+            io.write_image(path, tensor, channels=names)
+        else:
+            raise ValueError(f"save: {where}.{name}: a {plugin.type} has no form in a scene file")
+        self.line(depth, "string", name="filename", value=said)
+        if "raw" in plugin.parameter_names() and plugin.category == "texture":
+            self.value(depth, "raw", True)
+
+    def mesh(self, mesh: Mesh, depth: int, where: str) -> set[str]:
+        """The mesh as a PLY file; returns the fields that are done with that."""
+        path, said = self.file("meshes", where, ".ply")
+        flat = mesh.vertex_normals is None or mesh.face_normals
+        given = {} if flat or mesh.computed_normals else {"normals": mesh.vertex_normals}
+        if mesh.vertex_texcoords is not None:
+            given["texcoords"] = mesh.vertex_texcoords
+        arrays = {key: value.detach().cpu().numpy() for key, value in given.items()}
+        attributes = {name: getattr(mesh, name).detach().cpu().numpy() for name in mesh.attribute_names}
+        write_ply(path, mesh.vertex_positions.detach().cpu().numpy(), mesh.faces.cpu().numpy(), **arrays,
+                  attributes=attributes)  # fmt: skip
+        self.line(depth, "string", name="filename", value=said)
+        if flat:
+            self.value(depth, "face_normals", True)
+        return {"vertex_positions", "faces", "vertex_normals", "vertex_texcoords", "face_normals"}
+
+    # ------------------------------------------------------------------------------------- what is no parameter
+    def sensor(self, sensor: Plugin, depth: int) -> set[str]:
+        """Field of view, film and sampler."""
+        done = set()
+        if "x_fov" in sensor.fields():
+            self.line(depth, "float", name="fov", value=number(sensor.x_fov.detach().cpu()))
+            self.value(depth, "fov_axis", "x")
+            done.add("x_fov")
+        film = sensor.__dict__.get("film")
+        if film is not None:
+            self.film(film, depth)
+        sampler = sensor.__dict__.get("sampler")
+        if sampler is not None:
+            self.line(depth, "sampler", close=False, type=sampler.type)
+            self.value(depth + 1, "sample_count", sampler.sample_count)
+            self.end(depth, "sampler")
+        return done
+
+    def film(self, film: Film, depth: int) -> None:
+        self.line(depth, "film", close=False, type="hdrfilm")
+        settings: dict[str, Any] = {"width": film.width, "height": film.height, **film.formats}
+        if film.crop is not None:
+            names = ("crop_offset_y", "crop_offset_x", "crop_height", "crop_width")
+            settings |= dict(zip(names, film.crop, strict=True))
+        if film.sample_border:
+            settings["sample_border"] = True
+        for name, content in settings.items():
+            self.value(depth + 1, name, content)
+        self.line(depth + 1, "rfilter", close=False, type=film.filter.type)
+        parameter = {"tent": "radius", "gaussian": "stddev"}.get(film.filter.type)
+        if parameter is not None:
+            self.value(depth + 2, parameter, getattr(film.filter, parameter))
+        self.end(depth + 1, "rfilter")
+        self.end(depth, "film")
+
+    def integrator(self, integrator: Integrator, depth: int, **attributes: str) -> None:
+        self.line(depth, "integrator", close=False, type=integrator.kind, **attributes)
+        for name in TYPES[integrator.kind][1]:
+            content = getattr(integrator, name, None)
+            if content is not None:
+                self.value(depth + 1, name, content)
+        for name, child in integrator._modules.items():
+            if isinstance(child, Integrator):
+                self.integrator(child, depth + 1, name=name)
+        self.end(depth, "integrator")
+
+
+def _inline(module: Any) -> bool:
+    """Whether an object is a colour, which has no element of its own."""
+    kind = (getattr(module, "category", ""), getattr(module, "type", ""))
+    return kind in (("texture", "constant"), ("volume", "constvolume"))
