@@ -164,7 +164,7 @@ def test_missing_and_unknown_files(tmp_path):
     (tmp_path / "a.xyzw").write_text("hello")
     with pytest.raises(ValueError, match=r"a\.xyzw"):
         load_scene(tmp_path / "a.xyzw")
-    with pytest.raises(ValueError, match=r"\.ply or \.obj"):
+    with pytest.raises(ValueError, match=r"\.ply, \.obj or \.serialized"):
         load_mesh(tmp_path / "a.xyzw")
     (tmp_path / "empty.obj").write_text("# nothing")
     with pytest.raises(ValueError, match="no triangles"):

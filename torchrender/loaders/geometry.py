@@ -16,6 +16,7 @@ from ..transform import Transform
 from .materials import Materials, identifier, two_sided
 from .obj import read_obj
 from .ply import PlyElement, read_ply
+from .serialized import read_serialized
 
 _POSTFIX = re.compile(r"(?:(.*)_)?(x|y|z|w|r|g|b|a|[0-4])\Z")
 _COLOURS = {"red": "r", "green": "g", "blue": "b", "alpha": "a"}
@@ -23,22 +24,29 @@ _RESERVED = {"x", "y", "z", "nx", "ny", "nz"}
 
 
 def load_mesh(
-    path: str | os.PathLike, *, face_normals: bool = False, flip_tex_coords: bool | None = None
+    path: str | os.PathLike,
+    *,
+    face_normals: bool = False,
+    flip_tex_coords: bool | None = None,
+    shape_index: int = 0,
 ) -> dict[str, Any]:
-    """Read one mesh from a PLY or OBJ file, as it is in the file: nothing is welded, removed or reordered.
+    """Read one mesh from a PLY, OBJ or serialized file, as it is there: nothing is welded, removed or reordered.
 
     Args:
-        path: a ``.ply`` or ``.obj`` file. Polygons become fans of triangles. A vertex of an OBJ file is a distinct
-            combination of position, texture coordinate and normal; its groups and materials are not told apart.
+        path: a ``.ply``, ``.obj`` or ``.serialized`` file. Polygons become fans of triangles. A vertex of an OBJ file
+            is a distinct combination of position, texture coordinate and normal; its groups and materials are not
+            told apart.
         face_normals: leave out the file's vertex normals.
-        flip_tex_coords: replace v by 1 - v. By default this is done for OBJ, whose v runs upwards, and not for PLY.
+        flip_tex_coords: replace v by 1 - v. By default this is done for OBJ, whose v runs upwards, and not for others.
+        shape_index: which mesh of a ``.serialized`` file, from 0.
 
     Returns:
         dict with ``vertices`` (V, 3), ``vertex_normals`` (V, 3) of unit length or None, ``vertex_texcoords`` (V, 2) or
-        None, in the precision of the file (OBJ: float64); ``faces`` (F, 3) int32; and ``attributes``, the other
-        properties of a PLY file: ``vertex_NAME`` (V, C) and ``face_NAME`` (F, C). Properties r, g, b or red, green,
-        blue are ``color`` (integers are divided by their largest value), NAME_r, NAME_g, NAME_b are ``NAME_color``,
-        other NAME_x, NAME_y ... or NAME_0, NAME_1 ... are ``NAME``.
+        None, in the precision of the file (OBJ: float64); ``faces`` (F, 3) int32; ``face_normals``, if the file asks
+        for flat shading; and ``attributes``, the colours of a serialized file or the other properties of a PLY file:
+        ``vertex_NAME`` (V, C) and ``face_NAME`` (F, C). Properties r, g, b or red, green, blue are ``color`` (integers
+        are divided by their largest value), NAME_r, NAME_g, NAME_b are ``NAME_color``, other NAME_x, NAME_y ... or
+        NAME_0, NAME_1 ... are ``NAME``.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -46,9 +54,13 @@ def load_mesh(
     """
     path = existing_file(path)
     ending = path.suffix.lower()
-    if ending not in (".ply", ".obj"):
-        raise ValueError(f"{path}: expected a .ply or .obj file, got {ending!r}")
-    mesh = _from_ply(path) if ending == ".ply" else _from_obj(path)
+    if ending not in (".ply", ".obj", ".serialized"):
+        raise ValueError(f"{path}: expected a .ply, .obj or .serialized file, got {ending!r}")
+    if ending == ".serialized":
+        mesh = read_serialized(path, shape_index)
+        mesh["attributes"] = {name: torch.from_numpy(data) for name, data in mesh["attributes"].items()}
+    else:
+        mesh = _from_ply(path) if ending == ".ply" else _from_obj(path)
     flip = ending == ".obj" if flip_tex_coords is None else flip_tex_coords
     if flip and mesh["vertex_texcoords"] is not None:
         mesh["vertex_texcoords"] = mesh["vertex_texcoords"] * [1, -1] + [0, 1]

@@ -14,7 +14,7 @@ from . import values
 from .context import Context
 from .declaration import Field
 from .plugin import Plugin, structure_changed
-from .registry import builder, register
+from .registry import accepted_names, builder, register
 from .shapes import SILHOUETTE, Shape
 
 
@@ -370,16 +370,21 @@ def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plug
 
     for name, value in properties.items():
         nested = isinstance(value, Plugin) or (isinstance(value, Mapping) and "type" in value)
-        if name not in FILE_NAMES and not nested:
-            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, FILE_NAMES)}")
+        if name not in accepted_names(kind) and not nested:
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, accepted_names(kind))}")
     if "filename" not in properties:
         ctx.error(f"{kind}: 'filename' is missing")
     path = ctx.at("filename").file(properties.pop("filename"))
     face_normals = values.boolean(properties.get("face_normals", False), ctx.at("face_normals"))
     flip = properties.pop("flip_tex_coords", kind == "obj")
     flip = values.boolean(flip, ctx.at("flip_tex_coords"))
+    index = values.integer(properties.pop("shape_index", 0), ctx.at("shape_index"), 0)
     with ctx.at("filename").located():
-        loaded = geometry.load_mesh(path, face_normals=face_normals, flip_tex_coords=flip)
+        if path.suffix.lower() != f".{kind}":
+            raise ValueError(f"{path}: a shape of type {kind} is a file that ends in .{kind}")
+        loaded = geometry.load_mesh(path, face_normals=face_normals, flip_tex_coords=flip, shape_index=index)
+    if loaded.get("face_normals"):
+        properties["face_normals"] = face_normals = True
     vertices = values.floating(loaded["vertices"], ctx.at("filename"))
     mesh = Mesh(
         vertices=vertices,
@@ -404,3 +409,8 @@ def _ply(properties: dict[str, Any], ctx: Context) -> Plugin:
 @builder("obj", "shape", FILE_NAMES)
 def _obj(properties: dict[str, Any], ctx: Context) -> Plugin:
     return _mesh_from_file("obj", properties, ctx)
+
+
+@builder("serialized", "shape", (*(n for n in FILE_NAMES if n != "flip_tex_coords"), "shape_index"))
+def _serialized(properties: dict[str, Any], ctx: Context) -> Plugin:
+    return _mesh_from_file("serialized", properties, ctx)

@@ -253,9 +253,9 @@ class Scene(nn.Module):
         """Write a Mitsuba 3 XML file, and ``meshes/*.ply``, ``textures/*.exr`` and ``volumes/*.vol`` beside it.
 
         `load_file` gives a scene of the same objects, names and values: in single precision its images have the same
-        bits. Of a double-precision scene, textures and volumes are rounded; in mono, colours become plain numbers. What is
-        not saved: which parameters require gradients, and vertex normals of meshes that are shaded flat. Normals are
-        brought to unit length when they are loaded.
+        bits. Of a double-precision scene, textures and volumes are rounded; in mono, colours become plain numbers.
+        What is not saved: which parameters require gradients, and vertex normals of meshes that are shaded flat.
+        Normals are brought to unit length when they are loaded.
 
         Args:
             path: ends in ``.xml``; its folder is made if it is not there, and files of the same names are overwritten.
