@@ -222,6 +222,23 @@ def test_upsample_of_a_constrained_parameter():
     assert bool((texture.data < expected).all())
 
 
+@pytest.mark.parametrize("optimizer_class", [torch.optim.Adam, UniformAdam])
+def test_upsample_of_heights_without_channels(optimizer_class):
+    lens = nn.Module()
+    lens.heights = nn.Parameter(torch.rand(3, 4, generator=torch.Generator().manual_seed(1)))
+    optimizer = optimizer_class(lens.parameters(), lr=0.01)
+    (lens.heights[:2].sum() * 2).backward()
+    optimizer.step()
+    old, moment = lens.heights.detach().clone(), optimizer.state[lens.heights]["exp_avg"].clone()
+    new = upsample(lens, "heights", (6, 8), optimizer)
+    assert new is lens.heights and torch.equal(new, resample(old, (6, 8), "clamp"))
+    assert torch.equal(optimizer.state[new]["exp_avg"], resample(moment, (6, 8), "clamp") / 4)
+    assert upsample_tensor(new, (12, 8), optimizer).shape == (12, 8)
+    assert upsample_tensor(old, (6,)).shape == (6, 4)
+    with pytest.raises(ValueError, match=r"expected 2 numbers of at least \(6, 8\) for shape \(6, 8\), got \(6, 7\)"):
+        upsample(lens, "heights", (6, 7))
+
+
 def test_upsample_errors():
     scene = scene_like()
     with pytest.raises(ValueError, match=r"'wall\.texture\.dat' is not a parameter.*'wall\.texture\.data'"):

@@ -88,11 +88,12 @@ def upsample(
         module: a scene, or any module.
         name: the parameter's dotted name, such as ``"wall.bsdf.reflectance.data"``. If it is parametrised
             (`torchrender.constraints`), the value is resampled and the parameter behind it set accordingly.
-        size: the new leading dimensions: (H, W) of a texture, (Z, Y, X) of a volume; none smaller than it is.
+        size: the new leading dimensions: (H, W) of a texture or of heights, (Z, Y, X) of a volume; none smaller than
+            it is.
         optimizer: its state (moments and so on) is resampled with the parameter and scaled for the new number of
             entries, among which the gradient is shared out.
         wrap_mode: as in :func:`resample`; by default the module's own ``wrap_mode``, else ``"clamp"`` for volumes and
-            ``"repeat"`` for anything else.
+            for (H, W) without channels, ``"repeat"`` for anything else.
 
     Returns:
         The new parameter, which is to be used from now on; the old one is not in the module any more.
@@ -111,7 +112,8 @@ def upsample(
         raise ValueError(f"name: {name!r} is not a parameter; {nearest(name, dict(module.named_parameters()))}")
     if wrap_mode is None:
         own = getattr(owner, "wrap_mode", None)
-        wrap_mode = own if own in _WRAP_MODES else ("clamp" if old.dim() == 4 else "repeat")
+        clamped = old.dim() == 4 or (old.dim() == 2 and len(tuple(size)) == 2)
+        wrap_mode = own if own in _WRAP_MODES else ("clamp" if clamped else "repeat")
     if not constrained:
         new = upsample_tensor(old, size, optimizer, wrap_mode=wrap_mode)
     else:
@@ -137,7 +139,7 @@ def upsample_tensor(
     """The same for a parameter that no module holds, such as one that is passed as ``params={...}`` of a render.
 
     Args:
-        parameter: a leaf tensor (H, W, C) or (Z, Y, X, C).
+        parameter: a leaf tensor (H, W), (H, W, C) or (Z, Y, X, C).
         size, optimizer, wrap_mode: as in :func:`upsample`.
 
     Returns:
@@ -163,8 +165,10 @@ def _owner(module: nn.Module, name: str) -> tuple[nn.Module, str]:
 
 def _larger(parameter: torch.Tensor, size: Sequence[int]) -> tuple[int, ...]:
     size, old = tuple(int(n) for n in size), tuple(parameter.shape)
-    if len(size) != max(parameter.dim() - 1, 1) or any(n < m for n, m in zip(size, old)):
-        wanted = old[: max(len(old) - 1, 1)]
+    # The last axis is one of channels; two numbers for two axes are those of a grid without any.
+    grid = parameter.dim() if parameter.dim() == len(size) == 2 else max(parameter.dim() - 1, 1)
+    if len(size) != grid or any(n < m for n, m in zip(size, old)):
+        wanted = old[:grid]
         raise ValueError(f"size: expected {len(wanted)} numbers of at least {wanted} for shape {old}, got {size}")
     return size
 
