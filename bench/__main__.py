@@ -21,6 +21,7 @@ BENCHMARKS = {
     "smoke": "one full-size iteration of the smoke, and what a reconstruction finds in a given time",
     "slab": "one full-size iteration of the translucent slab",
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
+    "caustics": "one iteration of a refractive height field that throws a picture",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
 }
 COMPARE = "compare A.json B.json: which figures became slower by more than their spread"

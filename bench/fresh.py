@@ -95,9 +95,27 @@ def media_memory(
     return {"peak": max(0.0, memory("VmHWM") - before), "gradients": gradients}
 
 
+def caustics_memory(
+    size: int, threads: int, resolution: int, spp: int, renderer: dict[str, Any], steps: int
+) -> dict[str, float]:
+    """Peak of the process in MiB, and what of it iterations of the caustics add to the loaded scene."""
+    import torch
+
+    from .caustics import Plate
+
+    torch.set_num_threads(threads)
+    plate = Plate(size, resolution, spp, **renderer)
+    before = settled_memory()
+    for seed in range(steps):
+        plate.iteration(seed)
+    peak = memory("VmHWM")
+    return {"peak": peak, "added": max(0.0, peak - before)}
+
+
 def main() -> None:
     what, settings = sys.argv[1], json.loads(sys.argv[2])
     kinds = {"coldstart": coldstart, "memory": peak_memory, "media_memory": media_memory}
+    kinds["caustics_memory"] = caustics_memory
     print(json.dumps(kinds[what](**settings)))
 
 

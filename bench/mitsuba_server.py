@@ -133,6 +133,15 @@ class Server:
         answer["bad gradient"] = sum(self._not_finite(self._tensor(gradient)) for gradient in gradients)
         return answer
 
+    def load_caustics(self, folder: str, front: list) -> dict:
+        from mitsuba_caustics import Caustics
+
+        self.plate = Caustics(self.mi, self.dr, folder, front)
+        return {"loaded": True}
+
+    def caustics(self, seed: int, spp: int, spp_grad: int) -> dict:
+        return self.plate.iteration(seed, spp, spp_grad)
+
     def _not_finite(self, tensor) -> int:
         return int(self.dr.count(~self.dr.isfinite(tensor.array))[0])
 

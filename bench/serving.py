@@ -18,6 +18,12 @@ before any request, is {"version": str, "import_seconds": float}.
     {"do": "loss_gradient", "seed": int, "values": str, "target": str, "view": int, "spp": int, "spp_grad": int,
      "file": str}                    -> {"seconds": float}    of the mean squared difference from `target` (numpy.save),
                                         by `values` of the one parameter, which may have a new size; saved to `file`
+    {"do": "load_caustics", "folder": str, "front": 4x4}
+                                        heights.npy, target.npy and scene.json (a dict without its lens) in a folder,
+                                        and the matrix of the lens
+    {"do": "caustics", "seed": int, "spp": int, "spp_grad": int}
+                                     -> {"forward": seconds, "backward": seconds, "loss": float, "bad image": int,
+                                         "bad gradient": int}
     {"do": "settle"}                 -> {"memory": MiB}       what is in use now; its peak is measured anew from here
     {"do": "memory"}                 -> {"peak": MiB}
     {"do": "quit"}
