@@ -33,6 +33,7 @@ from .versions import count_fused_steps
 
 if TYPE_CHECKING:  # what __getattr__ below finds
     from . import constraints as constraints
+    from . import heightfield as heightfield
     from . import io as io
     from . import optim as optim
     from . import rotation as rotation
@@ -101,7 +102,7 @@ __all__ = [
 ]
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "io", "optim", "rotation", "testing", "typing")
+_LAZY_MODULES = ("constraints", "heightfield", "io", "optim", "rotation", "testing", "typing")
 _LAZY_NAMES = {"tonemap": "image", "show": "image", "ray_intersect": "queries", "ray_occluded": "queries"}
 
 
