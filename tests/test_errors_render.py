@@ -53,7 +53,7 @@ CASES = [
     ({"sensor": [0, 1]}, ValueError, "films of one size"),
     ({"integrator": 3}, TypeError, "integrator: expected an integrator"),
     ({"integrator": "pth"}, ValueError, "integrator: unknown type 'pth'; did you mean 'path'"),
-    ({"integrator": "ptracer"}, ValueError, "'ptracer' is not supported"),
+    ({"integrator": "bdpt"}, ValueError, "'bdpt' is not supported"),
     ({"outputs": "rgb"}, TypeError, "outputs: expected a sequence"),
     ({"outputs": ("rgb", "dept")}, ValueError, "unknown name 'dept'; did you mean 'depth'"),
     ({"outputs": ("alpa",)}, ValueError, "unknown name 'alpa'; did you mean 'alpha'"),

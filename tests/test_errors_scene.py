@@ -42,7 +42,7 @@ CASES = [
     (scene(a={"type": "sphere", "bsdf": {"type": "roughconductor"}}), "a.bsdf: .*'roughconductor' is not supported"),
     (scene(a={"type": "sphere", "bsdf": {"type": "point"}}), "a.bsdf: expected a bsdf, got 'point', which"),
     (scene(a={"type": "cylinder"}), "a: the shape 'cylinder' is not supported"),
-    (scene(a={"type": "ptracer"}), "a: the integrator 'ptracer' is not supported"),
+    (scene(a={"type": "bdpt"}), "a: the integrator 'bdpt' is not supported"),
     (scene(a={"type": "path", "max_dept": 3}), "a: path has no parameter 'max_dept'; did you mean 'max_depth'"),
     (scene(a={"type": "path", "max_depth": -2}), "a: PathTracer: max_depth: expected at least -1, got -2"),
     (scene(a={"reflectance": 0.5}), "a: a dict that describes an object needs a 'type'"),
@@ -59,7 +59,7 @@ CASES = [
      "a sphere cannot contain a texture"),
     # structure
     (scene(a={"type": "sphere", "x": {"type": "diffuse"}, "y": {"type": "diffuse"}}), "a.y: sphere: more than 1"),
-    (scene(a={"type": "sphere", "emitter": {"type": "constant"}}), "a.emitter: only an area light"),
+    (scene(a={"type": "sphere", "emitter": {"type": "constant"}}), "a.emitter: only area or directionalarea"),
     (scene(a={"type": "diffuse", "x": {"type": "diffuse"}}), "a: diffuse has no parameter 'x'"),
     (scene(a={"type": "twosided"}), "a: twosided: a nested BSDF is missing"),
     (scene(a={"type": "twosided", "x": {"type": "dielectric"}}), "a.brdf_0: a dielectric cannot be made two-sided"),

@@ -464,7 +464,7 @@ def test_aov_integrator_from_xml(tmp_path):
         ({"aovs": "a:dept"}, "unknown type 'dept'; did you mean 'depth'"),
         ({"aovs": 3}, "expected a string"),
         ({}, "needs the parameter 'aovs'"),
-        ({"aovs": "a:uv", "i": {"type": "ptracer"}}, "expected an integrator"),
+        ({"aovs": "a:uv", "i": {"type": "bdpt"}}, "expected an integrator"),
         ({"aovs": "a:uv", "i": {"type": "aov", "aovs": "b:uv"}}, "expected an integrator"),
         ({"aovs": "a:uv", "i": {"type": "path"}, "j": {"type": "direct"}}, "one nested integrator"),
         ({"aovs": "a:uv", "depth": 3}, "no parameter 'depth'"),

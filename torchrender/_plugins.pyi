@@ -56,6 +56,19 @@ class Diffuse(Plugin):
     ) -> None: ...
     reflectance: Any
 
+class DirectionalAreaLight(Plugin):
+    """A shape that emits along its normal."""
+
+    def __init__(
+        self,
+        *,
+        radiance: TextureLike = 1.0,
+        sampling_weight: Number = 1.0,
+        **properties: Any,
+    ) -> None: ...
+    radiance: Any
+    sampling_weight: torch.Tensor
+
 class HenyeyGreenstein(Plugin):
     """Henyey and Greenstein's phase function."""
 
