@@ -48,7 +48,7 @@ public:
         const int32_t max_depth = call_.config.max_depth;
         n_levels_ = 0;
         n_slots_ = n;
-        if (max_depth == 0) return;
+        if (max_depth == 0 || scene_.n_emitters == 0) return;
         Front<S, C> *current = &fronts_[0], *next = &fronts_[1];
         start<Derivative>(*current, n);
         finish_connections<Derivative>(visit);
