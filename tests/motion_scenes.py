@@ -103,6 +103,13 @@ def lamp(kind: str) -> dict:
     return {"type": kind, "to_world": to_world, "emitter": light}
 
 
+def hills(bsdf: dict, to_world: Transform, amplitude: float) -> dict:
+    """A smooth height field."""
+    v, u = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in (5, 6)), indexing="ij")
+    heights = amplitude * torch.sin(0.8 * u + 0.5) * torch.cos(0.9 * v)
+    return {"type": "heightfield", "heights": heights, "to_world": to_world, "bsdf": bsdf}
+
+
 METAL = {
     "type": "conductor",
     "eta": {"type": "rgb", "value": [0.2, 0.9, 1.1]},
@@ -162,6 +169,8 @@ SCENES = {
     "glass_ball": lambda: scene(4, at_ball(), ball=ball(GLASS), sky=environment()),
     "glass_in_room": lambda: scene(4, at_ball(), ball=ball(GLASS), room=black_room()),
     "frosted_in_room": lambda: scene(4, at_ball(), ball=ball(FROSTED), room=black_room()),
+    "hills": lambda: scene(2, above(), hills=hills(PAINT, floor()["to_world"], 0.04), lamp=lamp("rectangle")),
+    "glass_hills": lambda: scene(4, at_ball(), lens=hills(GLASS, Transform.scale(0.6), 0.08), room=black_room()),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

@@ -29,6 +29,7 @@ MOVING = {
     ("shape", "mesh"): {"vertex_positions", "vertex_normals", "vertex_texcoords"},
     ("shape", "sphere"): {"to_world", "center", "radius"},
     ("shape", "disk"): {"to_world"},
+    ("shape", "heightfield"): {"to_world", "heights"},
     ("shape", "rectangle"): {"to_world"},
     ("texture", "bitmap"): {"to_uv"},
     ("texture", "mesh_attribute"): {"scale"},

@@ -45,6 +45,7 @@ def plate(kind: str, **more) -> dict:
     turned = tr.Transform.rotate([0.6, 0.8, 0], 20)
     place = {
         "rectangle": turned @ tr.Transform.scale([5, 4, 1]),
+        "heightfield": turned @ tr.Transform.scale([5, 4, 1]),
         "disk": tr.Transform.translate([-1.9, 1.2, 0]) @ turned @ tr.Transform.scale([5, 6, 1]),
     }[kind]
     return {"type": kind, "to_world": place, "bsdf": {"type": "diffuse", "reflectance": texture()}, **more}
@@ -56,6 +57,7 @@ SURFACES = {
     "rectangle": lambda: plate("rectangle"),
     "flipped rectangle": lambda: plate("rectangle", flip_normals=True),
     "disk": lambda: plate("disk"),
+    "height field": lambda: plate("heightfield", heights=torch.sin(torch.arange(20.0)).reshape(4, 5) * 0.2),
     "sphere": lambda: {
         "type": "sphere",
         "center": [0.3, 0.2, -3.0],

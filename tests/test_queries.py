@@ -30,6 +30,11 @@ def all_shapes() -> dict:
         "mirrored": {"type": "rectangle", "to_world": translate(-2, -2, 0) @ MIRROR @ rotate("y", 20) @ scale(0.7)},
         "tube": tr.Mesh(vertices, faces, vertex_normals=normals, vertex_texcoords=texcoords, to_world=rotate("x", 30)),
         "flat": tr.Mesh(vertices, faces, flip_normals=True, to_world=translate(0, -2, 0) @ scale(0.7)),
+        "hills": {
+            "type": "heightfield",
+            "heights": torch.sin(torch.arange(20.0)).reshape(4, 5) * 0.3,
+            "to_world": translate(1.2, 1.0, 0.8) @ MIRROR @ rotate("x", 25) @ scale(0.6),
+        },
     }
 
 
@@ -47,7 +52,7 @@ def grid(n: int = 23, dtype: torch.dtype = torch.float64) -> tuple[torch.Tensor,
 
 
 def geometry(scene: tr.Scene) -> dict[str, torch.Tensor]:
-    names = ("vertex_positions", "vertex_normals", "vertex_texcoords", "to_world", "center", "radius")
+    names = ("heights", "vertex_positions", "vertex_normals", "vertex_texcoords", "to_world", "center", "radius")
     return {n: p.detach() for n, p in scene.named_parameters() if n.endswith(names)}
 
 
@@ -56,7 +61,7 @@ def test_attached_geometry_equals_the_core(dtype):
     scene = scene_of(dtype)
     origins, directions = grid(dtype=dtype)
     hits = tr.ray_intersect(scene, origins, directions)
-    assert sorted(set(hits.shape_id[hits.valid].tolist())) == list(range(9))
+    assert sorted(set(hits.shape_id[hits.valid].tolist())) == list(range(10))
     assert 0.2 < hits.valid.double().mean() < 0.9
     surfaces = tr.surface.Surfaces.of(scene, scene.layout(), tr.scene.gather.gather(scene, scene.layout(), None))
     rows = hits.valid.nonzero()[:, 0]
@@ -99,7 +104,7 @@ def hit_rays(scene: tr.Scene, n: int = 23) -> tuple[torch.Tensor, torch.Tensor]:
             moved = tr.ray_intersect(scene, origins, directions + shift)
             stable = stable & (moved.shape_id == hits.shape_id) & (moved.prim_id == hits.prim_id)
             stable = stable & ((moved.uv - hits.uv).abs().amax(1) < 0.3)  # no seam in between
-    assert sorted(set(hits.shape_id[stable].tolist())) == list(range(9))
+    assert sorted(set(hits.shape_id[stable].tolist())) == list(range(10))
     return origins[stable], directions[stable]
 
 

@@ -20,6 +20,7 @@ from .scene import Scene
 from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
+from .scene.heightfield import HeightField
 from .scene.materials import Conductor, Dielectric, RoughDielectric, TwoSided
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
@@ -64,6 +65,7 @@ __all__ = [
     "EnvironmentMap",
     "Film",
     "GridVolume",
+    "HeightField",
     "HeterogeneousMedium",
     "HomogeneousMedium",
     "Integrator",

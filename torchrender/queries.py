@@ -19,7 +19,7 @@ from .surface import Surfaces
 Hits = namedtuple("Hits", "t position normal shading_normal uv barycentric shape_id prim_id valid")
 Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`
 (infinite at a miss), `normal` (geometric), `shading_normal` (N, 3), unit vectors in world space; `uv`, `barycentric`
-(N, 2), where spheres and disks repeat their texture coordinates; `shape_id` (position among the scene's shapes) and
+(N, 2), where curved shapes repeat their texture coordinates; `shape_id` (position among the scene's shapes) and
 `prim_id` (N,) int32, the triangle, -1 at a miss; `valid` (N,) bool. What is not said to be otherwise is 0 at a miss."""
 CONTINUOUS = Hits._fields[:6]
 
@@ -41,10 +41,11 @@ def ray_intersect(
         hits = tr.ray_intersect(scene, *rays)
         image = -(hits.shading_normal * rays.directions).sum(1)  # one number a pixel, 0 where nothing is hit
 
-    Derivatives are those of the intersection with the triangle, sphere or disk that is hit: the point slides along the
+    Derivatives are those of the intersection with the triangle or curved shape that is hit: the point slides along the
     ray as the surface moves. That a ray may come to hit something else, at a silhouette, is no part of them. They exist
-    with respect to origins, directions, vertices, normals, texture coordinates, `to_world`, centers and radii; in
-    reverse and forward mode, and of any order. A ray that misses has derivatives of zero.
+    with respect to origins, directions, vertices, normals, texture coordinates, `to_world`, centers, radii and heights;
+    in reverse and forward mode, and of any order (height fields: up to the seventh). A ray that misses has
+    derivatives of zero.
 
     Args:
         scene: where.

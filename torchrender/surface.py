@@ -1,6 +1,6 @@
 """The shapes of a scene as tensors, and where rays meet them, in plain PyTorch.
 
-The native core says which triangle, sphere or disk a ray hits. From there position, normals and coordinates are
+The native core says which triangle or curved shape a ray hits. From there position, normals and coordinates are
 computed here once more, by operations that autograd differentiates as often and in whichever mode it is asked to.
 """
 
@@ -13,13 +13,15 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from . import heightfield
 from .scene.declaration import models
 from .scene.packing import Layout
 
 if TYPE_CHECKING:
     from .scene.scene import Scene
 
-MESH, SPHERE, DISK = 0, 1, 2
+MESH, SPHERE, DISK, HEIGHT_FIELD = 0, 1, 2, 3
+CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD}
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of the rectangle, counter-clockwise seen from +z
 RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 
@@ -28,7 +30,7 @@ RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 class SurfacePoints:
     """Points on surfaces: `t` (N,), `position`, `normal`, `shading_normal` (N, 3), `uv`, `barycentric` (N, 2).
 
-    On spheres and disks `barycentric` repeats the texture coordinates.
+    On curved shapes `barycentric` repeats the texture coordinates.
     """
 
     t: torch.Tensor
@@ -44,13 +46,15 @@ class Surfaces:
     """All shapes of a scene, vertices and faces of meshes one after the other. S shapes, V vertices, F faces.
 
     Attributes:
-        kind: (S,) int64, mesh (a rectangle is one), sphere or disk.
+        kind: (S,) int64, mesh (a rectangle is one), sphere, disk or height field.
         flip: (S,) bool, normals are turned round.
         smooth, textured: (S,) bool, there are vertex normals, texture coordinates.
         first_face, first_vertex: (S,) int64, where a shape's faces and vertices begin.
         faces: (F, 3) int64, indices into all vertices.
         positions, normals: (V, 3), world space. texcoords: (V, 2).
-        to_world: (S, 4, 4), from the unit sphere or disk to the world; the identity for meshes.
+        to_world: (S, 4, 4), from the unit sphere or disk, or the square of a height field, to the world; the identity
+            for meshes.
+        heights: of a height field, by its position among the shapes: heights (H, W) and interpolation.
     """
 
     kind: torch.Tensor
@@ -64,6 +68,7 @@ class Surfaces:
     normals: torch.Tensor
     texcoords: torch.Tensor
     to_world: torch.Tensor
+    heights: dict[int, tuple[torch.Tensor, str]]
 
     @classmethod
     def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
@@ -72,7 +77,7 @@ class Surfaces:
         whole, truth = {**real, "dtype": torch.int64}, {**real, "dtype": torch.bool}
         identity = torch.eye(4, **real)
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
-        faces, positions, normals, texcoords = [], [], [], []
+        faces, positions, normals, texcoords, heights = [], [], [], [], {}
         n_vertices = n_faces = 0
         for kind, numbers, _ in layout.objects["shape"]:
             value = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
@@ -104,11 +109,14 @@ class Surfaces:
                 faces.append(indices + n_vertices)
                 positions.append(corners)
                 n_vertices, n_faces = n_vertices + len(corners), n_faces + len(indices)
-            kinds.append({"sphere": SPHERE, "disk": DISK}.get(kind, MESH))
+            if kind == "heightfield":
+                interpolation = heightfield.INTERPOLATIONS[value["interpolation"]]
+                heights[len(kinds)] = (tensors[value["heights"]], interpolation)
+            kinds.append(CURVED.get(kind, MESH))
             flips.append(flip)
             smooth.append(has_normals)
             textured.append(has_texcoords)
-            matrices.append(matrix if kind in ("sphere", "disk") else identity)
+            matrices.append(matrix if kind in CURVED else identity)
         nothing = torch.zeros(0, 3, **real)
         return cls(
             kind=torch.tensor(kinds, **whole),
@@ -122,6 +130,7 @@ class Surfaces:
             normals=torch.cat(normals) if normals else nothing,
             texcoords=torch.cat(texcoords) if texcoords else nothing[:, :2],
             to_world=torch.stack(matrices) if matrices else identity.expand(0, 4, 4),
+            heights=heights,
         )
 
     def meet(
@@ -137,20 +146,29 @@ class Surfaces:
         Args:
             shape, primitive: (N,) integers, what is hit: triangles as infinite planes, disks alike.
             origins, directions: (N, 3).
-            t: (N,) roughly the distance, which tells the two intersections with a sphere apart.
+            t: (N,) roughly the distance, which tells several intersections with a curved shape apart.
         """
         shape, primitive = shape.long(), primitive.long()
-        on_mesh = self.kind[shape] == MESH
-        if bool(on_mesh.all()):
-            return self._on_triangles(shape, primitive, origins, directions)
-        if not bool(on_mesh.any()):
-            return self._on_quadrics(shape, origins, directions, t)
-        rows = torch.cat([on_mesh.nonzero()[:, 0], (~on_mesh).nonzero()[:, 0]])
-        flat, curved = rows[: int(on_mesh.sum())], rows[int(on_mesh.sum()) :]
-        back = torch.argsort(rows)
-        a = self._on_triangles(shape[flat], primitive[flat], origins[flat], directions[flat])
-        b = self._on_quadrics(shape[curved], origins[curved], directions[curved], t[curved])
-        return SurfacePoints(*(torch.cat([getattr(a, n), getattr(b, n)])[back] for n in a.__dataclass_fields__))
+        kind = self.kind[shape]
+        rows, pieces = [], []
+        on_mesh = (kind == MESH).nonzero()[:, 0]
+        if len(on_mesh) or not len(shape):
+            rows.append(on_mesh)
+            pieces.append(self._on_triangles(shape[on_mesh], primitive[on_mesh], origins[on_mesh], directions[on_mesh]))
+        quadric = ((kind == SPHERE) | (kind == DISK)).nonzero()[:, 0]
+        if len(quadric):
+            rows.append(quadric)
+            pieces.append(self._on_quadrics(shape[quadric], origins[quadric], directions[quadric], t[quadric]))
+        for index in self.heights:
+            here = (shape == index).nonzero()[:, 0]
+            if len(here):
+                rows.append(here)
+                pieces.append(self._on_height_field(index, origins[here], directions[here], t[here]))
+        if len(pieces) == 1:
+            return pieces[0]
+        back = torch.argsort(torch.cat(rows))
+        names = SurfacePoints.__dataclass_fields__
+        return SurfacePoints(*(torch.cat([getattr(piece, n) for piece in pieces])[back] for n in names))
 
     def _on_triangles(
         self, shape: torch.Tensor, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor
@@ -197,6 +215,30 @@ class Surfaces:
         normal = normal * (1 - 2 * self.flip[shape][:, None].to(o.dtype))
         uv = curved_coordinates(local, sphere)
         return SurfacePoints(t, transform_point(matrix, local), normal, normal, uv, uv)
+
+    def _on_height_field(self, index: int, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
+        matrix, (heights, interpolation) = self.to_world[index], self.heights[index]
+        inverse = inverse_linear(matrix)
+        lo, ld = transform_vector(inverse, o - matrix[:3, 3]), transform_vector(inverse, d)
+
+        def surface(t: torch.Tensor) -> tuple[torch.Tensor, ...]:
+            local = lo + ld * t[:, None]
+            uv = (local[:, :2] + 1) / 2
+            return local, uv, *heightfield.evaluate(heights, uv, interpolation)
+
+        # Newton's iteration from where it has converged: the first step makes first derivatives right, the second those
+        # up to the third, the third those up to the seventh
+        t = near.detach()
+        for _ in range(3):
+            local, _uv, z, z_u, z_v = surface(t)
+            slope = ld[:, 2] - (z_u * ld[:, 0] + z_v * ld[:, 1]) / 2
+            grazing = slope == 0
+            t = t - torch.where(grazing, 0.0, (local[:, 2] - z) / torch.where(grazing, 1.0, slope))
+        local, uv, z, z_u, z_v = surface(t)
+        position = transform_point(matrix, torch.cat([local[:, :2], z[:, None]], 1))
+        up = torch.stack([-z_u / 2, -z_v / 2, torch.ones_like(z)], 1)
+        normal = normalize(transform_normal(inverse, up)) * (1 - 2 * self.flip[index].to(o.dtype))
+        return SurfacePoints(t, position, normal, normal, uv, uv)
 
 
 def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:

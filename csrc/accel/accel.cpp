@@ -13,6 +13,7 @@
 
 #include "embree_library.h"
 #include "face_list.h"
+#include "height_field.h"
 #include "packet_io.h"
 #include "quadric.h"
 #include "tree_cost.h"
@@ -125,6 +126,7 @@ struct Accel::Impl {
     // Meshes of few faces, which are not in Embree's tree, and where everything else is.
     FaceList faces;
     Box rest;
+    std::map<uint32_t, HeightField> fields;
     // Unbuilt; one good tree for everything that stands still; one made in less time; a tree for each mesh.
     enum class Stage { Unbuilt, Still, Moved, Moving } stage = Stage::Unbuilt;
     bool hurry = false;  // the first build is a fast one, too
@@ -379,6 +381,14 @@ void Accel::set_quadric(uint32_t shape, bool sphere, const float to_world[12], c
     impl_->set_quadric(q);
 }
 
+float Accel::set_heights(uint32_t shape, const float *heights, int rows, int columns, bool linear) {
+    return impl_->fields[shape].set_heights(shape, heights, rows, columns, linear);
+}
+void Accel::place_heights(uint32_t shape, const float to_world[12], const float to_object[12]) {
+    impl_->fields[shape].set_matrices(to_world, to_object);
+}
+void Accel::refer_heights(uint32_t shape, const float *heights) { impl_->fields.at(shape).refer(heights); }
+
 void Accel::commit(bool fast) {
     impl_->ensure_process();
     impl_->commit(fast);
@@ -393,20 +403,25 @@ void Accel::bounds(float out[6]) const {
     for (int i = 0; i < 3; ++i) {
         out[i] = std::min(impl_->rest.lower[i], listed.lower[i]);
         out[3 + i] = std::max(impl_->rest.upper[i], listed.upper[i]);
+        for (const auto &[shape, field] : impl_->fields) {
+            out[i] = std::min(out[i], field.bounds().lower[i]);
+            out[3 + i] = std::max(out[3 + i], field.bounds().upper[i]);
+        }
     }
 }
 
-void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
-    if (impl_->faces.size() == 0) return impl_->intersect(rays, hits, n, coherent);
-    impl_->faces.intersect(rays, hits, n);
-    if (impl_->rest.empty()) return;
+namespace {
+
+// Closest hits of what lies in a box, by `query`, for the rays that come near it; they replace hits behind them.
+template <class Query>
+void intersect_near(const Box &box, const RayBatch &rays, const HitBatch &hits, size_t n, Query &&query) {
     NearRays near;
     RayBatch until{{rays.o[0], rays.o[1], rays.o[2]}, {rays.d[0], rays.d[1], rays.d[2]}, hits.t};
     for (size_t begin = 0; begin < n; begin += NearRays::Capacity) {
-        near.take(until, begin, n, nullptr, impl_->rest);
-        impl_->intersect(near.rays(), near.hits(), near.n, coherent);
+        near.take(until, begin, n, nullptr, box);
+        query(near);
         for (size_t k = 0; k < near.n; ++k) {
-            if (near.shape[k] == Miss) continue;
+            if (near.shape[k] == Accel::Miss) continue;
             size_t i = near.index[k];
             hits.shape[i] = near.shape[k];
             hits.primitive[i] = near.primitive[k];
@@ -417,16 +432,46 @@ void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool
     }
 }
 
-void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
-    if (impl_->faces.size() == 0) return impl_->occluded(rays, hit, n);
-    impl_->faces.occluded(rays, hit, n);
-    if (impl_->rest.empty()) return;
+// The same for occlusion, of rays that are not yet.
+template <class Query>
+void occluded_near(const Box &box, const RayBatch &rays, uint8_t *hit, size_t n, Query &&query) {
     NearRays near;
     for (size_t begin = 0; begin < n; begin += NearRays::Capacity) {
-        near.take(rays, begin, n, hit, impl_->rest);
-        impl_->occluded(near.rays(), near.occluded, near.n);
+        near.take(rays, begin, n, hit, box);
+        query(near);
         for (size_t k = 0; k < near.n; ++k) hit[near.index[k]] = near.occluded[k];
     }
+}
+
+}  // namespace
+
+void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
+    // the list comes first also when it is empty and there is nothing but height fields: it marks misses
+    if (impl_->faces.size() == 0 && (impl_->fields.empty() || !impl_->rest.empty())) {
+        impl_->intersect(rays, hits, n, coherent);
+    } else {
+        impl_->faces.intersect(rays, hits, n);
+        if (!impl_->rest.empty())
+            intersect_near(impl_->rest, rays, hits, n,
+                           [&](NearRays &near) { impl_->intersect(near.rays(), near.hits(), near.n, coherent); });
+    }
+    for (const auto &entry : impl_->fields)
+        intersect_near(entry.second.bounds(), rays, hits, n,
+                       [&](NearRays &near) { entry.second.intersect(near.rays(), near.hits(), near.n); });
+}
+
+void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+    if (impl_->faces.size() == 0 && (impl_->fields.empty() || !impl_->rest.empty())) {
+        impl_->occluded(rays, hit, n);
+    } else {
+        impl_->faces.occluded(rays, hit, n);
+        if (!impl_->rest.empty())
+            occluded_near(impl_->rest, rays, hit, n,
+                          [&](NearRays &near) { impl_->occluded(near.rays(), near.occluded, near.n); });
+    }
+    for (const auto &entry : impl_->fields)
+        occluded_near(entry.second.bounds(), rays, hit, n,
+                      [&](NearRays &near) { entry.second.occluded(near.rays(), near.occluded, near.n); });
 }
 
 void Accel::set_query_width(int width) {

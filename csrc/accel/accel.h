@@ -1,4 +1,5 @@
-// Closest hits and occlusion of batches of rays, through Embree. Geometry is identified by the index of its shape.
+// Closest hits and occlusion of batches of rays, through Embree and, of a few faces and of height fields, beside it.
+// Geometry is identified by the index of its shape.
 #pragma once
 
 #include <cstddef>
@@ -22,7 +23,8 @@ struct RayBatch {
 // Hits of a batch. The distance of a miss is the ray's tmax.
 struct HitBatch {
     uint32_t *shape, *primitive;  // shape = Accel::Miss: nothing was hit
-    float *t, *b1, *b2;           // weights of a triangle's second and third vertex; 0 on spheres and disks
+    float *t, *b1,
+        *b2;  // weights of a triangle's second and third vertex; 0 on spheres and disks, (u, v) on height fields
 };
 
 // What measures Embree by itself needs of an acceleration structure.
@@ -47,6 +49,12 @@ public:
     void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces);
     // The unit sphere or the unit disk in z = 0; matrices of 3 rows of 4.
     void set_quadric(uint32_t shape, bool sphere, const float to_world[12], const float to_object[12]);
+    // Heights (rows, columns) over the square [-1, 1]^2, see height_field.h, which stay in use; and where they are in
+    // the world. Both are to be set, neither needs a commit. `refer`: the same heights at another address. Returns the
+    // largest of their absolute values.
+    float set_heights(uint32_t shape, const float *heights, int rows, int columns, bool linear);
+    void place_heights(uint32_t shape, const float to_world[12], const float to_object[12]);
+    void refer_heights(uint32_t shape, const float *heights);
     // Makes the changes visible to queries. The first build is the best one (`fast`: a faster one), that after a first
     // motion a faster one. Where things move again, every mesh has a tree of its own, which then follows the vertices
     // (is refitted), and is built again when it has become bad by it.

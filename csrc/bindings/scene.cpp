@@ -80,6 +80,7 @@ public:
                 {"mesh_rebuilds", c.accel.rebuilds},
                 {"meshes", c.meshes},
                 {"quadrics", c.quadrics},
+                {"height_fields", c.height_fields},
                 {"environments", c.environments}};
     }
 

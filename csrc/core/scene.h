@@ -29,14 +29,16 @@ enum ShapeFlags : int32_t {
     FlipNormals = 4,
     IsSphere = 8,
     IsDisk = 16,
-    IsCurved = IsSphere | IsDisk
+    IsHeightField = 32,
+    IsCurved = IsSphere | IsDisk | IsHeightField
 };
 
 struct ShapeInfo {
     int32_t flags, face_offset, bsdf, emitter;  // ShapeLanes
     int32_t n_faces, cdf_offset, first_vertex, first_attribute;
-    int32_t interior, exterior;  // media, -1: none; none on both sides: the medium goes on behind the shape
-    int32_t reserved[6];
+    int32_t interior, exterior;      // media, -1: none; none on both sides: the medium goes on behind the shape
+    int32_t heights, interpolation;  // of a height field: the slot of its tensor
+    int32_t reserved[4];
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");
 
@@ -66,7 +68,7 @@ struct SceneView {
     const uint32_t *faces;
     const ShapeInfo *shapes;
     const S
-        *shape_matrices;  // 24 a shape: to_world and its inverse, 3 rows of 4 each (sphere, disk: of the unit shape)
+        *shape_matrices;  // 24 a shape: to_world and its inverse, 3 rows of 4 each (curved shapes: of the unit shape)
     const S *shape_areas;
     const S *area_cdf;  // of the faces of emitting meshes
     const AttributeInfo *attributes;

@@ -21,9 +21,11 @@ Dependence::Dependence(const SceneLayout &layout, const std::vector<bool> &wante
     for (const ConstantEntry &e : layout.entries)
         if (wanted[size_t(e.slot)]) offsets_.push_back(e.offset);
     std::sort(offsets_.begin(), offsets_.end());
-    moved_meshes_.assign(layout.shapes.size(), 0);
+    moved_shapes_.assign(layout.shapes.size(), 0);
+    for (size_t i = 0; i < layout.shapes.size(); ++i)
+        moved_shapes_[i] = (layout.shapes[i].flags & IsHeightField) && tensor(layout.shapes[i].heights);
     for (const MeshSource &mesh : layout.meshes)
-        moved_meshes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
+        moved_shapes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
 }
 
 bool Dependence::number(int32_t offset) const { return std::binary_search(offsets_.begin(), offsets_.end(), offset); }
@@ -69,7 +71,7 @@ MediumWanted Dependence::medium(size_t index) const {
 }
 
 bool Dependence::shape(size_t index) const {
-    return moved_meshes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
+    return moved_shapes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
 }
 
 bool Dependence::motion(size_t sensor) const {

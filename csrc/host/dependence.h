@@ -33,7 +33,7 @@ private:
     const SceneLayout &layout_;
     const std::vector<bool> &wanted_;
     std::vector<int32_t> offsets_;       // sorted: in the block of small parameters
-    std::vector<uint8_t> moved_meshes_;  // by shape
+    std::vector<uint8_t> moved_shapes_;  // by shape: one of its tensors is wanted
 
     bool number(int32_t offset) const;
     bool tensor(int32_t slot) const { return slot >= 0 && wanted_[size_t(slot)]; }

@@ -365,6 +365,10 @@ private:
                 bsdf = SphereModel::BsdfIndex, emitter = SphereModel::EmitterIndex, flip = SphereModel::Flip;
                 interior = SphereModel::Interior;
                 info.flags |= IsSphere;
+            } else if (type == HeightFieldModel::model.type) {
+                bsdf = HeightFieldModel::BsdfIndex, emitter = HeightFieldModel::EmitterIndex;
+                flip = HeightFieldModel::Flip, interior = HeightFieldModel::Interior;
+                add_height_field(i, info);
             } else {
                 bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
                 if (type == RectangleModel::model.type)
@@ -431,6 +435,16 @@ private:
         mesh.first_vertex = info.first_vertex;
         mesh.n_vertices = int(n_vertices);
         out_.meshes.push_back(mesh);
+    }
+
+    void add_height_field(int i, ShapeInfo &info) {
+        info.flags |= IsHeightField;
+        info.heights = value("shape", i, HeightFieldModel::Heights);
+        info.interpolation = value("shape", i, HeightFieldModel::Interpolation);
+        const auto &s = shapes_[size_t(info.heights)];
+        if (s.size() != 2) fail(where("shape", i, "heights"), "a tensor of shape (H, W)", text(s));
+        if (value("shape", i, HeightFieldModel::EmitterIndex) >= 0)
+            fail(where("shape", i, "emitter"), "none: a height field cannot emit", "an emitter");
     }
 
     void add_rectangle(int i, ShapeInfo &info) {

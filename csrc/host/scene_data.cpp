@@ -36,6 +36,7 @@ void SceneData<S>::allocate_geometry() {
     matrices_.assign(n_shapes * 24, S(0));
     areas_.assign(n_shapes, S(0));
     dark_.assign(n_shapes, 0);
+    heights_.assign(n_shapes, {});
     area_cdf_.assign(size_t(layout_.n_cdf_faces), S(0));
 }
 
@@ -46,7 +47,10 @@ bool SceneData<S>::same_geometry(const SceneData &other) const {
         return x.shape == y.shape && x.vertices == y.vertices && x.normals == y.normals && x.texcoords == y.texcoords &&
                x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices;
     };
-    auto same_shape = [](const ShapeInfo &x, const ShapeInfo &y) {
+    auto same_shape = [&](const ShapeInfo &x, const ShapeInfo &y) {
+        if (x.flags & y.flags & IsHeightField)
+            return x.flags == y.flags && x.heights == y.heights && x.interpolation == y.interpolation &&
+                   a.tensor_shapes[size_t(x.heights)] == b.tensor_shapes[size_t(y.heights)];
         return x.flags == y.flags && x.face_offset == y.face_offset && x.n_faces == y.n_faces &&
                x.first_vertex == y.first_vertex && x.cdf_offset == y.cdf_offset && x.emitter == y.emitter;
     };
@@ -72,6 +76,7 @@ void SceneData<S>::take_over(SceneData &previous) {
         std::swap(accel_, previous.accel_);
         std::swap(shapes_, previous.shapes_);
         std::swap(dark_, previous.dark_);
+        std::swap(heights_, previous.heights_);
         std::swap(vertices_, previous.vertices_);
         for (auto member : {&SceneData::matrices_, &SceneData::areas_, &SceneData::area_cdf_})
             std::swap(this->*member, previous.*member);
@@ -144,6 +149,12 @@ std::vector<uint8_t> SceneData<S>::with_silent_changes(const std::vector<const S
             compare_rows(mesh.normals, &VertexRow<S>::n, begin, end);
             compare_rows(mesh.texcoords, &VertexRow<S>::uv, begin, end);
         }
+    }
+    for (size_t i = 0; i < layout_.shapes.size(); ++i) {
+        const ShapeInfo &shape = layout_.shapes[i];
+        if (!(shape.flags & IsHeightField) || dirty[size_t(shape.heights)]) continue;
+        const int64_t n = layout_.slot_sizes[size_t(shape.heights)];
+        dirty[size_t(shape.heights)] = fingerprint(params[size_t(shape.heights)], n) != heights_[i].fingerprint;
     }
     if (layout_.environment >= 0 && !environment_.texels.empty()) {
         const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];

@@ -46,6 +46,7 @@ public:
         Accel::Counters accel;
         uint64_t meshes = 0, quadrics = 0;  // shapes whose geometry was set
         uint64_t environments = 0;          // tables of an environment map
+        uint64_t height_fields = 0;         // ranges of heights
     };
     Counters counters() const;
 
@@ -88,6 +89,12 @@ private:
     std::vector<ShapeInfo> shapes_;
     std::vector<S> matrices_, areas_, area_cdf_;
     std::vector<uint8_t> dark_;  // emitting meshes without any area
+    // Of a height field, by shape: its heights in single precision where they are in double, and what they were.
+    struct HeightsCopy {
+        std::vector<float> single;
+        uint64_t fingerprint = 0;
+    };
+    std::vector<HeightsCopy> heights_;
     std::vector<S> emitter_cdf_, emitter_pmf_, light_boxes_;
     int n_light_boxes_ = -1;
     EnvironmentTables<S> environment_;
@@ -114,6 +121,7 @@ private:
     }
     void update_rectangle(const MeshSource &mesh, bool first);
     void update_quadric(int shape);
+    void update_heights(int shape, const S *heights, bool changed, bool moved);
     Affine set_matrices(int shape);
     void set_mesh(const MeshSource &mesh, const S *positions, bool first);
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);

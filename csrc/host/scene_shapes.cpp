@@ -32,6 +32,11 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     for (int i = 0; i < int(shapes_.size()); ++i) {
         const int32_t *field = records[size_t(i)].field;
         bool moved = false;
+        if (shapes_[size_t(i)].flags & IsHeightField) {
+            size_t slot = size_t(shapes_[size_t(i)].heights);
+            update_heights(i, params[slot], first || dirty[slot], changed(field[HeightFieldModel::ToWorld], 12));
+            continue;
+        }
         if (shapes_[size_t(i)].flags & IsSphere)
             moved = changed(field[SphereModel::ToWorld], 12) || changed(field[SphereModel::Center], 3) ||
                     changed(field[SphereModel::Radius], 1);
@@ -177,6 +182,36 @@ void SceneData<S>::update_quadric(int shape) {
     std::copy_n(&matrices_[size_t(shape) * 24], 24, single);
     accel_->set_quadric(uint32_t(shape), sphere, single, single + 12);
     ++counters_.quadrics;
+}
+
+// Height fields are not Embree's: nothing is committed.
+template <class S>
+void SceneData<S>::update_heights(int shape, const S *heights, bool changed, bool moved) {
+    const ShapeInfo &info = shapes_[size_t(shape)];
+    HeightsCopy &copy = heights_[size_t(shape)];
+    const auto &sizes = layout_.tensor_shapes[size_t(info.heights)];
+    const int64_t n = layout_.slot_sizes[size_t(info.heights)];
+    const float *single;
+    if constexpr (sizeof(S) == 4) {
+        single = heights;
+    } else {
+        if (changed) copy.single.assign(heights, heights + n);
+        single = copy.single.data();
+    }
+    if (changed) {
+        copy.fingerprint = fingerprint(heights, n);
+        float largest = accel_->set_heights(uint32_t(shape), single, sizes[0], sizes[2], info.interpolation != 0);
+        if (!(largest <= float(LargestCoordinate)))
+            bad_value(path("shape", shape) + ": field 'heights'", "heights up to 1e18", std::to_string(largest));
+        ++counters_.height_fields;
+    } else {
+        accel_->refer_heights(uint32_t(shape), single);
+    }
+    if (!moved) return;
+    set_matrices(shape);
+    float matrices[24];
+    std::copy_n(&matrices_[size_t(shape) * 24], 24, matrices);
+    accel_->place_heights(uint32_t(shape), matrices, matrices + 12);
 }
 
 // A ray that meets none of these boxes meets no light; they are larger than what rounding may shift.

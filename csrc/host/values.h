@@ -42,6 +42,21 @@ void require_finite(const S *data, int64_t n, const std::string &where) {
     if (i >= 0) bad_value(where, "finite numbers", std::to_string(data[i]) + " at element " + std::to_string(i));
 }
 
+// A number that other contents are unlikely to have, in the time that reading them takes.
+template <class S>
+uint64_t fingerprint(const S *data, int64_t n) {
+    uint32_t sum = 0, weighted = 0;
+    const char *bytes = reinterpret_cast<const char *>(data);
+    const int64_t words = n * int64_t(sizeof(S) / 4);
+    for (int64_t i = 0; i < words; ++i) {
+        uint32_t bits;
+        std::memcpy(&bits, bytes + 4 * i, 4);
+        sum += bits;
+        weighted += bits * (2u * uint32_t(i) + 1u);
+    }
+    return uint64_t(weighted) << 32 | sum;
+}
+
 // Affine maps, 3 rows of 4, in double precision.
 struct Affine {
     double m[12];

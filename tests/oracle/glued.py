@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import torch
 
-from torchrender.surface import MESH, SPHERE, Surfaces, inverse_linear, transform_normal, transform_point
+from torchrender.heightfield import evaluate
+from torchrender.surface import HEIGHT_FIELD, MESH, SPHERE, Surfaces, inverse_linear, transform_normal, transform_point
 
 from .geometry import Rows, dot, normalize
 
@@ -42,13 +43,18 @@ def glue(
 ) -> Glued:
     """The points of these coordinates, attached to the surfaces alone. Spheres and disks take `position` and `uv`."""
     b, position, uv = barycentric.detach(), position.detach(), uv.detach()
-    on_mesh = surfaces.kind[shape] == MESH
-    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh).nonzero()[:, 0]
+    kind = surfaces.kind[shape]
+    on_mesh, on_field = kind == MESH, kind == HEIGHT_FIELD
+    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh & ~on_field).nonzero()[:, 0]
+    rows = [flat, curved]
     pieces = [
         _on_triangles(surfaces, shape[flat], primitive[flat], b[flat]),
         _on_quadrics(surfaces, shape[curved], position[curved], uv[curved]),
     ]
-    return Glued.cat(pieces)[torch.argsort(torch.cat([flat, curved]))]
+    for index in surfaces.heights:
+        rows.append((shape == index).nonzero()[:, 0])
+        pieces.append(_on_height_field(surfaces, index, uv[rows[-1]]))
+    return Glued.cat(pieces)[torch.argsort(torch.cat(rows))]
 
 
 def _on_triangles(surfaces: Surfaces, shape: torch.Tensor, primitive: torch.Tensor, b: torch.Tensor) -> Glued:
@@ -74,4 +80,14 @@ def _on_quadrics(surfaces: Surfaces, shape: torch.Tensor, position: torch.Tensor
     sign = torch.where(surfaces.flip[shape], -1.0, 1.0).to(local)[:, None]
     normal = normalize(up) * sign
     area = up * torch.linalg.det(matrix[:, :3, :3])[:, None]
+    return Glued(transform_point(matrix, local), normal, normal, uv, area)
+
+
+def _on_height_field(surfaces: Surfaces, index: int, uv: torch.Tensor) -> Glued:
+    matrix, (heights, interpolation) = surfaces.to_world[index], surfaces.heights[index]
+    z, z_u, z_v = evaluate(heights, uv, interpolation)
+    local = torch.cat([2 * uv - 1, z[:, None]], 1)
+    up = transform_normal(inverse_linear(matrix), torch.stack([-z_u / 2, -z_v / 2, torch.ones_like(z)], 1))
+    normal = normalize(up) * (-1.0 if bool(surfaces.flip[index]) else 1.0)
+    area = up * torch.linalg.det(matrix[:3, :3])
     return Glued(transform_point(matrix, local), normal, normal, uv, area)

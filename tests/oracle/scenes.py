@@ -32,6 +32,11 @@ def _tube(rows: int = 4, columns: int = 6, **more) -> tr.Mesh:
     return tr.Mesh(vertices, faces, vertex_normals=normals, vertex_texcoords=texcoords, attributes=attributes, **more)
 
 
+def _hills(seed: int, **more) -> dict:
+    heights = np.random.default_rng(seed).uniform(0, 0.3, (5, 4))
+    return {"type": "heightfield", "heights": heights, **more}
+
+
 def _smoothed(mesh: tr.Mesh) -> tr.Mesh:
     """The mesh with normals that follow its positions, as one from a file without normals has."""
     mesh.compute_normals()
@@ -59,6 +64,13 @@ def moving() -> dict:
             to_world=r.translate(1.2, 0, 0.3) @ r.rotate("x", 30),
             bsdf={"type": "twosided", "bsdf": r._diffuse({"type": "mesh_attribute", "name": "face_color"})},
         ),
+        hills=_hills(
+            39,
+            interpolation="bilinear",
+            flip_normals=True,
+            to_world=r.translate(0.2, -0.9, 1.0) @ MIRROR @ r.rotate("x", 110) @ r.scale(0.6, 0.4, 0.5),
+            bsdf=r._diffuse(r._bitmap(40, 3, 4)),
+        ),
         floor=r._floor(r._bitmap(32, 6, 4)),
         lamp=r._lamp(r._bitmap(33, 3, 4, 1.0, 9.0)),
         bulb={"type": "point", "position": [1.0, 2.0, 2.0], "intensity": r._rgb(5.0, 4.0, 3.0)},
@@ -74,6 +86,11 @@ def glass() -> dict:
         tube=_tube(
             to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
             bsdf={"type": "dielectric", "int_ior": 1.3, "specular_transmittance": r._bitmap(34, 3, 3)},
+        ),
+        lens=_hills(
+            47,
+            to_world=r.translate(-0.4, 0.9, 0.3) @ r.rotate("x", 20) @ r.scale(0.6, 0.5, 0.4),
+            bsdf={"type": "dielectric", "int_ior": 1.2},
         ),
         metal={
             "type": "sphere",

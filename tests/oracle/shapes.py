@@ -125,4 +125,11 @@ class Sphere(Quadric):
         return torch.where(outside, in_cone, super().pdf(p, n, d, distance))
 
 
-SHAPES = {"mesh": Triangles, "rectangle": Triangles, "disk": Disk, "sphere": Sphere}
+class NoLight:
+    """A height field, which cannot emit."""
+
+    def __init__(self, world: World, index: int) -> None:
+        raise AssertionError("height fields do not emit")
+
+
+SHAPES = {"mesh": Triangles, "rectangle": Triangles, "disk": Disk, "sphere": Sphere, "heightfield": NoLight}

@@ -55,7 +55,10 @@ class Slot:
                 raise ValueError(f"{what}: expected shape {expected}, got {shape}")
             return
         current = tuple(self.tensor().shape)
-        if len(current) in (3, 4):  # texels and voxels: any size
+        if self.attribute == "heights":  # of a height field: any size
+            if len(shape) != 2 or 0 in shape:
+                raise ValueError(f"{what}: expected shape (H, W), got {shape}")
+        elif len(current) in (3, 4):  # texels and voxels: any size
             if len(shape) != len(current) or shape[-1] not in (1, channels) or 0 in shape:
                 size = "(H, W, C)" if len(current) == 3 else "(Z, Y, X, C)"
                 raise ValueError(f"{what}: expected shape {size} with C = 1 or {channels}, got {shape}")

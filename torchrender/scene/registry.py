@@ -30,6 +30,7 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("sensor", "perspective"): "PerspectiveCamera",
     ("sensor", "irradiancemeter"): "IrradianceMeter",
     ("shape", "mesh"): "Mesh",
+    ("shape", "heightfield"): "HeightField",
     ("volume", "constvolume"): "ConstantVolume",
     ("volume", "gridvolume"): "GridVolume",
     ("phase", "hg"): "HenyeyGreenstein",

@@ -87,6 +87,27 @@ public:
         for (int c = 0; c < C; ++c) total += lane_sum(select(usable, g[c], F(0)));
         for (int32_t i = 0; i < n; ++i) gradient[i] += total * weight(i);
     }
+    // of numbers in a tensor of one channel; the weights are multiplied by their adjoint already
+    template <int N>
+    TR_INLINE void taps(int32_t slot, const Footprint<F, N> &at, const MaskOf<F> &active) {
+        S *gradient = tensors[slot];
+        if (!gradient) return;
+        Color<F, 1> sum{{F(0)}};
+        for (int k = 0; k < N; ++k) sum[0] = sum[0] + abs(at.weight[k]);
+        auto usable = active && is_finite(sum);
+        non_finite += uint32_t(count(active) - count(usable));
+        constexpr int W = Lanes<F>::Width;
+        alignas(64) uint32_t texel[N][W];
+        alignas(64) S weight[N][W];
+        for (int k = 0; k < N; ++k) {
+            store(&texel[k][0], at.texel[k]);
+            store(&weight[k][0], at.weight[k]);
+        }
+        for (int i = 0; i < W; ++i) {
+            if (!lane_is_set(usable, i)) continue;
+            for (int k = 0; k < N; ++k) gradient[texel[k][i]] += weight[k][i];
+        }
+    }
     // of a number in the block of small parameters
     TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
         add(constants, UIntOf<F>(offset), g, active);
@@ -173,6 +194,14 @@ public:
         S sum(0);
         for (int32_t i = 0; i < n; ++i) sum += weight(i) * data[i];
         add(g * F(sum), active);
+    }
+    template <int N>
+    TR_INLINE void taps(int32_t slot, const Footprint<F, N> &at, const MaskOf<F> &active) {
+        const S *data = tangent.tensors[slot].data;
+        if (!data) return;
+        F sum(0);
+        for (int k = 0; k < N; ++k) sum = fmadd(at.weight[k], gather<F>(data, at.texel[k], active), sum);
+        add(sum, active);
     }
     TR_INLINE void scalar(const IntOf<F> &offset, const F &g, const MaskOf<F> &active) {
         add(g * gather<F>(tangent.constants, UIntOf<F>(offset), active), active);

@@ -6,41 +6,9 @@
 // surface: they keep their coordinates, and the measure in which they are integrated is area, which stretches.
 #pragma once
 
-#include "lookup.h"
+#include "heightfield.h"
 
 namespace tr {
-
-template <class F>
-struct HitAdjoint {
-    // position, unit shading normal, unit geometric normal of a mesh
-    Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)}, ng{F(0), F(0), F(0)};
-    CoordinateAdjoint<F> at;
-};
-
-template <class F>
-struct RayAdjoint {
-    Vec3<F> o, d;
-};
-
-// How a ray came to a point: where `attached`, along the unit vector d from t away; else from a point that is glued to
-// its own surface, D away, or, `parallel`, from infinitely far away along D, J being |N.D|. `d_bar` is the adjoint of
-// the unit direction, and `log_jacobian_bar`, of glued points, that of log J, J = |N.D| / |D|^3, N being the area
-// vector: e1 x e2 of a triangle, det(M) M^-T times the normal of a unit shape.
-template <class F>
-struct Arrival {
-    MaskOf<F> attached;
-    Vec3<F> d;
-    F t;
-    Vec3<F> D, d_bar;
-    F log_jacobian_bar;
-    MaskOf<F> parallel{false};
-};
-
-// Adjoint of v where only its direction counts: n = v / length.
-template <class F>
-TR_INLINE Vec3<F> unnormalize(const Vec3<F> &n, const Vec3<F> &n_bar, const F &inverse_length) {
-    return (n_bar - n * dot(n, n_bar)) * inverse_length;
-}
 
 template <class F, class Sink, class Table>
 TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
@@ -49,15 +17,6 @@ TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> 
     sink.vertex(table, i, g.x, active);
     sink.vertex(table, i + 1u, g.y, active);
     sink.vertex(table, i + 2u, g.z, active);
-}
-
-// The adjoint of D, through its direction and through J except for N; `area` is a multiple of N.
-template <class F>
-TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
-    F inverse_squared = F(1) / squared_norm(in.D), inverse = sqrt(inverse_squared);
-    Vec3<F> bar = unnormalize(in.D * inverse, in.d_bar, inverse) +
-                  (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.log_jacobian_bar;
-    return select(in.parallel, Vec3<F>{F(0), F(0), F(0)}, bar);
 }
 
 template <class F, class S, class Sink>
@@ -143,12 +102,6 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     return select(glued, -from_segment, select(attached, moved, zero));
 }
 
-template <class F, class Sink>
-TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, Sink &sink) {
-    IntOf<F> offset = IntOf<F>(shape * 12u + sink.geometry.matrices);
-    for (int i = 0; i < 12; ++i) sink.scalar(offset + i, g[i], active);
-}
-
 // Spheres and disks: p = M local with |local| = 1 or local.z = 0. The normal is M^-T times that of the unit shape.
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
@@ -216,14 +169,18 @@ TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const Surface
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
     g.ng = select(shape.has(FlipNormals), -g.ng, g.ng);
     auto mesh = active && !shape.has(IsCurved);
-    auto curved = active && !mesh;
+    auto field = active && shape.has(IsHeightField), curved = active && !mesh && !field;
     Vec3<F> zero{F(0), F(0), F(0)};
     RayAdjoint<F> r{zero, zero}, other = r;
     if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, shape, mesh, r.d, sink);
+    if (any(field)) {
+        other.o = sweep_height_fields(scene, at, in, g, field, other.d, sink);
+        r = {select(field, other.o, r.o), select(field, other.d, r.d)};
+    }
     if (any(curved)) {
         auto sphere = curved && shape.has(IsSphere);
         other.o = sweep_curved(scene, at, p, in, g, curved, sphere, other.d, sink);
-        r = {select(mesh, r.o, other.o), select(mesh, r.d, other.d)};
+        r = {select(curved, other.o, r.o), select(curved, other.d, r.d)};
     }
     return r;
 }
@@ -243,7 +200,8 @@ TR_NOINLINE void sweep_position(const SceneView<S> &scene, const SurfacePoint<F>
         const F weight[3] = {F(1) - at.b1 - at.b2, at.b1, at.b2};
         for (int k = 0; k < 3; ++k) sweep_vertex(&Tables::positions, corner[k], p_bar * weight[k], mesh, sink);
     }
-    auto curved = wanted && !mesh;
+    auto field = wanted && shape.has(IsHeightField), curved = wanted && !mesh && !field;
+    if (any(field)) sweep_height_positions(scene, at, p_bar, field, sink);
     if (any(curved)) {
         F to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);

@@ -48,6 +48,24 @@ struct SphereModel {
     static constexpr Model model = {"shape", "sphere", "A sphere.", fields, 8};
 };
 
+struct HeightFieldModel {
+    enum { ToWorld, Heights, Interpolation, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
+    static constexpr Field fields[] = {
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
+         "from the square [-1, 1]^2 and heights along +z to the world"},
+        {"heights", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges,
+         "(H, W), over the square like the texels of a bitmap: row 0 at v = 0, clamped outside"},
+        {"interpolation", Kind::Int, 0, 0, 1, "",
+         "0: bspline, a cubic B-spline with these control values, 1: bilinear"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", "refused: height fields cannot emit"},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
+    };
+    static constexpr Model model = {"shape", "heightfield", "Heights over the square [-1, 1]^2.", fields, 8};
+};
+
 // Disk and rectangle have the same fields.
 struct PlanarFields {
     enum { ToWorld, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };

@@ -2,12 +2,12 @@
 #pragma once
 
 #include "../math/warp.h"
-#include "../scene.h"
+#include "heightfield.h"
 
 namespace tr {
 
-// A point on a surface, as short as it can be stored. On a triangle (b1, b2) are barycentric, on spheres and disks
-// they are the texture coordinates.
+// A point on a surface, as short as it can be stored. On a triangle (b1, b2) are barycentric, on curved shapes they are
+// the texture coordinates.
 template <class F>
 struct SurfacePoint {
     UIntOf<F> shape, primitive;
@@ -145,8 +145,8 @@ TR_INLINE F refine_distance(const S *to_object, const Ray<F> &ray, const F &t, c
     return select(sphere, middle + select(mask<F>(t < middle), -half, half), plane);
 }
 
-// What Embree reports, made into a point with frames. Embree works in single precision: with Float = double the
-// distance and the barycentric coordinates are computed again from the shape and triangle it names.
+// What the queries report, made into a point with frames. They work in single precision: with Float = double the
+// distance and the coordinates are computed again from the shape and triangle they name.
 template <class F, class S>
 TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
                                           const MaskOf<F> &active) {
@@ -185,7 +185,12 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         }
         if (any(mapped)) given = interpolate_coordinates(corners.uv, at.b1, at.b2);
     }
-    auto curved = active && !mesh;
+    auto field = active && shape.has(IsHeightField);
+    if (any(field)) {
+        meet_height_fields(scene, at.shape, ray.o, ray.d, field, at.b1, at.b2, t, si.p, ns);
+        si.ng = select(field, ns, si.ng);
+    }
+    auto curved = active && !mesh && !field;
     if (any(curved)) {
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
