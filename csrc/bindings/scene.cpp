@@ -410,6 +410,7 @@ private:
             d.bsdf_wanted.push_back(depends.values("bsdf", i));
             d.wanted.bsdf |= d.bsdf_wanted.back() != 0;
         }
+        d.wanted.lookups = depends.bsdfs_vary();
         for (size_t i = 0; i < layout.records.at("emitter").size(); ++i)
             d.wanted.emitter |= depends.values("emitter", i);
         for (size_t i = 0; i < layout.shapes.size(); ++i) d.shape_wanted.push_back(depends.shape(i));

@@ -1,6 +1,6 @@
 // Light paths on the CPU: as schedule.h, but what a path brings may be anywhere on the film. The items of the plan are
-// divided into groups, as many whatever the number of threads; a group has a film of its own, and films are added in
-// the order of their groups.
+// divided into groups, as many whatever the number of threads; a group has a film of its own, and films are added, in
+// double precision, in the order of their groups.
 #pragma once
 
 #include "items.h"
@@ -39,13 +39,13 @@ void for_results(const RenderCall<S> &call, Visit &&visit) {
 }
 
 // Sums up films in the order of their numbers, whoever finishes first.
-template <int C>
+template <class S, int C>
 class OrderedFilms {
 public:
     explicit OrderedFilms(const Rect &rect) : total(rect) {}
     SplatFilm<double, C> total;
 
-    void push(size_t number, std::unique_ptr<SplatFilm<double, C>> film) {
+    void push(size_t number, std::unique_ptr<SplatFilm<S, C>> film) {
         std::lock_guard<std::mutex> lock(mutex_);
         waiting_.emplace(number, std::move(film));
         for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(++next_)) {
@@ -56,20 +56,20 @@ public:
 
 private:
     std::mutex mutex_;
-    std::map<size_t, std::unique_ptr<SplatFilm<double, C>>> waiting_;
+    std::map<size_t, std::unique_ptr<SplatFilm<S, C>>> waiting_;
     size_t next_ = 0;
 };
 
 template <class F, int C>
-void splat_connections(const Filter &filter, const Connections<ScalarOf<F>, C> &free, SplatFilm<double, C> &film,
+void splat_connections(const Filter &filter, const Connections<ScalarOf<F>, C> &free, SplatFilm<ScalarOf<F>, C> &film,
                        SplatAxis<F> &x, SplatAxis<F> &y) {
     constexpr size_t W = size_t(Lanes<F>::Width);
     for (size_t k = 0; k < free.n; k += W) {
         x.set(filter, load<F>(free.x + k), false);
         y.set(filter, load<F>(free.y + k), false);
         for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
-            double value[SplatFilm<double, C>::Stride] = {};
-            for (int c = 0; c < C; ++c) value[c] = double(free.value[c][k + i]);
+            typename SplatFilm<ScalarOf<F>, C>::Vector value{};
+            for (int c = 0; c < C; ++c) value[c] = free.value[c][k + i];
             film.splat(x, y, int(i), value);
         }
     }
@@ -95,7 +95,7 @@ public:
         for (int c = 0; c < C; ++c) kept.value[c].assign(free.value[c], free.value[c] + free.n);
     }
 
-    void sweep(ParticleTile<F, C> &tile, size_t n, SplatFilm<double, C> &film) {
+    void sweep(ParticleTile<F, C> &tile, size_t n, SplatFilm<S, C> &film) {
         ForwardSink<F, C> sink;
         sink.tangent = derivative_.tangent;
         sink.geometry = derivative_.geometry_tangent;
@@ -116,13 +116,13 @@ public:
                 tile.sweep(sink);
             };
             const bool numbers = derivative_.wanted.geometry;
-            std::vector<double> d[C + 2];
+            std::vector<S> d[C + 2];
             for (int what = 0; what < (numbers ? C + 2 : 1); ++what) {
                 derivatives(numbers ? what : 0, !numbers);
                 for (int c = 0; c < C; ++c) {
                     if (numbers && c != (what < C ? what : 0)) continue;
-                    std::vector<double> &to = numbers ? d[what] : d[c];
-                    for (uint32_t slot : kept.slot) to.push_back(double(tile.radiance[c][slot]));
+                    std::vector<S> &to = numbers ? d[what] : d[c];
+                    for (uint32_t slot : kept.slot) to.push_back(tile.radiance[c][slot]);
                 }
             }
             for (uint32_t at : kept.position) {  // they count no more
@@ -140,15 +140,15 @@ private:
         std::vector<uint32_t> slot, position;
     };
 
-    void splat(Kept &kept, const std::vector<double> (&d)[C + 2], bool moves, SplatFilm<double, C> &film) {
+    void splat(Kept &kept, const std::vector<S> (&d)[C + 2], bool moves, SplatFilm<S, C> &film) {
         size_t n = kept.slot.size();
         kept.x.resize(n + W), kept.y.resize(n + W);
         for (size_t k = 0; k < n; k += W) {
             x_.set(call_.filter, load_unaligned(kept.x, k), true);
             y_.set(call_.filter, load_unaligned(kept.y, k), true);
             for (size_t i = 0; i < std::min(W, n - k); ++i) {
-                double change[SplatFilm<double, C>::Stride] = {}, value[SplatFilm<double, C>::Stride] = {};
-                for (int c = 0; c < C; ++c) change[c] = d[c][k + i], value[c] = double(kept.value[c][k + i]);
+                typename SplatFilm<S, C>::Vector change{}, value{};
+                for (int c = 0; c < C; ++c) change[c] = d[c][k + i], value[c] = kept.value[c][k + i];
                 film.splat(x_, y_, int(i), change);
                 if (moves) film.splat_motion(x_, y_, int(i), d[C][k + i], d[C + 1][k + i], value);
             }
@@ -180,13 +180,13 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     const size_t film = size_t(std::max(0, call.crop.height())) * size_t(std::max(0, call.crop.width()));
     const size_t fitting = pixels * size_t(call.spp) / (4 * film + 1);
     const size_t groups = std::min<size_t>(plan.n_items(), std::min<size_t>(64, std::max<size_t>(16, fitting)));
-    OrderedFilms<C> films(call.crop);
+    OrderedFilms<S, C> films(call.crop);
     std::mutex mutex;
     run_items(groups, call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<ParticleTile<F, C>>(call, capacity, derivative);
         auto x = std::make_shared<SplatAxis<F>>(), y = std::make_shared<SplatAxis<F>>();
         return [&, tile, x, y](size_t group, auto &&stop) {
-            auto film = std::make_unique<SplatFilm<double, C>>(call.crop);
+            auto film = std::make_unique<SplatFilm<S, C>>(call.crop);
             const size_t end = plan.n_items() * (group + 1) / groups;
             for (size_t item = plan.n_items() * group / groups; item < end && !stop(); ++item)
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {
@@ -245,7 +245,7 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                           x->set(call.filter, load<F>(free.x + k), true);
                           y->set(call.filter, load<F>(free.y + k), true);
                           for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
-                              S sum[AdjointFilm::Stride], by_x[AdjointFilm::Stride], by_y[AdjointFilm::Stride];
+                              typename AdjointFilm::Vector sum, by_x, by_y;
                               adjoint.collect(*x, *y, int(i), sum, by_x, by_y);
                               uint32_t at = free.position[k + i];
                               S x_bar(0), y_bar(0);

@@ -37,66 +37,68 @@ struct SplatAxis {
     }
 };
 
-// Numbers of type T, C a pixel, of a rectangle of the film.
+// Numbers of type T, C a pixel, of a rectangle of the film. They are kept in vectors, of which a splat needs many and
+// the compiler finds none by itself.
 template <class T, int C>
 class SplatFilm {
 public:
-    static constexpr int Stride = C == 3 ? 4 : C;  // a power of two, for vectors
+    static constexpr int Stride = C == 3 ? 4 : 2;  // a power of two
+    typedef T Vector __attribute__((vector_size(Stride * sizeof(T))));
 
     explicit SplatFilm(const Rect &rect)
-        : rect_(rect), sum_(size_t(std::max(0, rect.height())) * size_t(std::max(0, rect.width())) * Stride, T(0)) {}
+        : rect_(rect), sum_(size_t(std::max(0, rect.height())) * size_t(std::max(0, rect.width())), Texel{}) {}
 
-    T *at(int y, int x) { return &sum_[offset(y, x)]; }
-    const T *at(int y, int x) const { return &sum_[offset(y, x)]; }
-    const Rect &rect() const { return rect_; }
-    void add(const SplatFilm &other) {
-        for (size_t i = 0; i < sum_.size(); ++i) sum_[i] += other.sum_[i];
+    Vector &at(int y, int x) { return sum_[offset(y, x)].v; }
+    const Vector &at(int y, int x) const { return sum_[offset(y, x)].v; }
+    template <class Other>
+    void add(const SplatFilm<Other, C> &other) {
+        for (size_t i = 0; i < sum_.size(); ++i)
+            for (int c = 0; c < C; ++c) sum_[i].v[c] += T(other.number(i)[c]);
     }
+    const Vector &number(size_t i) const { return sum_[i].v; }
 
-    // Adds value[c], a number a lane, at lane i of two axes.
+    // Adds `value` at lane i of two axes.
     template <class F>
-    void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const T (&value)[Stride]) {
+    void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const Vector &value) {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
         for (int k = v.begin; k < v.end; ++k) {
-            T *row = at(y.first[i] + k, x.first[i] + h.begin);
-            T by[Stride];
-            for (int c = 0; c < Stride; ++c) by[c] = value[c] * T(y.weight[k][i]);
-            for (int j = h.begin; j < h.end; ++j, row += Stride) {
-                T w = T(x.weight[j][i]);
-                for (int c = 0; c < Stride; ++c) row[c] += w * by[c];
-            }
+            Texel *row = row_at(y.first[i] + k, x.first[i]);
+            Vector by = value * T(y.weight[k][i]);
+            for (int j = h.begin; j < h.end; ++j) row[j].v += by * T(x.weight[j][i]);
         }
     }
     // The derivative of it when the place moves.
     template <class F>
-    void splat_motion(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, T dx, T dy, const T (&value)[Stride]) {
+    void splat_motion(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, T dx, T dy, const Vector &value) {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        for (int k = v.begin; k < v.end; ++k)
-            for (int j = h.begin; j < h.end; ++j) {
-                T w = T(x.slope[j][i]) * T(y.weight[k][i]) * dx + T(x.weight[j][i]) * T(y.slope[k][i]) * dy;
-                T *to = at(y.first[i] + k, x.first[i] + j);
-                for (int c = 0; c < Stride; ++c) to[c] += w * value[c];
-            }
+        for (int k = v.begin; k < v.end; ++k) {
+            Texel *row = row_at(y.first[i] + k, x.first[i]);
+            for (int j = h.begin; j < h.end; ++j)
+                row[j].v +=
+                    value * (T(x.slope[j][i]) * T(y.weight[k][i]) * dx + T(x.weight[j][i]) * T(y.slope[k][i]) * dy);
+        }
     }
     // The transposed: sums of weights times numbers of the film, and their derivatives by the place.
     template <class F>
-    void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, T (&sum)[Stride], T (&by_x)[Stride],
-                 T (&by_y)[Stride]) const {
+    void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Vector &sum, Vector &by_x, Vector &by_y) const {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        for (int c = 0; c < Stride; ++c) sum[c] = by_x[c] = by_y[c] = T(0);
+        sum = by_x = by_y = Vector{};
         for (int k = v.begin; k < v.end; ++k) {
-            const T *row = at(y.first[i] + k, x.first[i] + h.begin);
-            T value[Stride] = {}, slope[Stride] = {};
-            for (int j = h.begin; j < h.end; ++j, row += Stride) {
-                T w = T(x.weight[j][i]), s = T(x.slope[j][i]);
-                for (int c = 0; c < Stride; ++c) value[c] += w * row[c], slope[c] += s * row[c];
+            const Texel *row = const_cast<SplatFilm *>(this)->row_at(y.first[i] + k, x.first[i]);
+            Vector value{}, slope{};
+            for (int j = h.begin; j < h.end; ++j) {
+                value += row[j].v * T(x.weight[j][i]);
+                slope += row[j].v * T(x.slope[j][i]);
             }
-            T w = T(y.weight[k][i]), s = T(y.slope[k][i]);
-            for (int c = 0; c < Stride; ++c) sum[c] += w * value[c], by_x[c] += w * slope[c], by_y[c] += s * value[c];
+            T w = T(y.weight[k][i]);
+            sum += value * w, by_x += slope * w, by_y += value * T(y.slope[k][i]);
         }
     }
 
 private:
+    struct Texel {  // an attribute of its member's type would be lost in a template's argument
+        Vector v;
+    };
     struct Span {
         int begin, end;
     };
@@ -104,12 +106,14 @@ private:
         int begin = std::max(0, low - first);
         return {begin, std::max(begin, std::min(n, high - first))};
     }
-    size_t offset(int y, int x) const {
-        return (size_t(y - rect_.y0) * size_t(rect_.width()) + size_t(x - rect_.x0)) * Stride;
+    // Column x of a row; it may lie beside the film, where nothing is touched.
+    Texel *row_at(int y, int x) {
+        return sum_.data() + (ptrdiff_t(y - rect_.y0) * rect_.width() + (ptrdiff_t(x) - rect_.x0));
     }
+    size_t offset(int y, int x) const { return size_t(y - rect_.y0) * size_t(rect_.width()) + size_t(x - rect_.x0); }
 
     Rect rect_;
-    std::vector<T> sum_;
+    std::vector<Texel> sum_;
 };
 
 }  // namespace tr

@@ -91,6 +91,18 @@ bool Dependence::motion(size_t sensor) const {
     return false;
 }
 
+bool Dependence::bsdfs_vary() const {
+    const int32_t constant = kind_of_model<ConstantTexture>(Textures{});
+    for (const Record &record : layout_.records.at("bsdf")) {
+        const Model &model = model_of("bsdf", record);
+        for (int f = 0; f < model.n_fields; ++f)
+            if (model.fields[f].kind == Kind::Texture &&
+                layout_.records.at("texture")[size_t(record.field[f])].kind != constant)
+                return true;
+    }
+    return false;
+}
+
 GeometrySizes Dependence::geometry_sizes() const {
     GeometrySizes r;
     size_t n = size_t(layout_.n_vertices);

@@ -27,6 +27,8 @@ public:
     bool camera(size_t sensor) const { return any_number("sensor", sensor, {Kind::Float, Kind::Transform}); }
     bool shape(size_t index) const;
     bool motion(size_t sensor) const;
+    // Whether a BSDF has a texture that is not constant.
+    bool bsdfs_vary() const;
     GeometrySizes geometry_sizes() const;
 
 private:

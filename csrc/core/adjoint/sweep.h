@@ -54,6 +54,7 @@ struct Wanted {
     bool geometry;  // anything that moves rays, hits or look-ups
     bool camera;
     MediumWanted medium{};
+    bool lookups = true;  // with `geometry`: what BSDFs look up varies over surfaces
     bool numbers() const { return light_position || geometry; }  // adjoints that are sums over channels
 };
 
@@ -139,11 +140,13 @@ struct VertexFrame {
 template <Transport transport, class Model, int C, class F>
 TR_INLINE void sweep_directions(const ParamsOf<Model, F, C> &params, const Vec3<F> &wi, const Vec3<F> &wo,
                                 const IntOf<F> &lobe, const Color<F, C> &weight, Vec3<F> &wi_bar, Vec3<F> &wo_bar) {
-    using D = Dual<F, 6>;
-    Vec3<D> from{D(wi.x, 0), D(wi.y, 1), D(wi.z, 2)}, to{D(wo.x, 3), D(wo.y, 4), D(wo.z, 5)};
+    constexpr int N = Model::Smooth ? 6 : 3;  // delta lobes do not ask for wo
+    using D = Dual<F, N>;
+    Vec3<D> from{D(wi.x, 0), D(wi.y, 1), D(wi.z, 2)}, to{D(wo.x), D(wo.y), D(wo.z)};
+    if constexpr (Model::Smooth) to = {D(wo.x, 3), D(wo.y, 4), D(wo.z, 5)};
     Color<D, C> f = eval_bsdf<transport, Model, C>(params, from, to, lobe);
-    F sum[6];
-    for (int i = 0; i < 6; ++i) {
+    F sum[6] = {F(0), F(0), F(0), F(0), F(0), F(0)};
+    for (int i = 0; i < N; ++i) {
         sum[i] = f[0].d[i] * weight[0];
         for (int c = 1; c < C; ++c) sum[i] = fmadd(f[c].d[i], weight[c], sum[i]);
     }
@@ -245,7 +248,7 @@ TR_INLINE void sweep_parameters(const SceneView<S> &scene, const VertexRecord<F,
     constexpr int N = ParamCount<Model>::All;
     bool done = false;
     if constexpr (N > 0) {
-        if (wanted.bsdf || wanted.geometry) {
+        if (wanted.bsdf || (wanted.geometry && wanted.lookups)) {
             done = true;
             auto seeded = seed_params<Model, C>(params);
             auto df = eval_bsdf<transport, Model, C>(seeded, v.wi, v.wo, v.lobe);
