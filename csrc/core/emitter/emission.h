@@ -87,7 +87,8 @@ TR_INLINE EmissionSample<F> sample_emission(const SceneView<S> &scene, const F &
             r.point.at.b1 = select(here, uv.x, r.point.at.b1);
             r.point.at.b2 = select(here, uv.y, r.point.at.b2);
             r.p = select(here, p, r.p);
-            r.n = r.d = select(here, -from, r.d);
+            r.n = select(here, -from, r.n);
+            r.d = select(here, -from, r.d);
             auto possible = here && mask<F>(pdf > F(0));
             r.inverse_pdf = select(possible, inverse_pmf / select(possible, pdf, F(1)), r.inverse_pdf);
             r.weight = select(here, r.inverse_pdf * (F(Pi) * radius * radius), r.weight);
