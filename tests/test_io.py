@@ -8,7 +8,15 @@ import pytest
 import torch
 
 from torchrender.image import linear_to_srgb, show, srgb_to_linear, tonemap
-from torchrender.io import read_channels, read_image, read_volume, write_image, write_volume
+from torchrender.io import (
+    read_channels,
+    read_image,
+    read_parts,
+    read_volume,
+    write_image,
+    write_parts,
+    write_volume,
+)
 
 
 def picture(height=7, width=11, channels=3, seed=0):
@@ -50,6 +58,34 @@ def test_exr_layers_and_named_channels(tmp_path):
     assert torch.equal(read_channels(tmp_path / "b.exr")["c"], picture(channels=5)[..., 2])
     with pytest.raises(ValueError, match="channels"):
         read_image(tmp_path / "b.exr")
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_exr_parts(tmp_path, half):
+    left, right, depth = picture().half().float(), picture(seed=1).half().float(), picture(3, 4, 1).half().float()
+    write_parts(tmp_path / "a.exr", {"left": left, "right": {"": right, "n": right}, "depth": {"z": depth}}, half=half)
+    stored = read_parts(tmp_path / "a.exr")
+    assert {name: sorted(channels) for name, channels in stored.items()} == {
+        **{"left": ["B", "G", "R"], "right": ["B", "G", "R", "n.B", "n.G", "n.R"], "depth": ["z"]}
+    }
+    assert list(stored) == ["left", "right", "depth"]
+    assert torch.equal(read_image(tmp_path / "a.exr"), left)
+    assert torch.equal(read_image(tmp_path / "a.exr", part="right"), right)
+    assert torch.equal(read_image(tmp_path / "a.exr", part="right", channels=["n.G"]), right[..., 1:2])
+    assert torch.equal(read_channels(tmp_path / "a.exr", part="depth")["z"], depth[..., 0])
+    with pytest.raises(ValueError, match=r"a\.exr: part: did you mean 'right'.*got 'rihgt'"):
+        read_image(tmp_path / "a.exr", part="rihgt")
+    write_image(tmp_path / "b.exr", left, half=half)
+    assert list(read_parts(tmp_path / "b.exr")) == [""]
+    write_image(tmp_path / "b.png", left)
+    for call, message in (
+        (lambda: read_parts(tmp_path / "b.png"), "not an OpenEXR"),
+        (lambda: read_image(tmp_path / "b.png", part="a"), "part: only EXR"),
+        (lambda: write_parts(tmp_path / "b.png", {"a": left}), "only EXR files have parts"),
+        (lambda: write_parts(tmp_path / "b.exr", {"a": left, "": left}), "expected names"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            call()
 
 
 @pytest.mark.parametrize("channels", [1, 3, 4])

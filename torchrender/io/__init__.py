@@ -1,6 +1,15 @@
 """Images and volumes from and to files."""
 
-from .image import read_channels, read_image, write_image
+from .image import read_channels, read_image, read_parts, write_image, write_parts
 from .volume import read_volume, read_volume_bounds, write_volume
 
-__all__ = ["read_channels", "read_image", "read_volume", "read_volume_bounds", "write_image", "write_volume"]
+__all__ = [
+    "read_channels",
+    "read_image",
+    "read_parts",
+    "read_volume",
+    "read_volume_bounds",
+    "write_image",
+    "write_parts",
+    "write_volume",
+]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
@@ -23,6 +25,33 @@ def existing_file(path: str | os.PathLike) -> Path:
     if result.stat().st_size == 0:
         raise ValueError(f"{result}: the file is empty")
     return result
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Whatever goes wrong inside is the file's fault: it ends in a ValueError or OSError that names the file.
+
+    Readers say what they expected; this is for what a damaged file makes them, and the libraries below, stumble over.
+    """
+    try:
+        yield
+    except Exception as error:
+        if isinstance(error, (ValueError, OSError)) and str(path) in str(error):
+            raise
+        kind = "" if type(error) is ValueError else f"{type(error).__name__}: "
+        raise ValueError(f"{path}: the file is damaged, or too large ({kind}{error})") from error
+
+
+def check_size(path: Path, claimed: int, ratio: int) -> None:
+    """ValueError if a file claims to hold far more than its size allows.
+
+    Args:
+        claimed: bytes that its content would take.
+        ratio: how many of these a byte of the file may stand for.
+    """
+    size = path.stat().st_size
+    if claimed > (1 << 16) + ratio * size:
+        raise ValueError(f"{path}: the file is truncated or damaged: {size} bytes cannot hold {claimed} bytes of data")
 
 
 def writable_file(path: str | os.PathLike) -> Path:

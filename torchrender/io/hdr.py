@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ._files import check_size
+
 
 def read_hdr(path: Path) -> np.ndarray:
     """Read a Radiance picture as linear float32 RGB of shape (H, W, 3), top row first.
@@ -31,6 +33,7 @@ def read_hdr(path: Path) -> np.ndarray:
     height, width = int(match[2]), int(match[4])
     if not 0 < width * height <= 1 << 30:
         raise ValueError(f"{path}: expected a size of 1 to 2^30 pixels, got {width} x {height}")
+    check_size(path, 4 * width * height, 64)  # a run of two bytes gives at most 127
     rgbe = _decode(path, content, match.end(), height, width)
     rgbe = rgbe[::-1] if match[1] == b"+Y" else rgbe
     rgbe = rgbe[:, ::-1] if match[3] == b"-X" else rgbe

@@ -9,15 +9,20 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from ..errors import describe
 from ..image import linear_to_srgb, srgb_to_linear
 from . import exr, hdr, pfm, png16
-from ._files import existing_file, writable_file
+from ._files import check_size, existing_file, reading, writable_file
 
+# Bytes of pixels for a byte of a PNG or JPEG file: deflate ends at 1032, an empty progressive JPEG somewhat higher.
+_LARGEST_RATIO = 4096
 _LAYER_SUFFIXES = {1: ("",), 2: (".X", ".Y"), 3: (".R", ".G", ".B"), 4: (".R", ".G", ".B", ".A")}
 _DEFAULT_NAMES = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 
-def read_image(path: str | os.PathLike, *, raw: bool = False, channels: Sequence[str] | None = None) -> torch.Tensor:
+def read_image(
+    path: str | os.PathLike, *, raw: bool = False, channels: Sequence[str] | None = None, part: str | None = None
+) -> torch.Tensor:
     """Read a picture as linear values. The content, not the ending, says which format it is.
 
     Args:
@@ -26,6 +31,7 @@ def read_image(path: str | os.PathLike, *, raw: bool = False, channels: Sequence
             are then the stored integers over 255 or 65535. The floating-point formats are linear anyway.
         channels: names of the channels of an EXR file, such as ``("depth.Z",)``; by default R, G, B and, where there
             is one, A; or the luminance Y.
+        part: name of the part of an EXR file that has several; by default the first.
 
     Returns:
         float32 tensor (H, W, C), top row first, C = 1, 3 or 4 (EXR with ``channels``: their number). Alpha is never
@@ -36,17 +42,23 @@ def read_image(path: str | os.PathLike, *, raw: bool = False, channels: Sequence
         ValueError: if the file is of an unknown kind, truncated or damaged, or lacks a channel.
     """
     path = existing_file(path)
+    with reading(path):
+        return _read_image(path, raw, channels, part)
+
+
+def _read_image(path: Path, raw: bool, channels: Sequence[str] | None, part: str | None) -> torch.Tensor:
     with path.open("rb") as file:
         head = file.read(32)
     if head.startswith(exr.MAGIC):
-        stored = exr.read_exr(path)
+        stored = exr.read_exr(path, part)
         names = exr.colour_channels(path, list(stored)) if channels is None else list(channels)
         missing = [name for name in names if name not in stored]
         if missing or not names:
             raise ValueError(f"{path}: channels: expected names among {sorted(stored)}, got {names}")
         return torch.from_numpy(np.stack([stored[name] for name in names], axis=-1))
-    if channels is not None:
-        raise ValueError(f"{path}: channels: only EXR files have named channels")
+    if channels is not None or part is not None:
+        name, what = ("channels", "named channels") if channels is not None else ("part", "parts")
+        raise ValueError(f"{path}: {name}: only EXR files have {what}")
     if head.startswith(b"#?"):
         return torch.from_numpy(np.ascontiguousarray(hdr.read_hdr(path)))
     if head[:2] in (b"PF", b"Pf"):
@@ -54,18 +66,72 @@ def read_image(path: str | os.PathLike, *, raw: bool = False, channels: Sequence
     return _read_integers(path, head, raw)
 
 
-def read_channels(path: str | os.PathLike) -> dict[str, torch.Tensor]:
+def read_channels(path: str | os.PathLike, *, part: str | None = None) -> dict[str, torch.Tensor]:
     """All channels of an EXR file by name, each float32 (H, W).
+
+    Args:
+        path: the file.
+        part: name of one of its parts, if it has several; by default the first.
+
+    Raises:
+        FileNotFoundError: if there is no such file.
+        ValueError: if it is not an EXR file, has no such part, or is truncated or damaged.
+    """
+    path = _exr_file(path)
+    with reading(path):
+        return {name: torch.from_numpy(pixels) for name, pixels in exr.read_exr(path, part).items()}
+
+
+def read_parts(path: str | os.PathLike) -> dict[str, dict[str, torch.Tensor]]:
+    """All parts of an EXR file by name, each with its channels by name, float32 (H, W).
+
+    An ordinary file is a single part with the name ``""``. Parts may differ in size.
 
     Raises:
         FileNotFoundError: if there is no such file.
         ValueError: if it is not an EXR file, or is truncated or damaged.
     """
+    path = _exr_file(path)
+    with reading(path):
+        found = exr.read_parts(path)
+    return {
+        part: {name: torch.from_numpy(pixels) for name, pixels in channels.items()} for part, channels in found.items()
+    }
+
+
+def _exr_file(path: str | os.PathLike) -> Path:
     path = existing_file(path)
     with path.open("rb") as file:
         if file.read(4) != exr.MAGIC:
             raise ValueError(f"{path}: not an OpenEXR file")
-    return {name: torch.from_numpy(pixels) for name, pixels in exr.read_exr(path).items()}
+    return path
+
+
+def write_parts(
+    path: str | os.PathLike,
+    parts: Mapping[str, torch.Tensor | np.ndarray | Mapping[str, torch.Tensor]],
+    *,
+    half: bool = False,
+) -> None:
+    """Write an EXR file of several parts, which may differ in size.
+
+    Args:
+        path: ``.exr``, in an existing folder.
+        parts: by name, each an image or a mapping from layer names to images of one size, as `write_image` takes it.
+        half: 16-bit floats instead of 32-bit ones.
+
+    Raises:
+        FileNotFoundError: if there is no such folder.
+        TypeError, ValueError: if there are no parts, or one of them is none of those.
+    """
+    path = writable_file(path)
+    if path.suffix.lower() != ".exr":
+        raise ValueError(f"{path}: only EXR files have parts; expected a name that ends in .exr")
+    if not isinstance(parts, Mapping) or not parts:
+        raise TypeError(f"parts: expected a mapping from names to images, got {describe(parts)}")
+    if not all(isinstance(name, str) and name for name in parts) and len(parts) > 1:
+        raise ValueError(f"parts: expected names, got {list(parts)}")
+    exr.write_exr(path, {name: _named_channels(path, image, None) for name, image in parts.items()}, half)
 
 
 def write_image(
@@ -100,7 +166,7 @@ def write_image(
     if ending not in (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg"):
         raise ValueError(f"{path}: unknown image format {ending!r}; expected .exr, .hdr, .pfm, .png, .jpg or .jpeg")
     if ending == ".exr":
-        exr.write_exr(path, _named_channels(path, image, channels), half)
+        exr.write_exr(path, {"": _named_channels(path, image, channels)}, half)
         return
     if channels is not None or isinstance(image, Mapping):
         raise ValueError(f"{path}: only EXR files have named channels")
@@ -174,6 +240,7 @@ def _read_with_pillow(path: Path) -> np.ndarray:
 
     try:
         with Image.open(path, formats=("PNG", "JPEG")) as picture:
+            check_size(path, picture.width * picture.height * len(picture.getbands()), _LARGEST_RATIO)
             if picture.mode == "P":
                 picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
             elif picture.mode in ("1", "CMYK", "YCbCr"):
@@ -184,7 +251,7 @@ def _read_with_pillow(path: Path) -> np.ndarray:
     except UnidentifiedImageError:
         known = "EXR, Radiance HDR, PFM, PNG or JPEG"
         raise ValueError(f"{path}: not a picture that can be read: expected {known}") from None
-    except (OSError, SyntaxError, EOFError) as error:
+    except (OSError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         raise ValueError(f"{path}: the picture is truncated or damaged ({error})") from None
     return pixels[..., None] if pixels.ndim == 2 else pixels
 

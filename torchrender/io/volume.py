@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ._files import existing_file, truncated, writable_file
+from ._files import existing_file, reading, truncated, writable_file
 
 # "VOL", version, encoding, x, y and z resolution, channels, bounding box (minimum, maximum); little endian.
 _HEADER = struct.Struct("<3sBiiiii6f")
@@ -33,10 +33,11 @@ def read_volume(path: str | os.PathLike) -> torch.Tensor:
     path = existing_file(path)
     with path.open("rb") as file:
         head = file.read(6)
-    if head.startswith(b"VOL"):
-        return _read_vol(path)
-    if head == b"\x93NUMPY":
-        return _read_npy(path)
+    with reading(path):
+        if head.startswith(b"VOL"):
+            return _read_vol(path)
+        if head == b"\x93NUMPY":
+            return _read_npy(path)
     raise ValueError(f"{path}: expected a volume: a .vol file (beginning with 'VOL') or a .npy file")
 
 

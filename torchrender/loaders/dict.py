@@ -134,8 +134,13 @@ def load_file(
         from . import geometry
 
         description = geometry.load_scene(file)
-    folder = file.resolve().parent
-    return load_dict(description, variant=variant, dtype=dtype, device=device, unsupported=unsupported, _folder=folder)
+    settings = {"variant": variant, "dtype": dtype, "device": device, "unsupported": unsupported}
+    try:
+        return load_dict(description, **settings, _folder=file.resolve().parent)
+    except (ValueError, TypeError) as error:
+        if type(error) not in (ValueError, TypeError) or str(file) in str(error):
+            raise
+        raise type(error)(f"{file}: {error}") from error
 
 
 def from_trimesh(

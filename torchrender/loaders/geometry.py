@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ..io._files import existing_file
+from ..io._files import existing_file, reading
 from ..transform import Transform
 from .materials import Materials, identifier, two_sided
 from .obj import read_obj
@@ -53,6 +53,11 @@ def load_mesh(
         ValueError: if the file is of another kind, truncated or damaged, or refers to vertices that it does not have.
     """
     path = existing_file(path)
+    with reading(path):
+        return _load_mesh(path, face_normals, flip_tex_coords, shape_index)
+
+
+def _load_mesh(path: Path, face_normals: bool, flip_tex_coords: bool | None, shape_index: int) -> dict[str, Any]:
     ending = path.suffix.lower()
     if ending not in (".ply", ".obj", ".serialized"):
         raise ValueError(f"{path}: expected a .ply, .obj or .serialized file, got {ending!r}")
@@ -205,11 +210,8 @@ def load_scene(path: str | os.PathLike) -> dict[str, Any]:
         return {**_surroundings(path, low.double().numpy(), high.double().numpy()), name: shape}
     import trimesh
 
-    try:
-        loaded = trimesh.load_scene(path, process=False)
-    except Exception as error:  # trimesh's readers raise whatever they stumble over
-        raise ValueError(f"{path}: the file cannot be read: {type(error).__name__}: {error}") from None
-    return from_trimesh(loaded, name=str(path))
+    with reading(path):  # trimesh's readers raise whatever they stumble over
+        return from_trimesh(trimesh.load_scene(path, process=False), name=str(path))
 
 
 def from_trimesh(obj: Any, *, name: str = "trimesh object") -> dict[str, Any]:

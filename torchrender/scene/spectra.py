@@ -115,18 +115,24 @@ def _blackbody(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
 
 def _color(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.Tensor:
     """The colour of a tabulated spectrum, brought into the range that it may have here."""
-    if len(wavelengths) != len(samples) or len(samples) < 2:
-        ctx.error(f"a spectrum needs two wavelengths or more, each with its value; got {len(wavelengths)} wavelengths")
-    if not (np.isfinite(wavelengths).all() and np.isfinite(samples).all()):
-        ctx.error("the spectrum has values that are not finite")
-    if not (np.diff(wavelengths) > 0).all():
-        ctx.error("the wavelengths of a spectrum must increase")
+    fault = _fault(wavelengths, samples)
+    if fault:
+        ctx.error(fault)
     rgb = cie.rgb_of_spectrum(wavelengths, samples, ctx.emission)
     clipped = rgb.clip(0.0, 1.0 if ctx.bounded else math.inf)
     if np.abs(clipped - rgb).max() > 1e-3 * max(1.0, np.abs(rgb).max()):
         text = ", ".join(f"{v:.4g}" for v in rgb)
         warnings.warn(f"{ctx.where}: the spectrum's colour ({text}) is out of range and was clipped", stacklevel=2)
     return values.to_channels(values.floating(clipped, ctx), ctx)
+
+
+def _fault(wavelengths: np.ndarray, samples: np.ndarray) -> str:
+    """What is wrong with a table, empty if nothing is."""
+    if len(wavelengths) != len(samples) or len(samples) < 2:
+        return f"a spectrum needs two wavelengths or more, each with its value; got {len(wavelengths)} wavelengths"
+    if not (np.isfinite(wavelengths).all() and np.isfinite(samples).all()):
+        return "the spectrum has values that are not finite"
+    return "" if (np.diff(wavelengths) > 0).all() else "the wavelengths of a spectrum must increase"
 
 
 def read_spectrum(path: Path) -> np.ndarray:
@@ -149,7 +155,11 @@ def read_spectrum(path: Path) -> np.ndarray:
         pairs.append((wavelength, value))
     if not pairs:
         raise ValueError(f"{path}: the file has no wavelengths")
-    return np.array(pairs, np.float64)
+    table = np.array(pairs, np.float64)
+    fault = _fault(table[:, 0], table[:, 1])
+    if fault:
+        raise ValueError(f"{path}: {fault}")
+    return table
 
 
 # type -> (reader, accepted names)
