@@ -75,6 +75,10 @@ def test_exr_parts(tmp_path, half):
     assert torch.equal(read_channels(tmp_path / "a.exr", part="depth")["z"], depth[..., 0])
     with pytest.raises(ValueError, match=r"a\.exr: part: did you mean 'right'.*got 'rihgt'"):
         read_image(tmp_path / "a.exr", part="rihgt")
+    content = (tmp_path / "a.exr").read_bytes()
+    (tmp_path / "c.exr").write_bytes(content[:-20])  # the last part is cut off
+    with pytest.raises(ValueError, match=r"c\.exr: .*truncated"):
+        read_image(tmp_path / "c.exr")
     write_image(tmp_path / "b.exr", left, half=half)
     assert list(read_parts(tmp_path / "b.exr")) == [""]
     write_image(tmp_path / "b.png", left)

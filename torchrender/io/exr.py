@@ -53,7 +53,7 @@ def read_parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
     """
     import OpenEXR
 
-    _check_header(path)
+    expected = _check_header(path)
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
             parts = {}
@@ -62,6 +62,9 @@ def read_parts(path: Path) -> dict[str, dict[str, np.ndarray]]:
                 parts[str(name)] = {key: np.asarray(channel.pixels) for key, channel in part.channels.items()}
     except (RuntimeError, ValueError, TypeError, IndexError) as error:
         raise ValueError(f"{path}: the OpenEXR file is truncated or damaged ({error})") from None
+    # Where the library cannot read a part it leaves out this and all that follow.
+    if [sorted(channels) for channels in parts.values()] != [sorted(part.channels) for part in expected]:
+        raise ValueError(f"{path}: the OpenEXR file is truncated or damaged: parts or channels of it cannot be read")
     return {name: _checked(path, channels) for name, channels in parts.items()}
 
 
@@ -101,8 +104,8 @@ def write_exr(path: Path, parts: Mapping[str, Mapping[str, np.ndarray]], half: b
         file.write(str(path))
 
 
-def _check_header(path: Path) -> None:
-    """ValueError if the file claims to hold more pixels than it can."""
+def _check_header(path: Path) -> list[_Part]:
+    """What the header says; ValueError if the file claims to hold more pixels than it can."""
     with path.open("rb") as file:
         content = file.read(_MAX_HEADER)
     try:
@@ -112,6 +115,7 @@ def _check_header(path: Path) -> None:
     claimed = sum(part.size[0] * part.size[1] * 4 * max(1, len(part.channels)) for part in parts)
     if claimed > _ALWAYS_READ:
         check_size(path, claimed, _LARGEST_RATIO)
+    return parts
 
 
 def _header(content: bytes) -> list[_Part]:
