@@ -126,8 +126,11 @@ private:
     template <bool Derivative>
     void connect_emitter(const EmissionSample<F> &e, const Color<F, C> &sent, const M &parallel, const U &slot,
                          size_t i) {
+        M visible = e.active && !mask<F>(e.kind == int32_t(EmitterKind::DirectionalArea)) &&
+                    !mask<F>(e.kind == int32_t(EmitterKind::Point));
+        if (!any(visible)) return;
         Vec3<F> p = select(parallel, -e.d, e.p);
-        Connection<F> to = connect(sensor_.camera, p, parallel, e.active);
+        Connection<F> to = connect(sensor_.camera, p, parallel, visible);
         F cosine = emission_cosine(e, to.d);
         M seen = to.seen && mask<F>(cosine > F(0));
         if (!any(seen)) return;

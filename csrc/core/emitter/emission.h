@@ -59,7 +59,9 @@ TR_INLINE EmissionSample<F> sample_emission(const SceneView<S> &scene, const F &
         r.point.at.b2 = select(surface, q.at.b2, r.point.at.b2);
         r.p = select(surface, q.p, r.p);
         r.n = select(surface, q.n, r.n);
-        r.d = select(beam, q.n, make_frame(q.n).to_world(square_to_cosine_hemisphere(c, d)));
+        r.d = select(surface, q.n, r.d);
+        auto spread = surface && !beam;
+        if (any(spread)) r.d = select(spread, make_frame(q.n).to_world(square_to_cosine_hemisphere(c, d)), r.d);
         r.inverse_pdf = select(surface, inverse_pmf / q.pdf, r.inverse_pdf);
         r.weight = select(surface, r.inverse_pdf * select(beam, F(1), F(Pi)), r.weight);
     }
