@@ -330,6 +330,10 @@ def test_derivatives_of_hits_of_any_mode():
     free[3] = 0
     inputs = [x.clone().requires_grad_() for x in (heights, matrix, o, d)]
     assert torch.autograd.gradcheck(
-        lambda h, m, o, d: outputs(h, matrix + (m - matrix) * free, o, d), inputs, atol=1e-5, check_forward_ad=True
+        lambda h, m, o, d: outputs(h, matrix + (m - matrix) * free, o, d),
+        inputs,
+        atol=1e-5,
+        check_forward_ad=True,
+        fast_mode=True,
     )
-    assert torch.autograd.gradgradcheck(lambda h: outputs(h, matrix, o, d), inputs[:1], atol=1e-4)
+    assert torch.autograd.gradgradcheck(lambda h: outputs(h, matrix, o, d), inputs[:1], atol=1e-4, fast_mode=True)
