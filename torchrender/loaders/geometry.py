@@ -13,6 +13,7 @@ import torch
 
 from ..io._files import existing_file, reading
 from ..transform import Transform
+from . import gltf
 from .materials import Materials, identifier, two_sided
 from .obj import read_obj
 from .ply import PlyElement, read_ply
@@ -190,7 +191,9 @@ def load_scene(path: str | os.PathLike) -> dict[str, Any]:
         path: glTF or GLB, OBJ with MTL, PLY, STL, or whatever else trimesh reads.
 
     Returns:
-        A dict as ``load_dict`` takes it: see :func:`from_trimesh`. A PLY file is read by :func:`load_mesh`.
+        A dict as ``load_dict`` takes it: see :func:`from_trimesh`. A PLY file is read by :func:`load_mesh`. A glTF file
+        has all its perspective cameras (``sensor``, ``sensor_1`` ..., 512 pixels high) and the lights of
+        KHR_lights_punctual, whose photometric numbers are taken as they are.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -211,7 +214,25 @@ def load_scene(path: str | os.PathLike) -> dict[str, Any]:
     import trimesh
 
     with reading(path):  # trimesh's readers raise whatever they stumble over
-        return from_trimesh(trimesh.load_scene(path, process=False), name=str(path))
+        header = gltf.read_header(path) if path.suffix.lower() in (".gltf", ".glb") else None
+        scene = from_trimesh(trimesh.load_scene(path, process=False), name=str(path))
+        if header is not None:
+            _add_cameras_and_lights(scene, *gltf.cameras_and_lights(header, str(path)))
+        return scene
+
+
+def _add_cameras_and_lights(scene: dict[str, Any], cameras: list[Any], lights: list[Any]) -> None:
+    """Put them in place of those that were added for want of any."""
+    taken = set(scene)
+    if cameras:
+        del scene["sensor"]
+        taken.remove("sensor")
+    if lights:
+        scene.pop("light", None)
+        taken.discard("light")
+    for base, objects in (("sensor", cameras), ("light", lights)):
+        for made in objects:
+            scene[identifier(base, taken)] = made
 
 
 def from_trimesh(obj: Any, *, name: str = "trimesh object") -> dict[str, Any]:
@@ -222,10 +243,11 @@ def from_trimesh(obj: Any, *, name: str = "trimesh object") -> dict[str, Any]:
         name: for messages.
 
     Returns:
-        A dict as ``load_dict`` takes it. Each mesh is a shape under its node's name. Materials are two-sided diffuse
-        with the base colour or diffuse texture, or the vertex or face colours, else 0.5; an emissive factor makes an
-        area light. Without a camera in the scene one is added that sees everything, 512 x 512 pixels, 40 degrees;
-        without a light, constant light of radiance 1.
+        A dict as ``load_dict`` takes it. Each mesh is a shape under its node's name. Materials are two-sided: those of
+        glTF ``principled`` where this version has it, with normal maps and opacity where it has ``normalmap`` and
+        ``mask``; else diffuse with the base colour or diffuse texture, or the vertex or face colours, else 0.5.
+        Emission, with or without a texture, makes an area light. Without a camera in the scene one is added that sees
+        everything, 512 x 512 pixels, 40 degrees; without a light, constant light of radiance 1.
 
     Raises:
         TypeError: if it is neither.

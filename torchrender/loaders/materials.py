@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 import torch
 
+from ..errors import SubstitutionWarning
 from ..image import srgb_to_linear
+from ..scene import registry
 
 
 class Materials:
@@ -30,9 +33,9 @@ class Materials:
         material = getattr(mesh.visual, "material", None)
         if material is not None:
             entries: dict[str, Any] = {"bsdf": {"type": "ref", "id": self._bsdf(material, taken)}}
-            emission = getattr(material, "emissiveFactor", None)
-            if emission is not None and np.max(emission) > 0:
-                entries["emitter"] = {"type": "area", "radiance": _rgb(np.broadcast_to(emission, 3))}
+            radiance = _emission(material)
+            if radiance is not None:
+                entries["emitter"] = {"type": "area", "radiance": radiance}
             return entries
         kind = mesh.visual.kind if mesh.visual is not None and mesh.visual.defined else None
         if kind in ("vertex", "face"):
@@ -45,37 +48,110 @@ class Materials:
     def _bsdf(self, material: Any, taken: set[str]) -> str:
         if id(material) not in self._ids:
             key = identifier(str(getattr(material, "name", None) or "material"), taken)
-            self.bsdfs[key] = two_sided(self._reflectance(material))
+            if hasattr(material, "baseColorFactor"):
+                self.bsdfs[key], lost = metallic_roughness(material, registry.scene_types())
+                if lost:
+                    label = getattr(material, "name", None) or "material"
+                    text = f"{self.name}: {label!r} becomes {self.bsdfs[key]['type']}; not used: {', '.join(lost)}"
+                    warnings.warn(text, SubstitutionWarning, stacklevel=5)
+            else:
+                self.bsdfs[key] = two_sided(_diffuse_colour(material))
             self._ids[id(material)] = key
             self._kept.append(material)
         return self._ids[id(material)]
 
-    def _reflectance(self, material: Any) -> dict[str, Any]:
-        """The base colour (glTF) or diffuse colour (OBJ), linear, as a constant or a bitmap."""
-        if hasattr(material, "baseColorFactor"):
-            image, factor = material.baseColorTexture, _factor(material.baseColorFactor)
-            self._warn_about_the_rest(material)
-        else:
-            image = getattr(material, "image", None)
-            # With a picture, the factor is 1: many exporters write an arbitrary one beside it.
-            given = (getattr(material, "kwargs", None) or {}).get("kd", getattr(material, "diffuse", None))
-            factor = np.ones(3) if image is not None else _factor(given)
-        if image is None:
-            return _rgb(factor.clip(0, 1))
-        texels = torch.from_numpy(np.asarray(image.convert("RGB")).astype(np.float32) / np.float32(255))
-        data = srgb_to_linear(texels) * torch.from_numpy(factor).float()
-        return {"type": "bitmap", "data": data, "raw": True}
 
-    def _warn_about_the_rest(self, material: Any) -> None:
-        metallic = getattr(material, "metallicFactor", None)
-        unused = ["metallicFactor"] if metallic else []
-        for name in ("metallicRoughnessTexture", "normalTexture", "emissiveTexture", "occlusionTexture"):
-            unused += [name] if getattr(material, name, None) is not None else []
-        unused += ["alphaMode"] if getattr(material, "alphaMode", None) in ("MASK", "BLEND") else []
-        if unused:
-            label = getattr(material, "name", None) or "material"
-            message = f"{self.name}: {label!r} becomes diffuse; not used: {', '.join(unused)}"
-            warnings.warn(message, stacklevel=5)
+def metallic_roughness(material: Any, known: Mapping[str, str]) -> tuple[dict[str, Any], list[str]]:
+    """The BSDF of a glTF material, made of what there is.
+
+    Base colour, metalness and roughness are those of ``principled``, whose roughness is glTF's, too: the square root
+    of the facets' alpha. A ``normalmap`` lies around it, then both sides, then a ``mask`` of the base colour's alpha.
+    Without ``principled`` a diffuse BSDF takes the base colour.
+
+    Args:
+        material: a trimesh ``PBRMaterial``. As in glTF, metalness and roughness are 1 where it says nothing.
+        known: the types that this version has.
+
+    Returns:
+        The dict, and the names of the material's properties that it leaves out.
+    """
+    lost = [name for name in ("occlusionTexture",) if getattr(material, name, None) is not None]
+    picture = _texels(material.baseColorTexture)
+    colour = _textured(picture, _factor(material.baseColorFactor), decode=True)
+    if "principled" in known:
+        packed = _texels(getattr(material, "metallicRoughnessTexture", None))
+        bsdf = {"type": "principled", "base_color": colour}
+        for name, channel in (("roughness", 1), ("metallic", 2)):
+            factor = getattr(material, f"{name}Factor", None)
+            factor = np.full(1, 1.0 if factor is None else float(factor))
+            value = _textured(None if packed is None else packed[..., channel : channel + 1], factor)
+            bsdf[name] = value["value"][0] if value["type"] == "rgb" else value
+    else:
+        bsdf = {"type": "diffuse", "reflectance": colour}
+        lost += ["metallicFactor"] if getattr(material, "metallicFactor", None) else []
+        lost += _given(material, "metallicRoughnessTexture")
+    normals = _texels(getattr(material, "normalTexture", None))
+    if normals is not None and "normalmap" in known:
+        data = normals.clone()
+        data[..., 1] = 1 - data[..., 1]  # glTF's second axis points up the picture, where v falls
+        bsdf = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": data, "raw": True}, "bsdf": bsdf}
+    elif normals is not None:
+        lost.append("normalTexture")
+    bsdf = {"type": "twosided", "bsdf": bsdf}
+    mode = getattr(material, "alphaMode", None)
+    if mode in ("MASK", "BLEND") and "mask" in known:
+        given = material.baseColorFactor
+        alpha = 1.0 if given is None or np.size(given) < 4 else float(_factor(given, 4)[3])
+        opacity = torch.full((1, 1, 1), alpha)
+        if material.baseColorTexture is not None and "A" in material.baseColorTexture.getbands():
+            opacity = _texels(material.baseColorTexture.getchannel("A").convert("RGB"))[..., :1] * alpha
+        if mode == "MASK":
+            cutoff = getattr(material, "alphaCutoff", None)
+            opacity = (opacity >= (0.5 if cutoff is None else float(cutoff))).float()
+        single = opacity.numel() == 1
+        value = float(opacity) if single else {"type": "bitmap", "data": opacity, "raw": True}
+        bsdf = {"type": "mask", "opacity": value, "bsdf": bsdf}
+    elif mode in ("MASK", "BLEND"):
+        lost.append("alphaMode")
+    return bsdf, lost
+
+
+def _given(material: Any, *names: str) -> list[str]:
+    return [name for name in names if getattr(material, name, None) is not None]
+
+
+def _diffuse_colour(material: Any) -> dict[str, Any]:
+    """The diffuse colour of a material of an OBJ file, linear, as a constant or a bitmap."""
+    picture = _texels(getattr(material, "image", None))
+    # With a picture, the factor is 1: many exporters write an arbitrary one beside it.
+    given = (getattr(material, "kwargs", None) or {}).get("kd", getattr(material, "diffuse", None))
+    return _textured(picture, np.ones(3) if picture is not None else _factor(given), decode=True)
+
+
+def _emission(material: Any) -> dict[str, Any] | None:
+    """The radiance of a material: glTF's emissive factor and texture, the ``Ke`` of an OBJ file; None if it is dark."""
+    factor = getattr(material, "emissiveFactor", None)
+    picture = _texels(getattr(material, "emissiveTexture", None))
+    if factor is None:
+        factor = (getattr(material, "kwargs", None) or {}).get("ke")
+    if factor is None or np.max(factor) <= 0 or (picture is not None and float(picture.max()) <= 0):
+        return None
+    return _textured(picture, np.broadcast_to(np.asarray(factor, np.float64), 3), decode=True, clip=False)
+
+
+def _texels(image: Any) -> torch.Tensor | None:
+    """A picture's stored values over 255, (H, W, 3)."""
+    if image is None:
+        return None
+    return torch.from_numpy(np.asarray(image.convert("RGB")).astype(np.float32) / np.float32(255))
+
+
+def _textured(picture: torch.Tensor | None, factor: np.ndarray, decode: bool = False, clip: bool = True) -> Any:
+    """A constant, or a bitmap of linear values times a factor for each channel."""
+    if picture is None:
+        return _rgb(factor.clip(0, 1) if clip else factor)
+    data = srgb_to_linear(picture) if decode else picture
+    return {"type": "bitmap", "data": data * torch.from_numpy(np.array(factor)).float(), "raw": True}
 
 
 def two_sided(reflectance: Any) -> dict[str, Any]:
@@ -93,13 +169,13 @@ def identifier(text: str, taken: set[str]) -> str:
     return name
 
 
-def _factor(value: Any) -> np.ndarray:
-    """A colour factor as three linear floats; trimesh stores them as bytes. None is 1."""
+def _factor(value: Any, channels: int = 3) -> np.ndarray:
+    """A colour factor as linear floats; trimesh stores them as bytes. None is 1."""
     if value is None:
-        return np.ones(3)
+        return np.ones(channels)
     array = np.asarray(value)
     scaled = array.astype(np.float64) / 255 if array.dtype.kind in "iu" else array.astype(np.float64)
-    return np.broadcast_to(scaled.reshape(-1)[:3], 3).copy()
+    return np.broadcast_to(scaled.reshape(-1)[:channels], channels).copy()
 
 
 def _rgb(value: Any) -> dict[str, Any]:
