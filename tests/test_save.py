@@ -2,6 +2,7 @@
 
 import xml.etree.ElementTree as ElementTree
 
+import light_scenes
 import media_scenes
 import numpy as np
 import pytest
@@ -84,6 +85,31 @@ def test_edited_and_shared_objects(tmp_path):
     for name in mesh.attribute_names:
         assert torch.equal(getattr(loaded, name), getattr(mesh, name))
     assert "train_" in {e.get("id") for e in ElementTree.parse(tmp_path / "two.xml").getroot()}
+
+
+def beams(**objects):
+    """Light tracing onto a floor that measures it."""
+    beam = {"type": "directionalarea", "radiance": {"type": "rgb", "value": [1.0, 2.0, 3.0]}}
+    down = tr.Transform.translate([0, 2, 0]).rotate([1, 0, 0], 90)
+    return light_scenes.metered(
+        lamp={"type": "rectangle", "to_world": down, "emitter": beam},
+        lens={"type": "heightfield", "heights": np.random.default_rng(1).uniform(0, 0.1, (5, 4))},
+        integrator={"type": "ptracer", "max_depth": 4},
+        **objects,
+    )
+
+
+@pytest.mark.parametrize("camera", [False, True])
+def test_light_tracing(tmp_path, camera):
+    scene = tr.load_dict(beams(**({"camera": light_scenes.camera()} if camera else {})))
+    scene.save(tmp_path / "scene.xml")
+    again = tr.load_file(tmp_path / "scene.xml")
+    assert list(again) == list(scene) and again.integrator.kind == "ptracer"
+    # Without a camera the meter is where Mitsuba wants it, inside of its shape.
+    assert ('<sensor type="irradiancemeter" name=' in (tmp_path / "scene.xml").read_text()) is not camera
+    for i in range(len(scene.sensors)):
+        image = image_of(scene, i)
+        assert torch.equal(image_of(again, i), image) and float(image.std()) > 0
 
 
 @pytest.mark.parametrize("settings", [{"dtype": torch.float64}, {"variant": "mono"}])

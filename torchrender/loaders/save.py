@@ -63,7 +63,28 @@ class _Writer:
         self.ids = {id(m): name for name, m in scene._modules.items() if not _inline(m)}
         self.top = set(self.ids)
         self.written: set[int] = set()
+        self.meters = self._nested_meters()
         self._name_shared()
+
+    def _nested_meters(self) -> dict[int, dict[str, Plugin]]:
+        """Meters of irradiance by the shape that they lie on: Mitsuba's place for them is inside of it.
+
+        Only if all sensors are such meters, and come back with the same names in the same order.
+        """
+        result: dict[int, dict[str, Plugin]] = {}
+        names, order = [], []
+        for name, sensor in self.scene._modules.items():
+            if getattr(sensor, "category", "") != "sensor":
+                continue
+            shape = sensor._modules.get("shape")
+            stem = f"{self.ids.get(id(shape))}_"
+            if shape is None or id(shape) not in self.top or not name.startswith(stem) or name == stem:
+                return {}
+            result.setdefault(id(shape), {})[name.removeprefix(stem)] = sensor
+            names.append(name)
+        for shape in self.scene._modules.values():
+            order += [f"{self.ids[id(shape)]}_{key}" for key in result.get(id(shape), {})]
+        return result if names == order else {}
 
     def _name_shared(self) -> None:
         """Ids for objects that several others hold and that are none of the scene's own."""
@@ -84,7 +105,10 @@ class _Writer:
 
     def text(self) -> str:
         self.lines = ['<?xml version="1.0" encoding="utf-8"?>', '<scene version="3.0.0">']
+        nested = {id(meter) for meters in self.meters.values() for meter in meters.values()}
         for name, module in self.scene._modules.items():
+            if id(module) in nested:
+                continue
             if isinstance(module, Integrator):
                 self.integrator(module, 1, id=name)
             elif isinstance(module, Plugin) and not _inline(module):
@@ -146,6 +170,10 @@ class _Writer:
         for field_name, field in plugin.fields().items():
             if field_name not in done:
                 self.field(plugin, field_name, shown.get(field_name, field_name), field, depth + 1, where)
+        for key, meter in self.meters.get(id(plugin), {}).items():
+            self.line(depth + 1, meter.category, close=False, type=meter.type, name=key)
+            self.sensor(meter, depth + 2)
+            self.end(depth + 1, meter.category)
         self.end(depth, plugin.category)
 
     def field(self, plugin: Plugin, name: str, shown: str, field: Any, depth: int, where: str) -> None:
