@@ -18,13 +18,30 @@ Plan plan_of_light(const RenderCall<S> &call) {
     return Plan(film, film, 0, call.spp);
 }
 
-// What sums over all paths are multiplied with: the image is the average that the path tracer takes of a film with
-// `sample_border`. Light counts beyond the film's edge, too, as far as filters reach: it may cross it when things move.
+// What sums over all paths are multiplied with, by row and column: the image is the average that the path tracer takes
+// of a film with `sample_border`. Light counts beyond the film's edge, too, as far as filters reach: it may cross it
+// when things move. A surface that measures ends at the film's edge, and so do the averages.
 template <class S>
-double light_scale(const RenderCall<S> &call) {
-    double all = call.filter.integral(-INFINITY, INFINITY);
-    return 1 / (all * all * double(call.spp) * call.film_height * call.film_width);
-}
+class LightScale {
+public:
+    explicit LightScale(const RenderCall<S> &call)
+        : call_(call),
+          paths_(double(call.spp) * call.film_height * call.film_width),
+          measured_(call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind) {}
+
+    double operator()(int row, int column) const {
+        return 1 / (paths_ * within(row, call_.film_height) * within(column, call_.film_width));
+    }
+
+private:
+    double within(int pixel, int size) const {
+        double center = pixel + 0.5;
+        return measured_ ? call_.filter.integral(-center, size - center) : call_.filter.integral(-INFINITY, INFINITY);
+    }
+    const RenderCall<S> &call_;
+    double paths_;
+    bool measured_;
+};
 
 // The wanted pixels in the order of the results: visit(result, y, x).
 template <class S, class Visit>
@@ -207,9 +224,10 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             tile->stats = {};
         };
     });
-    const double scale = light_scale(call);
+    const LightScale<S> scale(call);
     for_results(call, [&](size_t i, int row, int column) {
-        for (int c = 0; c < C; ++c) image[i * C + size_t(c)] = S(films.total.at(row, column)[c] * scale);
+        const double s = scale(row, column);
+        for (int c = 0; c < C; ++c) image[i * C + size_t(c)] = S(films.total.at(row, column)[c] * s);
     });
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
@@ -225,10 +243,10 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     const size_t capacity = 512;
     using AdjointFilm = SplatFilm<S, C>;
     AdjointFilm adjoint(call.crop);
-    const double scale = light_scale(call);
+    const LightScale<S> scale(call);
     for_results(call, [&](size_t i, int row, int column) {
-        for (int c = 0; c < C; ++c)
-            adjoint.at(row, column)[c] += S(double(derivative.adjoint[i * C + size_t(c)]) * scale);
+        const double s = scale(row, column);
+        for (int c = 0; c < C; ++c) adjoint.at(row, column)[c] += S(double(derivative.adjoint[i * C + size_t(c)]) * s);
     });
     std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
     std::mutex mutex;
