@@ -224,7 +224,9 @@ def test_obj_scene_with_materials(tmp_path):
     from PIL import Image
 
     (tmp_path / "a.obj").write_text(OBJ.replace("g other", "usemtl tex"))
-    (tmp_path / "a.mtl").write_text("newmtl red\nKd 0.8 0.1 0.1\nnewmtl tex\nKd 0.8 0.8 0.8\nmap_Kd tex.png\n")
+    (tmp_path / "a.mtl").write_text(
+        "newmtl red\nKd 0.8 0.1 0.1\nKe 3 2 0\nnewmtl tex\nKd 0.8 0.8 0.8\nmap_Kd tex.png\n"
+    )
     Image.fromarray(np.full((4, 4, 3), 255, np.uint8)).save(tmp_path / "tex.png")
     scene = load_scene(tmp_path / "a.obj")
     reflectances = [v["bsdf"]["reflectance"] for v in scene.values() if isinstance(v, dict) and v["type"] == "twosided"]
@@ -234,7 +236,8 @@ def test_obj_scene_with_materials(tmp_path):
     assert len(bitmaps) == 1 and torch.equal(bitmaps[0], torch.ones(4, 4, 3))
     shapes = [v for v in scene.values() if isinstance(v, dict) and v["type"] == "mesh"]
     assert len(shapes) == 2 and all(np.allclose(s["vertex_normals"], [0, 0, 1]) for s in shapes)
-    assert scene["light"]["type"] == "constant"
+    emitters = [s["emitter"]["radiance"]["value"] for s in shapes if "emitter" in s]
+    assert emitters == [[3, 2, 0]] and "light" not in scene
 
 
 def test_ply_and_stl_scenes_and_vertex_colours(tmp_path):

@@ -165,6 +165,22 @@ def test_hdr_large_range_and_run_length_encoding(tmp_path):
         read_image(tmp_path / "c.hdr")
 
 
+def test_hdr_of_the_first_encoding(tmp_path):
+    """Pixels (1, 1, 1, n) repeat the one before n times; the second in a row counts 256 times as much."""
+    width = 600
+    runs = bytes([128, 64, 32, 129]) + bytes([1, 1, 1, 86, 1, 1, 1, 2]) + bytes([0, 128, 0, 129])
+    flat = bytes([64, 64, 64, 129]) * width
+    content = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 600\n" + runs + flat
+    (tmp_path / "a.hdr").write_bytes(content)
+    image = read_image(tmp_path / "a.hdr")
+    assert torch.equal(image[0, :599], torch.tensor([1.0, 0.5, 0.25]).expand(599, 3))
+    assert image[0, 599].tolist() == [0, 1, 0] and torch.equal(image[1], torch.full((width, 3), 0.5))
+    for bad in (content[:-1], content.replace(bytes([1, 1, 1, 86]), bytes([1, 1, 1, 88]))):
+        (tmp_path / "a.hdr").write_bytes(bad)
+        with pytest.raises(ValueError, match=r"a\.hdr: .*(truncated|does not fit)"):
+            read_image(tmp_path / "a.hdr")
+
+
 def test_pfm_rows_run_upwards_and_may_be_big_endian(tmp_path):
     (tmp_path / "a.pfm").write_bytes(b"Pf\n1 2\n1.0\n" + struct.pack(">ff", 3, 4))
     assert read_image(tmp_path / "a.pfm").flatten().tolist() == [4, 3]

@@ -12,6 +12,8 @@ import numpy as np
 
 from ._files import check_size
 
+_ALWAYS_READ = 1 << 24  # bytes of pixels that any file may claim to hold
+
 
 def read_hdr(path: Path) -> np.ndarray:
     """Read a Radiance picture as linear float32 RGB of shape (H, W, 3), top row first.
@@ -33,7 +35,8 @@ def read_hdr(path: Path) -> np.ndarray:
     height, width = int(match[2]), int(match[4])
     if not 0 < width * height <= 1 << 30:
         raise ValueError(f"{path}: expected a size of 1 to 2^30 pixels, got {width} x {height}")
-    check_size(path, 4 * width * height, 64)  # a run of two bytes gives at most 127
+    if 4 * width * height > _ALWAYS_READ:
+        check_size(path, 4 * width * height, 64)  # a run of two bytes gives at most 127
     rgbe = _decode(path, content, match.end(), height, width)
     rgbe = rgbe[::-1] if match[1] == b"+Y" else rgbe
     rgbe = rgbe[:, ::-1] if match[3] == b"-X" else rgbe
@@ -57,15 +60,37 @@ def _decode(path: Path, content: bytes, start: int, height: int, width: int) -> 
             raise _short(path, y, height)
         if 8 <= width < 32768 and head[0] == 2 and head[1] == 2 and head[2] * 256 + head[3] == width:
             position = _decode_runs(path, content, data, position + 4, out[y], y, height)
-        elif head[:3] == b"\1\1\1":
-            raise ValueError(f"{path}: the old run-length encoding of Radiance files is not supported")
         else:
-            flat = data[position : position + 4 * width]
-            if flat.size < 4 * width:
-                raise _short(path, y, height)
-            out[y] = flat.reshape(width, 4)
-            position += 4 * width
+            flat = (
+                data[position : position + 4 * width].reshape(-1, 4) if len(content) - position >= 4 * width else None
+            )
+            if flat is not None and not (flat[:, :3] == 1).all(axis=1).any():
+                out[y] = flat
+                position += 4 * width
+            else:
+                position = _decode_old_runs(path, data, position, out[y], y, height)
     return out
+
+
+def _decode_old_runs(path: Path, data: np.ndarray, position: int, row: np.ndarray, y: int, height: int) -> int:
+    """One scanline of the first encoding: the pixel (1, 1, 1, n) repeats the one before n times, and where several
+    follow each other, each counts 256 times as much as the last."""
+    width, x, shift = row.shape[0], 0, 0
+    while x < width:
+        pixel = data[position : position + 4]
+        if pixel.size < 4:
+            raise _short(path, y, height)
+        position += 4
+        if (pixel[:3] != 1).any():
+            row[x], shift = pixel, 0
+            x += 1
+            continue
+        count = int(pixel[3]) << shift
+        if x == 0 or shift > 24 or x + count > width:
+            raise ValueError(f"{path}: a run of scanline {y} does not fit into the {width} pixels of its row")
+        row[x : x + count] = row[x - 1]
+        x, shift = x + count, shift + 8
+    return position
 
 
 def _decode_runs(

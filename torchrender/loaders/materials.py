@@ -134,9 +134,10 @@ def _emission(material: Any) -> dict[str, Any] | None:
     picture = _texels(getattr(material, "emissiveTexture", None))
     if factor is None:
         factor = (getattr(material, "kwargs", None) or {}).get("ke")
-    if factor is None or np.max(factor) <= 0 or (picture is not None and float(picture.max()) <= 0):
+    factor = np.zeros(3) if factor is None else np.broadcast_to(np.asarray(factor, np.float64), 3)
+    if factor.max() <= 0 or (picture is not None and float(picture.max()) <= 0):
         return None
-    return _textured(picture, np.broadcast_to(np.asarray(factor, np.float64), 3), decode=True, clip=False)
+    return _textured(picture, factor, decode=True, clip=False)
 
 
 def _texels(image: Any) -> torch.Tensor | None:
