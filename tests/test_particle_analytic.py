@@ -165,7 +165,7 @@ def test_tinted_glass_multiplies():
 
 @pytest.mark.parametrize("kind", ["sphere", "mesh"])
 def test_a_ball_lens_focuses_at_its_focal_length(kind):
-    """Rays at a small height h cross a plane at the distance d from the centre at h (1 - d / f), f = n R / 2 (n - 1)."""
+    """Rays at a small height h cross a plane at distance d from the centre at h (1 - d / f), f = n R / 2 (n - 1)."""
     eta, radius, half, size, spp = 1.5, 0.5, 0.02, 32, 8
     focal = eta * radius / (2 * (eta - 1))
     glass = {"type": "dielectric", "int_ior": eta, "ext_ior": 1.0}
@@ -293,7 +293,9 @@ def test_the_front_is_measured_and_null_lets_light_through():
     light, once = narrow_beam(0.3), tr.ParticleTracer(max_depth=3)
     scene = {"type": "scene", "light": light, "floor": receiver(2, 8)}
     front, below = (
-        tr.render(tr.load_dict({**scene, "upper": upper}, dtype=torch.float64), integrator=once, spp=4, seed=1, sensor=i)
+        tr.render(
+            tr.load_dict({**scene, "upper": upper}, dtype=torch.float64), integrator=once, spp=4, seed=1, sensor=i
+        )
         for i in (0, 1)
     )
     for image in (front, below):

@@ -175,7 +175,11 @@ GLUED = {
         3,
     ),
     "mesh": (with_camera(ls.mesh_light()), ("light.vertex_positions", "light.emitter.radiance.value"), 2),
-    "point": (with_camera(ls.point_light(), wall=WALL), ("light.position", "light.intensity.value", "wall.to_world"), 3),
+    "point": (
+        with_camera(ls.point_light(), wall=WALL),
+        ("light.position", "light.intensity.value", "wall.to_world"),
+        3,
+    ),
     "constant": (with_camera({"type": "constant"}, wall=WALL), ("light.radiance.value", "wall.to_world"), 3),
     "turned map": (
         with_camera(ls.envmap(), wall=WALL),
@@ -306,7 +310,12 @@ def test_gradients_of_nonlinear_losses_are_unbiased_with_few_samples():
         for seed in range(200):
             x = albedo.detach().clone().requires_grad_()
             image = tr.render(
-                scene, integrator=light, spp=1, seed=seed, params={"floor.bsdf.reflectance.value": x}, correlated=correlated
+                scene,
+                integrator=light,
+                spp=1,
+                seed=seed,
+                params={"floor.bsdf.reflectance.value": x},
+                correlated=correlated,
             )
             (gradient,) = torch.autograd.grad(image.square().mean(), x)
             values.append(float(gradient.sum()))

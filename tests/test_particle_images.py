@@ -1,4 +1,4 @@
-"""Images of light tracing: those of the path tracer, scene by scene; and the same numbers however they are asked for."""
+"""Images of light tracing: those of the path tracer, scene by scene; the same numbers however they are asked for."""
 
 from __future__ import annotations
 
