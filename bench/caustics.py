@@ -70,17 +70,16 @@ class Plate:
         target = torch.from_numpy(make_caustics.target(resolution))
         self.target = target / target.mean()
 
-    def loss(self, seed: int, **settings: Any) -> torch.Tensor:
-        """The distance from the target that does not know how bright pictures are."""
-        image = self.renderer(seed=seed, **settings)
-        return (image / image.detach().mean() - self.target).square().mean()
+    def loss(self, image: torch.Tensor, mean: torch.Tensor | None = None) -> torch.Tensor:
+        """The distance from the target that does not know how bright a picture is; its mean is not differentiated."""
+        return (image / (image.detach().mean() if mean is None else mean) - self.target).square().mean()
 
     def iteration(self, seed: int) -> dict[str, float]:
         """Seconds of picture and derivative, and what was not finite."""
         self.heights.grad = None
         start = time.perf_counter()
         image = self.renderer(seed=seed)
-        loss = (image / image.detach().mean() - self.target).square().mean()
+        loss = self.loss(image)
         middle = time.perf_counter()
         loss.backward()
         end = time.perf_counter()
@@ -202,12 +201,16 @@ def check_table(options: argparse.Namespace) -> Table:
         change = torch.sin(frequency[0] * x + frequency[1])[:, None] * torch.sin(frequency[2] * x + frequency[3])[None]
 
         def slope(seed: int, change: torch.Tensor = change) -> tuple[float, float]:
-            params = [{make_caustics.LENS: base + sign * CHANGE * change} for sign in (1, -1)]
-            with torch.no_grad():
-                ends = [plate.loss(seed, params=given).double().item() for given in params]
             heights = base.clone().requires_grad_()
-            loss = plate.loss(seed, params={make_caustics.LENS: heights}, correlated=True, spp_grad=options.spp)
-            (gradient,) = torch.autograd.grad(loss, heights)
+            settings = {"seed": seed, "correlated": True, "spp_grad": options.spp}
+            image = plate.renderer(params={make_caustics.LENS: heights}, **settings)
+            mean = image.detach().mean()
+            (gradient,) = torch.autograd.grad(plate.loss(image, mean), heights)
+            ends = []
+            for sign in (1, -1):
+                with torch.no_grad():
+                    image = plate.renderer(params={make_caustics.LENS: base + sign * CHANGE * change}, seed=seed)
+                ends.append(plate.loss(image.double(), mean).item())
             return (gradient.double() * change).sum().item(), (ends[0] - ends[1]) / (2 * CHANGE)
 
         ours, differences = np.array([slope(seed) for seed in range(max(2, options.seeds))]).T

@@ -262,6 +262,25 @@ def test_media_are_not_redners(tmp_path, fake_peer, monkeypatch, capsys):
     assert "Mitsuba has no participating media" in capsys.readouterr().err
 
 
+def test_caustics(tmp_path, fake_peer, capsys):
+    options = ["--size", "16", "--spp-grad", "2", "--seeds", "3", "--peer", f"mitsuba={sys.executable}"]
+    time, memory, check = (table["rows"] for table in run(tmp_path, "caustics", *TINY, *options)["tables"])
+    assert [row["program"] for row in time] == ["ours", "Mitsuba"]
+    assert time[0]["sum s"]["n"] == 2 and 0 < time[0]["sum s"]["median"] < 10
+    assert time[1]["sum / ours"] == pytest.approx(2 / time[0]["sum s"]["median"])
+    assert 0 < time[0]["distance after"] < 10 and time[1]["distance after"] == 2
+    assert time[0]["not finite, image"] == time[0]["not finite, gradient"] == 0 and time[1]["not finite, image"] == 2
+    ours, other = memory
+    assert 0 <= ours["of that, beyond the loaded scene MiB"] < ours["peak of the process MiB"] < 5000
+    assert other["peak / ours"] == pytest.approx(other["peak of the process MiB"] / ours["peak of the process MiB"])
+    # the same paths, so that three seeds tell: what is left is the difference quotient's own error
+    differences = [abs(row["derivative"] - row["finite difference"]) for row in check]
+    assert len(check) == 3 and max(differences) < 0.03 * max(abs(row["derivative"]) for row in check)
+    passes = ["--size", "8", "--part", "time", "--passes", "2", "--peer", f"mitsuba={sys.executable}"]
+    assert main(["caustics", *TINY, *passes]) == 2
+    assert "Mitsuba is measured in one pass, got --passes 2" in capsys.readouterr().err
+
+
 def test_rays(tmp_path):
     rows = run(tmp_path, "rays", *TINY, "--only", "Cornell")["tables"][0]["rows"]
     assert [row["rays"] for row in rows] == ["camera", "bounce", "camera shadow", "bounce shadow"]
