@@ -120,6 +120,22 @@ PAINT = {"type": "diffuse", "reflectance": bitmap()}
 FROSTED = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.4, "int_ior": 1.3, "ext_ior": 1.0}
 
 
+BRUSHED = {**METAL, "type": "roughconductor", "alpha": {"type": "bitmap", "data": smooth_texture(16, 16)[..., :1]}}
+TOY = {"type": "plastic", "diffuse_reflectance": bitmap(), "int_ior": 1.5}
+MUG = {**TOY, "type": "roughplastic", "distribution": "ggx", "alpha": 0.4}
+PANE = {"type": "thindielectric", "int_ior": 1.5}
+LACQUER = {
+    "type": "principled",
+    "base_color": bitmap(),
+    "roughness": 0.5,
+    "metallic": 0.3,
+    "sheen": 0.5,
+    "spec_tint": 0.4,
+    "clearcoat": 0.5,
+}
+HAZE = {"type": "principled", "base_color": 0.8, "roughness": 0.6, "spec_trans": 0.8, "eta": 1.3}
+
+
 def environment() -> dict:
     return {"type": "envmap", "data": smooth_texture(16, 32), "to_world": Transform.rotate([0, 1, 0], 30)}
 
@@ -171,6 +187,15 @@ SCENES = {
     "frosted_in_room": lambda: scene(4, at_ball(), ball=ball(FROSTED), room=black_room()),
     "hills": lambda: scene(2, above(), hills=hills(PAINT, floor()["to_world"], 0.04), lamp=lamp("rectangle")),
     "glass_hills": lambda: scene(4, at_ball(), lens=hills(GLASS, Transform.scale(0.6), 0.08), room=black_room()),
+    "brushed_in_room": lambda: scene(3, at_ball(), ball=ball(BRUSHED), room=black_room()),
+    "toy_in_room": lambda: scene(3, at_ball(), ball=ball(TOY), room=black_room()),
+    "toy_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(TOY), room=black_room()),
+    "mug_in_room": lambda: scene(3, at_ball(), ball=ball(MUG), room=black_room()),
+    "pane_in_room": lambda: scene(
+        3, above(), pane={**floor(PANE), "to_world": Transform.scale(4.0)}, floor=floor(), room=black_room(20.0)
+    ),
+    "lacquer_in_room": lambda: scene(3, at_ball(), ball=ball(LACQUER), room=black_room()),
+    "frosted_haze_in_room": lambda: scene(4, at_ball(), ball=ball(HAZE), room=black_room()),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

@@ -267,6 +267,85 @@ def _conductor() -> ReferenceScene:
     )
 
 
+def _glossy() -> ReferenceScene:
+    """A golden ball of varying roughness, a plastic one, and a pane of tinted glass before both."""
+    gold = {
+        "type": "roughconductor",
+        "distribution": "ggx",
+        "material": "Au",
+        "alpha": {"type": "bitmap", "data": _noise(70, 4, 6, 0.1, 0.5, 1), "raw": True},
+        "specular_reflectance": _rgb(0.9, 0.8, 0.7),
+    }
+    pane = {"type": "thindielectric", "int_ior": 1.7, "specular_transmittance": _rgb(0.9, 0.8, 0.5)}
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={"type": "sphere", "center": [-0.8, -0.2, 0.1], "radius": 0.8, "bsdf": gold},
+            toy={
+                "type": "sphere",
+                "center": [0.9, -0.3, 0.2],
+                "radius": 0.7,
+                "bsdf": {"type": "plastic", "diffuse_reflectance": _bitmap(71, 4, 8), "nonlinear": True},
+            },
+            pane={"type": "rectangle", "to_world": translate(0.2, 0.2, 1.6) @ scale(0.6), "bsdf": pane},
+            floor=_floor(_rgb(0.6, 0.5, 0.4)),
+            lamp=_lamp(_rgb(8.0, 7.0, 5.0)),
+            sky={"type": "constant", "radiance": _rgb(0.3, 0.4, 0.5)},
+        ),
+        (
+            "ball.bsdf.alpha.data",
+            "ball.bsdf.eta.value",
+            "ball.bsdf.k.value",
+            "ball.bsdf.specular_reflectance.value",
+            "toy.bsdf.diffuse_reflectance.data",
+            "pane.bsdf.specular_transmittance.value",
+            "floor.bsdf.reflectance.value",
+        ),
+    )
+
+
+PRINCIPLED = {
+    "roughness": 0.4,
+    "metallic": 0.3,
+    "spec_tint": 0.5,
+    "sheen": 0.7,
+    "sheen_tint": 0.4,
+    "flatness": 0.6,
+    "clearcoat": 0.8,
+    "clearcoat_gloss": 0.3,
+}
+
+
+def _principled() -> ReferenceScene:
+    """A ball with every part of the principled model but transparency, and one of rough glass."""
+    glass = {"type": "principled", "base_color": _rgb(0.9, 0.7, 0.8), "spec_trans": 0.8, "eta": 1.4, "roughness": 0.5}
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={
+                "type": "sphere",
+                "center": [-0.8, -0.2, 0.1],
+                "radius": 0.8,
+                "bsdf": {"type": "principled", "base_color": _bitmap(73, 4, 8), "specular": 0.7, **PRINCIPLED},
+            },
+            glass={"type": "sphere", "center": [0.9, -0.3, 0.2], "radius": 0.7, "bsdf": glass},
+            floor=_floor(_rgb(0.6, 0.5, 0.4)),
+            lamp=_lamp(_rgb(8.0, 7.0, 5.0)),
+            sky={"type": "constant", "radiance": _rgb(0.3, 0.4, 0.5)},
+        ),
+        (
+            "ball.bsdf.base_color.data",
+            *(f"ball.bsdf.{name}.value" for name in PRINCIPLED),
+            "glass.bsdf.base_color.value",
+            "glass.bsdf.roughness.value",
+            "glass.bsdf.spec_trans.value",
+            "glass.bsdf.eta",
+        ),
+    )
+
+
 def _environment() -> ReferenceScene:
     """Diffuse ball and floor under an environment map with a bright spot: emitter sampling of the map."""
     data = _noise(6, 16, 32, 0.05, 0.4)
@@ -425,6 +504,8 @@ SCENES = {
     "rough_ggx": _rough_ggx,
     "rough_beckmann": _rough_beckmann,
     "conductor": _conductor,
+    "glossy": _glossy,
+    "principled": _principled,
     "environment": _environment,
     "area": _area,
     "hidden_and_null": _hidden_and_null,

@@ -8,8 +8,10 @@ import pytest
 import torch
 
 import torchrender as tr
+from torchrender.scene.declaration import models
 
 VARIANTS = [("mono", torch.float32), ("rgb", torch.float32), ("rgb", torch.float64)]
+BSDFS = [kind for category, kind in models() if category == "bsdf" and kind not in ("null", "twosided")]
 variants = pytest.mark.parametrize(("variant", "dtype"), VARIANTS, ids=["mono", "rgb", "double"])
 
 
@@ -103,7 +105,7 @@ def test_normals_that_are_zero_or_against_the_face(variant, dtype):
 
 
 @variants
-@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "roughdielectric", "conductor", "null"])
+@pytest.mark.parametrize("bsdf", [*BSDFS, "null"])
 def test_coincident_surfaces(bsdf, variant, dtype):
     # Of surfaces in one place either may be hit; energy is neither made nor lost without end.
     objects = {"sky": SKY, "lamp": LAMP}
@@ -127,13 +129,18 @@ def test_grazing_angles(height, variant, dtype):
     side = {"type": "disk", "to_world": tr.Transform.translate([0, 1.4, height]).rotate([1, 0, 0], 90).scale(0.3)}
     view = camera(origin=(0, -4, height), target=(0, 0, height), up=(0, 0, 1))
     rough = {**FLOOR, "bsdf": {"type": "roughdielectric", "alpha": 1e-3}}
-    for floor in (FLOOR, glossy, rough):
+    metal = {**FLOOR, "bsdf": {"type": "roughconductor", "alpha": 0.0, "material": "Au"}}
+    coated = {
+        **FLOOR,
+        "bsdf": {"type": "principled", "roughness": 0.0, "clearcoat": 1.0, "sheen": 1.0, "spec_trans": 0.5},
+    }
+    for floor in (FLOOR, glossy, rough, metal, coated):
         objects = {"camera": view, "floor": floor, "side": {**side, "emitter": {"type": "area", "radiance": 1.0}}}
         check(tr.load_dict({"type": "scene", **objects}, variant=variant, dtype=dtype))
 
 
 @variants
-@pytest.mark.parametrize("bsdf", ["diffuse", "dielectric", "roughdielectric", "conductor"])
+@pytest.mark.parametrize("bsdf", BSDFS)
 def test_a_camera_on_a_surface(bsdf, variant, dtype):
     material = {"type": bsdf}
     for origin, target in (

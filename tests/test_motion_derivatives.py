@@ -37,6 +37,10 @@ MOVING = {
     ("emitter", "point"): {"position"},
     ("bsdf", "dielectric"): {"eta"},
     ("bsdf", "roughdielectric"): {"eta", "alpha"},
+    ("bsdf", "thindielectric"): {"eta"},
+    ("bsdf", "plastic"): {"eta"},
+    ("bsdf", "roughplastic"): {"eta", "alpha"},
+    ("bsdf", "principled"): {"eta", "specular"},
     ("sensor", "perspective"): {
         "to_world",
         "x_fov",

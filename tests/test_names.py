@@ -10,6 +10,8 @@ import torchrender as tr
 RGB = {"type": "rgb", "value": [0.5, 0.25, 0.125]}
 TEXELS = torch.linspace(0, 1, 4 * 8 * 3).reshape(4, 8, 3)
 BITMAP = {"type": "bitmap", "data": TEXELS, "raw": True}
+RATES = [f"{part}_sampling_rate" for part in ("diffuse_reflectance", "main_specular", "clearcoat")]
+THIN_RATES = [f"{a}_{b}_sampling_rate" for a in ("specular", "diffuse") for b in ("reflectance", "transmittance")]
 SPHERE = ["center", "radius", "to_world"]  # center and radius keep the dict's names: they have none there
 
 
@@ -45,6 +47,18 @@ def ball(bsdf) -> set[str]:
         ({"type": "roughdielectric", "distribution": "ggx"}, {"eta", "alpha"}),
         ({"type": "conductor"}, {"eta.value", "k.value", "specular_reflectance.value"}),
         ({"type": "conductor", "eta": RGB, "k": 3.0}, {"eta.value", "k.value", "specular_reflectance.value"}),
+        ({"type": "roughconductor", "material": "Au"}, {"alpha.value", "eta.value", "k.value"}),
+        ({"type": "roughconductor", "alpha": BITMAP}, {"alpha.data", "alpha.to_uv", "eta.value", "k.value"}),
+        ({"type": "thindielectric"}, {"eta"}),
+        ({"type": "plastic"}, {"eta", "diffuse_reflectance.value"}),
+        ({"type": "roughplastic"}, {"eta", "alpha", "diffuse_reflectance.value"}),
+        ({"type": "principled"}, {"base_color.value", "roughness.value", "specular", *RATES}),
+        (
+            {"type": "principled", "eta": 1.5, "spec_trans": 0.5, "metallic": BITMAP, "clearcoat": 0.1},
+            {"base_color.value", "roughness.value", "eta", "spec_trans.value", "metallic.data", "metallic.to_uv"}
+            | {"clearcoat.value", *RATES},
+        ),
+        ({"type": "principledthin"}, {"base_color.value", "roughness.value", "eta.value", *THIN_RATES}),
         ({"type": "null"}, set()),
         ({"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}, {"reflectance.scale"}),
     ],
@@ -157,6 +171,15 @@ def test_names_that_modules_refuse_get_an_underscore(name):
 def test_public_classes_carry_field_names():
     assert issubclass(tr.Diffuse, torch.nn.Module)
     built = [tr.Diffuse(), tr.TwoSided(brdf_0=tr.Diffuse()), tr.Null()]
+    built += [
+        tr.RoughConductor(),
+        tr.RoughDielectric(),
+        tr.RoughPlastic(),
+        tr.Plastic(),
+        tr.ThinDielectric(),
+        tr.Principled(),
+        tr.PrincipledThin(),
+    ]
     built += [tr.Dielectric(), tr.Conductor(), tr.Bitmap(data=TEXELS), tr.Checkerboard(), tr.AreaLight()]
     built += [tr.ConstantLight(), tr.EnvironmentMap(data=TEXELS), tr.PointLight(), tr.Rectangle(), tr.Disk()]
     built += [tr.Sphere(), tr.Cube(), tr.PerspectiveCamera()]

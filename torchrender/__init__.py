@@ -21,7 +21,18 @@ from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.heightfield import HeightField
-from .scene.materials import Conductor, Dielectric, RoughDielectric, TwoSided
+from .scene.materials import (
+    Conductor,
+    Dielectric,
+    Plastic,
+    Principled,
+    PrincipledThin,
+    RoughConductor,
+    RoughDielectric,
+    RoughPlastic,
+    ThinDielectric,
+    TwoSided,
+)
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
 from .scene.phases import BlendPhase, TabulatedPhase
@@ -77,17 +88,23 @@ __all__ = [
     "ParticleTracer",
     "PathTracer",
     "PerspectiveCamera",
+    "Plastic",
     "PointLight",
+    "Principled",
+    "PrincipledThin",
     "ReconstructionFilter",
     "Rectangle",
     "RenderError",
     "Renderer",
+    "RoughConductor",
     "RoughDielectric",
+    "RoughPlastic",
     "Sampler",
     "Scene",
     "Sphere",
     "SubstitutionWarning",
     "TabulatedPhase",
+    "ThinDielectric",
     "Transform",
     "TwoSided",
     "VolumetricPathTracer",

@@ -19,6 +19,7 @@ namespace {
 const char *kind_name(Kind kind) {
     switch (kind) {
         case Kind::Texture:
+        case Kind::Scalar:
             return "texture";
         case Kind::Spectrum:
             return "spectrum";

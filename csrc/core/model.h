@@ -10,6 +10,7 @@ namespace tr {
 
 enum class Kind {
     Texture,     // index of a texture
+    Scalar,      // the same, of which one number is wanted: the luminance of its colour
     Spectrum,    // a small tensor: one number or a number a channel
     Float,       // a small tensor: one number
     Point,       // a small tensor: (3,)
@@ -45,9 +46,9 @@ struct Model {
 };
 
 // A model in a scene: its index in the registry's list and one number a field (an index, an offset into the block of
-// small parameters, or the number itself). The last entries hold what the host adds.
+// small parameters, or the number itself). What the host adds to a model of few fields begins at `Extra`.
 struct Record {
-    static constexpr int Fields = 12, Extra = 12;
+    static constexpr int Fields = 15, Extra = 12;
     int32_t kind;
     int32_t field[15];
 };

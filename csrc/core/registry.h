@@ -5,7 +5,13 @@
 #include "bsdf/dielectric.h"
 #include "bsdf/diffuse.h"
 #include "bsdf/null.h"
+#include "bsdf/plastic.h"
+#include "bsdf/principled.h"
+#include "bsdf/principledthin.h"
+#include "bsdf/roughconductor.h"
 #include "bsdf/roughdielectric.h"
+#include "bsdf/roughplastic.h"
+#include "bsdf/thindielectric.h"
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
 #include "medium/medium.h"
@@ -22,8 +28,10 @@ struct TypeList {
 };
 
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
-using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric>;  // the ones that scatter
-using BsdfWrappers = TypeList<TwoSided>;                                            // resolved to one of those at a hit
+// The ones that scatter, and those that are resolved to one of them at a hit.
+using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
+                       ThinDielectric, Principled, RoughPlastic, PrincipledThin>;
+using BsdfWrappers = TypeList<TwoSided>;
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;
 using Sensors = TypeList<Perspective, IrradianceMeter>;

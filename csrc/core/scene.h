@@ -90,6 +90,8 @@ struct SceneView {
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;
 
+    const S *bsdf_tables;  // see bsdf/coat_table.h
+
     // media: see medium/medium.h
     const MediumInfo *media;
     int32_t n_media;

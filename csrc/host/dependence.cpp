@@ -45,7 +45,7 @@ bool Dependence::values(const char *category, size_t index) const {
     const Model &model = model_of(category, record);
     for (int f = 0; f < model.n_fields; ++f) {
         Kind kind = model.fields[f].kind;
-        if (kind == Kind::Texture && values("texture", size_t(record.field[f]))) return true;
+        if ((kind == Kind::Texture || kind == Kind::Scalar) && values("texture", size_t(record.field[f]))) return true;
         if (record.field[f] >= 0 && ((kind == Kind::Volume && values("volume", size_t(record.field[f]))) ||
                                      (kind == Kind::Phase && values("phase", size_t(record.field[f])))))
             return true;

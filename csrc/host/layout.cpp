@@ -49,6 +49,7 @@ public:
         check_bsdfs();
         connect_media();
         lay_out_phases(out_, shapes_);
+        lay_out_bsdfs(out_);
         connect_shapes();
         find_enclosed_media();
         connect_emitters();
@@ -128,6 +129,7 @@ private:
     int32_t resolve(const Field &f, int64_t given, const std::string &at) {
         switch (f.kind) {
             case Kind::Texture:
+            case Kind::Scalar:
                 return given == -1 && !std::isnan(f.fallback) ? default_texture(f)
                                                               : reference("texture", given, false, at);
             case Kind::Bsdf:

@@ -62,6 +62,7 @@ struct SceneLayout {
     std::vector<MediumInfo> media;
     int n_majorants = 0;
     int n_phase_numbers = 0;  // in the tables of tabulated phase functions
+    int n_bsdf_numbers = 0;   // in the tables of rough coatings
 };
 
 // std::invalid_argument: "scene.path: field 'x': expected ..., got ...".
@@ -70,5 +71,8 @@ SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<i
 
 // Of that, the phase functions: checks, and where their tables lie. The rest is there.
 void lay_out_phases(SceneLayout &layout, const std::vector<std::vector<int64_t>> &param_shapes);
+
+// Where the tables of BSDFs lie.
+void lay_out_bsdfs(SceneLayout &layout);
 
 }  // namespace tr

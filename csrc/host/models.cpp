@@ -8,11 +8,11 @@ namespace tr {
 
 namespace {
 
-template <class... Ts>
+template <int MaxFields, class... Ts>
 void append(std::vector<ModelEntry> &all, TypeList<Ts...>, int first_kind = 0) {
     int kind = first_kind;
     (all.push_back({&Ts::model, kind++}), ...);
-    static_assert(((Ts::model.n_fields <= Record::Fields) && ...), "a record has room for this many fields");
+    static_assert(((Ts::model.n_fields <= MaxFields) && ...), "a record has room for this many fields");
 }
 
 }  // namespace
@@ -20,16 +20,16 @@ void append(std::vector<ModelEntry> &all, TypeList<Ts...>, int first_kind = 0) {
 const std::vector<ModelEntry> &all_models() {
     static const std::vector<ModelEntry> all = [] {
         std::vector<ModelEntry> r;
-        append(r, Textures{});
-        append(r, Bsdfs{});
-        append(r, BsdfWrappers{}, TwoSidedKind);
-        append(r, Emitters{});
-        append(r, Shapes{});
-        append(r, Sensors{});
-        append(r, Volumes{});
-        append(r, Phases{});
-        append(r, Media{});
-        append(r, Attributes{});
+        append<Record::Extra>(r, Textures{});
+        append<Record::Fields>(r, Bsdfs{});  // to which the host adds nothing
+        append<Record::Extra>(r, BsdfWrappers{}, TwoSidedKind);
+        append<Record::Extra>(r, Emitters{});
+        append<Record::Extra>(r, Shapes{});
+        append<Record::Extra>(r, Sensors{});
+        append<Record::Extra>(r, Volumes{});
+        append<Record::Extra>(r, Phases{});
+        append<Record::Extra>(r, Media{});
+        append<Record::Extra>(r, Attributes{});
         return r;
     }();
     return all;

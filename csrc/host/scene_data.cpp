@@ -124,6 +124,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_ball();
     update_media(first ? all : changed);
     update_phases(first ? all : changed);
+    update_bsdfs();
     refresh_view();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }
@@ -306,6 +307,7 @@ void SceneData<S>::refresh_view() {
     view_.volume_to_local = volume_to_local_.data();
     view_.majorants = majorants_.data();
     view_.phase_tables = phase_tables_.data();
+    view_.bsdf_tables = bsdf_tables_.data();
 }
 
 template class SceneData<float>;

@@ -7,6 +7,7 @@
 
 #include "../accel/accel.h"
 #include "../core/scene.h"
+#include "coat_table.h"
 #include "distribution.h"
 #include "gradient.h"
 #include "layout.h"
@@ -99,7 +100,8 @@ private:
     int n_light_boxes_ = -1;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
-    std::vector<S> volume_to_local_, majorants_, phase_tables_;
+    std::vector<S> volume_to_local_, majorants_, phase_tables_, bsdf_tables_;
+    std::vector<Coat> coats_;  // of which bsdf_tables_ was made
 
     void allocate_geometry();
     void take_over(SceneData &previous);
@@ -131,6 +133,7 @@ private:
     void update_ball();
     void update_media(const std::vector<uint8_t> &dirty);
     void update_phases(const std::vector<uint8_t> &dirty);
+    void update_bsdfs();
     void refresh_view();
 };
 

@@ -26,7 +26,7 @@ from .film import develop, reach
 from .geometry import Frame, Rows, dot, normalize, reattach
 from .glued import glue
 from .sensors import SENSORS
-from .world import At, World
+from .world import At, Record, World
 
 GLUED = ("position", "normal", "shading_normal", "uv")
 OFFSET, SHADOW_EPSILON = 8.9406967e-5, 8.9406967e-4
@@ -223,22 +223,45 @@ class PathTracer:
             alive = alive & (ue[:, 3] < q)
             keep = torch.where(alive, 1 / torch.where(alive, q, 1.0), 1.0)
 
-        rows = alive.nonzero()[:, 0]
-        paths, frame, wi, sign, lobe = paths[rows], frame[rows], wi[rows], sign[rows], s.lobe[rows]
+        going = []
+        for smooth in (True, False):
+            if not (bsdf.smooth if smooth else bsdf.delta):
+                continue
+            kind = (s.lobe == 0) == smooth if bsdf.smooth and bsdf.delta else torch.ones_like(alive)
+            rows = (alive & kind).nonzero()[:, 0]
+            went_on = {"survival": (survival * keep[:, None])[rows], "eta": eta[rows]}
+            went_on["origin_pdf"] = s.pdf[rows].detach() if smooth else torch.zeros_like(sign[rows])
+            on = (paths[rows], frame[rows], wi[rows], sign[rows], s.wo[rows], s.lobe[rows], (inverse * keep)[rows])
+            going.append(self.go_on(record, *on, smooth, went_on))
+        return Paths.cat(going)
+
+    def go_on(
+        self,
+        record: Record,
+        paths: Paths,
+        frame: Frame,
+        wi: torch.Tensor,
+        sign: torch.Tensor,
+        wo: torch.Tensor,
+        lobe: torch.Tensor,
+        factor: torch.Tensor,
+        smooth: bool,
+        went_on: dict[str, torch.Tensor],
+    ) -> Paths:
+        """The paths along wo: glued to what they meet if the lobe is `smooth`, else attached."""
         bsdf = BSDFS[record.type](self.world, record, paths.at)
         flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], 1)
-        wo = s.wo[rows]
         d = frame.to_world(wo * flip)
         d = reattach(normalize(d), d)
         position, normal = paths.position.detach(), paths.normal.detach()
         o = offset_origin(position, normal, d.detach())
-        if bsdf.smooth:
+        if smooth:
             d = d.detach()
         else:
             o = reattach(o, paths.position)
         hits = self.world.intersect(o, d)
-        factor = (inverse * keep)[rows][:, None]
-        if bsdf.smooth:
+        factor = factor[:, None]
+        if smooth:
             hits, ratio, towards = self.glued(hits, paths.position)
             d = torch.where(hits.valid[:, None], reattach(d, towards), d)
             wo = frame.to_local(d) * flip
@@ -247,11 +270,9 @@ class PathTracer:
             lane=paths.lane,
             d=d,
             beta=paths.beta * bsdf.eval(wi, wo, lobe) * factor,
-            survival=(survival * keep[:, None])[rows],
-            eta=eta[rows],
             origin=position,
-            origin_pdf=s.pdf[rows].detach() if bsdf.smooth else torch.zeros_like(sign),
             seen=paths.seen,
+            **went_on,
             **arrival(hits),
         )
 

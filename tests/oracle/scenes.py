@@ -142,6 +142,83 @@ def rough() -> dict:
     )
 
 
+def glossy() -> dict:
+    """Rough metal, plastic, thin glass and principled surfaces: of both sides of a mesh, in chains of mirrors."""
+    shiny = {"type": "roughconductor", "material": "Cu", "specular_reflectance": r._bitmap(81, 3, 3)}
+    return r._scene(
+        {"type": "path", "max_depth": 6, "rr_depth": 3},
+        r._camera(),
+        ball={
+            "type": "sphere",
+            "center": [-0.9, -0.1, 0.2],
+            "radius": 0.7,
+            "bsdf": {**shiny, "distribution": "ggx", "alpha": r._bitmap(82, 4, 4, 0.1, 0.5)},
+        },
+        tube=_tube(
+            to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
+            bsdf={"type": "twosided", "a": {**shiny, "alpha": 0.3}, "b": {"type": "plastic", "nonlinear": True}},
+        ),
+        toy={
+            "type": "sphere",
+            "center": [0.4, 0.2, -1.0],
+            "radius": 0.6,
+            "bsdf": {"type": "plastic", "diffuse_reflectance": r._bitmap(83, 4, 4), "specular_reflectance": 0.7},
+        },
+        mug={
+            "type": "sphere",
+            "center": [-0.1, -0.6, 1.0],
+            "radius": 0.35,
+            "bsdf": {
+                "type": "roughplastic",
+                "distribution": "ggx",
+                "alpha": 0.3,
+                "diffuse_reflectance": r._bitmap(89, 4, 4),
+                "specular_reflectance": r._rgb(0.9, 0.6, 0.8),
+                "nonlinear": True,
+            },
+        },
+        pane={
+            "type": "rectangle",
+            "to_world": r.translate(-0.5, 0.3, 1.5) @ r.scale(0.5),
+            "bsdf": {"type": "thindielectric", "eta": 1.6, "specular_transmittance": r._bitmap(84, 3, 3)},
+        },
+        clear={
+            "type": "sphere",
+            "center": [1.6, -0.3, 0.4],
+            "radius": 0.5,
+            "bsdf": {"type": "principled", "spec_trans": 0.7, "eta": 1.4, **r.PRINCIPLED, "roughness": 0.6},
+        },
+        leaf={
+            "type": "rectangle",
+            "to_world": r.translate(0.9, 0.7, 0.2) @ r.rotate("y", 50) @ r.scale(0.4),
+            "bsdf": {
+                "type": "principledthin",
+                "base_color": r._bitmap(90, 4, 4),
+                "spec_trans": 0.5,
+                "diff_trans": 0.9,
+                "spec_tint": 0.3,
+                "sheen": 0.6,
+                "sheen_tint": 0.2,
+                "flatness": 0.4,
+            },
+        },
+        floor={
+            "type": "rectangle",
+            "to_world": r.FLOOR,
+            "bsdf": {
+                "type": "principled",
+                "base_color": r._bitmap(85, 5, 5),
+                "specular": 0.8,
+                **r.PRINCIPLED,
+                "metallic": r._bitmap(86, 3, 3),
+            },
+        },
+        lamp=r._lamp(r._bitmap(87, 3, 4, 1.0, 9.0)),
+        bulb={"type": "point", "position": [-2.0, 2.0, 1.0], "intensity": r._rgb(4.0, 5.0, 3.0)},
+        sky={"type": "envmap", "data": r._noise(88, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )
+
+
 def lights() -> dict:
     """Emitting disk, mesh, mirrored rectangle, sphere from outside and from inside; the camera does not see them."""
 
@@ -191,5 +268,5 @@ def splits() -> dict:
 
 SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
-    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, lights, splits)},
+    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, lights, splits)},
 }

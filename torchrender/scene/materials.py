@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import torch
 
-from ..errors import nearest
+from ..errors import describe, nearest
 from . import values
 from .context import Context
 from .plugin import Plugin
@@ -41,13 +41,46 @@ REFRACTIVE_INDICES = {
 }
 
 
-# Metals as red, green, blue averages of their measured eta and k.
-METALS = {
+# Real and imaginary part of the index of refraction, as red, green and blue of the spectra that Mitsuba 3.9.1 has (read
+# back from its `conductor`): measurements collected by Palik, "Handbook of Optical Constants of Solids", 1985, and in
+# the databases of SOPRA and luxpop.
+CONDUCTORS = {
+    "a-C": ((2.94405, 2.22714, 1.96816), (0.887465, 0.799299, 0.81529)),
     "Ag": ((0.155276, 0.116728, 0.138388), (4.82835, 3.12222, 2.1469)),
     "Al": ((1.6575, 0.880405, 0.521244), (9.22381, 6.2695, 4.837)),
+    "AlAs": ((3.6053, 3.23294, 2.21632), (0.000679437, 0.0, 0.00751271)),
+    "AlSb": ((0.0, 4.13937, 4.66925), (0.0, 0.0940091, 1.30057)),
     "Au": ((0.143036, 0.375307, 1.44205), (3.983, 2.38556, 1.60336)),
+    "Be": ((4.18501, 3.18503, 2.78406), (3.83547, 3.01012, 2.86899)),
     "Cr": ((4.36967, 2.91651, 1.6549), (5.20655, 4.23131, 3.7547)),
+    "CsI": ((2.1449, 1.70232, 1.66243), (0.0, 0.0, 0.0)),
     "Cu": ((0.201005, 0.92375, 1.10222), (3.91326, 2.45305, 2.14209)),
+    "Cu2O": ((3.55177, 2.94987, 2.75188), (0.114207, 0.193897, 0.606134)),
+    "CuO": ((3.24754, 2.44781, 2.21022), (0.52109, 0.570031, 0.722179)),
+    "d-C": ((2.70872, 2.31883, 2.2289), (0.0, 0.0, 0.0)),
+    "Hg": ((2.39894, 1.44003, 0.90957), (6.32759, 4.37192, 3.42176)),
+    "HgTe": ((4.77904, 3.2312, 2.6599), (1.63161, 1.58081, 1.72929)),
+    "Ir": ((3.0863, 2.08219, 1.61791), (5.59215, 4.06709, 3.26731)),
+    "K": ((0.0640432, 0.0464098, 0.0381849), (2.1042, 1.34894, 0.913126)),
+    "Li": ((0.265791, 0.195618, 0.220949), (3.54015, 2.31112, 1.66861)),
+    "MgO": ((2.08958, 1.65072, 1.59488), (0.0, 0.0, 0.0)),
+    "Mo": ((4.48397, 3.52513, 2.77631), (4.11144, 3.42083, 3.15061)),
+    "Na_palik": ((0.0602694, 0.0561409, 0.0619884), (3.17927, 2.11249, 1.57904)),
+    "Nb": ((3.42007, 2.79009, 2.39563), (3.44139, 2.73767, 2.57975)),
+    "Ni_palik": ((2.3673, 1.66337, 1.46708), (4.49881, 3.05015, 2.34544)),
+    "Rh": ((2.58579, 1.86022, 1.55426), (6.78226, 4.70299, 3.97607)),
+    "Se": ((4.05831, 2.84294, 2.82085), (0.75405, 0.638444, 0.521808)),
+    "SiC": ((3.17234, 2.52597, 2.47937), (7.53766e-07, 0.0, 1.01925e-05)),
+    "SnTe": ((4.52425, 1.98164, 1.28159), (0.0, 0.0, 0.0)),
+    "Ta": ((2.06272, 2.39294, 2.62793), (2.40836, 1.74149, 1.94703)),
+    "Te": ((7.39023, 4.4821, 2.63711), (3.25602, 3.52706, 3.29205)),
+    "ThF4": ((1.83071, 1.44223, 1.38765), (0.0, 0.0, 0.0)),
+    "TiC": ((3.70053, 2.83742, 2.58229), (3.26564, 2.35159, 2.17279)),
+    "TiN": ((1.64845, 1.15052, 1.37982), (3.36833, 1.9435, 1.10207)),
+    "TiO2": ((3.45661, 2.80174, 2.90517), (0.000105265, 0.0, 0.000652887)),
+    "VC": ((3.65757, 2.75274, 2.53267), (3.0683, 2.19869, 1.96319)),
+    "V_palik": ((4.27758, 3.51295, 2.76107), (3.4913, 2.88945, 3.11152)),
+    "VN": ((2.8656, 2.11919, 1.94009), (3.03224, 2.05612, 1.61631)),
     "W": ((4.37082, 3.30025, 2.99841), (3.50064, 2.60487, 2.27323)),
 }
 
@@ -77,6 +110,7 @@ class Dielectric(Plugin):
     """
 
     category, type = "bsdf", "dielectric"
+    inside = "bk7"
     optional = frozenset({"specular_reflectance", "specular_transmittance"})
 
     @classmethod
@@ -88,7 +122,7 @@ class Dielectric(Plugin):
         if given and "eta" in properties:
             ctx.error(f"{self.type}: give eta, or {' and '.join(given)}, but not both")
         if "eta" not in properties:
-            inside, outside = properties.pop("int_ior", "bk7"), properties.pop("ext_ior", "air")
+            inside, outside = properties.pop("int_ior", self.inside), properties.pop("ext_ior", "air")
             eta = refractive_index(inside, ctx.at("int_ior")) / refractive_index(outside, ctx.at("ext_ior"))
             properties["eta"] = values.rounded(eta, inside, ctx)
         return properties
@@ -128,7 +162,7 @@ class Conductor(Plugin):
 
     Args:
         eta, k: real and imaginary part of the index of refraction (textures or colours).
-        material: ``"none"`` is a perfect mirror, the default; or a metal: Ag, Al, Au, Cr, Cu, W.
+        material: ``"none"`` is a perfect mirror, the default; or a material by its formula, such as ``"Au"``, ``"Cu"``.
         specular_reflectance: factor (texture); 1 is physical.
     """
 
@@ -142,20 +176,153 @@ class Conductor(Plugin):
         material = properties.pop("material", "none")
         if material != "none":
             if "eta" in properties or "k" in properties:
-                ctx.error("conductor: give material, or eta and k, but not both")
-            if material not in METALS:
+                ctx.error(f"{self.type}: give material, or eta and k, but not both")
+            if not isinstance(material, str) or material not in CONDUCTORS:
+                near = nearest(material, CONDUCTORS) if isinstance(material, str) else f"got {describe(material)}"
                 ctx.at("material").error(
                     f"the conductor {material!r} is not known by name here; give eta and k, or one of: none, "
-                    + ", ".join(METALS)
+                    f"{', '.join(CONDUCTORS)} ({near})"
                 )
-            properties["eta"], properties["k"] = METALS[material]
+            properties["eta"], properties["k"] = CONDUCTORS[material]
         # Without eta and k this is a perfect mirror: eta 0, k 1.
         properties.setdefault("eta", 0.0)
         properties.setdefault("k", 1.0)
         return properties
 
 
-TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "mask")
+@register
+class RoughConductor(Conductor):
+    """Rough conductor, one-sided: microscopic facets that reflect once.
+
+    What facets throw onto one another is lost: see `RoughDielectric`.
+
+    Args:
+        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
+        eta, k, material: as for a smooth conductor.
+        specular_reflectance: factor (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "roughconductor"
+    optional = frozenset({"specular_reflectance"})
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
+    unsupported = ("alpha_u", "alpha_v")
+
+
+@register
+class ThinDielectric(Dielectric):
+    """Thin pane of a transparent material: what goes through is not turned aside.
+
+    Args:
+        int_ior: index of refraction of the pane, a number or a material name; default ``"bk7"`` (1.5046).
+        ext_ior: index of refraction around it; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two.
+        specular_reflectance, specular_transmittance: factors for tinting (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "thindielectric"
+
+
+@register
+class Plastic(Dielectric):
+    """Smooth plastic, one-sided: a diffuse base below a dielectric coating.
+
+    Args:
+        diffuse_reflectance: albedo of the base (texture), default 0.5.
+        nonlinear: whether colours deepen with every reflection between base and coating; default False.
+        int_ior: index of refraction of the coating, a number or a material name; default ``"polypropylene"`` (1.49).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two.
+        specular_reflectance: factor of mirror reflections (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "plastic"
+    inside = "polypropylene"
+    optional = frozenset({"specular_reflectance"})
+
+
+@register
+class RoughPlastic(RoughDielectric):
+    """Rough plastic, one-sided: a diffuse base below a rough dielectric coating.
+
+    Args:
+        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha: roughness (number), default 0.1. Below 0.001 it counts as 0.001.
+        diffuse_reflectance: albedo of the base (texture), default 0.5.
+        nonlinear: whether colours deepen with every reflection between base and coating; default False.
+        int_ior: index of refraction of the coating, a number or a material name; default ``"polypropylene"`` (1.49).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two.
+        specular_reflectance: factor of reflections off the coating (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "roughplastic"
+    inside = "polypropylene"
+    optional = frozenset({"specular_reflectance"})
+
+
+@register
+class Principled(Plugin):
+    """Burley's principled BSDF: from dielectrics over metals to glass by a few numbers from 0 to 1.
+
+    Opaque and from behind it is black; with `spec_trans` it is an interface like `RoughDielectric`.
+
+    Args:
+        base_color: colour of the base, of metal and of tints (texture), default 0.5.
+        roughness: default 0.5 (texture); the alpha of its GGX facets is the square of it.
+        metallic: 0, a dielectric over a diffuse base, to 1, a metal (texture).
+        specular: sets the index by the reflectance at normal incidence, 0.08 times it (number), default 0.5.
+        eta: relative index of refraction, in place of `specular` (number).
+        spec_trans: 0, opaque, to 1, clear (texture). Its derivative lacks, where it is 0, the light that would come
+            through.
+        spec_tint: how much of the base's hue reflections take on (texture).
+        sheen, sheen_tint: reflection of cloth at grazing angles, and how much of the base's hue it takes on (texture).
+        flatness: 0, diffuse, to 1, the flatter look of light from below the surface (texture).
+        clearcoat, clearcoat_gloss: a second reflection, of index 1.5, and its gloss, 0 being satin (texture).
+        diffuse_reflectance_sampling_rate, main_specular_sampling_rate, clearcoat_sampling_rate: how often each part is
+            sampled, relative to the others (numbers), default 1.
+        anisotropic: must be 0: facets are the same in all directions.
+    """
+
+    category, type = "bsdf", "principled"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"anisotropic": (0.0,)}
+    optional = frozenset(
+        "metallic spec_trans eta specular spec_tint sheen sheen_tint flatness clearcoat clearcoat_gloss".split()
+    )
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        if "eta" in properties and "specular" in properties:
+            ctx.error("principled: give eta or specular, but not both")
+        if "eta" not in properties:
+            properties.setdefault("specular", 0.5)
+        return properties
+
+
+@register
+class PrincipledThin(Plugin):
+    """Burley's principled BSDF of a thin sheet, such as paper or a leaf: both sides look alike.
+
+    Args:
+        base_color: colour of the sheet and of tints (texture), default 0.5.
+        roughness: default 0.5 (texture); the alpha of its GGX facets is the square of it.
+        spec_trans: 0, diffuse, to 1, facets that reflect and let through (texture). Its derivative and that of
+            `diff_trans` lack, where they are 0, the light that would come through.
+        eta: relative index of refraction, default 1.5 (texture).
+        diff_trans: 0 to 2, twice the part of diffuse light that goes through (texture).
+        spec_tint: how much of the base's hue reflections take on (texture).
+        sheen, sheen_tint: reflection of cloth at grazing angles, and how much of the base's hue it takes on (texture).
+        flatness: 0, diffuse, to 1, the flatter look of light from below the surface (texture).
+        specular_reflectance_sampling_rate, diffuse_reflectance_sampling_rate, specular_transmittance_sampling_rate,
+            diffuse_transmittance_sampling_rate: how often each part is sampled, relative to the others (numbers).
+        anisotropic: must be 0: facets are the same in all directions.
+    """
+
+    category, type = "bsdf", "principledthin"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"anisotropic": (0.0,)}
+    optional = frozenset("spec_trans spec_tint sheen sheen_tint flatness diff_trans".split())
+
+
+TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "principledthin", "mask")
 
 
 @register
@@ -178,5 +345,9 @@ class TwoSided(Plugin):
         super().check(ctx)
         for name in ("brdf_0", "brdf_1"):
             child = self._modules.get(name)
-            if child is not None and (child.type in TRANSMITTING or child.type == "twosided"):
-                ctx.at(name).error(f"a {child.type} cannot be made two-sided: only one-sided reflection can")
+            if child is None:
+                continue
+            clear = child._modules.get("spec_trans") is not None
+            if child.type in TRANSMITTING or child.type == "twosided" or clear:
+                what = f"{child.type} with spec_trans" if clear else child.type
+                ctx.at(name).error(f"a {what} cannot be made two-sided: only one-sided reflection can")

@@ -54,6 +54,12 @@ public:
             if (lane_is_set(usable, i))
                 for (int c = 0; c < C; ++c) constants[lane(offset, i) + c] += double(lane(g[c], i));
     }
+    // of a texture's luminance, which all channels depend on
+    template <class Point>
+    TR_INLINE void scalar_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                                  const MaskOf<F> &active) {
+        texture(scene, id, at, luminance_adjoint(g), active);
+    }
     // a parameter that is one number for all channels
     TR_INLINE void number(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         F sum = g[0];
@@ -174,6 +180,11 @@ public:
     TR_INLINE void texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
                            const MaskOf<F> &active) {
         add(g * eval_texture<C>(scene, tangent, id, at, active), active);
+    }
+    template <class Point>
+    TR_INLINE void scalar_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                                  const MaskOf<F> &active) {
+        add(g * luminance(eval_texture<C>(scene, tangent, id, at, active)), active);
     }
     TR_INLINE void color(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         add(g * constant_color<C, F>(tangent, offset, active), active);

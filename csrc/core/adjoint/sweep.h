@@ -154,6 +154,21 @@ TR_INLINE void sweep_directions(const ParamsOf<Model, F, C> &params, const Vec3<
     wo_bar = {sum[3], sum[4], sum[5]};
 }
 
+// The value of a BSDF with its derivatives in a block of its parameters.
+template <Transport transport, class Model, int C, class F, class D>
+TR_NOINLINE void eval_large_block(const ParamsOf<Model, F, C> &params, int first, const Vec3<F> &wi, const Vec3<F> &wo,
+                                  const IntOf<F> &lobe, Color<D, C> &r) {
+    r = eval_inline<transport, Model, C>(seed_params<Model, C>(params, first), wi, wo, lobe);
+}
+template <Transport transport, class Model, int C, class F, class D>
+TR_INLINE void eval_block(const ParamsOf<Model, F, C> &params, int first, const Vec3<F> &wi, const Vec3<F> &wo,
+                          const IntOf<F> &lobe, Color<D, C> &r) {
+    if constexpr (IsLarge<Model>)
+        eval_large_block<transport, Model, C>(params, first, wi, wo, lobe, r);
+    else
+        r = eval_inline<transport, Model, C>(seed_params<Model, C>(params), wi, wo, lobe);
+}
+
 // What moves on along the path; `a_path` is A_k times the factors of f in the rest of it. Adds to `hit` and to the
 // adjoint of the local wi.
 template <Transport transport, class Model, int C, class F, class S, class Sink>
@@ -165,23 +180,28 @@ TR_INLINE void sweep_continuation(const SceneView<S> &scene, const VertexRecord<
     sweep_directions<transport, Model, C>(params, v.wi, v.wo, v.lobe, a_path, wi_bar, wo_bar);
     hit.p = hit.p + next.ray.o;
     if constexpr (Model::Smooth) {
+        // (behind a delta lobe of a model that has both, `segment` is 0)
         Vec3<F> w_bar = frame.into(v.wo, wo_bar) + next.ray.d;
         Vec3<F> D_bar = direction_adjoint(next.segment, w_bar);
         hit.p = hit.p - D_bar;
         auto glued = active && mask<F>(squared_norm(next.segment) > F(0));
         if (any(glued)) sweep_position(scene, next.at, next.p, D_bar, glued, sink);
-    } else {
+    }
+    if constexpr (Model::Delta) {
+        static_assert(ParamCount<Model>::Scalars == 0, "a delta lobe is turned by numbers, not by textures");
+        Vec3<F> turned = next.ray.d;
+        if constexpr (Model::Smooth) turned = select(mask<F>(v.lobe == 0), zero, turned);
         using E = Dual<F, 3 + ParamCount<Model>::Numbers>;
         Params<E, C, 0, ParamCount<Model>::Numbers> numbers;
         for (int i = 0; i < ParamCount<Model>::Numbers; ++i) numbers.number[i] = E(params.number[i], 3 + i);
         Vec3<E> from{E(v.wi.x, 0), E(v.wi.y, 1), E(v.wi.z, 2)};
         Vec3<E> to = Model::direction(numbers, from, v.lobe);
-        Vec3<F> to_bar = frame.out_of(v.wo, next.ray.d);
+        Vec3<F> to_bar = frame.out_of(v.wo, turned);
         auto chain = [&](int i) { return to.x.d[i] * to_bar.x + to.y.d[i] * to_bar.y + to.z.d[i] * to_bar.z; };
         wi_bar = wi_bar + Vec3<F>{chain(0), chain(1), chain(2)};
         int number = 0;
         for (int i = 0; i < ParamCount<Model>::All; ++i)
-            if ((ParamCount<Model>::NumberFields >> i) & 1)
+            if (ParamCount<Model>::is_number(i))
                 sink.scalar(record_field<F>(scene.bsdfs, i, v.bsdf, active), chain(3 + number++), active);
     }
 }
@@ -245,34 +265,43 @@ TR_INLINE void sweep_parameters(const SceneView<S> &scene, const VertexRecord<F,
                                 const MaskOf<F> &active, HitAdjoint<F> &hit, Color<F, C> &f, Color<F, C> &f_light,
                                 Sink &sink) {
     f_light = uniform_color<C>(F(0));
-    constexpr int N = ParamCount<Model>::All;
+    using Count = ParamCount<Model>;
+    constexpr int N = Count::Variables;
     bool done = false;
     if constexpr (N > 0) {
         if (wanted.bsdf || (wanted.geometry && wanted.lookups)) {
             done = true;
-            auto seeded = seed_params<Model, C>(params);
-            auto df = eval_bsdf<transport, Model, C>(seeded, v.wi, v.wo, v.lobe);
-            auto df_light = df;
-            if constexpr (Model::Smooth)
-                df_light = eval_bsdf<transport, Model, C>(seeded, v.wi, v.wo_light, IntOf<F>(0));
-            for (int c = 0; c < C; ++c) {
-                f[c] = df[c].v;
-                if constexpr (Model::Smooth) f_light[c] = df_light[c].v;
-            }
-            // both evaluations share the look-ups: one scatter for their sum
-            for (int i = 0; i < N; ++i) {
-                Color<F, C> g;
+            constexpr int Block = Count::Block;
+            Color<Dual<F, Block>, C> df, df_light;
+            for (int first = 0; first < N; first += Block) {
+                eval_block<transport, Model, C>(params, first, v.wi, v.wo, v.lobe, df);
+                if constexpr (Model::Smooth)
+                    eval_block<transport, Model, C>(params, first, v.wi, v.wo_light, IntOf<F>(0), df_light);
                 for (int c = 0; c < C; ++c) {
-                    g[c] = df[c].d[i] * path_factor[c];
-                    if constexpr (Model::Smooth) g[c] = fmadd(df_light[c].d[i], light_factor[c], g[c]);
-                    g[c] = g[c] * a[c];
+                    f[c] = df[c].v;
+                    if constexpr (Model::Smooth) f_light[c] = df_light[c].v;
                 }
-                IntOf<F> field = record_field<F>(scene.bsdfs, i, v.bsdf, active);
-                if ((ParamCount<Model>::NumberFields >> i) & 1) {
-                    sink.number(scene, field, g, active);
-                } else {
-                    if (wanted.bsdf) sink.texture(scene, field, v.at, g, active);
-                    if (wanted.geometry) sweep_lookup<C>(scene, field, v.at, g, active, hit.at, sink);
+                // both evaluations share the look-ups: one scatter for their sum
+                for (int i = first; i < N && i < first + Block; ++i) {
+                    Color<F, C> g;
+                    for (int c = 0; c < C; ++c) {
+                        g[c] = df[c].d[i - first] * path_factor[c];
+                        if constexpr (Model::Smooth) g[c] = fmadd(df_light[c].d[i - first], light_factor[c], g[c]);
+                        g[c] = g[c] * a[c];
+                    }
+                    bool luminance = i >= Count::Fields;
+                    IntOf<F> field =
+                        record_field<F>(scene.bsdfs, luminance ? LuminanceField<Model>::value : i, v.bsdf, active);
+                    if (luminance || Count::is_scalar(i)) {
+                        if (wanted.bsdf) sink.scalar_texture(scene, field, v.at, g, active);
+                        if (wanted.geometry)
+                            sweep_lookup<C>(scene, field, v.at, luminance_adjoint(g), active, hit.at, sink);
+                    } else if (Count::is_number(i)) {
+                        sink.number(scene, field, g, active);
+                    } else {
+                        if (wanted.bsdf) sink.texture(scene, field, v.at, g, active);
+                        if (wanted.geometry) sweep_lookup<C>(scene, field, v.at, g, active, hit.at, sink);
+                    }
                 }
             }
         }

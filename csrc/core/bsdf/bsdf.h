@@ -45,15 +45,15 @@ constexpr bool is_asymmetric(...) {
 }
 
 template <Transport transport, class Model, int C, class P, class V, class I>
-TR_INLINE auto eval_bsdf(const P &params, const V &wi, const V &wo, const I &lobe) {
+TR_INLINE auto eval_inline(const P &params, const V &wi, const V &wo, const I &lobe) {
     if constexpr (transport == Transport::Importance && is_asymmetric<Model>(0))
         return Model::template eval<C>(params, wi, wo, lobe, Transport::Importance);
     else
         return Model::template eval<C>(params, wi, wo, lobe);
 }
 
-// The parameters of a model in the order of its fields: textures and spectra as colours, single numbers as scalars,
-// switches, which come last, as integers.
+// The parameters of a model in the order of its fields: textures and spectra as colours, single numbers and textures of
+// them as scalars, switches, which come last, as integers.
 template <class T, int N>
 struct Switches {
     IntOf<T> choice[N];
@@ -61,11 +61,26 @@ struct Switches {
 template <class T>
 struct Switches<T, 0> {};
 
-template <class T, int C, int NColors, int NNumbers, int NSwitches = 0>
-struct Params : Switches<T, NSwitches> {
+// Where the host's table for a model that is `Tabled` begins.
+template <class T, bool Tabled>
+struct TableOf {
+    const ScalarOf<T> *table;
+    IntOf<T> row;
+};
+template <class T>
+struct TableOf<T, false> {};
+
+template <class T, int C, int NColors, int NNumbers, int NSwitches = 0, bool Tabled = false>
+struct Params : Switches<T, NSwitches>, TableOf<T, Tabled> {
     Color<T, C> color[NColors > 0 ? NColors : 1];
     T number[NNumbers > 0 ? NNumbers : 1];
 };
+
+// Directions as those of another scalar type.
+template <class T, class F>
+TR_INLINE Vec3<T> convert(const Vec3<F> &v) {
+    return {T(v.x), T(v.y), T(v.z)};
+}
 
 constexpr int count_fields(const Field *fields, int n, Kind kind) {
     int r = 0;
@@ -79,25 +94,60 @@ constexpr bool switches_are_last(const Field *fields, int n) {
     return true;
 }
 
-// Bit i is set where field i is a single number. (Device code reads constants, but no table of the host's.)
-constexpr uint32_t number_fields(const Field *fields, int n) {
+// Bit i is set where field i is of the kind. (Device code reads constants, but no table of the host's.)
+constexpr uint32_t fields_of(const Field *fields, int n, Kind kind) {
     uint32_t r = 0;
-    for (int i = 0; i < n; ++i) r |= uint32_t(fields[i].kind == Kind::Float) << i;
+    for (int i = 0; i < n; ++i) r |= uint32_t(fields[i].kind == kind) << i;
     return r;
 }
 
+// The continuous fields whose derivative is not "none: ...", which must come first.
+constexpr int count_differentiable(const Field *fields, int n) {
+    int r = 0;
+    while (r < n && fields[r].kind != Kind::Int && fields[r].derivative[0] != 'n') ++r;
+    return r;
+}
+
+// A model may ask for the luminance of one of its colours by declaring the field, `static constexpr int LuminanceOf`.
+// It is a further number, the last, and a parameter of its own for derivatives, since all channels depend on it.
+template <class Model, class = void>
+struct LuminanceField {
+    static constexpr int value = -1;
+};
+template <class Model>
+struct LuminanceField<Model, std::enable_if_t<(Model::LuminanceOf >= 0)>> {
+    static constexpr int value = Model::LuminanceOf;
+};
+
+// A model for which the host makes a table declares `static constexpr bool Tabled = true`.
+template <class Model, class = void>
+struct IsTabled : std::false_type {};
+template <class Model>
+struct IsTabled<Model, std::enable_if_t<Model::Tabled>> : std::true_type {};
+
 template <class Model>
 struct ParamCount {
-    static constexpr uint32_t NumberFields = number_fields(Model::fields, Model::model.n_fields);
-    static constexpr int Numbers = count_fields(Model::fields, Model::model.n_fields, Kind::Float);
+    static constexpr uint32_t ScalarFields = fields_of(Model::fields, Model::model.n_fields, Kind::Scalar);
+    static constexpr uint32_t NumberFields =
+        fields_of(Model::fields, Model::model.n_fields, Kind::Float) | ScalarFields;
+    static constexpr int Scalars = count_fields(Model::fields, Model::model.n_fields, Kind::Scalar);
+    static constexpr int Numbers = count_fields(Model::fields, Model::model.n_fields, Kind::Float) + Scalars;
     static constexpr int Switches = count_fields(Model::fields, Model::model.n_fields, Kind::Int);
     static constexpr int All = Model::model.n_fields - Switches;  // the continuous ones
     static constexpr int Colors = All - Numbers;
+    static constexpr bool Luminance = LuminanceField<Model>::value >= 0;
+    static constexpr int Fields = count_differentiable(Model::fields, All);
+    static constexpr int Variables = Fields + Luminance;  // of derivatives
+    // More of them are taken a block at a time: that many numbers in flight no longer fit into registers.
+    static constexpr int Block = Variables > 6 ? 5 : Variables;
+    static constexpr bool is_scalar(int i) { return (ScalarFields >> i) & 1; }
+    static constexpr bool is_number(int i) { return (NumberFields >> i) & 1; }
     static_assert(switches_are_last(Model::fields, Model::model.n_fields), "continuous parameters are counted first");
 };
 
 template <class Model, class T, int C>
-using ParamsOf = Params<T, C, ParamCount<Model>::Colors, ParamCount<Model>::Numbers, ParamCount<Model>::Switches>;
+using ParamsOf = Params<T, C, ParamCount<Model>::Colors, ParamCount<Model>::Numbers + ParamCount<Model>::Luminance,
+                        ParamCount<Model>::Switches, IsTabled<Model>::value>;
 
 // Reads the parameters of a record at a surface point.
 template <class Model, int C, template <class> class Point, class F, class S>
@@ -107,36 +157,70 @@ TR_INLINE ParamsOf<Model, F, C> load_params(const SceneView<S> &scene, const Int
     int color = 0, number = 0;
     for (int i = 0; i < ParamCount<Model>::All; ++i) {
         IntOf<F> field = record_field<F>(scene.bsdfs, i, bsdf, active);
-        if ((ParamCount<Model>::NumberFields >> i) & 1)
+        if (ParamCount<Model>::is_scalar(i))
+            p.number[number++] = luminance(eval_texture<C>(scene, scene.values, field, at, active));
+        else if (ParamCount<Model>::is_number(i))
             p.number[number++] = gather<F>(scene.values.constants, UIntOf<F>(field), active);
         else
             p.color[color++] = eval_texture<C>(scene, scene.values, field, at, active);
+        if (i == LuminanceField<Model>::value) p.number[ParamCount<Model>::Numbers] = luminance(p.color[color - 1]);
     }
     if constexpr (ParamCount<Model>::Switches > 0)
         for (int i = 0; i < ParamCount<Model>::Switches; ++i)
             p.choice[i] = record_field<F>(scene.bsdfs, ParamCount<Model>::All + i, bsdf, active);
+    if constexpr (IsTabled<Model>::value) {
+        static_assert(Model::model.n_fields <= Record::Extra, "the first number of the host's is free");
+        p.table = scene.bsdf_tables;
+        p.row = record_field<F>(scene.bsdfs, Record::Extra, bsdf, active);
+    }
     return p;
 }
 
-// The same with the i-th parameter as the i-th independent variable. Colours need one variable, not C: channels do not
-// mix.
+// The same with the parameters from `first` on, as many as a block has, as independent variables. Colours need one
+// variable, not C: channels do not mix.
 template <class Model, int C, class F>
-TR_INLINE auto seed_params(const ParamsOf<Model, F, C> &p) {
-    using D = Dual<F, ParamCount<Model>::All>;
+TR_INLINE auto seed_params(const ParamsOf<Model, F, C> &p, int first = 0) {
+    using Count = ParamCount<Model>;
+    using D = Dual<F, Count::Block>;
+    auto seed = [&](const F &value, int variable) {
+        D d(value);
+        int i = variable - first;
+        if (variable < Count::Variables && i >= 0 && i < Count::Block) d.d[i] = F(1);
+        return d;
+    };
     ParamsOf<Model, D, C> r;
     int color = 0, number = 0;
-    for (int i = 0; i < ParamCount<Model>::All; ++i) {
-        if ((ParamCount<Model>::NumberFields >> i) & 1) {
-            r.number[number] = D(p.number[number], i);
+    for (int i = 0; i < Count::All; ++i) {
+        int variable = i < Count::Fields ? i : Count::Variables;
+        if (Count::is_number(i)) {
+            r.number[number] = seed(p.number[number], variable);
             ++number;
         } else {
-            for (int c = 0; c < C; ++c) r.color[color][c] = D(p.color[color][c], i);
+            for (int c = 0; c < C; ++c) r.color[color][c] = seed(p.color[color][c], variable);
             ++color;
         }
     }
+    if (Count::Luminance) r.number[number] = seed(p.number[number], Count::Fields);
     if constexpr (ParamCount<Model>::Switches > 0)
         for (int i = 0; i < ParamCount<Model>::Switches; ++i) r.choice[i] = p.choice[i];
+    if constexpr (IsTabled<Model>::value) r.table = p.table, r.row = p.row;
     return r;
+}
+
+// Large models are compiled once for all places that call them.
+template <class Model>
+constexpr bool IsLarge = Model::Smooth && ParamCount<Model>::Variables > 2;
+
+template <Transport transport, class Model, int C, class P, class V, class I>
+TR_NOINLINE auto eval_large(const P &params, const V &wi, const V &wo, const I &lobe) {
+    return eval_inline<transport, Model, C>(params, wi, wo, lobe);
+}
+template <Transport transport, class Model, int C, class P, class V, class I>
+TR_INLINE auto eval_bsdf(const P &params, const V &wi, const V &wo, const I &lobe) {
+    if constexpr (IsLarge<Model>)
+        return eval_large<transport, Model, C>(params, wi, wo, lobe);
+    else
+        return eval_inline<transport, Model, C>(params, wi, wo, lobe);
 }
 
 }  // namespace tr

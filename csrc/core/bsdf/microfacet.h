@@ -14,6 +14,12 @@ enum class Microfacets : int32_t { Beckmann, Ggx };
 // Lobes of smaller alpha are so narrow that directions in single precision no longer resolve them.
 constexpr double MinAlpha = 1e-3;
 
+// The lanes whose surfaces have GGX facets, by the switch of a model.
+template <class F>
+TR_INLINE MaskOf<F> ggx_facets(const IntOf<F> &distribution) {
+    return mask<F>(distribution == int32_t(Microfacets::Ggx));
+}
+
 // A number within [low, ...): below, `low` is taken, with the derivative there (an optimiser finds back).
 template <class T, class F>
 TR_INLINE T at_least(const T &x, const F &low) {
@@ -22,14 +28,17 @@ TR_INLINE T at_least(const T &x, const F &low) {
 
 // Density of normals per solid angle and per area of the macroscopic surface, D(h), by the squared cosine and sine of
 // h: equations 25 and 33.
+template <class T>
+TR_INLINE T ggx_density(const T &alpha, const T &cos2, const T &sin2) {
+    T a2 = alpha * alpha, d = a2 * cos2 + sin2;  // without the cancellation of 1 + (alpha^2 - 1) cos^2
+    return a2 / (d * d * T(Pi));
+}
 template <class T, class M>
 TR_INLINE T microfacet_density(const M &ggx, const T &alpha, const T &cos2, const T &sin2) {
-    T a2 = alpha * alpha, r(0);
-    if (any(ggx)) {
-        T d = a2 * cos2 + sin2;  // without the cancellation of 1 + (alpha^2 - 1) cos^2
-        r = a2 / (d * d * T(Pi));
-    }
+    T r(0);
+    if (any(ggx)) r = ggx_density(alpha, cos2, sin2);
     if (!all(ggx)) {
+        T a2 = alpha * alpha;
         T c = max(cos2, T(1e-8));  // exp() is 0 there
         r = select(ggx, r, exp(-(sin2 / (a2 * c))) / (a2 * c * c * T(Pi)));
     }
@@ -38,11 +47,16 @@ TR_INLINE T microfacet_density(const M &ggx, const T &alpha, const T &cos2, cons
 
 // Smith's masking over the cosine, G1(v) / |v.z|, which grazing directions do not make infinite: equations 34 and
 // (exactly, not by its rational fit) 26.
+template <class T>
+TR_INLINE T ggx_masking_over_cosine(const T &alpha, const Vec3<T> &v) {
+    return T(2) / (abs(v.z) + sqrt(v.z * v.z + alpha * alpha * (v.x * v.x + v.y * v.y)));
+}
 template <class T, class M>
 TR_INLINE T masking_over_cosine(const M &ggx, const T &alpha, const Vec3<T> &v) {
-    T z = abs(v.z), s2 = v.x * v.x + v.y * v.y, r(0);
-    if (any(ggx)) r = T(2) / (z + sqrt(z * z + alpha * alpha * s2));
+    T r(0);
+    if (any(ggx)) r = ggx_masking_over_cosine(alpha, v);
     if (!all(ggx)) {
+        T z = abs(v.z), s2 = v.x * v.x + v.y * v.y;
         T s = alpha * sqrt(max(s2, T(1e-14)));
         r = select(ggx, r, T(2) / (T(2) * z + s * (erfc_integral(z / s) * T(1 / SqrtPi))));
     }
@@ -79,17 +93,21 @@ TR_INLINE Vec2<F> visible_beckmann_slopes(const F &sin, const F &cos, const F &u
 // A normal visible from wi (wi.z >= 0), of density D(m) G1(wi) max(wi.m, 0) / wi.z. For GGX by the spherical caps of
 // Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", HPG 2023, of the same distribution as Heitz,
 // "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
+template <class F>
+TR_INLINE Vec3<F> sample_visible_ggx_normal(const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
+    Vec3<F> stretched = normalize(Vec3<F>{alpha * wi.x, alpha * wi.y, wi.z});
+    F above = F(1) - u2, z = fmadd(above, F(1) + stretched.z, -stretched.z), s, c;
+    F r = sqrt(max(u2 * (F(1) + stretched.z) * (F(1) + z), F(0)));  // sqrt(1 - z^2)
+    sincos(u1 * F(2 * Pi), s, c);
+    Vec3<F> h{fmadd(r, c, stretched.x), fmadd(r, s, stretched.y), max(above * (F(1) + stretched.z), F(1e-20))};
+    return normalize(Vec3<F>{alpha * h.x, alpha * h.y, h.z});
+}
 template <class F, class M>
 TR_INLINE Vec3<F> sample_visible_normal(const M &ggx, const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
-    Vec3<F> stretched = normalize(Vec3<F>{alpha * wi.x, alpha * wi.y, wi.z}), m{F(0), F(0), F(1)};
-    if (any(ggx)) {
-        F above = F(1) - u2, z = fmadd(above, F(1) + stretched.z, -stretched.z), s, c;
-        F r = sqrt(max(u2 * (F(1) + stretched.z) * (F(1) + z), F(0)));  // sqrt(1 - z^2)
-        sincos(u1 * F(2 * Pi), s, c);
-        Vec3<F> h{fmadd(r, c, stretched.x), fmadd(r, s, stretched.y), max(above * (F(1) + stretched.z), F(1e-20))};
-        m = normalize(Vec3<F>{alpha * h.x, alpha * h.y, h.z});
-    }
+    Vec3<F> m{F(0), F(0), F(1)};
+    if (any(ggx)) m = sample_visible_ggx_normal(alpha, wi, u1, u2);
     if (!all(ggx)) {
+        Vec3<F> stretched = normalize(Vec3<F>{alpha * wi.x, alpha * wi.y, wi.z});
         F s = sqrt(stretched.x * stretched.x + stretched.y * stretched.y);
         auto tilted = mask<F>(s > F(1e-15));
         F inverse = select(tilted, F(1) / select(tilted, s, F(1)), F(0));
@@ -99,6 +117,49 @@ TR_INLINE Vec3<F> sample_visible_normal(const M &ggx, const F &alpha, const Vec3
         m = select(ggx, m, normalize(Vec3<F>{-alpha * x, -alpha * y, F(1)}));
     }
     return m;
+}
+
+// The roughness that a model renders with.
+template <class T>
+TR_INLINE T rendered_alpha(const T &alpha) {
+    using F = std::decay_t<decltype(value_of(alpha))>;
+    return at_least(alpha, F(MinAlpha));
+}
+
+// Reflection off facets into the hemisphere of the normal, for models that reflect only: a surface of density D(h)
+// G1(wi) G1(wo) / (4 |cos_i| |cos_o|) times what a facet reflects (equation 20).
+template <class T>
+struct FacetReflection {
+    T density;  // D(h) G1(wi) / |cos_i|; a quarter of it is the density of sampled directions
+    T cosine;   // of either direction on the facet
+    MaskOf<T> possible;
+
+    template <class M>
+    TR_INLINE FacetReflection(const M &ggx, const T &alpha, const Vec3<T> &wi, const Vec3<T> &wo) {
+        using F = std::decay_t<decltype(value_of(alpha))>;
+        possible = mask<F>(value_of(wi.z) > F(0)) && mask<F>(value_of(wo.z) > F(0));
+        Vec3<T> h = wi + wo;
+        T length2 = squared_norm(h);
+        possible = possible && mask<F>(value_of(length2) > F(1e-20));
+        length2 = select(possible, length2, T(1));
+        T inverse2 = T(1) / length2;
+        cosine = sqrt(length2) * T(0.5);  // wi.h = wo.h = |h|^2 / 2
+        density = microfacet_density(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2) *
+                  masking_over_cosine(ggx, alpha, wi);
+    }
+    // G1(wo), the cosine of wo being positive where reflection is possible
+    template <class M>
+    TR_INLINE T shadowing(const M &ggx, const T &alpha, const Vec3<T> &wo) const {
+        return abs(wo.z) * masking_over_cosine(ggx, alpha, wo);
+    }
+};
+
+// The direction into which a facet seen from wi reflects; below the horizon it is no sample.
+template <class F, class M>
+TR_INLINE Vec3<F> sample_facet_reflection(const M &ggx, const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
+    Vec3<F> seen{wi.x, wi.y, abs(wi.z)};
+    Vec3<F> m = sample_visible_normal(ggx, alpha, seen, u1, u2);
+    return normalize(m * (F(2) * dot(seen, m)) - seen);
 }
 
 }  // namespace tr

@@ -3,9 +3,8 @@
 // Surfaces", EGSR 2007. Light is scattered once: what facets throw onto others is lost.
 #pragma once
 
-#include "../math/fresnel.h"
 #include "bsdf.h"
-#include "microfacet.h"
+#include "facet_interface.h"
 
 namespace tr {
 
@@ -25,24 +24,13 @@ struct RoughDielectric {
     static constexpr bool Asymmetric = true;
     static constexpr int Albedo = 3;  // what goes through is most of it
 
-    // Without an interface nothing would be scattered: the lobe of refraction is a delta there. Indices next to 1 give
-    // lobes that are too narrow for directions in single precision.
-    template <class T>
-    TR_INLINE static T index(const T &eta) {
-        using F = std::decay_t<decltype(value_of(eta))>;
-        F v = max(value_of(eta), F(1e-3));
-        auto below = mask<F>(v < F(1));
-        return with_value(eta, select(below, min(v, F(1 - 1e-3)), max(v, F(1 + 1e-3))));
-    }
-
     template <class P>
     TR_INLINE static auto ggx(const P &params) {
         return mask<std::decay_t<decltype(value_of(params.number[0]))>>(params.choice[0] == int32_t(Microfacets::Ggx));
     }
 
-    // What `eval` and `pdf` share: F D G1(wi) / (4 |cos_i|) of reflection, and of refraction
-    // (1 - F) D G1(wi) |wi.h| |wo.h| / (|cos_i| (wi.h + eta wo.h)^2): equations 20 and 21. Half vectors are not
-    // normalized; with h = wi + eta wo, the last denominator is |h|^2.
+    // What `eval` and `pdf` share: F D G1(wi) / (4 |cos_i|) of reflection, and of refraction (1 - F) D G1(wi) |wi.h|
+    // |wo.h| / (|cos_i| (wi.h + eta wo.h)^2): equations 20 and 21.
     template <class T>
     struct Terms {
         T value, eta;  // the relative index along wi
@@ -51,40 +39,14 @@ struct RoughDielectric {
 
     template <class T, class P, class V>
     TR_INLINE static Terms<T> terms(const P &params, const V &wi_, const V &wo_) {
-        using F = std::decay_t<decltype(value_of(std::declval<T>()))>;
-        Vec3<T> wi{T(wi_.x), T(wi_.y), T(wi_.z)}, wo{T(wo_.x), T(wo_.y), T(wo_.z)};
-        F zi = value_of(wi.z), zo = value_of(wo.z);
-        auto outside = mask<F>(!(zi < F(0)));
-        Terms<T> r;
-        r.reflects = mask<F>(mulsign(zo, zi) > F(0));
-        T inside_over_outside = index(T(params.number[Eta])), alpha = at_least(T(params.number[Alpha]), F(MinAlpha));
-        r.eta = select(outside, inside_over_outside, T(1) / inside_over_outside);
-        Vec3<T> h = wi + wo * select(r.reflects, T(1), r.eta);
-        T length2 = squared_norm(h);
-        auto usable = mask<F>(value_of(length2) > F(1e-20));
-        T inverse2 = T(1) / select(usable, length2, T(1));
-        T wi_h = dot(wi, h), wo_h = dot(wo, h);
-        // both directions see the facet on the side on which they are
-        F side = value_of(h.z);
-        auto visible = mask<F>(mulsign(mulsign(value_of(wi_h), zi), side) > F(0)) &&
-                       mask<F>(mulsign(mulsign(value_of(wo_h), zo), side) > F(0));
-        r.possible = usable && visible && mask<F>(abs(zi) > F(0)) && mask<F>(abs(zo) > F(0));
-
-        // Cosines on the facet. Refraction has both of them at hand, so that nothing is singular at the critical angle.
-        wi_h = abs(wi_h), wo_h = abs(wo_h);
-        T ci = wi_h, ct = wo_h;
-        if (any(r.reflects)) {
-            T c = sqrt(length2) * T(0.5);  // wi.h = wo.h = |h|^2 / 2
-            T t = sqrt(max(T(1) - (T(1) - c * c) / (r.eta * r.eta), T(0)));
-            ci = select(r.reflects, c, ci), ct = select(r.reflects, t, ct);
-        }
-        ci = select(r.possible, ci, T(1)), ct = select(r.possible, ct, T(1));
-        T fresnel = fresnel_of_cosines(ci, ct, r.eta);
-        T scattered = select(r.reflects, fresnel * T(0.25), (T(1) - fresnel) * (wi_h * inverse2) * (wo_h * inverse2));
+        Vec3<T> wi = convert<T>(wi_), wo = convert<T>(wo_);
+        FacetInterface<T> facet(usable_index(T(params.number[Eta])), wi, wo);
+        T alpha = rendered_alpha(T(params.number[Alpha])), fresnel = facet.fresnel();
+        T scattered = select(facet.reflects, fresnel * T(0.25), (T(1) - fresnel) * facet.stretch);
         auto facets = ggx(params);
-        T density = microfacet_density(facets, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2);
-        r.value = select(r.possible, scattered * density * masking_over_cosine(facets, alpha, wi), T(0));
-        return r;
+        T density = microfacet_density(facets, alpha, facet.cos2, facet.sin2);
+        T value = select(facet.possible, scattered * density * masking_over_cosine(facets, alpha, wi), T(0));
+        return {value, facet.eta, facet.reflects, facet.possible};
     }
 
     // Radiance is divided by the squared relative index when it is refracted (see dielectric.h), which cancels that of
@@ -94,9 +56,8 @@ struct RoughDielectric {
                                Transport transport = Transport::Radiance) {
         using T = std::decay_t<decltype(params.number[0] * wi.z)>;
         Terms<T> r = terms<T>(params, wi, wo);
-        using V = std::decay_t<decltype(value_of(r.value))>;
-        Vec3<T> to{T(wo.x), T(wo.y), T(wo.z)};
-        T alpha = at_least(T(params.number[Alpha]), V(MinAlpha));
+        Vec3<T> to = convert<T>(wo);
+        T alpha = rendered_alpha(T(params.number[Alpha]));
         T value = r.value * (abs(to.z) * masking_over_cosine(ggx(params), alpha, to));
         T transmitted = transport == Transport::Radiance ? value : value * (r.eta * r.eta);
         Color<T, C> result;
@@ -116,10 +77,9 @@ struct RoughDielectric {
     template <int C, class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
         Vec3<F> seen = select(mask<F>(wi.z < F(0)), -wi, wi);
-        F alpha = max(params.number[Alpha], F(MinAlpha));
-        Vec3<F> m = sample_visible_normal(ggx(params), alpha, seen, u1, u2);
+        Vec3<F> m = sample_visible_normal(ggx(params), rendered_alpha(params.number[Alpha]), seen, u1, u2);
         F cos_i = dot(wi, m);
-        Fresnel<F> fresnel = fresnel_dielectric(cos_i, index(params.number[Eta]));
+        Fresnel<F> fresnel = fresnel_dielectric(cos_i, usable_index(params.number[Eta]));
         auto reflects = mask<F>(u0 < fresnel.reflectance);
         BsdfSample<F> r;
         Vec3<F> along = wi - m * cos_i;  // the part of wi along the facet

@@ -78,5 +78,15 @@ TR_INLINE F luminance(const Color<F, C> &a) {
     else
         return a.c[0];
 }
+// The adjoint of a colour of whose luminance g is the adjoint, by channels of what depends on it.
+template <class F, int C>
+TR_INLINE Color<F, C> luminance_adjoint(const Color<F, C> &g) {
+    if constexpr (C == 3) {
+        F sum = g.c[0] + g.c[1] + g.c[2];
+        return {{F(0.2126) * sum, F(0.7152) * sum, F(0.0722) * sum}};
+    } else {
+        return g;
+    }
+}
 
 }  // namespace tr

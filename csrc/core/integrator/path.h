@@ -141,9 +141,9 @@ struct Scattering {
 };
 
 template <class Model, int C, class F, class S>
-TR_INLINE void scatter(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si, const Vec3<F> &wi,
-                       const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue, const Random4<F> &ub,
-                       const MaskOf<F> &active, Scattering<F, C> &r) {
+TR_INLINE void scatter_here(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si,
+                            const Vec3<F> &wi, const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue,
+                            const Random4<F> &ub, const MaskOf<F> &active, Scattering<F, C> &r) {
     auto params = load_params<Model, C>(scene, leaf.bsdf, si.at, active);
     F mirror = select(leaf.mirrored, F(-1), F(1));
     bool splits = depth == 0;
@@ -159,7 +159,7 @@ TR_INLINE void scatter(const SceneView<S> &scene, const PathConfig &config, cons
             r.light = sample_emitter(scene, si.p, ue.u[0], ue.u[1], ue.u[2], active);
             r.wo_light = si.frame.to_local(r.light.d);
             r.wo_light.z = r.wo_light.z * mirror;
-            r.f_light = Model::template eval<C>(params, wi, r.wo_light, IntOf<F>(0));
+            r.f_light = eval_bsdf<Transport::Radiance, Model, C>(params, wi, r.wo_light, IntOf<F>(0));
             F pdf_bsdf = Model::template pdf<C>(params, wi, r.wo_light);
             // a black reflectance still has a derivative: what matters is that the direction is possible
             auto possible = active && mask<F>(r.light.pdf > F(0)) && mask<F>(pdf_bsdf > F(0));
@@ -174,10 +174,26 @@ TR_INLINE void scatter(const SceneView<S> &scene, const PathConfig &config, cons
     }
 
     r.sample = Model::template sample<C>(params, wi, ub.u[0], ub.u[1], ub.u[2]);
-    r.f = Model::template eval<C>(params, wi, r.sample.wo, r.sample.lobe);
+    r.f = eval_bsdf<Transport::Radiance, Model, C>(params, wi, r.sample.wo, r.sample.lobe);
     auto possible = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(index) < n_bsdf);
     r.inverse_pdf = select(possible, F(1) / select(possible, n_bsdf * r.sample.pdf, F(1)), F(0));
     r.alive = possible;
+}
+
+template <class Model, int C, class F, class S>
+TR_NOINLINE void scatter_large(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si,
+                               const Vec3<F> &wi, const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue,
+                               const Random4<F> &ub, const MaskOf<F> &active, Scattering<F, C> &r) {
+    scatter_here<Model>(scene, config, si, wi, leaf, index, depth, ue, ub, active, r);
+}
+template <class Model, int C, class F, class S>
+TR_INLINE void scatter(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si, const Vec3<F> &wi,
+                       const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue, const Random4<F> &ub,
+                       const MaskOf<F> &active, Scattering<F, C> &r) {
+    if constexpr (IsLarge<Model>)
+        scatter_large<Model>(scene, config, si, wi, leaf, index, depth, ue, ub, active, r);
+    else
+        scatter_here<Model>(scene, config, si, wi, leaf, index, depth, ue, ub, active, r);
 }
 
 }  // namespace tr

@@ -51,11 +51,29 @@ TR_INLINE T fresnel_conductor(const T &cos_i, const T &eta, const T &k) {
     T c2 = cos_i * cos_i, s2 = T(1) - c2;
     T a = eta * eta - k * k - s2;
     T a2b2 = sqrt(max(a * a + T(4) * eta * eta * k * k, T(0)));
-    T term1 = a2b2 + c2, term2 = T(2) * cos_i * sqrt(max(T(0.5) * (a2b2 + a), T(0)));
+    // The real root sqrt((a2b2 + a) / 2); where a < 0, as of metals, by its product eta k with the imaginary one: a sum
+    // of nearly opposite numbers would lose the digits, and at eta = 0 the derivative.
+    T larger = sqrt(max(T(0.5) * (a2b2 + abs(a)), T(0)));
+    auto negative = mask<T>(a < T(0));
+    T term1 = a2b2 + c2, term2 = T(2) * cos_i * select(negative, eta * k / select(negative, larger, T(1)), larger);
     T rs = (term1 - term2) / (term1 + term2);
     T term3 = a2b2 * c2 + s2 * s2, term4 = term2 * s2;
     T rp = rs * (term3 - term4) / (term3 + term4);
     return T(0.5) * (rs + rp);
+}
+
+// Reflectance of an interface for diffuse light, twice the integral of F(cos) cos over cosines; eta as above, so that
+// light from inside has the inverse index. Below 1: the fit of Egan and Hilgeman, "Spectral reflectance of particulate
+// materials", Icarus 19, 1973; above: that of d'Eon and Irving, "A Quantized-Diffusion Model for Rendering Translucent
+// Materials", SIGGRAPH 2011 (both within 0.3 % for indices up to 1.6).
+template <class T>
+TR_INLINE T diffuse_fresnel(const T &eta) {
+    T inverse = T(1) / eta;
+    T below = T(0.0636) * inverse + T(0.6681) + eta * (T(0.7099) - T(1.4399) * eta);
+    const double c[] = {-1.36881, 4.98554, -7.80989, 6.75335, -3.4793, 0.919317};
+    T above(c[0]);
+    for (int i = 1; i < 6; ++i) above = above * inverse + T(c[i]);
+    return select(mask<T>(eta < T(1)), below, above);
 }
 
 }  // namespace tr
