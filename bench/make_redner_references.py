@@ -4,10 +4,10 @@ Run in redner's own environment (needs pyredner, torch and numpy):
 
     redner-env/bin/python bench/make_redner_references.py
 
-There is no function that evaluates a material, so a plane is rendered, seen from `wi` and lit by a lamp that is small and
-far away in the direction `wo`: the pixel over the irradiance that the lamp would give if it were seen frontally is the
-value with the cosine. Stored: `wi`, `wo` (n, 3), `roughness` (n,), `diffuse`, `specular`, `value` (n, 3); the lamp's
-size and the samples leave errors of 3e-4.
+There is no function that evaluates a material, so a plane is rendered, seen from `wi` and lit by a lamp that is small
+and far away in the direction `wo`: the pixel over the irradiance that the lamp would give if it were seen frontally is
+the value with the cosine. Stored: `wi`, `wo` (n, 3), `roughness` (n,), `diffuse`, `specular`, `value` (n, 3); the
+lamp's size and the samples leave errors of 3e-4.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np
         gradient = np.array(dr.grad(leaves[name]), dtype=np.float64)
         if gradient.ndim < 3:  # colours come as (3, 1), single numbers as (1,)
             gradient = gradient.ravel()
-        is_environment = name.endswith(".data") and not any(w in name for w in ("reflectance", "radiance", "medium"))
+        is_environment = description.scene[name.partition(".")[0]].get("type") == "envmap" and name.endswith(".data")
         result[name] = unpadded(gradient) if is_environment else gradient
     return result
 

@@ -224,9 +224,9 @@ def _rough_ggx() -> ReferenceScene:
     return _rough(
         "ggx",
         (
-            "ball.bsdf.alpha",
+            "ball.bsdf.alpha.value",
             "ball.bsdf.eta",
-            "slab.bsdf.alpha",
+            "slab.bsdf.alpha.value",
             "slab.bsdf.eta",
             "slab.bsdf.specular_reflectance.value",
             "slab.bsdf.specular_transmittance.value",
@@ -238,7 +238,7 @@ def _rough_ggx() -> ReferenceScene:
 
 
 def _rough_beckmann() -> ReferenceScene:
-    return _rough("beckmann", ("ball.bsdf.alpha", "ball.bsdf.eta", "slab.bsdf.alpha"))
+    return _rough("beckmann", ("ball.bsdf.alpha.value", "ball.bsdf.eta", "slab.bsdf.alpha.value"))
 
 
 def _conductor() -> ReferenceScene:
@@ -299,7 +299,6 @@ def _glossy() -> ReferenceScene:
             "ball.bsdf.k.value",
             "ball.bsdf.specular_reflectance.value",
             "toy.bsdf.diffuse_reflectance.data",
-            "pane.bsdf.specular_transmittance.value",
             "floor.bsdf.reflectance.value",
         ),
     )

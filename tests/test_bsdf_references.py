@@ -1,4 +1,5 @@
-"""Values of BSDFs against those of Mitsuba 3.9.1, direction by direction, of which `bsdf_cases.py` has the scenes."""
+"""Values of BSDFs against those of Mitsuba 3.9.1, direction by direction, of which `bsdf_cases.py` has the scenes; and
+of redner's material against redner 0.4.28."""
 
 from __future__ import annotations
 
@@ -56,3 +57,13 @@ def test_delta_lobes(name):
     expected = torch.from_numpy(REFERENCES[f"{name}.delta"]).double()
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-6)
     assert (expected[0] > 0).any() and (bsdf != "thindielectric" or (expected[1] > 0).any())
+
+
+def test_redners_material():
+    stored = {k: torch.from_numpy(v) for k, v in np.load(reference_scenes.DATA / "redner_material.npz").items()}
+    for i in range(len(stored["wi"])):
+        bsdf = {"type": "redner", "roughness": float(stored["roughness"][i])}
+        for lobe in ("diffuse", "specular"):
+            bsdf[f"{lobe}_reflectance"] = {"type": "rgb", "value": stored[lobe][i].tolist()}
+        value = probe(bsdf).eval(stored["wi"][i : i + 1], stored["wo"][i : i + 1]).value[0]
+        torch.testing.assert_close(value, stored["value"][i].double(), rtol=1e-3, atol=0)  # redner's lamp has a size

@@ -36,7 +36,7 @@ MOVING = {
     ("emitter", "envmap"): {"to_world"},
     ("emitter", "point"): {"position"},
     ("bsdf", "dielectric"): {"eta"},
-    ("bsdf", "roughdielectric"): {"eta", "alpha"},
+    ("bsdf", "roughdielectric"): {"eta"},
     ("bsdf", "thindielectric"): {"eta"},
     ("bsdf", "plastic"): {"eta"},
     ("bsdf", "roughplastic"): {"eta", "alpha"},

@@ -44,7 +44,7 @@ def ball(bsdf) -> set[str]:
         ),
         ({"type": "dielectric"}, {"eta"}),
         ({"type": "dielectric", "specular_reflectance": 0.5}, {"eta", "specular_reflectance.value"}),
-        ({"type": "roughdielectric", "distribution": "ggx"}, {"eta", "alpha"}),
+        ({"type": "roughdielectric", "distribution": "ggx"}, {"eta", "alpha.value"}),
         ({"type": "conductor"}, {"eta.value", "k.value", "specular_reflectance.value"}),
         ({"type": "conductor", "eta": RGB, "k": 3.0}, {"eta.value", "k.value", "specular_reflectance.value"}),
         ({"type": "roughconductor", "material": "Au"}, {"alpha.value", "eta.value", "k.value"}),
@@ -59,6 +59,7 @@ def ball(bsdf) -> set[str]:
             | {"clearcoat.value", *RATES},
         ),
         ({"type": "principledthin"}, {"base_color.value", "roughness.value", "eta.value", *THIN_RATES}),
+        ({"type": "redner"}, {"diffuse_reflectance.value", "specular_reflectance.value", "roughness.value"}),
         ({"type": "null"}, set()),
         ({"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": "vertex_color"}}, {"reflectance.scale"}),
     ],
@@ -179,6 +180,7 @@ def test_public_classes_carry_field_names():
         tr.ThinDielectric(),
         tr.Principled(),
         tr.PrincipledThin(),
+        tr.RednerMaterial(),
     ]
     built += [tr.Dielectric(), tr.Conductor(), tr.Bitmap(data=TEXELS), tr.Checkerboard(), tr.AreaLight()]
     built += [tr.ConstantLight(), tr.EnvironmentMap(data=TEXELS), tr.PointLight(), tr.Rectangle(), tr.Disk()]

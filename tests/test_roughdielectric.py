@@ -162,7 +162,7 @@ def test_parameters_out_of_range_have_derivatives_that_lead_back(distribution, d
 
     def gradients(alpha: float, eta: float) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
         values = [torch.tensor(x, dtype=dtype, requires_grad=True) for x in (alpha, eta)]
-        params = {"ball.bsdf.alpha": values[0], "ball.bsdf.eta": values[1]}
+        params = {"ball.bsdf.alpha.value": values[0], "ball.bsdf.eta": values[1]}
         image = tr.render(scene, spp=8, seed=1, params=params, integrator=tr.PathTracer(max_depth=6))
         return image.detach(), torch.autograd.grad(image.square().mean(), values)
 

@@ -8,6 +8,7 @@
 #include "bsdf/plastic.h"
 #include "bsdf/principled.h"
 #include "bsdf/principledthin.h"
+#include "bsdf/redner.h"
 #include "bsdf/roughconductor.h"
 #include "bsdf/roughdielectric.h"
 #include "bsdf/roughplastic.h"
@@ -30,7 +31,7 @@ struct TypeList {
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
-                       ThinDielectric, Principled, RoughPlastic, PrincipledThin>;
+                       ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
 using BsdfWrappers = TypeList<TwoSided>;
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;

@@ -10,6 +10,7 @@ from .bsdf import Bsdf, BsdfSample, fresnel_conductor, fresnel_dielectric
 from .coated import Plastic, RoughPlastic
 from .numbers import cosine_hemisphere
 from .principled import Principled, PrincipledThin
+from .redner import RednerMaterial
 from .rough import RoughConductor, RoughDielectric
 from .world import World
 
@@ -133,6 +134,7 @@ BSDFS = {
     "thindielectric": ThinDielectric,
     "principled": Principled,
     "principledthin": PrincipledThin,
+    "redner": RednerMaterial,
     "null": Null,
     "twosided": TwoSided,
 }

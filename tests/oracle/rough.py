@@ -97,7 +97,7 @@ class RoughDielectric(Bsdf):
 
     def read(self, color, number) -> None:
         self.eta = number("eta")
-        self.facets = Facets(number("alpha"), self.record.field["distribution"] == 1)
+        self.facets = Facets(self.scalar("alpha"), self.record.field["distribution"] == 1)
         self.reflectance, self.transmittance = color("specular_reflectance"), color("specular_transmittance")
 
     def split(self, wi: torch.Tensor, wo: torch.Tensor):

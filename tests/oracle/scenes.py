@@ -127,7 +127,9 @@ def rough() -> dict:
         },
         tube=_tube(
             to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
-            bsdf=interface("beckmann", alpha=0.2, int_ior=1.3, specular_transmittance=r._bitmap(61, 3, 3)),
+            bsdf=interface(
+                "beckmann", alpha=r._bitmap(65, 3, 3, 0.1, 0.3), int_ior=1.3, specular_transmittance=r._bitmap(61, 3, 3)
+            ),
         ),
         bubble={
             "type": "sphere",
@@ -187,6 +189,16 @@ def glossy() -> dict:
             "center": [1.6, -0.3, 0.4],
             "radius": 0.5,
             "bsdf": {"type": "principled", "spec_trans": 0.7, "eta": 1.4, **r.PRINCIPLED, "roughness": 0.6},
+        },
+        die={
+            "type": "cube",
+            "to_world": r.translate(1.2, -0.8, 1.4) @ r.rotate("y", 20) @ r.scale(0.2),
+            "bsdf": {
+                "type": "redner",
+                "diffuse_reflectance": r._bitmap(91, 3, 3),
+                "specular_reflectance": r._rgb(0.5, 0.3, 0.2),
+                "roughness": 0.2,
+            },
         },
         leaf={
             "type": "rectangle",

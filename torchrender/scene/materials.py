@@ -138,8 +138,7 @@ class RoughDielectric(Dielectric):
 
     Args:
         distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
-        alpha: roughness, from 0.001 to 10, default 0.1; equal in all directions. Below its range while rendering it
-            counts as 0.001.
+        alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
         int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
         ext_ior: index of refraction outside; default ``"air"`` (1.000277).
         eta: relative index of refraction, in place of the two. Within 0.001 of 1 it counts as 1.001 or 0.999.
@@ -149,11 +148,6 @@ class RoughDielectric(Dielectric):
     category, type = "bsdf", "roughdielectric"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
     unsupported = ("alpha_u", "alpha_v")
-
-    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        if isinstance(properties.get("alpha"), (Plugin, Mapping)):
-            ctx.at("alpha").error("expected a number: this roughness cannot be a texture")
-        return super().prepare(properties, ctx)
 
 
 @register
@@ -260,6 +254,11 @@ class RoughPlastic(RoughDielectric):
     inside = "polypropylene"
     optional = frozenset({"specular_reflectance"})
 
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        if isinstance(properties.get("alpha"), (Plugin, Mapping)):
+            ctx.at("alpha").error("expected a number: this roughness cannot be a texture")
+        return super().prepare(properties, ctx)
+
 
 @register
 class Principled(Plugin):
@@ -320,6 +319,23 @@ class PrincipledThin(Plugin):
     category, type = "bsdf", "principledthin"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"anisotropic": (0.0,)}
     optional = frozenset("spec_trans spec_tint sheen sheen_tint flatness diff_trans".split())
+
+
+@register
+class RednerMaterial(Plugin):
+    """The material of redner, one-sided: a diffuse lobe and, beside it, facets of Blinn's and Phong's density.
+
+    Both lobes together may reflect more than arrives. In redner it is `Material`, with its arguments of the same names;
+    there paths of several bounces may count it as rougher than it is.
+
+    Args:
+        diffuse_reflectance: albedo (texture), default 0.5.
+        specular_reflectance: reflectance of facets at normal incidence (texture), default 0.
+        roughness: 2 / (n + 2) for the exponent n of the facets' cosine (texture), default 1; below 0.00001 it counts as
+            that.
+    """
+
+    category, type = "bsdf", "redner"
 
 
 TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "principledthin", "mask")

@@ -190,7 +190,7 @@ TR_INLINE void sweep_continuation(const SceneView<S> &scene, const VertexRecord<
     if constexpr (Model::Delta) {
         static_assert(ParamCount<Model>::Scalars == 0, "a delta lobe is turned by numbers, not by textures");
         Vec3<F> turned = next.ray.d;
-        if constexpr (Model::Smooth) turned = select(mask<F>(v.lobe == 0), zero, turned);
+        if constexpr (Model::Smooth) turned = select(mask<F>(v.lobe == 0), Vec3<F>{F(0), F(0), F(0)}, turned);
         using E = Dual<F, 3 + ParamCount<Model>::Numbers>;
         Params<E, C, 0, ParamCount<Model>::Numbers> numbers;
         for (int i = 0; i < ParamCount<Model>::Numbers; ++i) numbers.number[i] = E(params.number[i], 3 + i);

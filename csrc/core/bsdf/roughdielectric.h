@@ -14,7 +14,8 @@ struct RoughDielectric {
     static constexpr Field fields[] = {
         {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3, "interior",
          "index of refraction inside (below the surface) over outside; within 1e-3 of 1 it counts as 1.001 or 0.999"},
-        {"alpha", Kind::Float, 0.1, MinAlpha, 10, "interior", "roughness of the microfacet distribution"},
+        {"alpha", Kind::Scalar, 0.1, 0, 10, "interior",
+         "roughness of the microfacet distribution; below 0.001 it counts as that"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
         {"distribution", Kind::Int, 0, 0, 1, "", "0: beckmann, 1: ggx"},
