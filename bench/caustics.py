@@ -16,6 +16,7 @@ import argparse
 import json
 import tempfile
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +63,7 @@ class Plate:
     def __init__(self, size: int, resolution: int, spp: int, **settings: Any) -> None:
         scene = make_caustics.caustics(torch.from_numpy(waves(size)), resolution=resolution, spp=spp)
         self.scene = tr.load_dict(scene)
+        warnings.filterwarnings("ignore", category=tr.MissingTermWarning)  # there are no moving edges
         (self.heights,) = self.scene.train_only(make_caustics.LENS)
         try:
             self.renderer = tr.Renderer(self.scene, spp=spp, **settings)

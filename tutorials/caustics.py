@@ -25,6 +25,7 @@ import argparse
 import math
 import sys
 import time
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -126,6 +127,9 @@ def run(
     coarsest = torch.zeros(sizes[0], sizes[0])
     scene = tr.load_dict(make_caustics.caustics(coarsest, colour=colour, resolution=resolution))
     renderer = tr.Renderer(scene)
+    # The renderer warns that the term from moving edges is missing in derivatives of shapes. A plate without folds that
+    # is wholly in the light has none.
+    warnings.filterwarnings("ignore", category=tr.MissingTermWarning)
     u = torch.nn.Parameter(coarsest if state is None else state["u"])
     smoothing = tr.optim.GridSmoothing(smoothness * len(u) / size)
     # The derivatives by single heights are tiny, next to which Adam's usual epsilon would be large.
