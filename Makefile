@@ -13,6 +13,8 @@
 #                 PIP_OPTIONS="--extra-index-url https://download.pytorch.org/whl/cpu" TORCH="torch==2.13.0+cpu"
 #   CONSTRAINTS   the file of pinned versions; empty takes the newest (constraints.txt)
 #   PYTEST_ARGS   what `make test` hands to pytest                (-q tests)
+#   TORCHRENDER_BUILD_ISA  the instruction sets to compile for: this processor's best one, or a list such as
+#                 v2,avx2,avx512, which is what wheels have           (native)
 
 PYTHON ?= python3
 TORCH ?= torch==2.13.0
@@ -20,6 +22,7 @@ PIP_OPTIONS ?=
 CONSTRAINTS ?= constraints.txt
 PYTEST_ARGS ?= -q tests
 VENV ?= .venv
+export TORCHRENDER_BUILD_ISA ?= native
 
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))

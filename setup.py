@@ -16,8 +16,9 @@ Commands
 Environment
     CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++") and further flags
     MAX_JOBS                   number of compilers at once (default: number of processors)
-    TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less while developing
-                               (scalar is what processors other than x86-64 get, and can be built anywhere)
+    TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less: "native" is the best one of
+                               this machine's processor, which is what the Makefile asks for (scalar is what
+                               processors other than x86-64 get, and can be built anywhere)
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
 
@@ -53,6 +54,9 @@ AVX512_FLAGS = [
 IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 ISA_FLAGS = {"scalar": []} | ({"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {})
 DEFAULT_ISAS = ["v2", "avx2", "avx512"] if IS_X86 else ["scalar"]
+# What Linux calls the flags that tell a processor which can run them.
+CPU_FLAGS = {"avx2": frozenset("avx2 fma f16c bmi1 bmi2 abm movbe".split())}
+CPU_FLAGS["avx512"] = CPU_FLAGS["avx2"] | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
@@ -63,9 +67,22 @@ def fail(sentence: str) -> None:
     raise SystemExit(f"torchrender: {sentence}")
 
 
+def native_isas() -> list[str]:
+    """The best instruction set of this processor; all of them where it cannot be asked."""
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return DEFAULT_ISAS
+    line = next((line for line in text.splitlines() if line.startswith("flags")), "")
+    flags = set(line.partition(":")[2].split())
+    best = [isa for isa in DEFAULT_ISAS if CPU_FLAGS.get(isa, frozenset()) <= flags]
+    return best[-1:]
+
+
 def selected_isas() -> list[str]:
     """The instruction sets to build, best last: DEFAULT_ISAS unless TORCHRENDER_BUILD_ISA says otherwise."""
     wanted = [name.strip() for name in os.environ.get("TORCHRENDER_BUILD_ISA", "").split(",") if name.strip()]
+    wanted = [name for word in wanted for name in (native_isas() if word == "native" else [word])]
     unknown = [name for name in wanted if name not in ISA_FLAGS]
     if unknown:
         fail(f"TORCHRENDER_BUILD_ISA names {unknown[0]!r}; this processor has {', '.join(ISA_FLAGS)}.")

@@ -132,7 +132,7 @@ def test_one_surface_of_glass_takes_its_reflection_and_no_more():
     assert abs(float(mean[1])) < 4 * 0.4 / math.sqrt(12 * spp * size**2)
 
 
-@pytest.mark.parametrize("angle", [0.0, 30.0, 60.0])
+@pytest.mark.parametrize("angle", [0.0, 30.0, 40.0])  # from 45 degrees on reflected light goes down, too
 def test_a_flat_plate_shifts_the_image(angle):
     eta, thickness, spp, size = 1.5, 0.4, 4, 50
     glass = {"type": "dielectric", "int_ior": eta, "ext_ior": 1.0}
@@ -303,7 +303,7 @@ def test_the_front_is_measured_and_null_lets_light_through():
     loaded = tr.load_dict({**scene, "upper": back}, dtype=torch.float64)
     found = {loaded.sensors[i].shape: tr.render(loaded, integrator=once, spp=4, seed=1, sensor=i) for i in (0, 1)}
     assert float(found[loaded.upper].abs().max()) == 0
-    torch.testing.assert_close(found[loaded.floor], below)
+    torch.testing.assert_close(found[loaded.floor], front)  # of the same random numbers
 
 
 def test_a_mesh_measures_as_a_rectangle_does():

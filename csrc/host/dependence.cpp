@@ -96,7 +96,7 @@ bool Dependence::bsdfs_vary() const {
     for (const Record &record : layout_.records.at("bsdf")) {
         const Model &model = model_of("bsdf", record);
         for (int f = 0; f < model.n_fields; ++f)
-            if (model.fields[f].kind == Kind::Texture &&
+            if ((model.fields[f].kind == Kind::Texture || model.fields[f].kind == Kind::Scalar) &&
                 layout_.records.at("texture")[size_t(record.field[f])].kind != constant)
                 return true;
     }
