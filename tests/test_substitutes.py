@@ -88,6 +88,7 @@ def test_parameters_cameras_and_integrators(monkeypatch):
         integrator={"type": "moment", "inner": {"type": "direct", "shading_samples": 2}},
         env={"type": "envmap", "data": np.ones((2, 4, 3)), "mis_compensation": True},
         box={"type": "cube", "max_smooth_angle": 30.0},
+        metal={"type": "conductor", "material": "Unobtainium"},
         rough={"type": "roughdielectric", "alpha": {"type": "bitmap", "data": np.ones((2, 2, 1))}, "alphaa": 1.0},
     )
     camera = scene.sensors[0]
@@ -95,7 +96,8 @@ def test_parameters_cameras_and_integrators(monkeypatch):
     assert scene.integrator.kind == "direct" and scene.integrator.emitter_samples == 2
     text = "\n".join(said)
     parts = ["cam: 'thinlens'", "cam.film: 'specfilm'", "cam: the parameter srf", "the parameter tone=1", "'moment'"]
-    parts += ["mis_compensation=True", "box: the parameter max_smooth_angle=30.0", "rough: the parameter alphaa=1.0"]
+    parts += ["metal: the parameter material='Unobtainium' is not known", "mis_compensation=True"]
+    parts += ["box: the parameter max_smooth_angle=30.0", "rough: the parameter alphaa=1.0"]
     assert all(part in text for part in parts), text
 
 

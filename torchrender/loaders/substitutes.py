@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import SubstitutionWarning
 from ..integrators import TYPES as INTEGRATORS
-from ..scene import materials, registry
+from ..scene import registry
 from ..scene.declaration import models
 from ..scene.film import _FILM_NAMES, _FORMATS, _RELATED, FILTERS, SAMPLERS
 from ..scene.values import is_spectrum
@@ -293,8 +293,11 @@ def _unusable(kind: str, category: str, name: str, content: Any) -> str | None:
         return "has no such value here"
     if name == "mis_compensation" and content is True:
         return "is not supported"
-    if name == "material" and kind == "conductor" and content not in (*materials.METALS, "none"):
-        return "is not known"
+    if name == "material" and isinstance(content, str):
+        try:
+            cls(material=content)
+        except ValueError:
+            return "is not known"
     field = cls.fields().get(cls.aliases.get(name, name))
     is_texture = isinstance(content, Mapping) and content.get("type") != "ref" and not is_spectrum(content)
     if is_texture and field is not None and category != "texture":
