@@ -194,3 +194,18 @@ def test_reattach():
         tr.reattach(torch.zeros(2), torch.zeros(3))
     with pytest.raises(TypeError, match="expected a tensor"):
         tr.reattach(0.0, torch.zeros(3))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"integrator": "ptracer", "outputs": ["depth"]}, "outputs: an irradiancemeter has no 'depth', but 'rgb'"),
+        ({"integrator": "ptracer", "outputs": ["rgb", "uv"]}, "outputs: an irradiancemeter has no 'uv', but 'rgb'"),
+        ({"integrator": "path"}, "sensor: an irradiancemeter is measured by ParticleTracer"),
+    ],
+)
+def test_what_a_meter_does_not_measure(arguments, message):
+    meter = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 2, "height": 2}}
+    scene = tr.load_dict({"type": "scene", "sky": {"type": "constant"}, "wall": {"type": "rectangle", "meter": meter}})
+    with pytest.raises(ValueError, match=message):
+        tr.render(scene, **arguments)

@@ -43,6 +43,8 @@ def test_a_mesh_lies_on_the_surface_and_turns_with_its_normals(scale):
     a, b, c = vertices.detach()[faces.long()].unbind(1)
     flat = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
     assert float((flat * normals.detach()[faces.long()[:, 0]]).sum(1).min()) > 0.8
+    mesh = tr.Mesh(vertices=vertices, faces=faces, vertex_normals=normals, vertex_texcoords=texcoords)
+    assert torch.equal(mesh.vertex_texcoords.detach(), texcoords.detach())
     (gradient,) = torch.autograd.grad(vertices.sum(), heights)
     assert bool((gradient != 0).all())
 

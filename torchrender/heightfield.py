@@ -82,7 +82,7 @@ def mesh(
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """The surface as a fine mesh, a regular grid of points that lie on it, differentiable in heights and matrix.
 
-    ``tr.Mesh(vertices=v, faces=f, vertex_normals=n, vertex_texcoords=uv)`` takes the four.
+    ``tr.Mesh(vertices=v, faces=f, vertex_normals=n, vertex_texcoords=uv)`` takes the four, as ``tr.Mesh(*four)`` does.
 
     Args:
         heights: (H, W).

@@ -105,10 +105,11 @@ class ParticleTracer(_Paths):
     """Light tracing: paths from the lights, connected to the camera wherever they meet no smooth mirror or glass.
 
     For caustics, which no path from the camera finds: light through glass, and beams (`directionalarea`). Its blind
-    spot is what the camera sees in mirrors and through smooth glass, which is black. Where both converge the image is
-    that of `PathTracer`. ``spp`` times the number of pixels of the whole film paths are traced, spread evenly over the
-    lights; each pixel of the film is a stratum of the unit square that lights are sampled from. The camera may be an
-    `irradiancemeter`, which measures what arrives on a surface.
+    spot is what the camera sees in mirrors, through smooth glass and behind surfaces that are `null`, which is black,
+    and lights whose ``sampling_weight`` is 0. Where both converge the image is that of `PathTracer`. ``spp`` times the
+    number of pixels of the whole film paths are traced, divided among the lights by their weights, also where only a
+    part of the film is wanted; each pixel of the film is a stratum of the unit square that lights are sampled from. The
+    camera may be an `irradiancemeter`, which measures what arrives on a surface.
 
     Derivatives include the motion of what is seen over the film, for which the film needs a smooth filter (Gaussian or
     tent): with a box filter, asking for the derivative of something that moves raises `NotDifferentiableError`.

@@ -82,7 +82,8 @@ def render(
             among the scene's shapes and face, -1 at a miss. See `torchrender.outputs`.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
-            (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N. Not with `crop`.
+            (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N, but light tracing has
+            those of the whole film: its paths belong to no pixel. Not with `crop`.
         layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two. With
             `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
         correlated: differentiate the samples of the image, `seed_grad` being `seed`: gradients of nonlinear losses are
@@ -219,11 +220,11 @@ def _check_meter(
     meter: IrradianceMeter, light: bool, names: Sequence[str], stack: Any, tensors: list[torch.Tensor], packed: Layout
 ) -> None:
     """What can be measured, and differentiated, on a surface."""
-    if not light:
-        raise ValueError("render: sensor: an irradiancemeter is measured by ParticleTracer ('ptracer')")
     others = [name for name in names if name != "rgb"] or (["aovs"] if stack is not None else [])
     if others:
         raise ValueError(f"render: outputs: an irradiancemeter has no {others[0]!r}, but 'rgb'")
+    if not light:
+        raise ValueError("render: sensor: an irradiancemeter is measured by ParticleTracer ('ptracer')")
     slot = packed.slot_of.get((id(meter.shape), "vertex_texcoords"))
     if slot is not None and tensors[slot].requires_grad and torch.is_grad_enabled():
         raise NotDifferentiableError(
