@@ -298,7 +298,8 @@ def _glossy() -> ReferenceScene:
             "ball.bsdf.eta.value",
             "ball.bsdf.k.value",
             "ball.bsdf.specular_reflectance.value",
-            "toy.bsdf.diffuse_reflectance.data",
+            # not toy.bsdf.diffuse_reflectance: Mitsuba chooses the coat by the texture's mean, and differentiates that;
+            # tests/test_bsdfs.py and the oracle have the derivative
             "floor.bsdf.reflectance.value",
         ),
     )

@@ -192,11 +192,13 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     auto begin = std::chrono::steady_clock::now();
     Plan plan = plan_of_light(call);
     const size_t capacity = Forward ? 512 : 1024;
-    // enough for many threads, but few enough that adding up films is less work than tracing
-    const size_t pixels = std::max<size_t>(1, size_t(call.film_height) * size_t(call.film_width));
-    const size_t film = size_t(std::max(0, call.crop.height())) * size_t(std::max(0, call.crop.width()));
-    const size_t fitting = pixels * size_t(call.spp) / (4 * film + 1);
-    const size_t groups = std::min<size_t>(plan.n_items(), std::min<size_t>(64, std::max<size_t>(16, fitting)));
+    // Enough for many threads, but few enough that adding up films is less work than tracing; not a matter of the crop,
+    // whose pixels are to be those of the whole bit for bit.
+    const size_t fitting = std::min<size_t>(64, std::max<size_t>(16, size_t(call.spp) / 4));
+    const size_t film_bytes = 16 * (size_t(call.film_height) * size_t(call.film_width) + 1);
+    const size_t affordable =
+        std::max<size_t>(4, (size_t(1) << 30) / film_bytes);  // films that wait for an earlier one
+    const size_t groups = std::min({plan.n_items(), fitting, affordable});
     OrderedFilms<S, C> films(call.crop);
     std::mutex mutex;
     run_items(groups, call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {

@@ -195,10 +195,20 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
         Vec3<F> d_bar{F(0), F(0), F(0)};  // directions of the environment are at rest
         sweep_emitter(scene, v.light, select(parallel, -v.d, v.d), by_path + by_camera, wanted, active, at, d_bar,
                       sink);
-        if (any(beam) && wanted.emitter)
-            sink.texture(scene,
-                         record_field<F>(scene.emitters, DirectionalAreaEmitter::Radiance, v.light.emitter, beam),
-                         v.light.at, by_path + by_camera, beam);
+        if (any(beam)) {
+            IntOf<F> texture = record_field<F>(scene.emitters, DirectionalAreaEmitter::Radiance, v.light.emitter, beam);
+            Color<F, C> g = by_path + by_camera;
+            if (wanted.emitter) sink.texture(scene, texture, v.light.at, g, beam);
+            if (wanted.geometry) sweep_lookup<C>(scene, texture, v.light.at, g, beam, at, sink);
+        }
+        auto surface = area || beam;
+        if (wanted.geometry && scene.textured && any(surface)) {  // texture coordinates, where nothing else moves
+            HitAdjoint<F> hit;
+            hit.at = at;
+            Vec3<F> zero{F(0), F(0), F(0)};
+            Arrival<F> in{MaskOf<F>(false), v.normal, F(1), v.normal, zero, F(0)};
+            sweep_surface(scene, v.light.at, v.p, in, hit, surface, sink);
+        }
     }
     if (!wanted.geometry) return;
     Vec3<F> zero{F(0), F(0), F(0)};

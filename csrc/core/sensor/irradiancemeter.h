@@ -30,6 +30,9 @@ struct IrradianceMeter {
         r.importance = abs(e1.x * e2.y - e1.y * e2.x) * F(width * height) / select(r.seen, area, F(1));
         r.x = si.at.uv.x * F(width);
         r.y = si.at.uv.y * F(height);
+        // beyond the film nothing is averaged
+        r.seen = r.seen && mask<F>(r.x >= F(0)) && mask<F>(r.x <= F(width)) && mask<F>(r.y >= F(0)) &&
+                 mask<F>(r.y <= F(height));
         return r;
     }
 };
