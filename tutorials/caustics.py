@@ -81,7 +81,7 @@ def run(
     passes: int = 10,
     iterations: int = 1500,
     rate: float = 3e-4,
-    smoothness: float = 4.0,
+    smoothness: float = 1.0,
     limit: float = 0.01,
     width_mm: float = 100.0,
     mesh: int = 1024,
@@ -99,7 +99,7 @@ def run(
         spp, spp_grad, passes: samples a pixel of picture and derivative in a pass, and passes, of the first iterations.
         iterations: steps of the optimiser.
         rate: the learning rate of the first iterations; heights move a tenth of that in a step, about.
-        smoothness: lambda of the large steps on the finest grid, on one half as fine half of that.
+        smoothness: lambda of the large steps, for each height along the side of a pixel.
         limit: the largest height, up and down.
         width_mm: width of the finished plate in millimetres.
         mesh: triangles along a side of the written front, at most.
@@ -131,7 +131,7 @@ def run(
     # is wholly in the light has none.
     warnings.filterwarnings("ignore", category=tr.MissingTermWarning)
     u = torch.nn.Parameter(coarsest if state is None else state["u"])
-    smoothing = tr.optim.GridSmoothing(smoothness * len(u) / size)
+    smoothing = tr.optim.GridSmoothing(smoothness * len(u) / resolution)
     # The derivatives by single heights are tiny, next to which Adam's usual epsilon would be large.
     optimiser = torch.optim.Adam([u], lr=rate, betas=(0.9, 0.95), eps=1e-20)
     generator = torch.Generator().manual_seed(0)  # all chance in the loop comes from here
@@ -150,7 +150,7 @@ def run(
             with torch.no_grad():
                 heights = tr.optim.resample(smoothing.from_differential(u), (finer, finer), "clamp")
             u = tr.optim.upsample_tensor(u, (finer, finer), optimiser, wrap_mode="clamp")
-            smoothing = tr.optim.GridSmoothing(smoothness * finer / size)
+            smoothing = tr.optim.GridSmoothing(smoothness * finer / resolution)
             u.data.copy_(smoothing.to_differential(heights))
         slower = sum(iteration >= round(part * iterations) for part in SLOWER_AT)
         for group in optimiser.param_groups:
