@@ -80,6 +80,21 @@ def test_emitters(light, expected):
     assert names(light=light) == {f"light.{n}" for n in expected}
 
 
+def test_beams_and_meters_belong_to_their_shape():
+    beam = {"type": "directionalarea", "radiance": RGB}
+    found = names(
+        q={"type": "rectangle", "any": beam}, floor={"type": "rectangle", "meter": {"type": "irradiancemeter"}}
+    )
+    assert found == {
+        "q.bsdf.reflectance.value",
+        "q.emitter.sampling_weight",
+        "q.emitter.radiance.value",
+        "q.to_world",
+        "floor.bsdf.reflectance.value",
+        "floor.to_world",
+    }
+
+
 def test_area_lights_belong_to_their_shape():
     found = names(q={"type": "rectangle", "any": {"type": "area", "radiance": BITMAP}})
     assert found == {
@@ -184,7 +199,8 @@ def test_public_classes_carry_field_names():
     ]
     built += [tr.Dielectric(), tr.Conductor(), tr.Bitmap(data=TEXELS), tr.Checkerboard(), tr.AreaLight()]
     built += [tr.ConstantLight(), tr.EnvironmentMap(data=TEXELS), tr.PointLight(), tr.Rectangle(), tr.Disk()]
-    built += [tr.Sphere(), tr.Cube(), tr.PerspectiveCamera()]
+    built += [tr.Sphere(), tr.Cube(), tr.PerspectiveCamera(), tr.DirectionalAreaLight()]
+    built += [tr.IrradianceMeter(shape=tr.Rectangle())]
     assert len({type(b) for b in built}) == len(built)
     assert "Diffuse" in dir(tr)
     with pytest.raises(AttributeError, match="Difuse"):

@@ -187,7 +187,12 @@ shadows. What depends on the object: `to_uv` of a bitmap with nearest texels has
 `tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
 rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of
 refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking for one of those raises
-`tr.NotDifferentiableError`."""
+`tr.NotDifferentiableError`.
+
+`tr.ParticleTracer` has the same derivatives as the path tracers, with the motion of light over the film. That needs a
+Gaussian or tent filter: with a box filter, asking for the derivative of something that moves raises
+`tr.NotDifferentiableError`, and so does, with an `irradiancemeter`, the one with respect to the texture coordinates of
+its surface. A beam (`directionalarea`) moves and turns with its surface."""
 
 
 def page() -> str:
