@@ -37,6 +37,9 @@ PYTHON_ONLY = {
     "test_optim_scene",
     "test_optim_smoothing",
     "test_parameters",
+    "test_particle_errors",
+    "test_particle_oracle",
+    "test_caustics_mesh",
     "test_particle_analytic",  # closed forms of what the images of test_particle_images have in all instruction sets
     "test_pixels",
     "test_project",
