@@ -223,8 +223,6 @@ def test_beams_need_a_flat_shape():
     )
     with pytest.raises(ValueError, match=r"'emitter': expected a flat shape, or a mesh without vertex normals"):
         image(tr.load_dict(ls.room(light=curved)))
-    with pytest.raises(ValueError, match="directionalarea"):
-        tr.load_dict(ls.room(light={"type": "directionalarea"})).layout()
 
 
 # ----------------------------------------------------------------------------------------------------------- bad values
