@@ -259,8 +259,8 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         r.at.primitive = search_cdf<F>(scene.area_cdf, faces[1], n, u0, mesh);
         Vec2<F> b = square_to_triangle(u1, u2);
         if (unfold) {
-            auto two = mesh && mask<F>(n == 2u) &&
-                       mask<F>(abs(gather<F>(scene.area_cdf, faces[1], mesh) - F(0.5)) < F(1e-5));
+            auto two =
+                mesh && mask<F>(n == 2u) && mask<F>(abs(gather<F>(scene.area_cdf, faces[1], mesh) - F(0.5)) < F(1e-5));
             auto second = mask<F>(u2 > u1);
             r.at.primitive = select(mask<U>(two), select(mask<U>(second), U(1u), U(0u)), r.at.primitive);
             b = {select(two, select(second, u1, u1 - u2), b.x), select(two, select(second, u2 - u1, u2), b.y)};

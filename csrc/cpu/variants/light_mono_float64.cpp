@@ -4,6 +4,7 @@ namespace tr {
 
 template RenderStats trace_light<double, 1>(const RenderCall<double> &, bool, double *);
 template RenderStats trace_light_reverse<double, 1>(const RenderCall<double> &, bool, DerivativeCall<double> &);
-template RenderStats trace_light_forward<double, 1>(const RenderCall<double> &, bool, const DerivativeCall<double> &, double *);
+template RenderStats trace_light_forward<double, 1>(const RenderCall<double> &, bool, const DerivativeCall<double> &,
+                                                    double *);
 
 }  // namespace tr

@@ -4,6 +4,7 @@ namespace tr {
 
 template RenderStats trace_light<float, 3>(const RenderCall<float> &, bool, float *);
 template RenderStats trace_light_reverse<float, 3>(const RenderCall<float> &, bool, DerivativeCall<float> &);
-template RenderStats trace_light_forward<float, 3>(const RenderCall<float> &, bool, const DerivativeCall<float> &, float *);
+template RenderStats trace_light_forward<float, 3>(const RenderCall<float> &, bool, const DerivativeCall<float> &,
+                                                   float *);
 
 }  // namespace tr
