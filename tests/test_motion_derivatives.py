@@ -68,7 +68,18 @@ def moving_parameters(scene: tr.Scene) -> dict[str, tuple[str, str, str]]:
     return found
 
 
-CASES = [(name, parameter) for name in motion_scenes.SCENES for parameter in moving_parameters(load(name))]
+# Where a parameter changes the chance of a coat or of a reflection, differences with common random numbers lack the
+# few paths that go another way.
+JUMPS = {
+    ("mug_in_room", "ball.bsdf.diffuse_reflectance.to_uv"),
+    ("pane_in_room", "room.radius"),
+}
+CASES = [
+    (name, parameter)
+    for name in motion_scenes.SCENES
+    for parameter in moving_parameters(load(name))
+    if (name, parameter) not in JUMPS
+]
 
 
 def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
@@ -124,11 +135,10 @@ def test_moving_but_continuous(name, parameter):
     scene = load(name)
     # A ray that is refracted in one image and reflected in the other, or meets a light in one of them only, is rare and
     # weighs much: steps long enough that every seed has some of these.
-    # So it is where a coat is chosen over its base with a probability that the parameter changes.
-    coat = name.startswith(("mug", "pane"))
-    glass = name.startswith(("glass", "frosted")) or coat
-    step = 0.2 if parameter.endswith("fov") else 0.02 if coat or (glass and not parameter.endswith("to_uv")) else 2e-3
-    spp = 400 if name.startswith("glass") or coat else 100 if glass else 64
+    # The table of a rough coat is smooth over percents of its index.
+    glass = name.startswith(("glass", "frosted")) or (name, parameter) == ("mug_in_room", "ball.bsdf.eta")
+    step = 0.2 if parameter.endswith("fov") else 0.02 if glass and not parameter.endswith("to_uv") else 2e-3
+    spp = 400 if name.startswith("glass") else 100 if glass else 64
     derivatives, differences = compare(scene, parameter, SEEDS, spp, step)
     passed, text = agrees(derivatives, differences, 0.02 if glass else 5e-3, len(CASES))
     assert passed, f"{name} {parameter}: {text}"

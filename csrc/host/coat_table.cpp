@@ -1,9 +1,10 @@
 // Light through a rough coating, by Gaussian quadrature over visible normals m: of light from wi, the share
 // (1 - F(wi.m)) G1(wt) goes on below, wt being refracted at m, and F(wi.m) G1(wr) is reflected (Walter et al., EGSR
-// 2007, equations 20 and 21 over the density of visible normals). Dual numbers carry the derivatives: nodes are
-// functions of index and roughness, as if they were sampled with the same random numbers.
+// 2007, equations 20 and 21 over the density of visible normals). Derivatives in index and roughness are differences of
+// that over two or five percent of them: those of the nodes' values would be infinite where total reflection begins.
 #include "coat_table.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -12,8 +13,6 @@
 namespace tr {
 
 namespace {
-
-using D = Dual<double, 2>;  // derivatives in index and roughness
 
 // Nodes and weights on [0, 1], by Newton's method for the roots of the Legendre polynomial.
 struct Gauss {
@@ -44,87 +43,87 @@ struct Normals {
 
     // Calls visit(normal, weight) for every node.
     template <class Visit>
-    void visit(const Coat &coat, const D &alpha, double sine, double cosine, Visit &&visit) const {
-        D length = sqrt(alpha * alpha * D(sine * sine) + D(cosine * cosine));
-        D s = alpha * D(sine) / length, c = D(cosine) / length;
+    void visit(const Coat &coat, double alpha, double sine, double cosine, Visit &&visit) const {
+        double length = std::sqrt(alpha * alpha * sine * sine + cosine * cosine);
+        double s = alpha * sine / length, c = cosine / length;
         for (size_t j = 0; j < height.x.size(); ++j) {
             // nodes crowd at both ends, where normals vary with the square root of the number
             double t = height.x[j], u = t * t * (3 - 2 * t), w = height.w[j] * 6 * t * (1 - t);
-            D z = D(1 - u) * (D(1) + c) - c, r = sqrt(max(D(1) - z * z, D(0)));
-            D slope = coat.ggx ? D(0) : visible_slope(s, c, u);
+            double z = (1 - u) * (1 + c) - c, r = std::sqrt(std::max(1 - z * z, 0.0));
+            double slope = coat.ggx ? 0 : visible_beckmann_slopes(s, c, u, 0.5).x;
             for (size_t i = 0; i < azimuth.x.size(); ++i) {
-                Vec3<D> m;
+                Vec3<double> m;
                 if (coat.ggx) {
                     double phi = Pi * azimuth.x[i];
-                    Vec3<D> h{r * D(std::cos(phi)) + s, r * D(std::sin(phi)), z + c};
+                    Vec3<double> h{r * std::cos(phi) + s, r * std::sin(phi), z + c};
                     m = {alpha * h.x, alpha * h.y, h.z};
                 } else {
                     double other = erf_inverse_of_share(0.5 + 0.5 * azimuth.x[i]);
-                    m = {-alpha * slope, -alpha * D(other), D(1)};
+                    m = {-alpha * slope, -alpha * other, 1};
                 }
-                visit(m * (D(1) / sqrt(squared_norm(m))), w * azimuth.w[i]);
+                visit(m * (1 / norm(m)), w * azimuth.w[i]);
             }
         }
     }
-
-private:
-    // The slope along x of share u (see visible_beckmann_slopes): value by sampling; the derivative follows from the
-    // equation that it solves, sqrt(pi) c (1 + erf(x)) + s exp(-x^2) = u times the same at x = c / s, of which the
-    // derivative in x is 0 there.
-    static D visible_slope(const D &s, const D &c, double u) {
-        double x = visible_beckmann_slopes(s.v, c.v, u, 0.5).x, largest = std::min(c.v / std::max(s.v, 1e-10), 10.0);
-        auto below = [&](double y) { return c * D(SqrtPi * (1 + std::erf(y))) + s * D(std::exp(-y * y)); };
-        D excess = below(x) - D(u) * below(largest);
-        double by_x = 2 * std::exp(-x * x) * (c.v - s.v * x);
-        return with_value(excess * D(-1 / std::max(by_x, 1e-30)), x);
-    }
 };
 
-D masking(const Coat &coat, const D &alpha, const Vec3<D> &v) {
-    return abs(v.z) * masking_over_cosine(coat.ggx, alpha, v);
+double masking(const Coat &coat, double alpha, const Vec3<double> &v) {
+    return std::fabs(v.z) * masking_over_cosine(coat.ggx, alpha, v);
 }
 
-D reflected(const Normals &normals, const Coat &coat, const D &alpha, const D &eta, double cosine) {
+double reflected(const Normals &normals, const Coat &coat, double alpha, double eta, double cosine) {
     double sine = std::sqrt(1 - cosine * cosine);
-    D sum(0);
-    normals.visit(coat, alpha, sine, cosine, [&](const Vec3<D> &m, double w) {
-        D c = m.x * D(sine) + m.z * D(cosine);
-        Vec3<D> wo = m * (c + c) - Vec3<D>{D(sine), D(0), D(cosine)};
-        if (wo.z.v > 0) sum = sum + fresnel_dielectric(c, eta).reflectance * masking(coat, alpha, wo) * D(w);
+    double sum = 0;
+    normals.visit(coat, alpha, sine, cosine, [&](const Vec3<double> &m, double w) {
+        double c = m.x * sine + m.z * cosine;
+        Vec3<double> wo = m * (c + c) - Vec3<double>{sine, 0, cosine};
+        if (wo.z > 0) sum += fresnel_dielectric(c, eta).reflectance * masking(coat, alpha, wo) * w;
     });
     return sum;
 }
 
-D transmitted(const Normals &normals, const Coat &coat, const D &alpha, const D &eta, double cosine) {
+double transmitted(const Normals &normals, const Coat &coat, double alpha, double eta, double cosine) {
     double sine = std::sqrt(1 - cosine * cosine);
-    D sum(0);
-    normals.visit(coat, alpha, sine, cosine, [&](const Vec3<D> &m, double w) {
-        D c = m.x * D(sine) + m.z * D(cosine);
-        Fresnel<D> fresnel = fresnel_dielectric(c, eta);
-        Vec3<D> wo = m * (fresnel.eta_ti * c + fresnel.cos_t) - Vec3<D>{D(sine), D(0), D(cosine)} * fresnel.eta_ti;
-        if (wo.z.v < 0) sum = sum + (D(1) - fresnel.reflectance) * masking(coat, alpha, wo) * D(w);
+    double sum = 0;
+    normals.visit(coat, alpha, sine, cosine, [&](const Vec3<double> &m, double w) {
+        double c = m.x * sine + m.z * cosine;
+        Fresnel<double> fresnel = fresnel_dielectric(c, eta);
+        Vec3<double> wo = m * (fresnel.eta_ti * c + fresnel.cos_t) - Vec3<double>{sine, 0, cosine} * fresnel.eta_ti;
+        if (wo.z < 0) sum += (1 - fresnel.reflectance) * masking(coat, alpha, wo) * w;
     });
     return sum;
+}
+
+// The values of the table's rows.
+void fill_values(const Coat &coat, double *rows) {
+    static const Normals coarse(8, 16), fine(16, 32);  // total reflection from inside has an edge
+    constexpr int n = CoatTableSize::Cosines;
+    rows[0] = 0;
+    for (int i = 0; i < n; ++i) {
+        double cosine = std::max(double(i) / (n - 1), 1e-6);
+        rows[1 + i] = transmitted(coarse, coat, coat.alpha, coat.eta, cosine);
+        // 2 R cos over cosines: their mean over the cosines of the table, as Mitsuba has it
+        rows[0] += reflected(fine, coat, coat.alpha, 1 / coat.eta, cosine) * (2 * cosine / n);
+    }
 }
 
 }  // namespace
 
 void fill_coat_table(const Coat &coat, double *numbers) {
-    static const Normals coarse(8, 16), fine(16, 32);  // total reflection from inside has an edge
-    constexpr int n = CoatTableSize::Cosines;
-    D eta(coat.eta, 0), alpha(coat.alpha, 1), internal(0);
-    auto put = [&](int row, const D &value) {
-        numbers[4 * row] = value.v;
-        for (int k = 0; k < 2; ++k) numbers[4 * row + 1 + k] = value.d[k];
-        numbers[4 * row + 3] = 0;
-    };
-    for (int i = 0; i < n; ++i) {
-        double cosine = std::max(double(i) / (n - 1), 1e-6);
-        put(1 + i, transmitted(coarse, coat, alpha, eta, cosine));
-        // 2 R cos over cosines: their mean over the cosines of the table, as Mitsuba has it
-        internal = internal + reflected(fine, coat, alpha, D(1) / eta, cosine) * D(2 * cosine / n);
+    constexpr int n = CoatTableSize::Rows;
+    double value[n], high[n], low[n];
+    fill_values(coat, value);
+    for (int i = 0; i < n; ++i) numbers[4 * i] = value[i], numbers[4 * i + 3] = 0;
+    for (double Coat::*variable : {&Coat::eta, &Coat::alpha}) {
+        const bool roughness = variable == &Coat::alpha;
+        const double step = coat.*variable * (roughness ? 0.05 : 0.02);
+        Coat moved = coat;
+        moved.*variable = coat.*variable + step;
+        fill_values(moved, high);
+        moved.*variable = coat.*variable - step;
+        fill_values(moved, low);
+        for (int i = 0; i < n; ++i) numbers[4 * i + (roughness ? 2 : 1)] = (high[i] - low[i]) / (2 * step);
     }
-    put(0, internal);
 }
 
 }  // namespace tr

@@ -90,17 +90,34 @@ class RoughPlastic(Bsdf):
         self.facets = Facets(number("alpha"), self.record.field["distribution"] == 1)
         assert self.facets.ggx, "the other facets' normals are found by bisection here, which has no derivative"
         self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
-        cosines = torch.linspace(0, 1, COSINES, dtype=torch.float64).clamp(min=1e-6)
-        self.table = self.averages(cosines, COARSE, refracts=True)
-        self.internal = (self.averages(cosines, FINE, refracts=False) * cosines).mean() * 2
+        # derivatives by differences over some percent: those of single nodes are infinite at total reflection
+        eta, alpha = self.eta.detach(), self.facets.alpha.detach()
+        rows = self.rows(eta, alpha)
+        for value, now, share in ((self.eta, eta, 0.02), (self.facets.alpha, alpha, 0.05)):
+            step = share * now
+            high, low = (
+                self.rows(eta + sign * step, alpha) if value is self.eta else self.rows(eta, alpha + sign * step)
+                for sign in (1, -1)
+            )
+            rows = rows + (value - now) * (high - low) / (2 * step)
+        self.internal, self.table = rows[0], rows[1:]
 
-    def averages(self, cosine: torch.Tensor, nodes: tuple[int, int], refracts: bool) -> torch.Tensor:
+    def rows(self, eta: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+        """What is reflected inside of diffuse light, and what is transmitted at the cosines of the table."""
+        facets = Facets(alpha, self.facets.ggx)
+        cosines = torch.linspace(0, 1, COSINES, dtype=torch.float64).clamp(min=1e-6)
+        internal = (self.averages(facets, eta, cosines, FINE, refracts=False) * cosines).mean() * 2
+        return torch.cat([internal[None], self.averages(facets, eta, cosines, COARSE, refracts=True)])
+
+    def averages(
+        self, facets: Facets, eta: torch.Tensor, cosine: torch.Tensor, nodes: tuple[int, int], refracts: bool
+    ) -> torch.Tensor:
         """Of light from each direction the share that is refracted and goes on below; or, where light comes from
         below, the share that is reflected and goes back."""
-        m, weight = visible_normals(self.facets, cosine, nodes)
+        m, weight = visible_normals(facets, cosine, nodes)
         wi = torch.stack([(1 - cosine.square()).sqrt(), torch.zeros_like(cosine), cosine], 1)
         i = (m * wi[:, None]).sum(-1)
-        eta = self.eta if refracts else 1 / self.eta
+        eta = eta if refracts else 1 / eta
         fresnel, cos_t, _, eta_ti = fresnel_dielectric(i.flatten(), eta)
         fresnel, cos_t, eta_ti = (x.reshape(i.shape) for x in (fresnel, cos_t, eta_ti))
         if refracts:
@@ -108,7 +125,7 @@ class RoughPlastic(Bsdf):
         else:
             wo, share = 2 * i[..., None] * m - wi[:, None], fresnel
         goes = wo[..., 2] < 0 if refracts else wo[..., 2] > 0
-        masking = self.facets.masking(wo.flatten(0, 1)).reshape(i.shape)
+        masking = facets.masking(wo.flatten(0, 1)).reshape(i.shape)
         return (torch.where(goes, share * masking, 0.0) * weight).sum(1)
 
     def transmittance(self, cosine: torch.Tensor) -> torch.Tensor:
