@@ -11,6 +11,7 @@ PYTHON_ONLY = {
     "test_bench_parts",
     "test_bsdf_references",
     "test_cameras",
+    "test_caustics_mesh",
     "test_constraints",
     "test_docs",
     "test_endurance",  # takes long, and its subject is what is kept between calls
@@ -31,16 +32,16 @@ PYTHON_ONLY = {
     "test_media_integrator",
     "test_media_scenes",
     "test_migration_pages",
+    "test_motion_derivatives",  # takes long; other derivatives are tested at every instruction set
     "test_names",
     "test_numeric_facts",
     "test_optim",
     "test_optim_scene",
     "test_optim_smoothing",
     "test_parameters",
+    "test_particle_analytic",  # closed forms of what the images of test_particle_images have in all instruction sets
     "test_particle_errors",
     "test_particle_oracle",
-    "test_caustics_mesh",
-    "test_particle_analytic",  # closed forms of what the images of test_particle_images have in all instruction sets
     "test_pixels",
     "test_project",
     "test_queries",
