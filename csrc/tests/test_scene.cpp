@@ -109,7 +109,8 @@ static void add_everything(SceneBuilder<S> &b) {
     bsdfs.push_back(b.add("bsdf", "dielectric", {{"eta", b.number(S(1.5))}}));
     bsdfs.push_back(b.add("bsdf", "dielectric", {{"eta", b.number(1)}, {"specular_transmittance", textures[1]}}));
     bsdfs.push_back(b.add("bsdf", "roughdielectric", {{"eta", b.number(S(1.3))}, {"distribution", 0}}));
-    bsdfs.push_back(b.add("bsdf", "roughdielectric", {{"alpha", b.number(S(0.3))}, {"distribution", 1}}));
+    bsdfs.push_back(
+        b.add("bsdf", "roughdielectric", {{"alpha", b.constant(S(0.3), S(0.3), S(0.3))}, {"distribution", 1}}));
     bsdfs.push_back(b.add("bsdf", "null"));
 
     int64_t cube = b.faces(
