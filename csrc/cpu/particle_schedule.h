@@ -79,17 +79,12 @@ private:
 
 template <class F, int C>
 void splat_connections(const Filter &filter, const Connections<ScalarOf<F>, C> &free, SplatFilm<ScalarOf<F>, C> &film,
-                       SplatAxis<F> &x, SplatAxis<F> &y) {
-    constexpr size_t W = size_t(Lanes<F>::Width);
-    for (size_t k = 0; k < free.n; k += W) {
-        x.set(filter, load<F>(free.x + k), false);
-        y.set(filter, load<F>(free.y + k), false);
-        for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
-            typename SplatFilm<ScalarOf<F>, C>::Vector value{};
-            for (int c = 0; c < C; ++c) value[c] = free.value[c][k + i];
-            film.splat(x, y, int(i), value);
-        }
-    }
+                       SplatAxes<F> &axes) {
+    axes.for_places(filter, free.x, free.y, free.n, false, [&](size_t k, int lane) {
+        typename SplatFilm<ScalarOf<F>, C>::Vector value{};
+        for (int c = 0; c < C; ++c) value[c] = free.value[c][k];
+        film.splat(axes.x, axes.y, lane, value);
+    });
 }
 
 // The image's derivative along a tangent, of the connections of one level at a time: its sweeps give the derivatives
@@ -97,7 +92,6 @@ void splat_connections(const Filter &filter, const Connections<ScalarOf<F>, C> &
 template <class F, int C>
 class LightTangents {
     using S = ScalarOf<F>;
-    static constexpr size_t W = size_t(Lanes<F>::Width);
 
 public:
     LightTangents(const RenderCall<S> &call, const DerivativeCall<S> &derivative)
@@ -116,38 +110,36 @@ public:
         ForwardSink<F, C> sink;
         sink.tangent = derivative_.tangent;
         sink.geometry = derivative_.geometry_tangent;
+        const bool moves = derivative_.wanted.geometry;
         for (size_t level = 0; level < levels_.size(); ++level) {
             Kept &kept = levels_[level];
             if (kept.slot.empty()) continue;
             TapeLevel<S, C> &tape = tile.level_at(int(level));
-            // what: a channel, or C and C + 1 for the place
-            auto derivatives = [&](int what, bool all_channels) {
-                for (size_t k = 0; k < kept.slot.size(); ++k) {
-                    uint32_t at = kept.position[k];
-                    for (int c = 0; c < C; ++c) tape.emitted[c][at] = S(all_channels || c == what ? 1 : 0);
+            // what connections hand to the sweep: nothing, all channels, one of them, or C and C + 1 for the place
+            constexpr int Nothing = -1, All = -2;
+            auto set_adjoints = [&](int what) {
+                for (uint32_t at : kept.position) {
+                    for (int c = 0; c < C; ++c) tape.emitted[c][at] = S(what == All || what == c ? 1 : 0);
                     tape.light.x_bar[at] = S(what == C ? 1 : 0);
                     tape.light.y_bar[at] = S(what == C + 1 ? 1 : 0);
                 }
-                for (int c = 0; c < C; ++c) std::fill_n(tile.radiance[c], n, S(0));
-                sink.channel = what < C ? what : 0;
-                tile.sweep(sink);
             };
-            const bool numbers = derivative_.wanted.geometry;
             std::vector<S> d[C + 2];
-            for (int what = 0; what < (numbers ? C + 2 : 1); ++what) {
-                derivatives(numbers ? what : 0, !numbers);
-                for (int c = 0; c < C; ++c) {
-                    if (numbers && c != (what < C ? what : 0)) continue;
-                    std::vector<S> &to = numbers ? d[what] : d[c];
-                    for (uint32_t slot : kept.slot) to.push_back(tile.radiance[c][slot]);
-                }
-            }
-            for (uint32_t at : kept.position) {  // they count no more
-                for (int c = 0; c < C; ++c) tape.emitted[c][at] = S(0);
-                tape.light.x_bar[at] = tape.light.y_bar[at] = S(0);
-            }
-            splat(kept, d, numbers, film);
-            kept = {};
+            auto sweep_for = [&](int what, int channel, std::vector<S> *to, int channels) {
+                set_adjoints(what);
+                for (int c = 0; c < C; ++c) std::fill_n(tile.radiance[c], n, S(0));
+                sink.channel = channel;
+                tile.sweep(sink);
+                for (int c = channel; c < channel + channels; ++c, ++to)
+                    for (uint32_t slot : kept.slot) to->push_back(tile.radiance[c][slot]);
+            };
+            if (moves)
+                for (int what = 0; what < C + 2; ++what) sweep_for(what, what < C ? what : 0, &d[what], 1);
+            else
+                sweep_for(All, 0, d, C);
+            set_adjoints(Nothing);  // they count no more
+            splat(kept, d, moves, film);
+            kept.slot.clear();
         }
     }
 
@@ -157,30 +149,19 @@ private:
         std::vector<uint32_t> slot, position;
     };
 
-    void splat(Kept &kept, const std::vector<S> (&d)[C + 2], bool moves, SplatFilm<S, C> &film) {
-        size_t n = kept.slot.size();
-        kept.x.resize(n + W), kept.y.resize(n + W);
-        for (size_t k = 0; k < n; k += W) {
-            x_.set(call_.filter, load_unaligned(kept.x, k), true);
-            y_.set(call_.filter, load_unaligned(kept.y, k), true);
-            for (size_t i = 0; i < std::min(W, n - k); ++i) {
-                typename SplatFilm<S, C>::Vector change{}, value{};
-                for (int c = 0; c < C; ++c) change[c] = d[c][k + i], value[c] = kept.value[c][k + i];
-                film.splat(x_, y_, int(i), change);
-                if (moves) film.splat_motion(x_, y_, int(i), d[C][k + i], d[C + 1][k + i], value);
-            }
-        }
-    }
-    static F load_unaligned(const std::vector<S> &v, size_t k) {
-        alignas(64) S copy[W];
-        std::copy_n(&v[k], W, copy);
-        return load<F>(copy);
+    void splat(const Kept &kept, const std::vector<S> (&d)[C + 2], bool moves, SplatFilm<S, C> &film) {
+        axes_.for_places(call_.filter, kept.x.data(), kept.y.data(), kept.x.size(), true, [&](size_t k, int lane) {
+            typename SplatFilm<S, C>::Vector change{}, value{};
+            for (int c = 0; c < C; ++c) change[c] = d[c][k], value[c] = kept.value[c][k];
+            film.splat(axes_.x, axes_.y, lane, change);
+            if (moves) film.splat_motion(axes_.x, axes_.y, lane, d[C][k], d[C + 1][k], value);
+        });
     }
 
     const RenderCall<S> &call_;
     const DerivativeCall<S> &derivative_;
     std::vector<Kept> levels_;
-    SplatAxis<F> x_, y_;
+    SplatAxes<F> axes_;
 };
 
 // Primal and forward mode.
@@ -203,20 +184,24 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     std::mutex mutex;
     run_items(groups, call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
         auto tile = std::make_shared<ParticleTile<F, C>>(call, capacity, derivative);
-        auto x = std::make_shared<SplatAxis<F>>(), y = std::make_shared<SplatAxis<F>>();
-        return [&, tile, x, y](size_t group, auto &&stop) {
+        auto splats = [&] {
+            if constexpr (Forward)
+                return std::make_shared<LightTangents<F, C>>(call, *derivative);
+            else
+                return std::make_shared<SplatAxes<F>>();
+        }();
+        return [&, tile, splats](size_t group, auto &&stop) {
             auto film = std::make_unique<SplatFilm<S, C>>(call.crop);
             const size_t end = plan.n_items() * (group + 1) / groups;
             for (size_t item = plan.n_items() * group / groups; item < end && !stop(); ++item)
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {
                     if constexpr (Forward) {
-                        LightTangents<F, C> tangents(call, *derivative);
                         tile->template run<true>(
-                            n, stop, [&](int level, const Connections<S, C> &free) { tangents.keep(level, free); });
-                        tangents.sweep(*tile, n, *film);
+                            n, stop, [&](int level, const Connections<S, C> &free) { splats->keep(level, free); });
+                        splats->sweep(*tile, n, *film);
                     } else {
                         tile->template run<false>(n, stop, [&](int, const Connections<S, C> &free) {
-                            splat_connections<F, C>(call.filter, free, *film, *x, *y);
+                            splat_connections<F, C>(call.filter, free, *film, *splats);
                         });
                     }
                 });
@@ -257,25 +242,20 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                   GradientBuffers<S> &local = locals[size_t(thread)];
                   local.allocate(derivative, thread);
                   auto tile = std::make_shared<ParticleTile<F, C>>(call, capacity, &derivative);
-                  auto x = std::make_shared<SplatAxis<F>>(), y = std::make_shared<SplatAxis<F>>();
-                  auto collect = [&, tile, x, y](int number, const Connections<S, C> &free) {
+                  auto axes = std::make_shared<SplatAxes<F>>();
+                  auto collect = [&, tile, axes](int number, const Connections<S, C> &free) {
                       TapeLevel<S, C> &level = tile->level_at(number);
-                      constexpr size_t W = size_t(Lanes<F>::Width);
-                      for (size_t k = 0; k < free.n; k += W) {
-                          x->set(call.filter, load<F>(free.x + k), true);
-                          y->set(call.filter, load<F>(free.y + k), true);
-                          for (size_t i = 0; i < std::min(W, free.n - k); ++i) {
-                              typename AdjointFilm::Vector sum, by_x, by_y;
-                              adjoint.collect(*x, *y, int(i), sum, by_x, by_y);
-                              uint32_t at = free.position[k + i];
-                              S x_bar(0), y_bar(0);
-                              for (int c = 0; c < C; ++c) {
-                                  level.emitted[c][at] = sum[c];
-                                  x_bar += by_x[c] * free.value[c][k + i], y_bar += by_y[c] * free.value[c][k + i];
-                              }
-                              level.light.x_bar[at] = x_bar, level.light.y_bar[at] = y_bar;
+                      axes->for_places(call.filter, free.x, free.y, free.n, true, [&](size_t k, int lane) {
+                          typename AdjointFilm::Vector sum, by_x, by_y;
+                          adjoint.collect(axes->x, axes->y, lane, sum, by_x, by_y);
+                          uint32_t at = free.position[k];
+                          S x_bar(0), y_bar(0);
+                          for (int c = 0; c < C; ++c) {
+                              level.emitted[c][at] = sum[c];
+                              x_bar += by_x[c] * free.value[c][k], y_bar += by_y[c] * free.value[c][k];
                           }
-                      }
+                          level.light.x_bar[at] = x_bar, level.light.y_bar[at] = y_bar;
+                      });
                   };
                   return [&, tile, collect](size_t item, auto &&stop) {
                       for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {

@@ -22,7 +22,7 @@ class ParticleTile : public PathTile<F, C> {
     using Base = PathTile<F, C>;
     using Base::append, Base::level, Base::finite, Base::entries, Base::bsdf_wanted, Base::no_emission, Base::group;
     using Base::call_, Base::scene_, Base::derivative_, Base::fronts_, Base::shadow_, Base::levels_, Base::n_levels_;
-    using Base::hit_shape_, Base::hit_primitive_, Base::hit_t_, Base::hit_b1_, Base::hit_b2_, Base::order_, Base::ray_;
+    using Base::hit_shape_, Base::hit_t_, Base::order_, Base::ray_;
     using Base::occluded_, Base::segments_, Base::W, Base::Miss, Base::n_slots_;
     using typename Base::I;
     using typename Base::M;
@@ -237,10 +237,7 @@ private:
         const PathConfig &config = call_.config;
         M active = lanes.active;
         Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
-        SurfacePoint<F> at{lanes.get(hit_shape_), lanes.get(hit_primitive_), lanes.get(hit_b1_), lanes.get(hit_b2_)};
-        at.shape = select(mask<U>(active), at.shape, U(0u));
-        at.primitive = select(mask<U>(active), at.primitive, U(0u));
-        Interaction<F> si = make_interaction(scene_, ray, at, lanes.get(hit_t_), active);
+        Interaction<F> si = this->interaction(ray, lanes);
         Vec3<F> wi = si.frame.to_local(-ray.d);
         Color<F, C> beta = lanes.template color<C>(front.beta);
         U slot = lanes.get(front.slot);

@@ -412,10 +412,7 @@ protected:
         const PathConfig &config = call_.config;
         M active = lanes.active;
         Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
-        SurfacePoint<F> at{lanes.get(hit_shape_), lanes.get(hit_primitive_), lanes.get(hit_b1_), lanes.get(hit_b2_)};
-        at.shape = select(mask<U>(active), at.shape, U(0u));
-        at.primitive = select(mask<U>(active), at.primitive, U(0u));
-        Interaction<F> si = make_interaction(scene_, ray, at, lanes.get(hit_t_), active);
+        Interaction<F> si = this->interaction(ray, lanes);
         Vec3<F> wi = si.frame.to_local(-ray.d);
         Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
         Color<F, C> beta = lanes.template color<C>(front.beta);
@@ -500,7 +497,7 @@ protected:
         append(next, out, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf), beta * weight * keep,
                survival * keep, eta, slot, U(i) + lane_index<F>(), now_seen, alive);
         if (volumetric_)
-            this->put_volumetric(next, appended, medium_behind(scene_, at.shape, si.ng, out.d, medium, alive),
+            this->put_volumetric(next, appended, medium_behind(scene_, si.at.shape, si.ng, out.d, medium, alive),
                                  path_depth + 1u, dot(out.o - si.p, out.d), lanes.template color<C>(front.channel),
                                  alive);
     }

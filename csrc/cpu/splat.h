@@ -37,6 +37,25 @@ struct SplatAxis {
     }
 };
 
+// Both axes. `for_places` visits n places: visit(k, i), their weights being in lane i.
+template <class F>
+struct SplatAxes {
+    using S = ScalarOf<F>;
+    static constexpr size_t W = size_t(Lanes<F>::Width);
+    SplatAxis<F> x, y;
+
+    template <class Visit>
+    void for_places(const Filter &filter, const S *xs, const S *ys, size_t n, bool slopes, Visit &&visit) {
+        for (size_t k = 0; k < n; k += W) {
+            const size_t lanes = std::min(W, n - k);
+            alignas(64) S at_x[W] = {}, at_y[W] = {};
+            std::copy_n(xs + k, lanes, at_x), std::copy_n(ys + k, lanes, at_y);
+            x.set(filter, load<F>(at_x), slopes), y.set(filter, load<F>(at_y), slopes);
+            for (size_t i = 0; i < lanes; ++i) visit(k + i, int(i));
+        }
+    }
+};
+
 // Numbers of type T, C a pixel, of a rectangle of the film. They are kept in vectors, of which a splat needs many and
 // the compiler finds none by itself.
 template <class T, int C>

@@ -61,6 +61,14 @@ protected:
     // Entries that n hits take at most once they are grouped.
     static constexpr size_t entries(size_t n) { return n + size_t(Collision + 2) * 2 * W; }
 
+    // Where rays hit; lanes that are not active get any place there is.
+    Interaction<F> interaction(const Ray<F> &ray, const LaneSet<F> &lanes) const {
+        SurfacePoint<F> at{lanes.get(hit_shape_), lanes.get(hit_primitive_), lanes.get(hit_b1_), lanes.get(hit_b2_)};
+        at.shape = select(mask<U>(lanes.active), at.shape, U(0u));
+        at.primitive = select(mask<U>(lanes.active), at.primitive, U(0u));
+        return make_interaction(scene_, ray, at, lanes.get(hit_t_), lanes.active);
+    }
+
     // Where queries write what rays hit: in single precision, which widen_hits then converts.
     static constexpr bool Single = sizeof(S) == 4;
     HitBatch hit_columns() const {

@@ -83,6 +83,19 @@ struct CorrectionAdjoint {
     }
 };
 
+// The adjoint of |N.E| / |E|, E from a point that sees it to the point p of a surface, of area vector N; `log_bar` is
+// that of its logarithm. Sums up what the surface gets, `hit` being what comes besides, and returns the adjoint of the
+// other point. With the unit normal as E it is that of |N|.
+template <class F, class S, class Sink>
+TR_INLINE Vec3<F> sweep_area(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &E,
+                             const F &log_bar, HitAdjoint<F> hit, const MaskOf<F> &active, Sink &sink) {
+    Vec3<F> zero{F(0), F(0), F(0)};
+    Vec3<F> rest = E * (F(2) * log_bar / select(active, squared_norm(E), F(1)));  // J has |N.E| / |E|^3
+    hit.p = hit.p + rest;
+    Arrival<F> in{MaskOf<F>(false), E, F(1), E, zero, log_bar};
+    return sweep_surface(scene, at, p, in, hit, active, sink).o - rest;
+}
+
 // Where light is measured: a place is a pair of texture coordinates, and W is texels per area.
 template <class F, int C, class S, class Sink>
 TR_NOINLINE void sweep_measurement(const SceneView<S> &scene, const LightSensor<S> &sensor, const VertexRecord<F, C> &v,
@@ -90,12 +103,7 @@ TR_NOINLINE void sweep_measurement(const SceneView<S> &scene, const LightSensor<
                                    const MaskOf<F> &active, HitAdjoint<F> &hit, Sink &sink) {
     hit.at.uv.x = select(active, hit.at.uv.x + connection.x_bar * F(sensor.camera.width), hit.at.uv.x);
     hit.at.uv.y = select(active, hit.at.uv.y + connection.y_bar * F(sensor.camera.height), hit.at.uv.y);
-    F log_bar = -channel_sum(value);  // of the area |N|: see sweep_light_end, where |E| = 1
-    HitAdjoint<F> area;
-    area.p = connection.ng * (F(2) * log_bar);
-    Vec3<F> zero{F(0), F(0), F(0)};
-    Arrival<F> in{MaskOf<F>(false), connection.ng, F(1), connection.ng, zero, log_bar};
-    sweep_surface(scene, v.at, v.p, in, area, active, sink);
+    sweep_area(scene, v.at, v.p, connection.ng, -channel_sum(value), HitAdjoint<F>{}, active, sink);
 }
 
 // One scattering vertex. Returns what the light that arrives along v.d brings, divided by its throughput a, every
@@ -167,20 +175,6 @@ struct EmissionRecord {
     Color<F, C> radiance;
 };
 
-// The adjoint of |N.E| / |E|, E from a point that sees it to the point p of a light, of normal N; `log_bar` is that of
-// its logarithm. Sums up what the light's shape gets, with p_bar besides, and returns the adjoint of the other point.
-template <class F, class S, class Sink>
-TR_INLINE Vec3<F> sweep_light_end(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                  const Vec3<F> &E, const F &log_bar, const Vec3<F> &p_bar, const MaskOf<F> &active,
-                                  Sink &sink) {
-    Vec3<F> zero{F(0), F(0), F(0)};
-    Vec3<F> rest = E * (F(2) * log_bar / select(active, squared_norm(E), F(1)));  // J has |N.E| / |E|^3
-    HitAdjoint<F> hit;
-    hit.p = p_bar + rest;
-    Arrival<F> in{MaskOf<F>(false), E, F(1), E, zero, log_bar};
-    return sweep_surface(scene, at, p, in, hit, active, sink).o - rest;
-}
-
 template <int C, class F, class S, class Sink>
 TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> &sensor, const EmissionRecord<F, C> &e,
                                 const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
@@ -205,9 +199,7 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
         if (wanted.geometry && scene.textured && any(surface)) {  // texture coordinates, where nothing else moves
             HitAdjoint<F> hit;
             hit.at = at;
-            Vec3<F> zero{F(0), F(0), F(0)};
-            Arrival<F> in{MaskOf<F>(false), v.normal, F(1), v.normal, zero, F(0)};
-            sweep_surface(scene, v.light.at, v.p, in, hit, surface, sink);
+            sweep_area(scene, v.light.at, v.p, v.normal, F(0), hit, surface, sink);
         }
     }
     if (!wanted.geometry) return;
@@ -215,15 +207,16 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
     F carried = channel_sum(e.radiance * by_path), seen = channel_sum(e.radiance * by_camera);
     if (any(beam)) {
         HitAdjoint<F> hit;
-        hit.p = next.ray.o + v.normal * (F(2) * carried);  // of the measure, |N|: see sweep_light_end, where |E| = 1
+        hit.p = next.ray.o;
         hit.n = next.ray.d;
-        Arrival<F> in{MaskOf<F>(false), v.normal, F(1), v.normal, zero, carried};
-        sweep_surface(scene, v.light.at, v.p, in, hit, beam, sink);
+        sweep_area(scene, v.light.at, v.p, v.normal, carried, hit, beam, sink);
     }
     auto leaves = area && mask<F>(squared_norm(next.segment) > F(0));
     if (any(leaves)) {
         Vec3<F> D = next.segment * (F(1) / select(leaves, squared_norm(next.segment), F(1)));
-        Vec3<F> next_bar = sweep_light_end(scene, v.light.at, v.p, -D, carried, next.ray.o, leaves, sink);
+        HitAdjoint<F> hit;
+        hit.p = next.ray.o;
+        Vec3<F> next_bar = sweep_area(scene, v.light.at, v.p, -D, carried, hit, leaves, sink);
         sweep_position(scene, next.at, next.p, next_bar, leaves, sink);
     }
     if (any(point)) {
@@ -238,8 +231,8 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
     Vec3<F> origin{F(o.x), F(o.y), F(o.z)}, origin_bar = zero;
     auto on_light = lit && area;
     if (any(on_light)) {
-        origin_bar = sweep_light_end(scene, v.light.at, v.p, v.p - origin, seen, zero, on_light, sink);
-        origin_bar = select(on_light, origin_bar, zero);
+        Vec3<F> o_bar = sweep_area(scene, v.light.at, v.p, v.p - origin, seen, HitAdjoint<F>{}, on_light, sink);
+        origin_bar = select(on_light, o_bar, zero);
     }
     Vec3<F> to = select(parallel, -v.d, v.p);
     Vec3<F> p_bar = sweep_connection(scene, sensor.record, sensor.camera, to, parallel, zero, seen, e.connection.x_bar,

@@ -20,6 +20,23 @@ TR_INLINE T mix(const T &a, const T &b, const T &t) {
     return a + (b - a) * t;
 }
 
+// Schlick's R0, reflectance at normal incidence.
+template <class T>
+TR_INLINE T schlick_r0(const T &eta) {
+    T r = (eta - T(1)) / (eta + T(1));
+    return r * r;
+}
+
+// The hue of a colour, the colour over its luminance (Burley 2012, section 5.3): white where it has none.
+template <class T>
+struct Hue {
+    MaskOf<T> dark;
+    T inverse;
+    TR_INLINE explicit Hue(const T &luminance)
+        : dark(!mask<T>(luminance > T(0))), inverse(T(1) / select(dark, T(1), luminance)) {}
+    TR_INLINE T operator()(const T &color) const { return select(dark, T(1), color * inverse); }
+};
+
 // Diffuse reflection with its retro-reflection (Burley 2012, section 5.3), and its flat variant (2015, section 4.3), of
 // cosines and Schlick's weights of both directions; `retro90` is 2 roughness cos_d^2.
 template <class T, class M>
@@ -138,8 +155,7 @@ struct Principled {
         T away = schlick_weight(select(mask<T>(facet.eta > T(1)), facet.ci, facet.ct));
         T hue_of_reflection = dielectric * number(SpecTint);
         T grey_of_reflection = select(front, dielectric * (T(1) - number(SpecTint)), transparent) * fresnel;
-        T r0 = (facet.eta - T(1)) / (facet.eta + T(1));
-        r0 = r0 * r0;
+        T r0 = schlick_r0(facet.eta);
 
         // diffuse base, sheen, clear coat
         T fi = schlick_weight(ni), fo = schlick_weight(no);
@@ -154,12 +170,10 @@ struct Principled {
                  (ggx_masking_over_cosine(coat_alpha, wi) * ni) * (ggx_masking_over_cosine(coat_alpha, wo) * no) * no;
         coat = select(facet.possible, coat, T(0));
 
-        T luminance = number(Luminance);
-        auto dark = !mask<T>(luminance > T(0));
-        T inverse = T(1) / select(dark, T(1), luminance);
+        Hue<T> hue_of(number(Luminance));
         Color<T, C> result;
         for (int c = 0; c < C; ++c) {
-            T color(params.color[BaseColor][c]), hue = select(dark, T(1), color * inverse);
+            T color(params.color[BaseColor][c]), hue = hue_of(color);
             T reflected = grey_of_reflection + metallic * mix(color, T(1), away);
             reflected = reflected + hue_of_reflection * mix(hue * r0, T(1), away);
             T above = color * base + sheen * mix(T(1), hue, number(SheenTint)) + coat + reflected * mirrored;

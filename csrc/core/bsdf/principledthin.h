@@ -87,8 +87,7 @@ struct PrincipledThin {
         V along = value_of(facet.cosine) * V(2), up = (value_of(wi.z) + value_of(wo.z)) / max(along, V(1e-20));
         T transmitted = select(mask<V>(value_of(facet.cosine) < V(2) * value_of(wo.z) * up), facets, T(0));
         T fresnel = fresnel_dielectric(facet.cosine, eta).reflectance;
-        T r0 = (eta - T(1)) / (eta + T(1)), away = schlick_weight(facet.cosine);
-        r0 = r0 * r0;
+        T r0 = schlick_r0(eta), away = schlick_weight(facet.cosine);
 
         T retro90 = T(2) * number(Roughness) * facet.cosine * facet.cosine;
         T fi = schlick_weight(wi.z), fo = schlick_weight(wo.z);
@@ -97,12 +96,10 @@ struct PrincipledThin {
         T back = opaque * part * T(1 / Pi), front = opaque * (T(1) - part) * diffuse * T(1 / Pi);
         T sheen = number(Sheen) * opaque * (T(1) - part) * away;
 
-        T luminance = number(Luminance);
-        auto dark = !mask<T>(luminance > T(0));
-        T inverse = T(1) / select(dark, T(1), luminance);
+        Hue<T> hue_of(number(Luminance));
         Color<T, C> result;
         for (int c = 0; c < C; ++c) {
-            T color(params.color[BaseColor][c]), hue = select(dark, T(1), color * inverse);
+            T color(params.color[BaseColor][c]), hue = hue_of(color);
             T reflected = mix(fresnel, mix(hue * r0, T(1), away), number(SpecTint)) * facets;
             T above = color * front + sheen * mix(T(1), hue, number(SheenTint)) + reflected;
             T below = color * (back + (T(1) - fresnel) * transmitted);
