@@ -1,5 +1,5 @@
 """Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`,
-those of `tests/media_scenes.py` into `tests/data/media_references.npz`.
+those of `tests/layer_scenes.py` and `tests/media_scenes.py` into files of their own.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -22,10 +22,15 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
+import layer_scenes  # noqa: E402
 import media_scenes  # noqa: E402
 import reference_scenes as rs  # noqa: E402
 
-FILES = {"references.npz": rs.SCENES, "media_references.npz": media_scenes.SCENES}
+FILES = {
+    "references.npz": rs.SCENES,
+    "layer_references.npz": layer_scenes.SCENES,
+    "media_references.npz": media_scenes.SCENES,
+}
 RUNS = 16
 SPP, GRADIENT_SPP = 1024, 512
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import torch
+from layer_scenes import blend, mask, normal_map
 
 from torchrender import Mesh, Transform
 
@@ -136,6 +137,12 @@ LACQUER = {
 HAZE = {"type": "principled", "base_color": 0.8, "roughness": 0.6, "spec_trans": 0.8, "eta": 1.3}
 
 
+# without its sharp terms near the terminator, where the few paths that weigh much come and go
+DULL = {**BRUSHED, "alpha": 0.6}
+SIDES = {"type": "twosided", "bsdf": normal_map(PAINT)}
+BOTH_SIDES = {"type": "twosided", "bsdf": PAINT}
+
+
 def environment() -> dict:
     return {"type": "envmap", "data": smooth_texture(16, 32), "to_world": Transform.rotate([0, 1, 0], 30)}
 
@@ -196,6 +203,12 @@ SCENES = {
     ),
     "lacquer_in_room": lambda: scene(3, at_ball(), ball=ball(LACQUER), room=black_room()),
     "frosted_haze_in_room": lambda: scene(4, at_ball(), ball=ball(HAZE), room=black_room()),
+    "dented_in_room": lambda: scene(3, at_ball(), ball=ball(normal_map(DULL)), room=black_room()),
+    "dented_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(normal_map(DULL)), room=black_room()),
+    "dented_floor": lambda: scene(2, above(), floor=floor(SIDES), lamp=lamp("rectangle")),
+    "dented_disk": lambda: scene(2, above(), floor={**floor(SIDES), "type": "disk"}, lamp=lamp("rectangle")),
+    "mixed_in_room": lambda: scene(3, at_ball(), ball=ball(blend(PAINT, BRUSHED)), room=black_room()),
+    "perforated_in_room": lambda: scene(4, at_ball(), ball=ball(mask(BOTH_SIDES)), room=black_room()),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

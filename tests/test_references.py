@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import layer_scenes
 import numpy as np
 import pytest
 import reference_scenes
@@ -29,9 +30,16 @@ MAX_Z, MAX_MEAN_SQUARE, MAX_SUM_Z = 6.5, 1.5, 4.5
 ROUNDING, LESS_ROUNDING = 2e-3, 3e-4
 
 
+ALL = {**reference_scenes.SCENES, **layer_scenes.SCENES}
+
+
 @pytest.fixture(scope="module")
 def references() -> dict[str, np.ndarray]:
-    return dict(np.load(DATA / "references.npz"))
+    return {
+        key: value
+        for name in ("references", "layer_references")
+        for key, value in np.load(DATA / f"{name}.npz").items()
+    }
 
 
 @pytest.fixture(scope="module")
@@ -90,9 +98,9 @@ def gradient_runs(scene: tr.Scene, names: list[str], spp: int) -> dict[str, list
     return runs
 
 
-@pytest.mark.parametrize("name", list(reference_scenes.SCENES))
+@pytest.mark.parametrize("name", list(ALL))
 def test_image(name: str, references: dict[str, np.ndarray]) -> None:
-    scene = tr.load_dict(reference_scenes.SCENES[name]().scene)
+    scene = tr.load_dict(ALL[name]().scene)
     with torch.no_grad():
         runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
     share = 16 * 1024 / (RUNS * 64)
@@ -101,12 +109,12 @@ def test_image(name: str, references: dict[str, np.ndarray]) -> None:
     check(name, runs, references[f"{name}.mean"], references[f"{name}.var"], share, systematic)
 
 
-WITH_GRADIENTS = [name for name, make in reference_scenes.SCENES.items() if make().gradients]
+WITH_GRADIENTS = [name for name, make in ALL.items() if make().gradients]
 
 
 @pytest.mark.parametrize("name", WITH_GRADIENTS)
 def test_gradient(name: str, references: dict[str, np.ndarray]) -> None:
-    description = reference_scenes.SCENES[name]()
+    description = ALL[name]()
     runs = gradient_runs(tr.load_dict(description.scene), list(description.gradients), spp=64)
     share = 16 * 512 / (RUNS * 64)
     systematic = 5e-4 if name == "film" else LESS_ROUNDING

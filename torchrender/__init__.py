@@ -21,6 +21,7 @@ from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.heightfield import HeightField
+from .scene.layers import BlendBSDF, Mask, NormalMap, TwoSided
 from .scene.materials import (
     Conductor,
     Dielectric,
@@ -32,7 +33,6 @@ from .scene.materials import (
     RoughDielectric,
     RoughPlastic,
     ThinDielectric,
-    TwoSided,
 )
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
@@ -66,6 +66,7 @@ __all__ = [
     "AOV",
     "SAMPLERS",
     "Bitmap",
+    "BlendBSDF",
     "BlendPhase",
     "Checkerboard",
     "Conductor",
@@ -82,9 +83,11 @@ __all__ = [
     "HomogeneousMedium",
     "Integrator",
     "IrradianceMeter",
+    "Mask",
     "Mesh",
     "MeshAttribute",
     "MissingTermWarning",
+    "NormalMap",
     "NotDifferentiableError",
     "ParticleTracer",
     "PathTracer",

@@ -19,6 +19,10 @@ void put(S *p, size_t i, const Vec3<S> &v) {
 // `twosided` resolved as at a hit: the leaf, and -1 where directions are mirrored.
 template <class S>
 Leaf<S> leaf_of(const SceneView<S> &scene, int bsdf, const Vec3<S> &wi, S &mirror) {
+    if (scene.bsdfs[bsdf].kind > TwoSidedKind)
+        throw std::invalid_argument(
+            "bsdf: a mixture, a mask or a normal map is met by chance or at a surface; probe what "
+            "is nested in it");
     Leaf<S> leaf = resolve_bsdf<S>(scene, bsdf, wi.z < S(0), true);
     mirror = leaf.mirrored ? S(-1) : S(1);
     return leaf;

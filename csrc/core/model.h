@@ -52,6 +52,7 @@ struct Record {
     int32_t kind;
     int32_t field[15];
 };
+constexpr int MaxLayers = 8;  // BSDFs around a BSDF
 static_assert(sizeof(Record) == 64, "records are gathered with a stride of 16 integers");
 
 }  // namespace tr

@@ -1,9 +1,12 @@
 // The models of this build, one line each. The position in a list is the model's kind.
 #pragma once
 
+#include "bsdf/blendbsdf.h"
 #include "bsdf/conductor.h"
 #include "bsdf/dielectric.h"
 #include "bsdf/diffuse.h"
+#include "bsdf/mask.h"
+#include "bsdf/normalmap.h"
 #include "bsdf/null.h"
 #include "bsdf/plastic.h"
 #include "bsdf/principled.h"
@@ -32,7 +35,7 @@ using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
                        ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
-using BsdfWrappers = TypeList<TwoSided>;
+using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap>;
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;
 using Sensors = TypeList<Perspective, IrradianceMeter>;
@@ -41,8 +44,6 @@ using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, B
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
 using Attributes = TypeList<AttributeModel>;
 
-constexpr int TwoSidedKind = Bsdfs::Size;
-
 // The position of a model in its list.
 template <class Model, class... Ts>
 constexpr int kind_of_model(TypeList<Ts...>) {
@@ -50,6 +51,20 @@ constexpr int kind_of_model(TypeList<Ts...>) {
     (void)((std::is_same_v<Model, Ts> ? true : (++i, false)) || ...);
     return i;
 }
+
+// Records of wrappers have these kinds.
+constexpr int TwoSidedKind = Bsdfs::Size + kind_of_model<TwoSided>(BsdfWrappers{});
+constexpr int BlendKind = Bsdfs::Size + kind_of_model<BlendBsdf>(BsdfWrappers{});
+constexpr int MaskKind = Bsdfs::Size + kind_of_model<MaskBsdf>(BsdfWrappers{});
+constexpr int NormalMapKind = Bsdfs::Size + kind_of_model<NormalMap>(BsdfWrappers{});
+
+// What a path can meet: the BSDFs, and the holes of masks.
+template <class... Ts>
+constexpr auto with_openings(TypeList<Ts...>) {
+    return TypeList<Ts..., Opening>{};
+}
+using LeafBsdfs = decltype(with_openings(Bsdfs{}));
+constexpr int OpeningKind = kind_of_model<Opening>(LeafBsdfs{});
 
 // Calls f with a value of the type at position `kind`.
 template <class F, class... Ts>

@@ -74,6 +74,7 @@ struct SceneView {
     const AttributeInfo *attributes;
     int32_t n_shapes;
     bool textured;  // there is a texture that is not constant
+    bool layered;   // there is a BSDF that chooses by chance, or turns normals
 
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;

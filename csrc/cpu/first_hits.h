@@ -1,6 +1,7 @@
 // The first hits of a batch of camera rays, and the outputs that are functions of them.
 #pragma once
 
+#include "albedo.h"
 #include "aov.h"
 #include "core/adjoint/outputs.h"
 #include "core/integrator/path.h"
@@ -10,24 +11,6 @@
 namespace tr {
 
 namespace detail {
-
-// The texture that is the albedo of a BSDF; -1 where it is white.
-template <class F, class S, class... Models>
-TR_INLINE IntOf<F> albedo_texture(TypeList<Models...>, const SceneView<S> &scene, const IntOf<F> &bsdf,
-                                  const MaskOf<F> &active) {
-    using I = IntOf<F>;
-    I kind = record_kind<F>(scene.bsdfs, bsdf, active), texture(-1);
-    int k = 0;
-    auto look = [&](auto model) {
-        using Model = decltype(model);
-        auto same = active && mask<F>(kind == k++);
-        if constexpr (Model::Albedo >= 0)
-            if (any(same))
-                texture = select(mask<I>(same), record_field<F>(scene.bsdfs, Model::Albedo, bsdf, same), texture);
-    };
-    (look(Models{}), ...);
-    return texture;
-}
 
 template <class F, int C>
 class FirstHits {
@@ -121,10 +104,7 @@ public:
                 put_number(AovUv, 0, uv.x), put_number(AovUv, 1, uv.y);
             }
             if (wants(AovAlbedo)) {
-                I texture = albedo(ray, si, active);
-                M textured = active && mask<F>(texture >= 0);
-                Color<F, C> color = select(textured, eval_texture<C>(scene_, scene_.values, texture, si.at, textured),
-                                           uniform_color<C>(F(1)));
+                Color<F, C> color = eval_albedo<C>(scene_, si.shape.bsdf, behind(ray, si), si.at, active);
                 for (int c = 0; c < C; ++c) put_number(AovAlbedo, c, color[c]);
             }
         });
@@ -138,19 +118,15 @@ public:
         if (forward)
             for (int k = 0; k < layout_.n; ++k) std::memset(value[k], 0, n * sizeof(S));
         for_hits(n, [&](size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si) {
-            I texture(-1);
-            M textured(false);
+            CoordinateAdjoint<F> at;
             if (wants(AovAlbedo)) {
-                texture = albedo(ray, si, active);
-                textured = active && mask<F>(texture >= 0);
-            }
-            if (any(textured) && wanted.bsdf) {
                 S *const *to = value + layout_.offset[AovAlbedo];
                 Color<F, C> g = uniform_color<C>(F(1));
                 if (!forward)
                     for (int c = 0; c < C; ++c) g[c] = load<F>(to[c] + i);
                 sink.begin();
-                sink.texture(scene_, texture, si.at, g, textured);
+                if (wanted.bsdf)
+                    sweep_albedo(scene_, si.shape.bsdf, behind(ray, si), si.at, g, true, false, active, at, sink);
                 if constexpr (forward)
                     for (int c = 0; c < C; ++c) store(to[c] + i, select(active, sink.derivative[c], F(0)));
             }
@@ -159,12 +135,12 @@ public:
                 sink.channel = 0;  // one number after the other, whatever it is
                 for (int k = 0; k < layout_.n; ++k) {
                     sink.begin();
-                    sweep_motion(i, active, ray, si, texture, textured, wanted, sink,
+                    sweep_motion(i, active, ray, si, wanted, sink,
                                  [&](int channel) { return F(channel == k ? S(1) : S(0)); });
                     store(value[k] + i, load<F>(value[k] + i) + select(active, sink.derivative[0], F(0)));
                 }
             } else {
-                sweep_motion(i, active, ray, si, texture, textured, wanted, sink,
+                sweep_motion(i, active, ray, si, wanted, sink,
                              [&](int channel) { return load<F>(value[channel] + i); });
             }
         });
@@ -174,16 +150,12 @@ private:
     bool wants(int kind) const { return layout_.wants(kind); }
     Vec3<F> axis(int k) const { return {F(camera_.axis[k].x), F(camera_.axis[k].y), F(camera_.axis[k].z)}; }
 
-    I albedo(const Ray<F> &ray, const Interaction<F> &si, const M &active) const {
-        M back = mask<F>(dot(si.frame.n, ray.d) > F(0));
-        I bsdf = si.shape.bsdf;
-        return albedo_texture<F>(Bsdfs{}, scene_, resolve_bsdf<F>(scene_, bsdf, back, active).bsdf, active);
-    }
+    M behind(const Ray<F> &ray, const Interaction<F> &si) const { return mask<F>(dot(si.frame.n, ray.d) > F(0)); }
 
     // What moves the hit, its normals or the look-up there; given(channel) is the adjoint of a channel.
     template <class Sink, class Given>
-    void sweep_motion(size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si, const I &texture,
-                      const M &textured, const Wanted &wanted, Sink &sink, Given &&given) {
+    void sweep_motion(size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si, const Wanted &wanted,
+                      Sink &sink, Given &&given) {
         auto number = [&](int kind, int c) { return wants(kind) ? given(layout_.offset[kind] + c) : F(0); };
         auto vector = [&](int kind) { return Vec3<F>{number(kind, 0), number(kind, 1), number(kind, 2)}; };
         OutputAdjoint<F> g;
@@ -196,10 +168,10 @@ private:
         g.normal_camera = vector(AovNormalCamera);
         g.shading_normal_camera = vector(AovShadingNormalCamera);
         g.at.uv = {number(AovUv, 0), number(AovUv, 1)};
-        if (any(textured)) {
+        if (wants(AovAlbedo)) {
             Color<F, C> color;
             for (int c = 0; c < C; ++c) color[c] = number(AovAlbedo, c);
-            sweep_lookup<C>(scene_, texture, si.at, color, textured, g.at, sink);
+            sweep_albedo(scene_, si.shape.bsdf, behind(ray, si), si.at, color, false, true, active, g.at, sink);
         }
         sweep_outputs(scene_, scene_.sensors[call_.config.sensor], camera_, load<F>(film_x + i), load<F>(film_y + i),
                       S(call_.film_width), S(call_.film_height), ray.d, si, g, wanted.camera, active, sink);

@@ -26,14 +26,14 @@ public:
                 if (segment.kind == Segment::Emission)
                     sweep_emissions(segment, sink);
                 else
-                    dispatch(Bsdfs{}, segment.kind, [&](auto m) { sweep_segment<decltype(m)>(l, segment, sink); });
+                    dispatch(LeafBsdfs{}, segment.kind, [&](auto m) { sweep_segment<decltype(m)>(l, segment, sink); });
     }
 
 private:
     template <class Model, class Sink>
     void sweep_segment(int number, const Segment &segment, Sink &sink) {
         TapeLevel<S, C> &level = *levels_[size_t(number)];
-        const Wanted &wanted = derivative_.wanted;
+        const Wanted &wanted = this->wanted_;
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
             VertexRecord<F, C> v = level.template get<F>(i, true);
@@ -69,7 +69,7 @@ private:
     template <class Sink>
     void sweep_emissions(const Segment &segment, Sink &sink) {
         TapeLevel<S, C> &level = *levels_[0];
-        const Wanted &wanted = derivative_.wanted;
+        const Wanted &wanted = this->wanted_;
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
             sink.begin();

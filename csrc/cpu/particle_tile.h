@@ -78,7 +78,7 @@ private:
     void new_level(size_t n) {
         if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
         TapeLevel<S, C> &level = *levels_[size_t(n_levels_)];
-        level.reserve(n, false, true);
+        level.reserve(n, false, true, scene_.layered);
         level.parent_level = n_levels_ - 1;
         level.scatters = true;
         ++n_levels_;
@@ -219,7 +219,7 @@ private:
             new_level(entries(front.n));
             segments = &level().segments;
         }
-        group(front, true, depth, Derivative, *segments);
+        group(front, true, depth, uint32_t(depth), Derivative, *segments);
         auto missed = [](const Segment &s) { return s.kind == Miss; };
         segments->erase(std::remove_if(segments->begin(), segments->end(), missed), segments->end());
         for (const Segment &segment : *segments)
@@ -238,7 +238,6 @@ private:
         M active = lanes.active;
         Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
         Interaction<F> si = this->interaction(ray, lanes);
-        Vec3<F> wi = si.frame.to_local(-ray.d);
         Color<F, C> beta = lanes.template color<C>(front.beta);
         U slot = lanes.get(front.slot);
         if (Derivative) {
@@ -250,7 +249,8 @@ private:
                                                mask<F>(arrival < F(0)));
             }
         }
-        Leaf<F> leaf = resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(wi.z < F(0)), active);
+        Leaf<F> leaf = this->resolve(si, ray.d, slot, uint32_t(depth), false, Derivative, active);
+        Vec3<F> wi = si.frame.to_local(-ray.d);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         LaneSet<F> paths(slot, active);
         U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
@@ -260,11 +260,11 @@ private:
         if (goes_on) ub = draw4<F>(config, path_pixel, path_sample, BsdfBlock + block, 3);
         Connection<F> to{};
         bool smooth = false;
-        dispatch(Bsdfs{}, kind, [&](auto m) { smooth = decltype(m)::Smooth; });
+        dispatch(LeafBsdfs{}, kind, [&](auto m) { smooth = decltype(m)::Smooth; });
         if (smooth && sensor_.meter < 0) to = connect(sensor_.camera, si.p, M(false), active);
         if (config.hide_emitters) to.seen = to.seen && mask<F>(si.shape.emitter < 0);
         LightScattering<F, C> s;
-        dispatch(Bsdfs{}, kind,
+        dispatch(LeafBsdfs{}, kind,
                  [&](auto m) { scatter_light<decltype(m)>(scene_, si, ray.d, wi, leaf, to, ub, goes_on, active, s); });
         if (sensor_.meter >= 0) {
             to = IrradianceMeter::measure(scene_, sensor_.meter, si, ray.d, S(call_.film_width), S(call_.film_height),
@@ -282,6 +282,7 @@ private:
         if (Derivative && derivative_->wanted.bsdf) {
             // a path that an albedo of zero would end goes on where that albedo has a derivative
             M wanted = mask<F>(gather<I>(bsdf_wanted(), U(leaf.bsdf), mask<I>(active)) != 0);
+            if (scene_.layered) wanted = wanted || leaf.layers.wanted;
             kept = select(wanted, max_with(magnitude(weight), F(0.05)), weight);
         }
         survival = survival * kept;

@@ -25,6 +25,7 @@ protected:
     using typename Base::S;
     using typename Base::U;
     static constexpr int BySide = -1, Ignore = -2;
+    static constexpr bool Viewed = true;  // paths come from the camera
 
 public:
     using Base::alpha, Base::stats, Base::recorder, Base::replay;
@@ -33,7 +34,7 @@ public:
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
         : Base(call, capacity, derivative) {
         leaf_kind_.resize(size_t(scene_.n_bsdfs));
-        for (int b = 0; b < scene_.n_bsdfs; ++b) leaf_kind_[size_t(b)] = leaf_kind(b);
+        for (int b = 0; b < scene_.n_bsdfs; ++b) leaf_kind_[size_t(b)] = kind_below(b);
     }
 
     // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
@@ -249,18 +250,36 @@ protected:
     }
 
     // ----------------------------------------------------------------------------------------------------- grouping
-    int leaf_kind(int bsdf) const {
+    // BySide: it depends on the hit.
+    int kind_below(int bsdf) const {
         const Record &r = scene_.bsdfs[bsdf];
+        if (r.kind == NormalMapKind) return kind_below(r.field[NormalMap::Nested]);
+        if (r.kind == MaskKind) return BySide;
+        if (r.kind == BlendKind) {
+            int first = kind_below(r.field[BlendBsdf::First]);
+            return first == kind_below(r.field[BlendBsdf::Second]) ? first : BySide;
+        }
         if (r.kind != TwoSidedKind) return r.kind;
-        int front = scene_.bsdfs[r.field[TwoSided::Front]].kind;
-        int back = r.field[TwoSided::Back] < 0 ? front : scene_.bsdfs[r.field[TwoSided::Back]].kind;
-        return front == back ? front : BySide;
+        int front = kind_below(r.field[TwoSided::Front]);
+        return r.field[TwoSided::Back] < 0 || front == kind_below(r.field[TwoSided::Back]) ? front : BySide;
+    }
+
+    // The leaf at a hit, whose frame it may turn. `scattering` counts the blocks of random numbers.
+    Leaf<F> resolve(Interaction<F> &si, const Vec3<F> &d, const U &slot, uint32_t scattering, bool viewed,
+                    bool derivative, const M &active) const {
+        if (!scene_.layered) return resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
+        LaneSet<F> paths(slot, active);
+        Random4<F> u = draw4<F>(call_.config, paths.get(pixel), paths.get(sample),
+                                BsdfBlock + BlocksPerScattering * scattering, 4);
+        return resolve_layers<C>(scene_, si, d, u.u[3], viewed,
+                                 derivative && derivative_->wanted.bsdf ? bsdf_wanted() : nullptr, active);
     }
 
     // The kinds of the packet of hits at i: Ignore where nothing is to be done.
-    I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth, bool derivative) const {
+    I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth, uint32_t scattering,
+               bool derivative) const {
         U shape = load_uint<F>(hit_shape_ + i);
-        if (volumetric_) return volumetric_kinds(front, i, active, shape, derivative);
+        if (volumetric_) return volumetric_kinds(front, i, active, shape, scattering, derivative);
         M hit = active && mask<F>(shape != Accel::Miss);
         bool shows = scene_.environment >= 0 && !(call_.config.hide_emitters && depth == 0);
         I kind = select(mask<I>(active && !hit), I(shows ? Miss : Ignore), I(Ignore));
@@ -268,10 +287,11 @@ protected:
         ShapeLanes<F> info(scene_.shapes, shape, hit);
         if (!scatters && depth > 0) hit = hit && mask<F>(info.emitter >= 0);  // paths may end in the dark
         if (!any(hit)) return kind;
-        return surface_kinds(front, i, shape, info, hit, kind);
+        return surface_kinds(front, i, shape, info, hit, scattering, derivative, kind);
     }
 
-    I volumetric_kinds(const Front<S, C> &front, size_t i, const M &active, const U &shape, bool derivative) const {
+    I volumetric_kinds(const Front<S, C> &front, size_t i, const M &active, const U &shape, uint32_t scattering,
+                       bool derivative) const {
         M collided = active && mask<F>(shape == U(CollisionShape)), missed = active && mask<F>(shape == U(Accel::Miss));
         M shows = missed && M(scene_.environment >= 0);
         if (derivative)  // a segment through a medium has a derivative wherever it ends
@@ -280,7 +300,7 @@ protected:
         M hit = active && !collided && !missed;
         if (!any(hit)) return kind;
         ShapeLanes<F> info(scene_.shapes, shape, hit);
-        kind = surface_kinds(front, i, shape, info, hit, kind);
+        kind = surface_kinds(front, i, shape, info, hit, scattering, derivative, kind);
         if (call_.config.hide_emitters) {  // camera rays pass through lights
             M hidden = hit && mask<F>(info.emitter >= 0) && mask<F>(load_uint<F>(front.depth + i) == U(0u));
             kind = select(mask<I>(hidden), I(NullKind), kind);
@@ -289,7 +309,7 @@ protected:
     }
 
     I surface_kinds(const Front<S, C> &front, size_t i, const U &shape, const ShapeLanes<F> &info, const M &hit,
-                    I kind) const {
+                    uint32_t scattering, bool derivative, I kind) const {
         I leaf[1];
         gather_few_rows<F>(leaf_kind_.data(), U(info.bsdf), hit, leaf);
         kind = select(mask<I>(hit), leaf[0], kind);
@@ -298,19 +318,21 @@ protected:
             Ray<F> ray{load_vec<F>(front.o, i), load_vec<F>(front.d, i)};
             SurfacePoint<F> at{shape, load_uint<F>(hit_primitive_ + i), load<F>(hit_b1_ + i), load<F>(hit_b2_ + i)};
             Interaction<F> si = make_interaction(scene_, ray, at, load<F>(hit_t_ + i), by_side);
-            I bsdf = resolve_bsdf<F>(scene_, info.bsdf, mask<F>(dot(si.frame.n, ray.d) > F(0)), by_side).bsdf;
-            kind = select(mask<I>(by_side), record_kind<F>(scene_.bsdfs, bsdf, by_side), kind);
+            U slot = select(mask<U>(by_side), load_uint<F>(front.slot + i), U(0u));
+            Leaf<F> leaf = resolve(si, ray.d, slot, scattering, Viewed, derivative, by_side);
+            kind = select(mask<I>(by_side), tr::leaf_kind(scene_, leaf, by_side), kind);
         }
         return kind;
     }
 
     // Stable counting sort by model; every segment starts at a multiple of the packet width, with room for a packet
     // behind the one before.
-    void group(const Front<S, C> &front, bool scatters, int depth, bool derivative, std::vector<Segment> &segments) {
+    void group(const Front<S, C> &front, bool scatters, int depth, uint32_t scattering, bool derivative,
+               std::vector<Segment> &segments) {
         uint32_t counts[Collision + 1] = {}, begin[Collision + 1];
         for (size_t i = 0; i < front.n; i += W) {
             U entry = U(uint32_t(i)) + lane_index<F>();
-            I kind = kinds_at(front, i, mask<F>(entry < U(uint32_t(front.n))), scatters, depth, derivative);
+            I kind = kinds_at(front, i, mask<F>(entry < U(uint32_t(front.n))), scatters, depth, scattering, derivative);
             store(kind_ + i, kind);
             for_each_distinct<F>(kind, mask<F>(kind >= 0),
                                  [&](int32_t k, const M &same) { counts[k] += uint32_t(count(same)); });
@@ -341,12 +363,12 @@ protected:
         if (Derivative) {
             if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
             TapeLevel<S, C> &level = *levels_[size_t(n_levels_++)];
-            level.reserve(entries(front.n), volumetric_);
+            level.reserve(entries(front.n), volumetric_, false, scene_.layered);
             level.parent_level = parent_level;
             level.scatters = scatters;
             segments = &level.segments;
         }
-        group(front, scatters, depth, Derivative, *segments);
+        group(front, scatters, depth, uint32_t(depth + index), Derivative, *segments);
         for (const Segment &segment : *segments) {
             for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
                 LaneSet<F> lanes(order_ + i, segment.begin + segment.count - i);
@@ -413,14 +435,14 @@ protected:
         M active = lanes.active;
         Ray<F> ray{lanes.vec(front.o), lanes.vec(front.d)};
         Interaction<F> si = this->interaction(ray, lanes);
-        Vec3<F> wi = si.frame.to_local(-ray.d);
+        const F cos_i = -dot(si.frame.n, ray.d);
         Origin<F> from{lanes.vec(front.from), lanes.get(front.pdf)};
         Color<F, C> beta = lanes.template color<C>(front.beta);
         U slot = lanes.get(front.slot);
         const bool passes = volumetric_ && kind == NullKind;
         M shown = passes && config.hide_emitters ? active && !mask<F>(lanes.get(front.depth) == U(0u)) : active;
         Emission<F, C> e =
-            index == 0 ? surface_emission<C>(scene_, config, si, wi.z, from, shown, depth == 1) : no_emission();
+            index == 0 ? surface_emission<C>(scene_, config, si, cos_i, from, shown, depth == 1) : no_emission();
         if (Derivative) {
             level().template put_vertex<F>(i, slot, lanes.get(front.parent), beta, si.at, e);
             if (derivative_->wanted.geometry) {
@@ -433,7 +455,8 @@ protected:
                             finite(e.radiance, active && mask<F>(e.weight > F(0)), "emitter", e.point.emitter));
         }
         U seen = lanes.get(front.seen);
-        if (!Derivative && kind != NullKind) see(slot, seen, active);
+        const bool invisible = kind == NullKind || kind == OpeningKind;
+        if (!Derivative && !invisible) see(slot, seen, active);
         if (!scatters) return;
         if (passes) return this->template pass<Derivative>(front, next, lanes, i, si, slot, beta);
 
@@ -447,7 +470,8 @@ protected:
             counted = mask<F>(I(path_depth) + 1 >= I(config.rr_depth));
         }
 
-        Leaf<F> leaf = resolve_bsdf<F>(scene_, si.shape.bsdf, mask<F>(wi.z < F(0)), active);
+        Leaf<F> leaf = resolve(si, ray.d, slot, uint32_t(depth + index), Viewed, Derivative, active);
+        Vec3<F> wi = si.frame.to_local(-ray.d);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         LaneSet<F> paths(slot, active);
         U path_pixel = paths.get(pixel), path_sample = paths.get(sample);
@@ -456,7 +480,7 @@ protected:
         Random4<F> ue = draw4<F>(config, path_pixel, path_sample, EmitterBlock + block, roulette ? 4 : 3);
         Random4<F> ub = draw4<F>(config, path_pixel, path_sample, BsdfBlock + block, 3);
         Scattering<F, C> s;
-        dispatch(Bsdfs{}, kind,
+        dispatch(LeafBsdfs{}, kind,
                  [&](auto m) { scatter<decltype(m)>(scene_, config, si, wi, leaf, index, depth, ue, ub, may, s); });
         add_shadow_rays<Derivative>(si, s, beta, slot, i, leaf.bsdf, medium);
 
@@ -469,6 +493,7 @@ protected:
             Color<F, C> kept = weight;
             if (derivative_->wanted.bsdf) {
                 M wanted = mask<F>(gather<I>(bsdf_wanted(), U(leaf.bsdf), mask<I>(active)) != 0);
+                if (scene_.layered) wanted = wanted || leaf.layers.wanted;
                 kept = select(wanted, max_with(magnitude(weight), F(0.05)), weight);
             }
             survival = lanes.template color<C>(front.survival) * kept;
@@ -492,7 +517,7 @@ protected:
         Ray<F> out;
         out.d = normalize(si.frame.to_world(wo));
         out.o = offset_origin(si.p, si.ng, out.d);
-        U now_seen = kind == NullKind ? seen : U(1u);
+        U now_seen = invisible ? seen : U(1u);
         size_t appended = next.n;
         append(next, out, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf), beta * weight * keep,
                survival * keep, eta, slot, U(i) + lane_index<F>(), now_seen, alive);

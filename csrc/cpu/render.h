@@ -45,7 +45,7 @@ struct DerivativeCall {
     Values<S> tangent{nullptr, nullptr};  // forward
     GeometryTables<const S> geometry_tangent;
     Wanted wanted{true, true, true, true, true, {1, 1, 1, 1}};
-    std::vector<uint8_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
+    std::vector<int32_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
     bool adaptive = false;              // reverse: more samples where the adjoint is larger, see allocation.h
     std::vector<int32_t> shape_wanted;  // by shape: it moves, or its normals or coordinates do
 };

@@ -69,7 +69,7 @@ struct ShadowRays {
 // Entries that one BSDF model handles, or the environment, or the media that rays have collided with, or emitters, from
 // which light paths begin.
 struct Segment {
-    static constexpr int Miss = Bsdfs::Size, Collision = Miss + 1, Emission = Collision + 1;
+    static constexpr int Miss = LeafBsdfs::Size, Collision = Miss + 1, Emission = Collision + 1;
     int kind;
     uint32_t begin, count;
 };
@@ -165,6 +165,32 @@ struct LightColumns {
     }
 };
 
+// The columns of a level that layered scenes add: what a leaf was found from, see Leaf. By entry of the level.
+template <class S>
+struct LayerColumns {
+    Arena arena;
+    S *choice = nullptr, *base[3];
+
+    void allocate(size_t n) {
+        arena.allocate([&](Arena &a) {
+            a.column(choice, n);
+            a.column(base, n);
+        });
+    }
+    template <class F>
+    TR_INLINE void put(size_t i, const F &choice_, const Vec3<F> &base_) {
+        if (!choice) return;
+        store(choice + i, choice_);
+        store(base[0] + i, base_.x), store(base[1] + i, base_.y), store(base[2] + i, base_.z);
+    }
+    template <class F, int C>
+    TR_INLINE void get(size_t i, VertexRecord<F, C> &v) const {
+        if (!choice) return;
+        v.choice = load<F>(choice + i);
+        v.base = load_vec<F>(base, i);
+    }
+};
+
 // Of the paths that go on from probes: the segment each belongs to, and what it brings. By slot of the tile.
 template <class S, int C>
 struct BranchColumns {
@@ -182,6 +208,7 @@ struct TapeLevel {
     bool scatters = false;
     VolumeColumns<S, C> volume;  // of volumetric paths
     LightColumns<S> light;       // of light paths
+    LayerColumns<S> layers;      // of layered scenes
 
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
@@ -194,11 +221,12 @@ struct TapeLevel {
     S *d[3], *p[3], *segment[3], *t;
     uint32_t *attached;
 
-    void reserve(size_t n, bool volumetric, bool of_light = false) {
+    void reserve(size_t n, bool volumetric, bool of_light, bool layered) {
         if (n <= capacity) return;
         capacity = n;
         if (volumetric) volume.allocate(n);
         if (of_light) light.allocate(n);
+        if (layered) layers.allocate(n);
         arena.allocate([&](Arena &a) {
             for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive, &attached,
                                  &next_shape, &next_primitive})
@@ -257,6 +285,7 @@ struct TapeLevel {
         put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
         put(normal, i, normal_);
+        layers.put(i, leaf.choice, leaf.base);
     }
 
     // The same of a light path; put_connection follows.
@@ -272,6 +301,7 @@ struct TapeLevel {
         put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
         put(normal, i, normal_);
+        layers.put(i, leaf.choice, leaf.base);
         light.put(i, ng);
     }
     template <class F>
@@ -339,6 +369,7 @@ struct TapeLevel {
         put(normal, i, z);
         store(bsdf + i, IntOf<F>(0));
         store(mirror + i, F(1));
+        layers.put(i, F(0), z);
         for (S *column : uv) store(column + i, F(0));
     }
     // A collision in a medium: where, and the direction of travel.
@@ -371,6 +402,7 @@ struct TapeLevel {
         get_outgoing(i, v);
         v.mirror = load<F>(mirror + i);
         v.normal = load_vec<F>(normal, i);
+        layers.get(i, v);
         return v;
     }
     // To the light, and on along the path.

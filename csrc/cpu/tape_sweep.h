@@ -35,7 +35,10 @@ public:
           derivative_(derivative),
           levels_(levels),
           n_levels_(n_levels),
-          paths_(paths) {}
+          paths_(paths),
+          wanted_(derivative.wanted) {
+        if (wanted_.bsdf) wanted_.bsdfs = derivative.bsdf_wanted.data();
+    }
 
     // `unit_adjoint`: the radiance itself is differentiated, in all channels. Adjoints of numbers are sums over
     // channels: in forward mode every channel then has a sweep of its own.
@@ -65,7 +68,7 @@ protected:
                 else if (segment.kind == Segment::Miss || !level.scatters)
                     sweep_segment<void>(l, segment, sink, unit_adjoint);
                 else
-                    dispatch(Bsdfs{}, segment.kind,
+                    dispatch(LeafBsdfs{}, segment.kind,
                              [&](auto m) { sweep_segment<decltype(m)>(l, segment, sink, unit_adjoint); });
         }
     }
@@ -75,7 +78,7 @@ protected:
         constexpr bool collision = std::is_same_v<Model, InMedium>;
         constexpr bool scattering = !std::is_void_v<Model> && !collision;
         TapeLevel<S, C> &level = *levels_[size_t(number)];
-        const Wanted &wanted = derivative_.wanted;
+        const Wanted &wanted = wanted_;
         const bool volumetric = call_.config.volumetric;
         for (uint32_t i = segment.begin; i < segment.begin + segment.count; i += W) {
             M active = mask<F>(lane_index<F>() < U(segment.begin + segment.count - i));
@@ -192,6 +195,7 @@ protected:
     Levels &levels_;
     int n_levels_;
     Paths paths_;
+    Wanted wanted_;
 };
 
 }  // namespace tr

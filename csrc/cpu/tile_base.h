@@ -51,7 +51,6 @@ public:
         });
         for (auto &f : fronts_) f.allocate(n);
         shadow_.allocate(shadows);
-        if (derivative) bsdf_wanted_.assign(derivative->bsdf_wanted.begin(), derivative->bsdf_wanted.end());
     }
 
 protected:
@@ -133,7 +132,7 @@ protected:
     }
 
     TapeLevel<S, C> &level() { return *levels_[size_t(n_levels_ - 1)]; }
-    const int32_t *bsdf_wanted() const { return bsdf_wanted_.data(); }
+    const int32_t *bsdf_wanted() const { return derivative_->bsdf_wanted.data(); }
 
     const RenderCall<S> &call_;
     const SceneView<S> &scene_;
@@ -145,7 +144,6 @@ protected:
     int n_levels_ = 0;
     size_t n_slots_ = 0;
     std::vector<Segment> segments_;
-    std::vector<int32_t> bsdf_wanted_;
     uint32_t *hit_shape_, *hit_primitive_, *order_;
     S *hit_t_, *hit_b1_, *hit_b2_;
     float *ray_[7], *float_t_, *float_b1_, *float_b2_;

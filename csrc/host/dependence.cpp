@@ -87,7 +87,9 @@ bool Dependence::motion(size_t sensor) const {
     if (any("texture", {Kind::Transform2, Kind::Float}) || any("emitter", {Kind::Transform})) return true;
     const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
     for (size_t i = 0; i < bsdfs.size(); ++i)
-        if (has_delta_lobes(bsdfs[i].kind) && any_number("bsdf", i, {Kind::Float})) return true;
+        if ((has_delta_lobes(bsdfs[i].kind) && any_number("bsdf", i, {Kind::Float})) ||
+            (bsdfs[i].kind == NormalMapKind && values("bsdf", i)))  // shading normals
+            return true;
     return false;
 }
 

@@ -268,19 +268,53 @@ private:
                  text(s));
     }
 
+    // Also finds BSDFs that contain themselves.
     void check_bsdfs() {
         for (size_t i = 0; i < list("bsdf").size(); ++i) {
-            if (list("bsdf")[i].type != TwoSided::model.type) continue;
-            for (int f : {TwoSided::Front, TwoSided::Back}) {
-                int32_t nested = value("bsdf", int(i), f);
-                if (nested < 0) continue;
-                const std::string &type = list("bsdf")[size_t(nested)].type;
-                if (type == TwoSided::model.type || type == Dielectric::model.type || type == NullBsdf::model.type ||
-                    type == RoughDielectric::model.type)
-                    fail(where("bsdf", int(i), field("bsdf", int(i), f).name), "a bsdf that only reflects",
-                         "'" + type + "'");
+            bsdf_depth(int(i), 0);
+            const std::string &type = list("bsdf")[i].type;
+            if (type == TwoSided::model.type) {
+                for_nested(int(i), [&](int nested, const std::string &at) { check_reflects(nested, at); });
+            } else if (type == NormalMap::model.type) {
+                if (out_.channels != 3) fail(where("bsdf", int(i), "normalmap"), "a scene in colours", "one in grey");
+                for_nested(int(i), [&](int nested, const std::string &at) { check_turned(nested, at); });
             }
         }
+    }
+
+    template <class Visit>
+    void for_nested(int bsdf, Visit &&visit) {
+        const Model &model = *find_model("bsdf", list("bsdf")[size_t(bsdf)].type)->model;
+        for (int f = 0; f < model.n_fields; ++f) {
+            if (model.fields[f].kind != Kind::Bsdf) continue;
+            int32_t nested = value("bsdf", bsdf, f);
+            if (nested >= 0 && nested < int32_t(list("bsdf").size()))
+                visit(nested, where("bsdf", bsdf, model.fields[f].name));
+        }
+    }
+
+    void bsdf_depth(int bsdf, int depth) {
+        if (depth > MaxLayers)
+            fail(path("bsdf", bsdf), "BSDFs nested at most " + std::to_string(MaxLayers) + " deep",
+                 "a deeper or circular nesting");
+        for_nested(bsdf, [&](int nested, const std::string &) { bsdf_depth(nested, depth + 1); });
+    }
+
+    void check_reflects(int bsdf, const std::string &at) {
+        const std::string &type = list("bsdf")[size_t(bsdf)].type;
+        for (const Model *model : {&TwoSided::model, &Dielectric::model, &NullBsdf::model, &RoughDielectric::model,
+                                   &ThinDielectric::model, &MaskBsdf::model})
+            if (type == model->type) fail(at, "a bsdf that only reflects", "'" + type + "'");
+        for_nested(bsdf, [&](int nested, const std::string &) { check_reflects(nested, at); });
+    }
+
+    // Sides are told apart, and normals turned, from the surface's own normal.
+    void check_turned(int bsdf, const std::string &at) {
+        const std::string &type = list("bsdf")[size_t(bsdf)].type;
+        for (const Model *model : {&TwoSided::model, &NormalMap::model})
+            if (type == model->type)
+                fail(at, "a bsdf other than " + type + ", which may stand around it", "'" + type + "'");
+        for_nested(bsdf, [&](int nested, const std::string &) { check_turned(nested, at); });
     }
 
     void connect_media() {

@@ -288,6 +288,8 @@ void SceneData<S>::refresh_view() {
     const auto &textures = layout_.records.at("texture");
     view_.textured = std::any_of(textures.begin(), textures.end(),
                                  [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
+    const auto &bsdfs = layout_.records.at("bsdf");
+    view_.layered = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
     view_.emitter_cdf = emitter_cdf_.data();
     view_.emitter_pmf = emitter_pmf_.data();

@@ -92,9 +92,8 @@ def metallic_roughness(material: Any, known: Mapping[str, str]) -> tuple[dict[st
         lost += _given(material, "metallicRoughnessTexture")
     normals = _texels(getattr(material, "normalTexture", None))
     if normals is not None and "normalmap" in known:
-        data = normals.clone()
-        data[..., 1] = 1 - data[..., 1]  # glTF's second axis points up the picture, where v falls
-        bsdf = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": data, "raw": True}, "bsdf": bsdf}
+        # both have the second axis at a right angle to the first, up the picture
+        bsdf = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": normals, "raw": True}, "bsdf": bsdf}
     elif normals is not None:
         lost.append("normalTexture")
     bsdf = {"type": "twosided", "bsdf": bsdf}

@@ -336,34 +336,3 @@ class RednerMaterial(Plugin):
     """
 
     category, type = "bsdf", "redner"
-
-
-TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "principledthin", "mask")
-
-
-@register
-class TwoSided(Plugin):
-    """Reflection from both sides of a surface.
-
-    Args:
-        brdf_0: the front's BSDF, and the back's if there is no second. Nested BSDFs may have any name.
-        brdf_1: the back's BSDF.
-    """
-
-    category, type = "bsdf", "twosided"
-
-    def _fill(self, ctx: Context) -> None:
-        super()._fill(ctx)
-        if self._modules.get("brdf_0") is None and not self._references:
-            ctx.error("twosided: a nested BSDF is missing")
-
-    def check(self, ctx: Context) -> None:
-        super().check(ctx)
-        for name in ("brdf_0", "brdf_1"):
-            child = self._modules.get(name)
-            if child is None:
-                continue
-            clear = child._modules.get("spec_trans") is not None
-            if child.type in TRANSMITTING or child.type == "twosided" or clear:
-                what = f"{child.type} with spec_trans" if clear else child.type
-                ctx.at(name).error(f"a {what} cannot be made two-sided: only one-sided reflection can")

@@ -21,7 +21,7 @@ from .context import Context, Reference
 from .declaration import CHILD_KINDS, TENSOR_KINDS, Field, Model, models
 from .signatures import LazySignature
 
-BOOLEANS = frozenset({"flip_normals", "face_normals", "per_face", "nonlinear"})
+BOOLEANS = frozenset("flip_normals face_normals per_face nonlinear flip_invalid_normals use_shadowing_function".split())
 ENUMERATIONS: dict[str, tuple[str, ...]] = {
     "filter_type": ("bilinear", "nearest"),
     "wrap_mode": ("repeat", "mirror", "clamp"),

@@ -22,6 +22,8 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("phase", "tabphase"): "TabulatedPhase",
     ("phase", "blendphase"): "BlendPhase",
     ("bsdf", "twosided"): "TwoSided",
+    ("bsdf", "blendbsdf"): "BlendBSDF",
+    ("bsdf", "normalmap"): "NormalMap",
     ("emitter", "area"): "AreaLight",
     ("emitter", "directionalarea"): "DirectionalAreaLight",
     ("emitter", "constant"): "ConstantLight",

@@ -111,28 +111,40 @@ TR_NOINLINE void sweep_measurement(const SceneView<S> &scene, const LightSensor<
 template <class Model, int C, class F, class S, class Sink>
 TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const LightSensor<S> &sensor,
                                              const VertexRecord<F, C> &v, const ConnectionRecord<F> &connection,
-                                             const Color<F, C> &a, NextVertex<F, C> next, const Wanted &wanted,
+                                             Color<F, C> a, NextVertex<F, C> next, const Wanted &wanted,
                                              const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
     constexpr Transport importance = Transport::Importance;
     auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
     VertexFrame<F> frame(v.normal, v.mirror);
     Vec3<F> wi = -v.d, wo = frame.frame.to_world(v.wo), to_camera = frame.frame.to_world(v.wo_light);
-    auto interpolated = active && ShapeLanes<F>(scene.shapes, v.at.shape, active).has(HasNormals);
+    LayerSweep<F> layers;
+    if (scene.layered) layers = begin_layers<C>(scene, v, wanted, importance, active);
+    auto interpolated = has_shading_normal(ShapeLanes<F>(scene.shapes, v.at.shape, active), layers.leaf, active);
     auto lit = active && mask<F>(v.light_weight > F(0));
     F path_correction = shading_correction(wi, wo, v.normal, connection.ng, interpolated);
     F correction = shading_correction(wi, to_camera, v.normal, connection.ng, interpolated);
     const bool measured = sensor.meter >= 0;  // what arrives, not what is scattered
     Color<F, C> light_factor = v.emitted * (measured ? F(0) : v.light_weight * correction);
     Color<F, C> path_factor = next.radiance * (v.inverse_pdf * path_correction);
-    Color<F, C> f, f_light;
+    Color<F, C> f, f_light, whole = a;  // above the layers
+    F weight = layers.leaf.layers.weight;
+    if (scene.layered) {
+        a = a * weight;
+        light_factor = light_factor * (layers.light_factor * layers.leaf.layers.inverse_probability);
+        path_factor = path_factor * layers.path_factor;
+    }
     sweep_parameters<importance, Model, C>(scene, v, params, a, light_factor, path_factor, wanted, active, hit, f,
                                            f_light, sink);
-    Color<F, C> total = f * path_factor;
+    Color<F, C> scattered = f * path_factor, direct = uniform_color<C>(F(0));  // what a meter gets is above the layers
     if (measured)
-        total = total + v.emitted * v.light_weight;
+        direct = v.emitted * v.light_weight;
     else if constexpr (Model::Smooth)
-        total = total + f_light * light_factor;
-    if (!wanted.geometry) return total;
+        scattered = scattered + f_light * light_factor;
+    Color<F, C> total = scene.layered ? scattered * weight + direct : scattered + direct;
+    if (!wanted.geometry) {
+        if (scene.layered) finish_layers<C>(scene, v, layers, whole * scattered, wanted, active, hit, sink);
+        return total;
+    }
 
     Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero, wi_world = zero, camera_bar = zero;
     F brought = select(lit && !MaskOf<F>(measured), channel_sum(a * f_light * light_factor), F(0));
@@ -146,9 +158,13 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Li
         hit.n = hit.n + path.ns + light.ns;
         hit.ng = hit.ng + path.ng + light.ng;
     }
+    if (scene.layered && any(layers.factor.shadowed))
+        layers.sweep_shadowing(v.normal, importance, brought, channel_sum(a * f * path_factor), camera_bar, next.ray.d,
+                               wi_world);
     sweep_continuation<importance, Model, C>(scene, v, params, a * path_factor, next, active, frame, wi_bar, hit, sink);
     if (measured) {
-        if (any(lit)) sweep_measurement(scene, sensor, v, connection, a * v.emitted * v.light_weight, lit, hit, sink);
+        if (any(lit))
+            sweep_measurement(scene, sensor, v, connection, whole * v.emitted * v.light_weight, lit, hit, sink);
     } else if constexpr (Model::Smooth) {
         if (any(lit)) {
             Vec3<F> wo_bar;
@@ -162,6 +178,7 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Li
     }
     d_bar = d_bar - frame.into(v.wi, wi_bar) - wi_world;
     hit.n = hit.n + frame.n_bar * v.mirror;
+    if (scene.layered) finish_layers<C>(scene, v, layers, whole * scattered, wanted, active, hit, sink);
     return total;
 }
 

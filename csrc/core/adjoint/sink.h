@@ -60,6 +60,12 @@ public:
                                   const MaskOf<F> &active) {
         texture(scene, id, at, luminance_adjoint(g), active);
     }
+    // of a texture whose channels are the components of a vector, by component
+    template <class Point>
+    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                                  const MaskOf<F> &active) {
+        texture(scene, id, at, g, active);
+    }
     // a parameter that is one number for all channels
     TR_INLINE void number(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         F sum = g[0];
@@ -185,6 +191,14 @@ public:
     TR_INLINE void scalar_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
                                   const MaskOf<F> &active) {
         add(g * luminance(eval_texture<C>(scene, tangent, id, at, active)), active);
+    }
+    template <class Point>
+    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+                                  const MaskOf<F> &active) {
+        Color<F, C> product = g * eval_texture<C>(scene, tangent, id, at, active);
+        F sum = product[0];
+        for (int c = 1; c < C; ++c) sum = sum + product[c];
+        add(sum, active);
     }
     TR_INLINE void color(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         add(g * constant_color<C, F>(tangent, offset, active), active);

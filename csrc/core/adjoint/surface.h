@@ -6,6 +6,7 @@
 // surface: they keep their coordinates, and the measure in which they are integrated is area, which stretches.
 #pragma once
 
+#include "../shape/tangents.h"
 #include "heightfield.h"
 
 namespace tr {
@@ -18,6 +19,26 @@ TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> 
     sink.vertex(table, i + 1u, g.y, active);
     sink.vertex(table, i + 2u, g.z, active);
 }
+
+// Adjoints of the edges and of the texture coordinates of a triangle from that of dp/du, of which only the direction
+// is used: it is along e1 v2 - e2 v1, times the sign of the determinant of the coordinates.
+template <class F>
+struct TangentAdjoint {
+    Vec3<F> e1, e2;
+    F v1, v2;
+    TR_INLINE TangentAdjoint(const Vec3<F> &e1_, const Vec3<F> &e2_, const Corners<F> &corners, const Vec3<F> &bar,
+                             const MaskOf<F> &has) {
+        F b1 = corners.uv[1].y - corners.uv[0].y, b2 = corners.uv[2].y - corners.uv[0].y;
+        F determinant = (corners.uv[1].x - corners.uv[0].x) * b2 - (corners.uv[2].x - corners.uv[0].x) * b1;
+        auto usable = has && mask<F>(determinant != F(0));
+        F inverse = F(1) / select(usable, determinant, F(1));
+        Vec3<F> scaled = bar * inverse, zero{F(0), F(0), F(0)};
+        e1 = select(usable, scaled * b2, bar);
+        e2 = select(usable, scaled * -b1, zero);
+        v2 = select(usable, dot(scaled, e1_), F(0));
+        v1 = select(usable, -dot(scaled, e2_), F(0));
+    }
+};
 
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
@@ -72,10 +93,15 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
         auto to_texcoords = has && wanted;
         if (any(to_texcoords)) {
             const F weight[3] = {b0, b1, b2};
+            F by_tangent[3] = {F(0), F(0), F(0)};
+            if (scene.layered) {
+                TangentAdjoint<F> t(tri.e1, tri.e2, corners, g.tangent, has);
+                by_tangent[0] = -t.v1 - t.v2, by_tangent[1] = t.v1, by_tangent[2] = t.v2;
+            }
             for (int k = 0; k < 3; ++k) {
                 U index = tri.corner[k] * 2u;
                 sink.vertex(&Tables::texcoords, index, g.at.uv.x * weight[k], to_texcoords);
-                sink.vertex(&Tables::texcoords, index + 1u, g.at.uv.y * weight[k], to_texcoords);
+                sink.vertex(&Tables::texcoords, index + 1u, fmadd(g.at.uv.y, weight[k], by_tangent[k]), to_texcoords);
             }
         }
     }
@@ -93,6 +119,10 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     q = select(glued, g.p + from_segment, q);
     if (any(wanted)) {
         Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
+        if (scene.layered) {
+            TangentAdjoint<F> t(tri.e1, tri.e2, corners, g.tangent, has);
+            e1_bar = e1_bar + t.e1, e2_bar = e2_bar + t.e2;
+        }
         sweep_vertex(&Tables::positions, tri.corner[0], q * b0 - e1_bar - e2_bar, wanted, sink);
         sweep_vertex(&Tables::positions, tri.corner[1], q * b1 + e1_bar, wanted, sink);
         sweep_vertex(&Tables::positions, tri.corner[2], q * b2 + e2_bar, wanted, sink);
@@ -133,6 +163,16 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     Vec3<F> by_coordinates{radial * local.x - azimuth * local.y, radial * local.y + azimuth * local.x,
                            select(sphere, v * F(-1 / Pi) * inverse_radius, F(0))};
     local_bar = select(apart, local_bar + by_coordinates, local_bar);
+    Vec3<F> tangent = curved_tangent(local, sphere), turned{F(0), F(0), F(0)};
+    if (scene.layered) {
+        using D = Dual<F, 2>;
+        F to_world[12];
+        gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
+        turned = transform_normal(to_world, g.tangent);
+        Vec3<D> t = curved_tangent(Vec3<D>{D(local.x, 0), D(local.y, 1), D(local.z)}, sphere);
+        F x = t.x.d[0] * turned.x + t.y.d[0] * turned.y, y = t.x.d[1] * turned.x + t.y.d[1] * turned.y;
+        local_bar = local_bar + Vec3<F>{x, y, F(0)};
+    }
     Vec3<F> over = transform_normal(to_object, local_bar);
     Vec3<F> q = n * ((dot(g.p, in.d) + dot(over, in.d)) / cosine) - over;
     Vec3<F> moved = g.p - q, from_segment = zero;
@@ -145,12 +185,14 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     if (any(wanted)) {
         Vec3<F> a = transform_vector(to_object, up_bar);
         const F row[3] = {q.x, q.y, q.z}, column[3] = {local.x, local.y, local.z}, ups[3] = {up.x, up.y, up.z},
-                as[3] = {a.x, a.y, a.z};
+                as[3] = {a.x, a.y, a.z}, along[3] = {g.tangent.x, g.tangent.y, g.tangent.z},
+                ts[3] = {tangent.x, tangent.y, tangent.z};
         F determinant = select(glued, in.log_jacobian_bar, F(0));  // d log det(M) = tr(M^-1 dM)
         F matrix[12];
         for (int i = 0; i < 3; ++i) {
             for (int j = 0; j < 3; ++j)
-                matrix[4 * i + j] = row[i] * column[j] - ups[i] * as[j] + determinant * to_object[4 * j + i];
+                matrix[4 * i + j] =
+                    row[i] * column[j] - ups[i] * as[j] + determinant * to_object[4 * j + i] + along[i] * ts[j];
             matrix[4 * i + 3] = row[i];
         }
         sweep_matrix<F>(at.shape, matrix, wanted, sink);

@@ -16,47 +16,9 @@
 #pragma once
 
 #include "../integrator/medium.h"
-#include "surface.h"
+#include "layers.h"
 
 namespace tr {
-
-// What the path tape keeps of a vertex.
-template <class F, int C>
-struct VertexRecord {
-    Color<F, C> beta;  // throughput of the camera's side
-    TexturedPoint<F> at;
-    EmitterPoint<F> emission;  // (its surface point is `at` on shapes)
-    F emission_weight;
-    Color<F, C> emission_radiance;  // E_k
-    IntOf<F> bsdf;
-    Vec3<F> wi;
-    // emitter sample; light_weight = 0 where there was none or it was in shadow
-    EmitterPoint<F> light;
-    Vec3<F> wo_light;
-    F light_weight, light_distance;
-    Color<F, C> emitted;
-    Color<F, C> through = uniform_color<C>(F(1));  // transmittance of media on the way to the light
-    // BSDF sample; inverse_pdf = 1 / (p q)
-    Vec3<F> wo;
-    IntOf<F> lobe;
-    F inverse_pdf;
-    // the local frame: shading normal, and -1 where z is turned round (the back of `twosided`)
-    Vec3<F> normal;
-    F mirror;
-    // only where something moves: the ray that arrived, and D = x_k - x_{k-1} (0 for rays that left the scene)
-    Vec3<F> d, p, segment;
-    F t;
-    MaskOf<F> attached;  // the ray comes from the camera or a delta lobe
-};
-
-struct Wanted {
-    bool bsdf, emitter, light_position;
-    bool geometry;  // anything that moves rays, hits or look-ups
-    bool camera;
-    MediumWanted medium{};
-    bool lookups = true;  // with `geometry`: what BSDFs look up varies over surfaces
-    bool numbers() const { return light_position || geometry; }  // adjoints that are sums over channels
-};
 
 // What a vertex gets from the next one: R_{k+1}, the adjoint of the ray to it (behind a smooth BSDF that of x_k only);
 // and where a point is glued there, D / r^2 and the point (D = 0: there is none).
@@ -315,14 +277,22 @@ TR_INLINE void sweep_parameters(const SceneView<S> &scene, const VertexRecord<F,
 // One scattering vertex; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit and of the
 // arriving ray's direction.
 template <class Model, int C, class F, class S, class Sink>
-TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRecord<F, C> &v, const Color<F, C> &a,
-                                       const NextVertex<F, C> &next, const Wanted &wanted, const MaskOf<F> &active,
+TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRecord<F, C> &v, Color<F, C> a,
+                                       NextVertex<F, C> next, const Wanted &wanted, const MaskOf<F> &active,
                                        HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
     auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
     Color<F, C> light_factor = v.emitted * v.through * v.light_weight;  // N = f_light * light_factor
     Color<F, C> path_factor = next.radiance * v.inverse_pdf;
     Color<F, C> f, f_light;
     auto lit = active && mask<F>(v.light_weight > F(0));
+    Color<F, C> whole = a;  // above the layers
+    LayerSweep<F> layers;
+    if (scene.layered) {
+        layers = begin_layers<C>(scene, v, wanted, Transport::Radiance, active);
+        a = a * layers.leaf.layers.weight;
+        light_factor = light_factor * layers.light_factor;
+        path_factor = path_factor * layers.path_factor;
+    }
     sweep_parameters<Transport::Radiance, Model, C>(scene, v, params, a, light_factor, path_factor, wanted, active, hit,
                                                     f, f_light, sink);
     CoordinateAdjoint<F> light_at;
@@ -331,14 +301,23 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
         if (any(lit) && (wanted.emitter || wanted.geometry)) {
             Vec3<F> d{F(0), F(0), F(1)};
             if (wanted.geometry) d = VertexFrame<F>(v.normal, v.mirror).frame.to_world(v.wo_light);
-            sweep_emitter(scene, v.light, d, a * f_light * v.through * v.light_weight, wanted, lit, light_at,
-                          light_d_bar, sink);
+            Color<F, C> g = a * f_light * v.through * v.light_weight;
+            if (scene.layered) g = g * layers.light_factor;
+            sweep_emitter(scene, v.light, d, g, wanted, lit, light_at, light_d_bar, sink);
         }
     }
+    Color<F, C> total = f_light * light_factor + f * path_factor;
+    if (scene.layered && any(layers.factor.shadowed) && wanted.numbers())
+        layers.sweep_shadowing(v.normal, Transport::Radiance, channel_sum(a * f_light * light_factor),
+                               channel_sum(a * f * path_factor), light_d_bar, next.ray.d, d_bar);
     if (wanted.numbers())
         d_bar = d_bar + sweep_motion<Model, C>(scene, v, params, a * light_factor, a * path_factor, f_light, next,
                                                active, lit, light_d_bar, light_at, wanted, hit, sink);
-    return f_light * light_factor + f * path_factor;
+    if (scene.layered) {
+        finish_layers<C>(scene, v, layers, whole * total, wanted, active, hit, sink);
+        total = total * layers.leaf.layers.weight;
+    }
+    return total;
 }
 
 }  // namespace tr

@@ -61,6 +61,31 @@ struct LightSensor {
     }
 };
 
+// Whether flux sees another cosine than the geometric one, see shading_correction.
+template <class F>
+TR_INLINE MaskOf<F> has_shading_normal(const ShapeLanes<F> &shape, const Leaf<F> &leaf, const MaskOf<F> &active) {
+    return active && (shape.has(HasNormals) || mask<F>(leaf.layers.turned >= 0));
+}
+
+// As scatter_through_layers; light comes along d.
+template <int C, class F, class S>
+TR_NOINLINE void scatter_light_through_layers(const SceneView<S> &scene, const Interaction<F> &si, const Vec3<F> &d,
+                                              const Leaf<F> &leaf, const Vec3<F> &to_camera, const Vec3<F> &wo,
+                                              const MaskOf<F> &active, LightScattering<F, C> &r) {
+    const Layers<F> &layers = leaf.layers;
+    r.f = r.f * layers.weight;
+    r.f_camera = r.f_camera * (layers.weight * layers.inverse_probability);
+    r.inverse_pdf = r.inverse_pdf * layers.inverse_probability;
+    TurnedFactor<F> factor(scene, leaf, si.frame.n, active);
+    if (!any(factor.turned)) return;
+    auto seen = !factor.hidden(-d);
+    r.connected = r.connected && seen && !factor.hidden(to_camera);
+    r.alive = r.alive && seen && !factor.hidden(wo);
+    r.f_camera = r.f_camera * factor(to_camera, -d);
+    r.f = r.f * factor(wo, -d);
+    r.inverse_pdf = select(r.alive, r.inverse_pdf, F(0));
+}
+
 // One vertex. `wi` is local and mirrored where the leaf is; `d` the direction of travel. `goes_on`: the path does.
 template <class Model, int C, class F, class S>
 TR_INLINE void scatter_light(const SceneView<S> &scene, const Interaction<F> &si, const Vec3<F> &d, const Vec3<F> &wi,
@@ -69,7 +94,7 @@ TR_INLINE void scatter_light(const SceneView<S> &scene, const Interaction<F> &si
     constexpr Transport importance = Transport::Importance;
     auto params = load_params<Model, C>(scene, leaf.bsdf, si.at, active);
     F mirror = select(leaf.mirrored, F(-1), F(1));
-    auto interpolated = active && si.shape.has(HasNormals);
+    auto interpolated = has_shading_normal(si.shape, leaf, active);
     r.connected = MaskOf<F>(false);
     r.wo_camera = {F(0), F(0), F(1)};
     r.f = r.f_camera = uniform_color<C>(F(0));
@@ -87,14 +112,18 @@ TR_INLINE void scatter_light(const SceneView<S> &scene, const Interaction<F> &si
     r.alive = MaskOf<F>(false);
     r.inverse_pdf = F(0);
     r.sample = {{F(0), F(0), F(1)}, F(0), F(1), IntOf<F>(0), MaskOf<F>(false), MaskOf<F>(false)};
-    if (!goes_on) return;
-    r.sample = Model::template sample<C>(params, wi, u.u[0], u.u[1], u.u[2]);
-    Vec3<F> wo = r.sample.wo;
-    wo.z = wo.z * mirror;
-    r.f = eval_bsdf<importance, Model, C>(params, wi, r.sample.wo, r.sample.lobe) *
-          shading_correction(-d, si.frame.to_world(wo), si.frame.n, si.ng, interpolated);
-    r.alive = active && mask<F>(r.sample.pdf > F(0));
-    r.inverse_pdf = select(r.alive, F(1) / select(r.alive, r.sample.pdf, F(1)), F(0));
+    Vec3<F> out = si.frame.n;
+    if (goes_on) {
+        r.sample = Model::template sample<C>(params, wi, u.u[0], u.u[1], u.u[2]);
+        Vec3<F> wo = r.sample.wo;
+        wo.z = wo.z * mirror;
+        out = si.frame.to_world(wo);
+        r.f = eval_bsdf<importance, Model, C>(params, wi, r.sample.wo, r.sample.lobe) *
+              shading_correction(-d, out, si.frame.n, si.ng, interpolated);
+        r.alive = active && mask<F>(r.sample.pdf > F(0));
+        r.inverse_pdf = select(r.alive, F(1) / select(r.alive, r.sample.pdf, F(1)), F(0));
+    }
+    if (scene.layered) scatter_light_through_layers(scene, si, d, leaf, camera.d, out, active, r);
 }
 
 }  // namespace tr

@@ -9,9 +9,9 @@
 
 #include "../bsdf/bsdf.h"
 #include "../emitter/emitter.h"
-#include "../registry.h"
 #include "../sampler/sobol.h"
 #include "../sampler/stratified.h"
+#include "layers.h"
 
 namespace tr {
 
@@ -28,7 +28,7 @@ struct PathConfig {
 };
 
 // Random numbers of a path: block 0 is the camera's; scattering j takes block 1 + 2 j (emitter: 3 numbers, roulette: 1)
-// and 2 + 2 j (BSDF: 3 numbers).
+// and 2 + 2 j (BSDF: 3 numbers, layers: 1).
 constexpr uint32_t EmitterBlock = 1, BsdfBlock = 2, BlocksPerScattering = 2;
 
 // The numbers of a block of a sample. Two of them are a point in the plane: the first two of the camera's (on the
@@ -58,29 +58,6 @@ struct Origin {
     Vec3<F> p;
     F pdf;  // of the BSDF sample; 0 after a delta lobe and for camera rays, whose emission has weight 1
 };
-
-// The BSDF of a hit with `twosided` resolved: its record, its kind, and whether directions are mirrored.
-template <class F>
-struct Leaf {
-    IntOf<F> bsdf;
-    MaskOf<F> mirrored;
-};
-
-template <class F, class S>
-TR_INLINE Leaf<F> resolve_bsdf(const SceneView<S> &scene, const IntOf<F> &bsdf, const MaskOf<F> &back,
-                               const MaskOf<F> &active) {
-    using I = IntOf<F>;
-    Leaf<F> r{bsdf, MaskOf<F>(false)};
-    RecordLanes<F> record(scene.bsdfs, bsdf, active);
-    auto two = active && mask<F>(record.kind() == TwoSidedKind);
-    if (any(two)) {
-        I front = record.field(TwoSided::Front), behind = record.field(TwoSided::Back);
-        behind = select(mask<I>(behind < 0), front, behind);
-        r.bsdf = select(mask<I>(two), select(mask<I>(back), behind, front), bsdf);
-        r.mirrored = two && back;
-    }
-    return r;
-}
 
 // Emission of the surface that was hit, weighted against emitter sampling.
 template <class F, int C>
@@ -140,6 +117,30 @@ struct Scattering {
     MaskOf<F> alive;
 };
 
+// What the layers above a leaf make of what it scatters.
+template <int C, class F, class S>
+TR_NOINLINE void scatter_through_layers(const SceneView<S> &scene, const Interaction<F> &si, const Vec3<F> &wi,
+                                        const Leaf<F> &leaf, const MaskOf<F> &active, Scattering<F, C> &r) {
+    const Layers<F> &layers = leaf.layers;
+    r.f = r.f * layers.weight;
+    r.f_light = r.f_light * layers.weight;
+    r.inverse_pdf = r.inverse_pdf * layers.inverse_probability;
+    r.light_weight = r.light_weight * layers.inverse_probability;
+    TurnedFactor<F> factor(scene, leaf, si.frame.n, active);
+    if (!any(factor.turned)) return;
+    Vec3<F> local = r.sample.wo, from = wi;
+    local.z = select(leaf.mirrored, -local.z, local.z);
+    from.z = select(leaf.mirrored, -from.z, from.z);
+    Vec3<F> wo = si.frame.to_world(local);
+    auto seen = !factor.hidden(si.frame.to_world(from));
+    r.shadow_ray = r.shadow_ray && seen && !factor.hidden(r.light.d);
+    r.alive = r.alive && seen && !factor.hidden(wo);
+    r.f_light = r.f_light * factor(r.light.d, r.light.d);
+    r.f = r.f * factor(wo, wo);
+    r.light_weight = select(r.shadow_ray, r.light_weight, F(0));
+    r.inverse_pdf = select(r.alive, r.inverse_pdf, F(0));
+}
+
 template <class Model, int C, class F, class S>
 TR_INLINE void scatter_here(const SceneView<S> &scene, const PathConfig &config, const Interaction<F> &si,
                             const Vec3<F> &wi, const Leaf<F> &leaf, int index, int depth, const Random4<F> &ue,
@@ -178,6 +179,7 @@ TR_INLINE void scatter_here(const SceneView<S> &scene, const PathConfig &config,
     auto possible = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(index) < n_bsdf);
     r.inverse_pdf = select(possible, F(1) / select(possible, n_bsdf * r.sample.pdf, F(1)), F(0));
     r.alive = possible;
+    if (scene.layered) scatter_through_layers(scene, si, wi, leaf, active, r);
 }
 
 template <class Model, int C, class F, class S>

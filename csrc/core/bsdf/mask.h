@@ -1,0 +1,22 @@
+// `mask`: a BSDF with holes: met with probability `opacity`, else passed unchanged. See integrator/layers.h.
+#pragma once
+
+#include "null.h"
+
+namespace tr {
+
+struct MaskBsdf {
+    enum { Opacity, Nested };
+    static constexpr Field fields[] = {
+        {"opacity", Kind::Scalar, 0.5, 0, 1, "interior",
+         "share of the surface that is there; beyond 0 and 1 it counts as those"},
+        {"nested_bsdf", Kind::Bsdf, None, 0, INFINITY, "", "what is there"},
+    };
+    static constexpr Model model = {"bsdf", "mask", "A BSDF with holes.", fields, 2};
+};
+
+// The hole that a path has met: a leaf with the record of its mask. A kind apart from `null`, which bounds media and
+// which rays to lights pass.
+struct Opening : NullBsdf {};
+
+}  // namespace tr
