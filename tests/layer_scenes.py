@@ -23,6 +23,14 @@ def normal_map(bsdf: dict, **more) -> dict:
     return {"type": "normalmap", "normalmap": texture, "bsdf": bsdf, **more}
 
 
+def bump_map(bsdf: dict, strength: float = 0.05, **more) -> dict:
+    """Heights (H, W, 1) from -strength to strength, many texels a wave."""
+    v, u = np.meshgrid(2 * np.pi * (np.arange(48) + 0.5) / 48, 2 * np.pi * (np.arange(64) + 0.5) / 64, indexing="ij")
+    heights = strength * np.sin(2 * u + 0.3) * np.sin(v / 2) ** 2
+    texture = {"type": "bitmap", "data": heights[..., None].astype(np.float32), "raw": True}
+    return {"type": "bumpmap", "heights": texture, "bsdf": bsdf, **more}
+
+
 def weights(height: int = 8, width: int = 8) -> np.ndarray:
     """Smooth weights (H, W, 1) in [0.1, 0.9]."""
     v, u = np.meshgrid(np.arange(height) / height, np.arange(width) / width, indexing="ij")
@@ -80,4 +88,32 @@ def _layers() -> rs.ReferenceScene:
     )
 
 
-SCENES = {"layers": _layers}
+def _bumps() -> rs.ReferenceScene:
+    """A ball and a sheet with bumps."""
+    metal = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.4, "material": "Cu"}
+    paint = {"type": "diffuse", "reflectance": rs._rgb(0.7, 0.4, 0.2)}
+    plain = bump_map(paint, 0.1, flip_invalid_normals=False, use_shadowing_function=False)
+    return rs.ReferenceScene(
+        rs._scene(
+            {"type": "path", "max_depth": 3, "rr_depth": 99},
+            rs._camera(),
+            ball={"type": "sphere", "center": [-0.8, -0.2, 0.1], "radius": 0.8, "bsdf": bump_map(metal)},
+            sheet={
+                "type": "rectangle",
+                "to_world": rs.translate(1.0, -0.4, 0.3) @ rs.rotate("y", 30) @ rs.scale(0.6),
+                "bsdf": {"type": "twosided", "bsdf": plain},
+            },
+            behind={
+                "type": "rectangle",
+                "to_world": rs.translate(0.5, 0.8, -0.3) @ rs.rotate("y", 170) @ rs.scale(0.5),
+                "bsdf": {"type": "twosided", "bsdf": plain},
+            },
+            floor=rs._floor(rs._rgb(0.6, 0.5, 0.4)),
+            lamp=rs._lamp(rs._rgb(8.0, 7.0, 5.0)),
+            sky={"type": "constant", "radiance": rs._rgb(0.3, 0.4, 0.5)},
+        ),
+        ("ball.bsdf.nested_bsdf.alpha.value",),
+    )
+
+
+SCENES = {"layers": _layers, "bumps": _bumps}

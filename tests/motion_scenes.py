@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import torch
-from layer_scenes import blend, mask, normal_map
+from layer_scenes import blend, bump_map, mask, normal_map
 
 from torchrender import Mesh, Transform
 
@@ -140,6 +140,7 @@ HAZE = {"type": "principled", "base_color": 0.8, "roughness": 0.6, "spec_trans":
 # without its sharp terms near the terminator, where the few paths that weigh much come and go
 DULL = {**BRUSHED, "alpha": 0.6}
 SIDES = {"type": "twosided", "bsdf": normal_map(PAINT)}
+BUMPS = {"type": "twosided", "bsdf": bump_map(PAINT, 0.2)}
 BOTH_SIDES = {"type": "twosided", "bsdf": PAINT}
 
 
@@ -207,6 +208,10 @@ SCENES = {
     "dented_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(normal_map(DULL)), room=black_room()),
     "dented_floor": lambda: scene(2, above(), floor=floor(SIDES), lamp=lamp("rectangle")),
     "dented_disk": lambda: scene(2, above(), floor={**floor(SIDES), "type": "disk"}, lamp=lamp("rectangle")),
+    "bumpy_in_room": lambda: scene(3, at_ball(), ball=ball(bump_map(DULL)), room=black_room()),
+    "bumpy_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(bump_map(DULL)), room=black_room()),
+    "bumpy_floor": lambda: scene(2, above(), floor=floor(BUMPS), lamp=lamp("rectangle")),
+    "bumpy_disk": lambda: scene(2, above(), floor={**floor(BUMPS), "type": "disk"}, lamp=lamp("rectangle")),
     "mixed_in_room": lambda: scene(3, at_ball(), ball=ball(blend(PAINT, BRUSHED)), room=black_room()),
     "perforated_in_room": lambda: scene(4, at_ball(), ball=ball(mask(BOTH_SIDES)), room=black_room()),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),

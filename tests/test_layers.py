@@ -130,6 +130,11 @@ def difference(loaded: tr.Scene, name: str, direction: torch.Tensor, step: float
     return float(a - b) / (2 * step)
 
 
+def soft(description: dict) -> dict:
+    """The scene with a filter that light paths can be differentiated through."""
+    return {**description, "camera": {**description["camera"], "film": {"type": "hdrfilm", "width": 6, "height": 6}}}
+
+
 def agree(loaded: tr.Scene, name: str, direction: torch.Tensor, step: float, spp: int = 256, runs: int = 12, **more):
     ours = torch.tensor([derivative(loaded, name, direction, 7 * k, spp, **more) for k in range(runs)])
     theirs = torch.tensor([difference(loaded, name, direction, step, 7 * k, spp, **more) for k in range(runs)])
@@ -176,7 +181,7 @@ def test_derivative_by_a_normal_map(kind, integrator):
     bsdf = PAINT if kind == "diffuse" else {**BRUSHED, "alpha": 0.6}
     lights = {"lamp": lamp("rectangle")}
     mapped = layer_scenes.normal_map(bsdf, flip_invalid_normals=False)
-    loaded = tr.load_dict(scene(2, camera([0.3, 1, 4], [0, 0, 0], 20), floor=floor(mapped), **lights))
+    loaded = tr.load_dict(soft(scene(2, camera([0.3, 1, 4], [0, 0, 0], 20), floor=floor(mapped), **lights)))
     name = "floor.bsdf.normalmap.data"
     generator = torch.Generator().manual_seed(4)
     direction = torch.randn(loaded.get_parameter(name).shape, generator=generator)
@@ -185,16 +190,36 @@ def test_derivative_by_a_normal_map(kind, integrator):
     agree(loaded, name, direction, 0.01, 256, **more)
 
 
-@pytest.mark.parametrize("kind", ["blend", "mask", "normalmap"])
+@pytest.mark.parametrize("integrator", [None, tr.ParticleTracer(max_depth=2)], ids=["path", "particles"])
+@pytest.mark.parametrize("name", ["nested_texture.data", "scale"])
+def test_derivative_by_heights(name, integrator):
+    mapped = layer_scenes.bump_map(PAINT, 0.2, flip_invalid_normals=False)
+    mapped["heights"]["data"] = mapped["heights"]["data"][::6, ::8].copy()
+    view = camera([0.3, 1, 4], [0, 0, 0], 20)
+    loaded = tr.load_dict(soft(scene(2, view, floor=floor(mapped), lamp=lamp("rectangle"))))
+    name = f"floor.bsdf.{name}"
+    value = loaded.get_parameter(name)
+    direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(4)) if value.ndim else torch.ones(())
+    more = {} if integrator is None else {"integrator": integrator}
+    agree(loaded, name, direction, 0.02, 256, **more)
+
+
+@pytest.mark.parametrize("kind", ["blend", "mask", "normalmap", "bumpmap"])
 def test_forward_and_reverse_mode_agree(kind):
     both = {"type": "twosided", "bsdf": PAINT}
     bsdf = {
         "blend": layer_scenes.blend(PAINT, BRUSHED),
         "mask": layer_scenes.mask(both),
         "normalmap": layer_scenes.normal_map({**BRUSHED, "alpha": 0.6}),
+        "bumpmap": layer_scenes.bump_map({**BRUSHED, "alpha": 0.6}),
     }[kind]
     loaded = tr.load_dict(scene(4, at_ball(), ball=ball(bsdf), room=black_room()), dtype=torch.float64)
-    name = {"blend": "weight.data", "mask": "opacity.data", "normalmap": "normalmap.data"}[kind]
+    name = {
+        "blend": "weight.data",
+        "mask": "opacity.data",
+        "normalmap": "normalmap.data",
+        "bumpmap": "nested_texture.data",
+    }[kind]
     name = f"ball.bsdf.{name}"
     value = loaded.get_parameter(name).detach()
     direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
@@ -254,6 +279,39 @@ def test_lambert_with_a_turned_normal(x, y, side):
     assert torch.allclose(image, torch.full_like(image, expected), rtol=5e-3)
 
 
+@pytest.mark.parametrize("side", ["front", "back"])
+@pytest.mark.parametrize("turned", [0.0, 90.0])
+def test_lambert_on_a_slope(side, turned):
+    """Heights that rise by 0.25 a unit of u, on a rectangle of twice that length: the normal of a slope of 1/8."""
+    ramp = torch.arange(64, dtype=torch.float64).expand(4, 64)[..., None] / 64 * 0.25
+    mapped = {
+        "type": "bumpmap",
+        "heights": {"type": "bitmap", "data": ramp, "wrap_mode": "clamp"},
+        "bsdf": {"type": "diffuse", "reflectance": 1.0},
+        "use_shadowing_function": False,
+    }
+    sign = 1.0 if side == "front" else -1.0
+    light = np.array([0.4, 0.3, 1.5 * sign])
+    loaded = tr.load_dict(
+        scene(
+            2,
+            camera([0, 0, 4 * sign], [0, 0, 0], 0.1),
+            sheet={
+                "type": "rectangle",
+                "to_world": Transform.rotate([0, 0, 1], turned),
+                "bsdf": {"type": "twosided", "bsdf": mapped},
+            },
+            lamp={"type": "point", "position": light.tolist(), "intensity": 1.0},
+        )
+    )
+    up = np.array([math.cos(math.radians(turned)), math.sin(math.radians(turned)), 0.0])  # where u grows
+    n = np.array([0, 0, sign]) - 0.125 * up  # both sides rise alike, as a normal map leans them alike
+    distance = np.linalg.norm(light)
+    expected = n @ light / distance / np.linalg.norm(n) / distance**2 / math.pi
+    image = tr.render(loaded, spp=1)
+    assert torch.allclose(image, torch.full_like(image, expected), rtol=5e-3)
+
+
 def test_paths_of_light_see_the_same_normals():
     mapped = layer_scenes.normal_map({**BRUSHED, "alpha": 0.6}, flip_invalid_normals=False)
     description = scene(2, camera([0.3, 1, 4], [0, 0, 0], 20), floor=floor(mapped), lamp=lamp("rectangle"))
@@ -304,6 +362,7 @@ def test_errors_name_the_place():
         ({"type": "blendbsdf", "a": PAINT}, "nested BSDF is missing"),
         ({"type": "mask", "opacity": 0.5}, "nested BSDF is missing"),
         ({"type": "normalmap", "bsdf": PAINT}, "'normalmap' is missing"),
+        ({"type": "bumpmap", "bsdf": PAINT}, "'nested_texture' is missing"),
         (layer_scenes.normal_map(both), "stands around"),
         (layer_scenes.normal_map(layer_scenes.normal_map(PAINT)), "stands around"),
         ({"type": "twosided", "bsdf": layer_scenes.mask(PAINT)}, "two-sided"),
@@ -317,8 +376,24 @@ def test_errors_name_the_place():
         deep = layer_scenes.blend(deep, DARK, 0.5)
     with pytest.raises(ValueError, match="nested at most 8 deep"):
         tr.render(room(deep), spp=1)
+    hills = {"type": "heightfield", "heights": torch.zeros(4, 4), "bsdf": layer_scenes.normal_map(PAINT)}
+    with pytest.raises(ValueError, match="without normal or bump maps"):
+        tr.render(tr.load_dict(scene(2, at_ball(), hills=hills)), spp=1)
+    with pytest.raises(ValueError, match="in colours"):
+        grey = tr.load_dict(scene(2, at_ball(), ball=ball(layer_scenes.normal_map(PAINT))), variant="mono")
+        tr.render(grey, spp=1)
     with pytest.raises(ValueError, match="needs"):
         room(layer_scenes.mask(PAINT)).get_submodule("ball.bsdf").nested_bsdf = None
+
+
+def test_media_have_no_derivative_of_normals():
+    loaded = room(layer_scenes.normal_map(PAINT))
+    parameter = loaded.train_only("ball.bsdf.normalmap.data")
+    with pytest.raises(tr.NotDifferentiableError, match="VolumetricPathTracer"):
+        tr.render(loaded, spp=1, integrator=tr.VolumetricPathTracer(max_depth=3))
+    with pytest.raises(tr.NotDifferentiableError, match="box filter"):
+        tr.render(loaded, spp=1, integrator=tr.ParticleTracer(max_depth=3))
+    assert len(parameter) == 1
 
 
 def test_texels_are_read_raw():

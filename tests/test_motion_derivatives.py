@@ -41,6 +41,7 @@ MOVING = {
     ("bsdf", "plastic"): {"eta"},
     ("bsdf", "roughplastic"): {"eta", "alpha"},
     ("bsdf", "principled"): {"eta", "specular"},
+    ("bsdf", "bumpmap"): {"scale"},
     ("sensor", "perspective"): {
         "to_world",
         "x_fov",

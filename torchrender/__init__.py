@@ -21,7 +21,7 @@ from .scene.camera import PerspectiveCamera
 from .scene.emitters import EnvironmentMap, PointLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.heightfield import HeightField
-from .scene.layers import BlendBSDF, Mask, NormalMap, TwoSided
+from .scene.layers import BlendBSDF, BumpMap, Mask, NormalMap, TwoSided
 from .scene.materials import (
     Conductor,
     Dielectric,
@@ -68,6 +68,7 @@ __all__ = [
     "Bitmap",
     "BlendBSDF",
     "BlendPhase",
+    "BumpMap",
     "Checkerboard",
     "Conductor",
     "ConstantVolume",

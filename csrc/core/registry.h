@@ -2,6 +2,7 @@
 #pragma once
 
 #include "bsdf/blendbsdf.h"
+#include "bsdf/bumpmap.h"
 #include "bsdf/conductor.h"
 #include "bsdf/dielectric.h"
 #include "bsdf/diffuse.h"
@@ -35,7 +36,7 @@ using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
                        ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
-using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap>;
+using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
 using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;
 using Sensors = TypeList<Perspective, IrradianceMeter>;
@@ -57,6 +58,8 @@ constexpr int TwoSidedKind = Bsdfs::Size + kind_of_model<TwoSided>(BsdfWrappers{
 constexpr int BlendKind = Bsdfs::Size + kind_of_model<BlendBsdf>(BsdfWrappers{});
 constexpr int MaskKind = Bsdfs::Size + kind_of_model<MaskBsdf>(BsdfWrappers{});
 constexpr int NormalMapKind = Bsdfs::Size + kind_of_model<NormalMap>(BsdfWrappers{});
+constexpr int BumpMapKind = Bsdfs::Size + kind_of_model<BumpMap>(BsdfWrappers{});
+constexpr bool turns_normals(int kind) { return kind == NormalMapKind || kind == BumpMapKind; }
 
 // What a path can meet: the BSDFs, and the holes of masks.
 template <class... Ts>

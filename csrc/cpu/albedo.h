@@ -33,7 +33,7 @@ IntOf<F> below_sides(const SceneView<S> &scene, IntOf<F> bsdf, const MaskOf<F> &
     for (int depth = 0; depth < MaxLayers; ++depth) {
         RecordLanes<F> record(scene.bsdfs, bsdf, active);
         Leaf<F> side = resolve_bsdf<F>(scene, bsdf, back, active);
-        auto turns = active && mask<F>(record.kind() == NormalMapKind);
+        auto turns = active && (mask<F>(record.kind() == NormalMapKind) || mask<F>(record.kind() == BumpMapKind));
         I next = select(mask<I>(turns), record.field(NormalMap::Nested), side.bsdf);
         if (!any(active && mask<F>(next != bsdf))) break;
         bsdf = next;

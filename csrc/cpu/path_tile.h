@@ -253,7 +253,7 @@ protected:
     // BySide: it depends on the hit.
     int kind_below(int bsdf) const {
         const Record &r = scene_.bsdfs[bsdf];
-        if (r.kind == NormalMapKind) return kind_below(r.field[NormalMap::Nested]);
+        if (turns_normals(r.kind)) return kind_below(r.field[NormalMap::Nested]);
         if (r.kind == MaskKind) return BySide;
         if (r.kind == BlendKind) {
             int first = kind_below(r.field[BlendBsdf::First]);

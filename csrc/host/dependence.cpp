@@ -88,7 +88,7 @@ bool Dependence::motion(size_t sensor) const {
     const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
     for (size_t i = 0; i < bsdfs.size(); ++i)
         if ((has_delta_lobes(bsdfs[i].kind) && any_number("bsdf", i, {Kind::Float})) ||
-            (bsdfs[i].kind == NormalMapKind && values("bsdf", i)))  // shading normals
+            (turns_normals(bsdfs[i].kind) && values("bsdf", i)))  // shading normals
             return true;
     return false;
 }

@@ -52,6 +52,7 @@ public:
         lay_out_bsdfs(out_);
         connect_shapes();
         find_enclosed_media();
+        check_height_fields();
         connect_emitters();
         connect_attributes();
         check_meters();
@@ -275,8 +276,9 @@ private:
             const std::string &type = list("bsdf")[i].type;
             if (type == TwoSided::model.type) {
                 for_nested(int(i), [&](int nested, const std::string &at) { check_reflects(nested, at); });
-            } else if (type == NormalMap::model.type) {
-                if (out_.channels != 3) fail(where("bsdf", int(i), "normalmap"), "a scene in colours", "one in grey");
+            } else if (type == NormalMap::model.type || type == BumpMap::model.type) {
+                if (out_.channels != 3)
+                    fail(path("bsdf", int(i)), "a scene in colours, which a " + type + " needs", "one in grey");
                 for_nested(int(i), [&](int nested, const std::string &at) { check_turned(nested, at); });
             }
         }
@@ -291,6 +293,19 @@ private:
             if (nested >= 0 && nested < int32_t(list("bsdf").size()))
                 visit(nested, where("bsdf", bsdf, model.fields[f].name));
         }
+    }
+
+    bool turns_anything(int bsdf) {
+        bool r = turns_normals(out_.records.at("bsdf")[size_t(bsdf)].kind);
+        for_nested(bsdf, [&](int nested, const std::string &) { r = r || turns_anything(nested); });
+        return r;
+    }
+
+    void check_height_fields() {
+        for (size_t i = 0; i < out_.shapes.size(); ++i)
+            if ((out_.shapes[i].flags & IsHeightField) && turns_anything(out_.shapes[i].bsdf))
+                fail(path("shape", int(i)),
+                     "a bsdf without normal or bump maps, whose heights a height field has itself", "one with them");
     }
 
     void bsdf_depth(int bsdf, int depth) {
@@ -311,7 +326,7 @@ private:
     // Sides are told apart, and normals turned, from the surface's own normal.
     void check_turned(int bsdf, const std::string &at) {
         const std::string &type = list("bsdf")[size_t(bsdf)].type;
-        for (const Model *model : {&TwoSided::model, &NormalMap::model})
+        for (const Model *model : {&TwoSided::model, &NormalMap::model, &BumpMap::model})
             if (type == model->type)
                 fail(at, "a bsdf other than " + type + ", which may stand around it", "'" + type + "'");
         for_nested(bsdf, [&](int nested, const std::string &) { check_turned(nested, at); });

@@ -25,6 +25,8 @@ COVERAGE = "outputs: alpha"  # among the names that were warned about
 ZERO = "zero where no such edge is in view"
 MOVING = "VolumetricPathTracer has none with respect to what moves surfaces, rays or texture coordinates"
 
+TURNED = "a normal begins to hide from the viewer"  # in the declarations of what turns normals
+
 STEADY = (
     "the particle tracer moves light over the film, whose box filter has no derivative; "
     "give the film a filter of type 'gaussian' or 'tent'"
@@ -144,6 +146,8 @@ def moves_rays(slot: Slot) -> bool:
         return bool(slot.caveat)  # what bends rays at smooth surfaces moves the edges that are seen through them
     if category == "emitter":
         return slot.kind in ("transform", "point")
+    if TURNED in slot.caveat:  # a texture that turns normals, and with them what is reflected and refracted
+        return True
     return getattr(slot.module, "type", "") == "mesh_attribute"
 
 

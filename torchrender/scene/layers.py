@@ -96,8 +96,26 @@ class Mask(_Layer):
     type = "mask"
 
 
+class _Turning(_Layer):
+    """What turns the normals of a BSDF."""
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        for name, given in properties.items():
+            if isinstance(given, Mapping) and given.get("type") == "bitmap":
+                raw = values.boolean(given.get("raw", True), ctx.at(name).at("raw"))
+                properties[name] = {**given, "raw": raw}
+        return properties
+
+    def check(self, ctx: Context) -> None:
+        super().check(ctx)
+        child = self._modules.get("nested_bsdf")
+        for inner in _inside(child) if child is not None else []:
+            if inner.type in ("normalmap", "bumpmap", "twosided"):
+                ctx.at("nested_bsdf").error(f"a {inner.type} stands around a {self.type}, not inside of it")
+
+
 @register
-class NormalMap(_Layer):
+class NormalMap(_Turning):
     """A BSDF whose shading normals come from an image.
 
     The normal has coordinates in the frame of the direction in which u grows, made orthogonal to the shading normal, of
@@ -119,15 +137,22 @@ class NormalMap(_Layer):
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         if "normalmap" not in properties:
             ctx.error("normalmap: 'normalmap' is missing, the texture that holds the normals")
-        given = properties["normalmap"]
-        if isinstance(given, Mapping) and given.get("type") == "bitmap":
-            raw = values.boolean(given.get("raw", True), ctx.at("normalmap").at("raw"))
-            properties["normalmap"] = {**given, "raw": raw}
-        return properties
+        return super().prepare(properties, ctx)
 
-    def check(self, ctx: Context) -> None:
-        super().check(ctx)
-        child = self._modules.get("nested_bsdf")
-        for inner in _inside(child) if child is not None else []:
-            if inner.type in ("normalmap", "twosided"):
-                ctx.at("nested_bsdf").error(f"a {inner.type} stands around a normalmap, not inside of it")
+
+@register
+class BumpMap(_Turning):
+    """A BSDF whose shading normals are those of a surface that a texture lifts.
+
+    Derivatives are those with respect to the heights, and to the surface that carries them; between texels the slopes
+    of bilinear heights jump, which is no part of them.
+
+    Args:
+        nested_texture: heights in units of the scene (texture), under any name; of colours the luminance. A bitmap is
+            read as raw numbers; textures other than bitmaps are flat.
+        nested_bsdf: what is seen with these normals, under any name.
+        scale: a factor of the heights, default 1.
+        flip_invalid_normals, use_shadowing_function: as for `NormalMap`.
+    """
+
+    type = "bumpmap"

@@ -24,6 +24,7 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("bsdf", "twosided"): "TwoSided",
     ("bsdf", "blendbsdf"): "BlendBSDF",
     ("bsdf", "normalmap"): "NormalMap",
+    ("bsdf", "bumpmap"): "BumpMap",
     ("emitter", "area"): "AreaLight",
     ("emitter", "directionalarea"): "DirectionalAreaLight",
     ("emitter", "constant"): "ConstantLight",

@@ -2,9 +2,16 @@
 // turned normal. With branch weights w_j and what the leaf brings, X, the vertex brings w_1 w_2 ... X.
 #pragma once
 
+#include "slopes.h"
 #include "vertex.h"
 
 namespace tr {
+
+// A vector as three independent variables, from the i-th on.
+template <class D, class F>
+TR_INLINE Vec3<D> seeded(const Vec3<F> &v, int i) {
+    return {D(v.x, i), D(v.y, i + 1), D(v.z, i + 2)};
+}
 
 // The vertex with its layers found again.
 template <class F>
@@ -21,9 +28,8 @@ struct LayerSweep {
                                      Vec3<F> &light_bar, Vec3<F> &path_bar, Vec3<F> &wi_bar) {
         auto add = [&](const Vec3<F> &light, const F &weight, Vec3<F> &direction_bar) {
             using D = Dual<F, 9>;
-            auto seed = [](const Vec3<F> &v, int i) { return Vec3<D>{D(v.x, i), D(v.y, i + 1), D(v.z, i + 2)}; };
-            D r =
-                NormalMap::shadowing(seed(factor.base, 0), seed(normal, 3), seed(light, 6), F(TurnedFactor<F>::Least));
+            D r = NormalMap::shadowing(seeded<D>(factor.base, 0), seeded<D>(normal, 3), seeded<D>(light, 6),
+                                       F(TurnedFactor<F>::Least));
             F scale = select(factor.shadowed, weight / r.v, F(0));
             base_bar = base_bar + Vec3<F>{r.d[0], r.d[1], r.d[2]} * scale;
             n_bar = n_bar + Vec3<F>{r.d[3], r.d[4], r.d[5]} * scale;
@@ -93,29 +99,42 @@ TR_INLINE void sweep_weights(const SceneView<S> &scene, const VertexRecord<F, C>
     }
 }
 
-// The normal of `hit`, so far the turned one, handed on to the image, to the shading normal and to dp/du.
+// The normal of `hit`, so far the turned one, handed on to the texture, to the shading normal and to the tangents.
 template <class F, class S, class Sink>
 TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord<F, 3> &v, const LayerSweep<F> &layers,
                                    const Wanted &wanted, HitAdjoint<F> &hit, Sink &sink) {
-    using D = Dual<F, 9>;
-    const MaskOf<F> &turned = layers.factor.turned;
-    IntOf<F> texture = record_field<F>(scene.bsdfs, NormalMap::Map, layers.leaf.layers.turned, turned);
-    Vec3<F> map = as_vector(eval_texture<3>(scene, scene.values, texture, v.at, turned));
-    Vec3<F> tangent = surface_tangent(scene, v.at, v.p, turned), z = layers.factor.base;
+    const IntOf<F> &record = layers.leaf.layers.turned;
+    NormalTurn<F> turn(scene, v.at, v.p, record, layers.factor.turned);
+    const Vec3<F> n_bar = hit.n, z = layers.factor.base;
     F side = select(layers.leaf.layers.mirrored, F(-1), F(1));
     // whether it was reversed shows in where it points
-    Vec3<F> straight = NormalMap::turn(z, side, tangent, map, F(1));
-    Vec3<F> reversed = NormalMap::turn(z, side, tangent, map, F(-1));
-    F sign = select(mask<F>(dot(reversed, v.normal) > dot(straight, v.normal)), F(-1), F(1));
-    auto seed = [](const Vec3<F> &a, int i) { return Vec3<D>{D(a.x, i), D(a.y, i + 1), D(a.z, i + 2)}; };
-    Vec3<D> n = NormalMap::turn(seed(z, 0), side, seed(tangent, 3), seed(map, 6), sign);
-    F bar[9];
-    for (int i = 0; i < 9; ++i) bar[i] = n.x.d[i] * hit.n.x + n.y.d[i] * hit.n.y + n.z.d[i] * hit.n.z;
-    hit.n = select(turned, Vec3<F>{bar[0], bar[1], bar[2]} * side, hit.n);
-    hit.tangent = select(turned, Vec3<F>{bar[3], bar[4], bar[5]}, hit.tangent);
-    Color<F, 3> g{{bar[6], bar[7], bar[8]}};
-    if (wanted.bsdf) sink.vector_texture(scene, texture, v.at, g, turned);
-    sweep_lookup<3>(scene, texture, v.at, g, turned, hit.at, sink);
+    auto reversed = mask<F>(dot(turn(z, side, F(-1)), v.normal) > dot(turn(z, side, F(1)), v.normal));
+    F sign = select(reversed, F(-1), F(1));
+    IntOf<F> texture = record_field<F>(scene.bsdfs, NormalMap::Map, record, layers.factor.turned);
+    if (any(turn.mapped)) {
+        using D = Dual<F, 9>;
+        Vec3<D> n = NormalMap::turn(seeded<D>(z, 0), side, seeded<D>(turn.tangents.u, 3), seeded<D>(turn.map, 6), sign);
+        auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
+        hit.n = select(turn.mapped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
+        hit.tangent = select(turn.mapped, Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
+        Color<F, 3> g{{bar(6), bar(7), bar(8)}};
+        if (wanted.bsdf) sink.vector_texture(scene, texture, v.at, g, turn.mapped);
+        sweep_lookup<3>(scene, texture, v.at, g, turn.mapped, hit.at, sink);
+    }
+    if (any(turn.bumped)) {
+        using D = Dual<F, 11>;
+        D u(turn.slopes.x * turn.scale, 9), w(turn.slopes.y * turn.scale, 10);
+        Vec3<D> n = BumpMap::turn(seeded<D>(z, 0), side, seeded<D>(turn.tangents.u, 3), seeded<D>(turn.tangents.v, 6),
+                                  u, w, sign);
+        auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
+        hit.n = select(turn.bumped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
+        hit.tangent = select(turn.bumped, Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
+        hit.tangent_v = select(turn.bumped, Vec3<F>{bar(6), bar(7), bar(8)}, hit.tangent_v);
+        Vec2<F> g{bar(9) * turn.scale, bar(10) * turn.scale};
+        sink.scalar(record_field<F>(scene.bsdfs, BumpMap::Scale, record, turn.bumped),
+                    bar(9) * turn.slopes.x + bar(10) * turn.slopes.y, turn.bumped);
+        sweep_slopes<3>(scene, texture, v.at, g, wanted.bsdf, true, turn.bumped, hit.at, sink);
+    }
 }
 
 // `whole`: what the leaf brings, times the adjoint of the vertex above its layers.

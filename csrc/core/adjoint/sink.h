@@ -88,6 +88,14 @@ public:
             }
         }
     }
+    // of the luminance of a footprint whose weights are multiplied by its adjoint
+    template <int N>
+    TR_INLINE void luminance_footprint(const SceneView<S> &scene, int32_t slot, const Footprint<F, N> &at,
+                                       const MaskOf<F> &active) {
+        Color<F, C> one = uniform_color<C>(F(0));
+        one[0] = F(1);
+        footprint(scene, slot, at, luminance_adjoint(one), active);
+    }
     // of the sum of weight(i) times number i of a tensor of one channel, the same for all lanes
     template <class Weight>
     TR_INLINE void weighted_sum(const SceneView<S> &, int32_t slot, int32_t n, const Weight &weight,
@@ -210,6 +218,11 @@ public:
     TR_INLINE void footprint(const SceneView<S> &, int32_t slot, const Footprint<F, N> &at, const Color<F, C> &g,
                              const MaskOf<F> &active) {
         if (tangent.tensors[slot].data) add(g * gather_footprint<C>(tangent.tensors[slot], at, active), active);
+    }
+    template <int N>
+    TR_INLINE void luminance_footprint(const SceneView<S> &, int32_t slot, const Footprint<F, N> &at,
+                                       const MaskOf<F> &active) {
+        if (tangent.tensors[slot].data) add(luminance(gather_footprint<C>(tangent.tensors[slot], at, active)), active);
     }
     template <class Weight>
     TR_INLINE void weighted_sum(const SceneView<S> &, int32_t slot, int32_t n, const Weight &weight,

@@ -1,7 +1,7 @@
 // What of a tree of BSDFs a hit is scattered by. `twosided` goes by the side that is met; `blendbsdf` and `mask` by
-// chance, with the last number of the scattering's block; `normalmap` turns the frame; the leaf they end at scatters.
-// That a branch is taken with a probability q and has a weight w multiplies what comes of it by w / q: the image is
-// that of the mixture, every model may be in it, and one at a time is evaluated.
+// chance, with the last number of the scattering's block; `normalmap` and `bumpmap` turn the frame; the leaf they end
+// at scatters. That a branch is taken with a probability q and has a weight w multiplies what comes of it by w / q: the
+// image is that of the mixture, every model may be in it, and one at a time is evaluated.
 //
 // While rendering q = w. For a derivative in w both branches need a chance even where w is 0 or 1: with a branch's
 // radiance R_i the mixture changes by dw (R_1 - R_0).
@@ -9,6 +9,7 @@
 
 #include "../registry.h"
 #include "../shape/tangents.h"
+#include "../texture/slopes.h"
 
 namespace tr {
 
@@ -107,7 +108,7 @@ TR_INLINE Leaf<F> walk_layers(const SceneView<S> &scene, const IntOf<F> &root, c
             open = open && !hole;
             visit(texture, second, share, chosen);
         }
-        auto turns = open && mask<F>(kind == NormalMapKind);
+        auto turns = open && (mask<F>(kind == NormalMapKind) || mask<F>(kind == BumpMapKind));
         if (any(turns)) {
             layers.turned = select(mask<I>(turns), here, layers.turned);
             layers.mirrored = layers.mirrored || (turns && r.mirrored);
@@ -128,19 +129,56 @@ TR_INLINE Vec3<F> as_vector(const Color<F, 3> &c) {
     return {c[0], c[1], c[2]};
 }
 
+// What a normal is turned by: an image's colours, or slopes of heights, and the surface's tangents.
+template <class F>
+struct NormalTurn {
+    MaskOf<F> mapped{false}, bumped{false};
+    Tangents<F> tangents;
+    Vec3<F> map{F(0), F(0), F(1)};
+    F scale{0};
+    Vec2<F> slopes{F(0), F(0)};  // without the scale
+
+    template <class S>
+    TR_INLINE NormalTurn(const SceneView<S> &scene, const TexturedPoint<F> &at, const Vec3<F> &p,
+                         const IntOf<F> &record, const MaskOf<F> &turned) {
+        static_assert(int(NormalMap::Map) == int(BumpMap::Heights) && int(NormalMap::Flip) == int(BumpMap::Flip) &&
+                          int(NormalMap::Shadowing) == int(BumpMap::Shadowing),
+                      "these are read as one");
+        IntOf<F> kind = record_kind<F>(scene.bsdfs, record, turned);
+        IntOf<F> texture = record_field<F>(scene.bsdfs, NormalMap::Map, record, turned);
+        tangents = surface_tangents(scene, at, p, turned);
+        mapped = turned && mask<F>(kind == NormalMapKind);
+        bumped = turned && mask<F>(kind == BumpMapKind);
+        if (any(mapped)) map = as_vector(eval_texture<3>(scene, scene.values, texture, at, mapped));
+        if (any(bumped)) {
+            IntOf<F> offset = record_field<F>(scene.bsdfs, BumpMap::Scale, record, bumped);
+            scale = gather<F>(scene.values.constants, UIntOf<F>(offset), bumped);
+            slopes = texture_slopes<3>(scene, texture, at, bumped);
+        }
+    }
+    // `z`: the normal that is turned; `side`, `sign`: see NormalMap::turn.
+    TR_INLINE Vec3<F> operator()(const Vec3<F> &z, const F &side, const F &sign) const {
+        Vec3<F> n = z;
+        if (any(mapped)) n = select(mapped, NormalMap::turn(z, side, tangents.u, map, sign), n);
+        if (any(bumped)) {
+            F u = slopes.x * scale, v = slopes.y * scale;
+            n = select(bumped, BumpMap::turn(z, side, tangents.u, tangents.v, u, v, sign), n);
+        }
+        return n;
+    }
+};
+
 // The turned normal; `z` is the one that is turned and `wi` the direction to where the path comes from.
 template <class F, class S>
 TR_INLINE Vec3<F> turned_normal(const SceneView<S> &scene, const TexturedPoint<F> &at, const Vec3<F> &p,
                                 const Vec3<F> &z, const F &side, const Vec3<F> &wi, bool viewed,
                                 const Layers<F> &layers, const MaskOf<F> &turned) {
-    IntOf<F> texture = record_field<F>(scene.bsdfs, NormalMap::Map, layers.turned, turned);
-    Vec3<F> map = as_vector(eval_texture<3>(scene, scene.values, texture, at, turned));
-    Vec3<F> tangent = surface_tangent(scene, at, p, turned), n = NormalMap::turn(z, side, tangent, map, F(1));
+    NormalTurn<F> turn(scene, at, p, layers.turned, turned);
+    Vec3<F> n = turn(z, side, F(1));
     if (!viewed) return n;
     auto flips = turned && mask<F>(record_field<F>(scene.bsdfs, NormalMap::Flip, layers.turned, turned) == 1);
     flips = flips && mask<F>(dot(n, wi) * dot(z, wi) < F(0));
-    if (any(flips)) n = select(flips, NormalMap::turn(z, side, tangent, map, F(-1)), n);
-    return n;
+    return any(flips) ? select(flips, turn(z, side, F(-1)), n) : n;
 }
 
 // Resolves the layers at a hit that a ray along d has come to, and turns its frame. `viewed`: the ray comes from where
