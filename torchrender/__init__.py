@@ -12,7 +12,15 @@ from . import backends, integrators
 from .autograd import reattach
 from .backends import show_config
 from .errors import MissingTermWarning, NotDifferentiableError, RenderError, SubstitutionWarning
-from .integrators import AOV, DirectIllumination, Integrator, ParticleTracer, PathTracer, VolumetricPathTracer
+from .integrators import (
+    AOV,
+    DirectIllumination,
+    Integrator,
+    ParticleTracer,
+    PathTracer,
+    VolumetricPathTracer,
+    WavefrontPathTracer,
+)
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
 from .render import Renderer, render
@@ -40,6 +48,7 @@ from .scene.phases import BlendPhase, TabulatedPhase
 from .scene.sensor import IrradianceMeter
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
+from .scene.torch_bsdf import TorchBSDF
 from .scene.volumes import ConstantVolume, GridVolume
 from .transform import Transform
 from .versions import count_fused_steps
@@ -111,9 +120,11 @@ __all__ = [
     "SubstitutionWarning",
     "TabulatedPhase",
     "ThinDielectric",
+    "TorchBSDF",
     "Transform",
     "TwoSided",
     "VolumetricPathTracer",
+    "WavefrontPathTracer",
     "backends",
     "from_trimesh",
     "integrators",

@@ -128,6 +128,46 @@ class ParticleTracer(_Paths):
         return {**super().config(), "integrator": "ptracer"}
 
 
+class WavefrontPathTracer(_Paths):
+    """Path tracer in PyTorch, for scenes with a `TorchBSDF`: slower than `PathTracer`, and of the same samples.
+
+    It does what `PathTracer` does, as tensor operations on all paths of a chunk at a time; the native core answers ray
+    queries and gives the random numbers. Where both can render a scene, the images of one seed are equal to rounding.
+    It has the BSDFs that are written in PyTorch, and of the native ones `diffuse`, `conductor`, `roughconductor`,
+    `dielectric`, `thindielectric`, `null` and `twosided`; the emitters `area`, `point`, `constant` and `envmap`; every
+    shape, texture, film and sampler. Another BSDF or emitter is refused with its place in the scene, and so are media.
+
+    The derivative is that of autograd: image and derivative have samples of their own, as with `render` in general.
+    What is rendered keeps no graph; `backward()` traces the derivative's samples, `chunk` by `chunk`, so that memory
+    goes with `chunk` times the length of paths and not with the image. It comprises what the native derivative does:
+    textures, materials and lights, and the motion of surfaces and cameras without that of the edges that are seen and
+    of those of shadows. Forward mode goes through the graph twice, which everything in a `TorchBSDF` then has to be
+    differentiable twice for.
+
+    Args:
+        max_depth: longest path in segments; 1 shows emitters only, 2 adds direct light, -1 is unlimited.
+        rr_depth: number of segments after which Russian roulette may end a path, at least 1.
+        hide_emitters: emitters are not seen directly by the camera.
+        chunk: number of paths that are traced together, at least 1.
+    """
+
+    kind = "wavefront"
+
+    def __init__(
+        self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False, chunk: int = 1 << 16
+    ) -> None:
+        self.__dict__["chunk"] = chunk  # which config(), called by the next line, looks at
+        super().__init__(max_depth, rr_depth, hide_emitters)
+        self.chunk = chunk
+
+    def config(self) -> dict[str, Any]:
+        chunk = _integer(type(self).__name__, "chunk", self.chunk, 1)
+        return {**super().config(), "integrator": "wavefront", "chunk": chunk}
+
+    def extra_repr(self) -> str:
+        return f"{super().extra_repr()}, chunk={self.chunk}"
+
+
 class DirectIllumination(Integrator):
     """Direct light only: emitter and BSDF sampling at the first hit, combined by the power heuristic.
 

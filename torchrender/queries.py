@@ -12,6 +12,7 @@ from torch.autograd import Function
 from .compiling import opaque
 from .errors import describe
 from .scene.gather import gather, has_derivative
+from .scene.native import NativeScene
 from .scene.packing import Layout
 from .scene.scene import Scene
 from .surface import Surfaces
@@ -122,35 +123,58 @@ class _Intersect(_Query):
     @staticmethod
     def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> Any:
         origins, directions, limits, *params = tensors
-        n, real = origins.shape[0], {"dtype": scene.dtype, "device": "cpu"}
-        whole = {"dtype": torch.int32, "device": "cpu"}
-        out = {
-            "t": torch.empty(n, **real),
-            "position": torch.empty(n, 3, **real),
-            "normal": torch.empty(n, 3, **real),
-            "shading_normal": torch.empty(n, 3, **real),
-            "uv": torch.empty(n, 2, **real),
-            "b1": torch.empty(n, **real),
-            "b2": torch.empty(n, **real),
-            "shape_id": torch.empty(n, **whole),
-            "prim_id": torch.empty(n, **whole),
-        }
         native = scene.native(layout, [tuple(p.shape) for p in params])
-        rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
-        native.call("ray_intersect", params, n, *rays, {name: tensor.data_ptr() for name, tensor in out.items()})
-        barycentric = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
-        return tuple(barycentric if name == "barycentric" else out[name] for name in Hits._fields[:-1])
+        return tuple(nearest_hits(native, params, origins, directions, limits))[:-1]
 
 
 class _Occluded(_Query):
     @staticmethod
     def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> torch.Tensor:
         origins, directions, limits, *params = tensors
-        hit = torch.empty(origins.shape[0], dtype=torch.uint8, device="cpu")
         native = scene.native(layout, [tuple(p.shape) for p in params])
-        rays = (origins.data_ptr(), directions.data_ptr(), limits.data_ptr())
-        native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr())
-        return hit.bool()
+        return occlusion(native, params, origins, directions, limits)
+
+
+def nearest_hits(
+    native: NativeScene,
+    params: list[torch.Tensor],
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    limits: torch.Tensor,
+) -> Hits:
+    """What the core finds along rays, of tensors that are as it takes them; without derivatives."""
+    n, real = origins.shape[0], {"dtype": native.dtype, "device": "cpu"}
+    whole = {"dtype": torch.int32, "device": "cpu"}
+    out = {
+        "t": torch.empty(n, **real),
+        "position": torch.empty(n, 3, **real),
+        "normal": torch.empty(n, 3, **real),
+        "shading_normal": torch.empty(n, 3, **real),
+        "uv": torch.empty(n, 2, **real),
+        "b1": torch.empty(n, **real),
+        "b2": torch.empty(n, **real),
+        "shape_id": torch.empty(n, **whole),
+        "prim_id": torch.empty(n, **whole),
+    }
+    dense = [t.contiguous() for t in (origins, directions, limits)]
+    rays = [t.data_ptr() for t in dense]
+    native.call("ray_intersect", params, n, *rays, {name: tensor.data_ptr() for name, tensor in out.items()})
+    out["barycentric"] = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
+    return Hits(**out, valid=out["shape_id"] >= 0)
+
+
+def occlusion(
+    native: NativeScene,
+    params: list[torch.Tensor],
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    limits: torch.Tensor,
+) -> torch.Tensor:
+    """Whether the core finds anything along rays, (N,) bool; see `nearest_hits`."""
+    hit = torch.empty(origins.shape[0], dtype=torch.uint8, device="cpu")
+    dense = [t.contiguous() for t in (origins, directions, limits)]
+    native.call("ray_occluded", params, origins.shape[0], *[t.data_ptr() for t in dense], hit.data_ptr())
+    return hit.bool()
 
 
 def _detached(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:

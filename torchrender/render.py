@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from torch import nn
 from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
 from .errors import NotDifferentiableError, describe, nearest
-from .integrators import AOV, Integrator, PathTracer
+from .integrators import AOV, Integrator, PathTracer, WavefrontPathTracer
 from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
 from .progress import progress
 from .scene.boundaries import check_phases, warn_of_open_boundaries
@@ -117,10 +118,17 @@ def render(
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
-    tensors = gather(scene, packed, params)
     shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
     volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
     light = shows_radiance and integrator_config["integrator"] == "ptracer"
+    traces = chosen_integrator if stack is None else stack.integrator
+    wavefront = shows_radiance and isinstance(traces, WavefrontPathTracer)
+    of_torch: dict[str, torch.Tensor] = {}
+    if packed.torch_bsdfs:
+        params, of_torch = _check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
+    tensors = gather(scene, packed, params)
+    if wavefront:
+        _check_wavefront(packed, names, adaptive_grad)
     if light:
         _check_light(packed, names, adaptive_grad)
     elif shows_radiance:
@@ -151,7 +159,7 @@ def render(
         call = RenderCall(
             native=native,
             config={
-                **integrator_config,
+                **({**integrator_config, "integrator": "path"} if wavefront else integrator_config),
                 **config,
                 "sensor": index,
                 "crop": window,
@@ -177,12 +185,19 @@ def render(
             correlated
             and not volumetric
             and not light
+            and not wavefront
             and call.spp_grad == call.spp
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
-        views.append(_view(call, names, stack, used))
+        if wavefront:
+            from .wavefront.function import wavefront_call
+
+            traced = wavefront_call(scene, call, film, integrator_config, of_torch)
+            views.append(_view(call, names, stack, used, functools.partial(traced.apply, used)))
+        else:
+            views.append(_view(call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=OUTPUTS[n] != 0) for n in names]
@@ -216,6 +231,30 @@ def _check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> N
         )
 
 
+def _check_torch_bsdfs(
+    packed: Layout, params: Any, names: Sequence[str], stack: AOV | None, integrator: Any, shows_radiance: bool
+) -> tuple[Any, dict[str, torch.Tensor]]:
+    """Refuses what BSDFs written in PyTorch are no part of; else `params` without theirs, and theirs."""
+    from .wavefront.function import refuse_torch_bsdfs, split_params
+
+    if shows_radiance and not isinstance(integrator, WavefrontPathTracer):
+        refuse_torch_bsdfs(packed, f"render: integrator: {{}}, which {type(integrator).__name__} does not evaluate")
+    if "albedo" in names or (stack is not None and "albedo" in stack.outputs()):
+        refuse_torch_bsdfs(packed, "render: outputs: {}, which has no 'albedo'")
+    return split_params(packed, params)
+
+
+def _check_wavefront(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
+    """What the path tracer in PyTorch does not have."""
+    from .wavefront.function import check_scene
+
+    check_scene(packed)
+    if "variance" in names:
+        raise ValueError("render: outputs: WavefrontPathTracer has no 'variance'; PathTracer has it")
+    if adaptive_grad:
+        raise ValueError("render: adaptive_grad: WavefrontPathTracer has no such choice; PathTracer has it")
+
+
 def _check_meter(
     meter: IrradianceMeter, light: bool, names: Sequence[str], stack: Any, tensors: list[torch.Tensor], packed: Layout
 ) -> None:
@@ -243,13 +282,19 @@ def _warn_of_beams(scene: Scene, packed: Layout) -> None:
     warnings.warn(text, UserWarning, stacklevel=depth_outside())
 
 
-def _view(call: RenderCall, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor]) -> dict[str, Any]:
-    """The outputs of one sensor by name."""
+def _view(
+    call: RenderCall,
+    names: Sequence[str],
+    stack: AOV | None,
+    tensors: list[torch.Tensor],
+    radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
+) -> dict[str, Any]:
+    """The outputs of one sensor by name; `radiance` renders what paths are traced for."""
     found: dict[str, torch.Tensor] = {}
     if stack is not None:
         found.update(first_hits(call, stack.outputs(), tensors, zero_at_misses=True))
     if (stack is None and any(n in PATH_OUTPUTS for n in names)) or (stack is not None and stack.integrator):
-        result = RenderFunction.apply(call, *tensors)
+        result = radiance()
         kinds = ("rgb", *(("alpha",) if call.alpha else ()), *(("variance",) if call.variance else ()))
         found.update(zip(kinds, result if isinstance(result, tuple) else (result,), strict=True))
     others = [n for n in names if n not in PATH_OUTPUTS]

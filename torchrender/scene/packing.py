@@ -19,6 +19,7 @@ from .media import Medium
 from .mesh import Mesh
 from .plugin import Plugin
 from .shapes import ON_SHAPES, Shape
+from .torch_bsdf import TorchBSDF
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -26,6 +27,8 @@ if TYPE_CHECKING:
 
 # Kinds of objects whose parameters have the derivatives that the field has in which the object sits.
 LIMITING = ("spectrum", "texture", "volume")
+# What a BSDF that is written in PyTorch is to the core, which has rays meet its surface and never evaluates it.
+STAND_IN: tuple[str, list[int]] = ("diffuse", [-1])
 
 
 @dataclass
@@ -80,6 +83,8 @@ class Layout:
     used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
     media: bool = False  # some shape or camera has a medium
     boundaries_seen: bool = False  # the media's boundaries were looked at
+    torch_bsdfs: dict[int, TorchBSDF] = field(default_factory=dict)  # those written in PyTorch, by row
+    torch_names: dict[str, TorchBSDF] = field(default_factory=dict)  # the same by each of their paths
 
     def index_key(self) -> list[tuple[int, int, int]]:
         """Tells whether the index arrays are still those that a native scene was built with."""
@@ -124,8 +129,14 @@ class _Packer:
         if shared and id(plugin) in self.index:
             self.alias(plugin, name, limits)
             return self.index[id(plugin)]
-        numbers = [self._number(plugin, n, f, f"{name}.{n}", limits) for n, f in plugin.fields().items()]
         rows = self.layout.objects[plugin.category]
+        if isinstance(plugin, TorchBSDF):
+            row = len(rows)
+            rows.append((*STAND_IN, name))
+            self.layout.torch_bsdfs[row] = self.layout.torch_names[name] = plugin
+            self.index[id(plugin)] = row
+            return row
+        numbers = [self._number(plugin, n, f, f"{name}.{n}", limits) for n, f in plugin.fields().items()]
         row = len(rows)
         rows.append((plugin.model().type, numbers, name))
         self.index[id(plugin)] = row
@@ -135,6 +146,8 @@ class _Packer:
 
     def alias(self, plugin: Plugin, name: str, limits: Limits) -> None:
         """Further names of parameters that are already packed."""
+        if isinstance(plugin, TorchBSDF):
+            self.layout.torch_names[name] = plugin
         for field_name, declared in plugin.fields().items():
             own = limits.also(plugin.derivative_of(declared))
             if plugin._leaf(declared):

@@ -1,0 +1,94 @@
+"""Random numbers, those of the native core, and what is sampled with them (csrc/core/math/warp.h)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from .. import backends
+
+# Blocks of four numbers along a path: the camera's, then one for emitters and one for the BSDF at every vertex.
+CAMERA_BLOCK, EMITTER_BLOCK, BSDF_BLOCK, BLOCKS_PER_SCATTERING = 0, 1, 2, 2
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of one pass of one sensor: a function of pixel, sample and block."""
+
+    sampler: str
+    spp: int
+    seed: int
+    sensor: int
+    dtype: torch.dtype
+
+    def block(self, pixel: torch.Tensor, sample: torch.Tensor, block: int) -> torch.Tensor:
+        """Four numbers in [0, 1), multiples of 2^-24, for N samples (int64) of pixels as `pixel_key` numbers them."""
+        pixels, samples = pixel.numpy().astype(np.uint32), sample.numpy().astype(np.uint32)
+        out = torch.empty(len(pixels), 4, dtype=torch.float64, device="cpu")
+        arithmetic = "double" if self.dtype == torch.float64 else "packet"
+        addresses = (pixels.ctypes.data, samples.ctypes.data, out.data_ptr())
+        settings = (self.sampler, 0, self.spp, self.seed, self.sensor, block, 4, arithmetic)
+        backends.ready().draw(*settings, len(pixels), *addresses)
+        return out.to(self.dtype)
+
+
+def pixel_key(rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+    """The number by which a pixel's random numbers are keyed; rows and columns may lie outside of the film."""
+    return ((rows + 32768) << 16) | (columns + 32768)
+
+
+def search(cdf: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """For a cumulative distribution (n,) and numbers (N,): index, probability of it, and what is left of the number."""
+    index = torch.searchsorted(cdf, u.contiguous(), right=True).clamp(max=len(cdf) - 1)
+    before = torch.where(index > 0, cdf[(index - 1).clamp(min=0)], 0.0)
+    mass = cdf[index] - before
+    return index, mass, (u - before) / mass.clamp(min=1e-20)
+
+
+def cumulative(weights: torch.Tensor) -> torch.Tensor:
+    """Cumulative distribution of weights (..., n), uniform where all are 0."""
+    weights = torch.where(weights.sum(-1, keepdim=True) > 0, weights, torch.ones_like(weights))
+    total = torch.cumsum(weights.double(), -1)
+    cdf = (total / total[..., -1:]).clamp(max=1.0).to(weights.dtype)
+    cdf[..., -1] = 1.0
+    return cdf
+
+
+def disk(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
+    """Uniform on the unit disk (N, 2), by concentric squares (Shirley and Chiu 1997)."""
+    x, y = 2 * u1 - 1, 2 * u2 - 1
+    wide = x.abs() > y.abs()
+    r, other = torch.where(wide, x, y), torch.where(wide, y, x)
+    phi = torch.where(r == 0, 0.0, other / torch.where(r == 0, 1.0, r)) * (math.pi / 4)
+    phi = torch.where(wide, phi, math.pi / 2 - phi)
+    return torch.stack([r * torch.cos(phi), r * torch.sin(phi)], 1)
+
+
+def cosine_hemisphere(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
+    """Directions (N, 3) with the density cos(theta) / pi about +z."""
+    p = disk(u1, u2)
+    z = torch.sqrt((1 - (p * p).sum(1)).clamp(min=0.0)).clamp(min=1e-7)
+    return torch.cat([p, z[:, None]], 1)
+
+
+def sphere(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
+    """Uniform directions (N, 3)."""
+    z = 1 - 2 * u2
+    r, phi = torch.sqrt((1 - z * z).clamp(min=0.0)), u1 * (2 * math.pi)
+    return torch.stack([r * torch.cos(phi), r * torch.sin(phi), z], 1)
+
+
+def cone(u1: torch.Tensor, u2: torch.Tensor, cutoff: torch.Tensor) -> torch.Tensor:
+    """Uniform directions (N, 3) in the cone about +z whose half angle has 1 - cos = `cutoff`."""
+    a = u2 * cutoff
+    r, phi = torch.sqrt((a * (2 - a)).clamp(min=0.0)), u1 * (2 * math.pi)
+    return torch.stack([r * torch.cos(phi), r * torch.sin(phi), 1 - a], 1)
+
+
+def triangle(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
+    """Uniform barycentric coordinates (N, 2) of the second and third corner."""
+    t = torch.sqrt((1 - u1).clamp(min=0.0))
+    return torch.stack([1 - t, t * u2], 1)
