@@ -53,6 +53,8 @@ class Emitter:
 class Area(Emitter):
     def prepare(self, record: Record) -> None:
         self.shape = next(i for i, s in enumerate(self.world.records["shape"]) if s.field["emitter"] == self.index)
+        texture = record.field["radiance"]
+        self.constant = texture < 0 or self.world.records["texture"][texture].type == "constant"
         self.geometry = LIGHT_SHAPES[self.world.records["shape"][self.shape].type](self.world, self.shape)
 
     def radiance(self, at: At) -> torch.Tensor:
@@ -71,6 +73,9 @@ class Area(Emitter):
         pdf = torch.where(dot(y.normal, d) < 0, self.geometry.pdf(p, y.normal, d, distance), 0.0)
         shape = torch.full((len(p),), self.shape)
         delta = torch.zeros(len(p), dtype=torch.bool)
+        if not self.world.moving and self.constant:
+            nowhere = y.barycentric  # a colour that is the same everywhere
+            return Light(d, distance, pdf, self.radiance(At(shape, y.primitive, nowhere, nowhere)), delta)
         # the point is glued to the light
         moved = glue(self.world.surfaces, shape, y.primitive, y.barycentric, y.position, y.barycentric)
         value = self.radiance(At(shape, y.primitive, y.barycentric, moved.uv))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -66,29 +66,47 @@ class Splats:
         scale, radius = 0.5 / self.filter.stddev**2, 4 * self.filter.stddev
         return torch.where(x.abs() < radius, torch.exp(-scale * x * x) - math.exp(-scale * radius * radius), 0.0)
 
-    def reached(self, pixel: torch.Tensor, offset: torch.Tensor) -> Iterator[tuple[torch.Tensor, ...]]:
-        """Numbers of samples, of the pixels that they reach, and weights.
-
-        `pixel` (N, 2) are rows and columns of samples, `offset` (N, 2) their places in them, y and x.
-        """
+    def spread(self, pixel: torch.Tensor, offset: torch.Tensor) -> Spread:
+        """What the samples of pixels (N, 2), rows and columns in order, at places (N, 2) in them, y and x, reach."""
+        keys, lane, counts = torch.unique_consecutive(pixel, dim=0, return_inverse=True, return_counts=True)
+        starts = torch.cumsum(counts, 0) - counts
+        place = torch.arange(len(pixel)) - starts[lane]
+        around = torch.arange(-self.reach, self.reach + 1)
+        weights = torch.zeros(len(keys), int(counts.max()), len(around) ** 2, dtype=torch.float64, device="cpu")
+        y, x = (self.weight(around + 0.5 - offset[:, i, None]) for i in (0, 1))
+        weights[lane, place] = (y[:, :, None] * x[:, None]).flatten(1)
         height, width = self.target.shape
-        around = range(-self.reach, self.reach + 1)
-        for i in around:
-            for j in around:
-                row, column = pixel[:, 0] + (i - self.y0), pixel[:, 1] + (j - self.x0)
-                rows = ((row >= 0) & (row < height) & (column >= 0) & (column < width)).nonzero()[:, 0]
-                target = self.target[row[rows], column[rows]]
-                rows, target = rows[target >= 0], target[target >= 0]
-                yield rows, target, self.weight(i + 0.5 - offset[rows, 0]) * self.weight(j + 0.5 - offset[rows, 1])
+        row = (keys[:, 0, None, None] + around[:, None] - self.y0).expand(-1, len(around), len(around)).flatten(1)
+        column = (keys[:, 1, None, None] + around - self.x0).expand(-1, len(around), len(around)).flatten(1)
+        inside = (row >= 0) & (row < height) & (column >= 0) & (column < width)
+        target = torch.where(inside, self.target[row.clamp(0, height - 1), column.clamp(0, width - 1)], -1)
+        return Spread(lane, place, weights, target)
 
-    def add(self, sums: torch.Tensor, pixel: torch.Tensor, offset: torch.Tensor, values: torch.Tensor) -> None:
-        """Add samples' values (N, K) times weights to `sums` (count, K), float64."""
-        for rows, target, weight in self.reached(pixel, offset):
-            sums.index_add_(0, target, values[rows].double() * weight[:, None])
 
-    def collect(self, adjoint: torch.Tensor, pixel: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
-        """The transposed of `add`: (N, K) of (count, K)."""
-        found = torch.zeros(len(pixel), adjoint.shape[1], dtype=torch.float64, device="cpu")
-        for rows, target, weight in self.reached(pixel, offset):
-            found.index_add_(0, rows, adjoint[target] * weight[:, None])
-        return found
+@dataclass
+class Spread:
+    """From samples to pixels of an image and back.
+
+    Attributes:
+        lane, place: (N,), the number of a sample's own pixel, and which of its samples it is.
+        weights: (P, L, K), of the samples of P pixels in the K pixels around each.
+        target: (P, K), the numbers of those in the image, -1 for none.
+    """
+
+    lane: torch.Tensor
+    place: torch.Tensor
+    weights: torch.Tensor
+    target: torch.Tensor
+
+    def add(self, sums: torch.Tensor, values: torch.Tensor) -> None:
+        """Add samples' values (N, C) times weights to `sums` (count, C), float64."""
+        columns = values.new_zeros(*self.weights.shape[:2], values.shape[1], dtype=torch.float64)
+        columns[self.lane, self.place] = values.double()
+        totals = self.weights.transpose(1, 2) @ columns
+        wanted = self.target >= 0
+        sums.index_add_(0, self.target[wanted], totals[wanted])
+
+    def collect(self, adjoint: torch.Tensor) -> torch.Tensor:
+        """The transposed of `add`: (N, C) of (count, C)."""
+        around = torch.where((self.target >= 0)[..., None], adjoint[self.target.clamp(min=0)], 0.0)
+        return (self.weights @ around)[self.lane, self.place]

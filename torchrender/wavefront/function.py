@@ -21,7 +21,7 @@ from ..scene.native import NativeScene
 from ..scene.packing import Layout
 from .bsdfs import BSDFS
 from .emitters import EMITTERS
-from .film import Splats
+from .film import Splats, Spread
 from .geometry import Rows
 from .numbers import CAMERA_BLOCK, Numbers, pixel_key
 from .path import WavefrontTracer
@@ -204,6 +204,9 @@ class WavefrontCall:
             raise RenderError(text)
         warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=depth_outside())
 
+    def spread(self, samples: Samples) -> Spread:
+        return self.splats.spread(samples.pixel, samples.offset)
+
     def weights(self) -> torch.Tensor:
         """Sums of the filter's weights (count, passes) of the derivative's samples, which are known beforehand."""
         sums = torch.zeros(self.splats.count, self.passes, dtype=torch.float64, device="cpu")
@@ -215,7 +218,7 @@ class WavefrontCall:
                 index = torch.arange(start, min(start + self.config["chunk"], total))
                 samples = self.samples(index, self.spp_grad, random)
                 one = torch.ones(len(index), 1, dtype=torch.float64)
-                self.splats.add(sums[:, number : number + 1], samples.pixel, samples.offset, one)
+                self.spread(samples).add(sums[:, number : number + 1], one)
         return sums
 
     def image(self, values: torch.Tensor) -> torch.Tensor:
@@ -259,7 +262,7 @@ class WavefrontFunction(Function):
         for chunk in call.traced([t.detach() for t in tensors]):
             one = torch.ones_like(chunk.alpha)[:, None]
             columns = torch.cat([chunk.radiance, chunk.alpha[:, None], one], 1)
-            call.splats.add(sums[chunk.number], chunk.samples.pixel, chunk.samples.offset, columns)
+            call.spread(chunk.samples).add(sums[chunk.number], columns)
         total = torch.stack([share(s[:, :-1], s[:, -1:]) for s in sums]).mean(0)
         image = call.image(total[:, :channels])
         return (image, call.image(total[:, channels:])[..., 0]) if call.alpha else image
@@ -317,9 +320,7 @@ class WavefrontVjpFunction(_Derivative):
             if not chunk.radiance.requires_grad:
                 continue
             of_pass = share(wanted, weights[:, chunk.number, None]) / call.passes
-            of_samples = call.splats.collect(of_pass, chunk.samples.pixel, chunk.samples.offset).to(
-                chunk.radiance.dtype
-            )
+            of_samples = call.spread(chunk.samples).collect(of_pass).to(chunk.radiance.dtype)
             found = torch.autograd.grad(chunk.radiance, sought, of_samples, allow_unused=True)
             for total, gradient in zip(gradients, found, strict=True):
                 if gradient is not None:
@@ -359,7 +360,7 @@ class WavefrontJvpFunction(_Derivative):
                 if not terms:
                     continue
                 (pushed,) = torch.autograd.grad(torch.stack(terms).sum(), u)
-            call.splats.add(sums[chunk.number], chunk.samples.pixel, chunk.samples.offset, pushed)
+            call.spread(chunk.samples).add(sums[chunk.number], pushed)
         weights = call.weights().T[..., None]
         total = share(sums, weights).mean(0)
         if not bool(torch.isfinite(total).all()):

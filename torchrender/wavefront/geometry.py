@@ -33,6 +33,10 @@ class Rows:
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
 
+    def take(self: Self, rows: torch.Tensor) -> Self:
+        """The rows of these different numbers, which are in order."""
+        return self if len(rows) == len(self) else self[rows]
+
     @classmethod
     def cat(cls: type[Self], pieces: Sequence[Self]) -> Self:
         if len(pieces) == 1:

@@ -162,7 +162,7 @@ class WavefrontTracer:
         """What paths find where they are, and where they go on to."""
         if self.lights.environment is not None and not (self.hide_emitters and depth == 0):
             self.escape(paths[~paths.valid])
-        paths = paths[paths.valid]
+        paths = paths.take(paths.valid.nonzero()[:, 0])
         if not scatters and depth > 0:  # the end: what does not emit is not looked at
             paths = paths[self.shape_emitter[paths.shape] >= 0]
         if not len(paths):
@@ -181,7 +181,7 @@ class WavefrontTracer:
         pieces = [paths[:0]]
         for number in leaf.unique().tolist():
             rows = (leaf == number).nonzero()[:, 0]
-            pieces += self.scatter(paths[rows], frame[rows], wi[rows], sign[rows], number, depth)
+            pieces += self.scatter(paths.take(rows), frame.take(rows), wi[rows], sign[rows], number, depth)
         return Paths.cat([p for p in pieces if len(p)] or pieces[:1])
 
     def bsdf(self, number: int, paths: Paths) -> Bsdf:
@@ -225,7 +225,7 @@ class WavefrontTracer:
         rows = (~(s.pdf <= 0)).nonzero()[:, 0]  # a density that is not a number is kept, to be found in the result
         if not len(rows):
             return []
-        paths, frame, wi, sign = paths[rows], frame[rows], wi[rows], sign[rows]
+        paths, frame, wi, sign = paths.take(rows), frame.take(rows), wi[rows], sign[rows]
         wo, pdf, eta, lobe = s.wo[rows], s.pdf[rows], s.eta[rows], s.lobe[rows]
         bsdf = self.bsdf(number, paths)
         value = bsdf.eval(wi, wo, lobe)
@@ -242,14 +242,14 @@ class WavefrontTracer:
         rows = alive.nonzero()[:, 0]
         if not len(rows):
             return []
-        paths, factor = paths[rows], (keep / pdf)[rows]
+        paths, factor = paths.take(rows), (keep / pdf)[rows]
         went_on = {
             "beta": paths.beta,
             "survival": (survival * keep[:, None])[rows],
             "eta": eta[rows],
             "origin_pdf": torch.zeros_like(factor) if bsdf.delta else pdf[rows],
         }
-        local = (frame[rows], wi[rows], sign[rows], wo[rows], lobe[rows], value[rows], factor)
+        local = (frame.take(rows), wi[rows], sign[rows], wo[rows], lobe[rows], value[rows], factor)
         return [self.go_on(number, paths, *local, not bsdf.delta, went_on)]
 
     def go_on(
@@ -338,7 +338,7 @@ class WavefrontTracer:
         rows = rows[~self.world.occluded(o, direction, limit)]
         if not len(rows):
             return
-        lit = paths[rows]
+        lit = paths.take(rows)
         lobe = torch.zeros_like(lit.lane)
         value = self.bsdf(number, lit).eval(wi[rows], wo[rows], lobe)
         self.add(lit.lane, lit.beta * value * light.value[rows] * factor[rows][:, None])
