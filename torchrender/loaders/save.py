@@ -16,6 +16,7 @@ from ..io._files import as_path
 from ..scene.declaration import CHILD_KINDS
 from ..scene.mesh import Mesh
 from ..scene.plugin import Plugin
+from ..scene.torch_bsdf import TorchBSDF
 from .materials import identifier
 from .ply import write_ply
 
@@ -34,11 +35,19 @@ def save(scene: Scene, path: str | os.PathLike) -> None:
     path = as_path(path)
     if path.suffix.lower() != ".xml":
         raise ValueError(f"save: expected a name that ends in .xml, got {str(path)!r}")
+    _refuse_torch(scene)
     path.parent.mkdir(parents=True, exist_ok=True)
     text = _Writer(scene, path).text()
     temporary = path.with_name(path.name + ".part")
     temporary.write_text(text, encoding="utf-8")
     temporary.replace(path)
+
+
+def _refuse_torch(scene: Scene) -> None:
+    """ValueError for what is written in PyTorch, before anything is written to files."""
+    for name, module in scene.named_modules():
+        if isinstance(module, TorchBSDF) or (isinstance(module, Integrator) and module.kind not in TYPES):
+            raise ValueError(f"save: {name}: a {type(module).__name__} has no form in a scene file")
 
 
 def number(value: torch.Tensor) -> str:

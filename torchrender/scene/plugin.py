@@ -474,6 +474,8 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
         return value
     if isinstance(value, Reference):
         return value
+    if isinstance(value, nn.Module) and category in (None, "bsdf"):
+        ctx.error(f"to be a BSDF, a torch.nn module has to be derived from tr.TorchBSDF; got {describe(value)}")
     if isinstance(value, Mapping):
         if value.get("type") == "ref":
             extra = [k for k in value if k not in ("type", "id")]

@@ -8,7 +8,7 @@ import torch
 
 from ..integrators import VolumetricPathTracer
 from .derivatives import describe_derivative, refusal_of
-from .packing import pack, top_level
+from .packing import Layout, pack, top_level
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -25,7 +25,8 @@ def summarise(scene: Scene) -> str:
         lines.append(f"  integrator: {integrator!r}")
     volumetric = isinstance(integrator, VolumetricPathTracer)
     rows = []
-    for slot in pack(scene, scene._free_camera).slots:
+    layout = pack(scene, scene._free_camera)
+    for slot in layout.slots:
         if slot.name.startswith("camera.") and slot.module is scene._free_camera:
             continue
         tensor = slot.tensor().detach()
@@ -34,6 +35,7 @@ def summarise(scene: Scene) -> str:
         if slot.tensor().requires_grad:
             derivative += ", requires grad"
         rows.append((slot.name, shape, str(tensor.dtype).removeprefix("torch."), _range(tensor), derivative))
+    rows += _of_torch(layout)
     if rows:
         widths = [max(len(row[i]) for row in rows) for i in range(4)]
         lines.append("  parameters:")
@@ -41,6 +43,19 @@ def summarise(scene: Scene) -> str:
             cells = [cell.ljust(width) for cell, width in zip(row[:4], widths, strict=True)]
             lines.append("    " + "  ".join([*cells, row[4]]))
     return "\n".join(lines)
+
+
+def _of_torch(layout: Layout) -> list[tuple[str, str, str, str, str]]:
+    """Parameters of BSDFs that are written in PyTorch."""
+    rows = []
+    for row, module in layout.torch_bsdfs.items():
+        path = layout.objects["bsdf"][row][2]
+        for name, tensor in module.named_parameters():
+            shape = "x".join(str(n) for n in tensor.shape) or "number"
+            derivative = "by autograd" + (", requires grad" if tensor.requires_grad else "")
+            dtype = str(tensor.dtype).removeprefix("torch.")
+            rows.append((f"{path}.{name}", shape, dtype, _range(tensor.detach()), derivative))
+    return rows
 
 
 def _range(tensor: torch.Tensor) -> str:

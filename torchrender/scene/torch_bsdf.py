@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any, ClassVar, NamedTuple
 
@@ -82,14 +83,23 @@ class TorchBSDF(Plugin):
             raise TypeError(f"{name}: pdf and sample belong together: {missing} is missing")
         self.two_sided = two_sided
 
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        written = cls.__dict__.get("eval")
+        if callable(written):
+
+            @functools.wraps(written)
+            def evaluate(self: TorchBSDF, *arguments: Any, **named: Any) -> Any:
+                return written(self, *arguments, **named) if arguments or named else self.train(False)
+
+            cls.eval = evaluate  # type: ignore[method-assign]
+
     # ------------------------------------------------------------------------------------- what a subclass writes
     def eval(self, *arguments: Any) -> Any:
         """``eval(si, wi, wo)``: value (N, C), the BSDF times ``|cos(wo)|``; C is 3, or 1 in mono.
 
         It has to be finite and not negative; what is not finite is dropped and reported.
         """
-        if not arguments:
-            return self.train(False)
         raise NotImplementedError(f"{type(self).__name__}.eval(si, wi, wo)")
 
     def pdf(self, si: SurfaceInteraction, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:

@@ -171,6 +171,8 @@ def _index(scene: Scene, category: str, name: str, missing: str) -> int:
     names = [entry[2] for entry in scene.layout().objects[category]]
     if name not in names:
         raise ValueError(f"{missing} {name!r}; there are {', '.join(names) or 'none'}")
+    if category == "bsdf" and names.index(name) in scene.layout().torch_bsdfs:
+        raise ValueError(f"BsdfProbe: name: {name} is a BSDF written in PyTorch, which the core does not evaluate")
     return names.index(name)
 
 

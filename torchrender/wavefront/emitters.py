@@ -209,7 +209,9 @@ class Lights:
         self.areas = [e for e in self.all if isinstance(e, Area)]
         if self.all:
             weights = torch.stack([world.tensor("emitter", r, "sampling_weight").detach() for r in found])
-            self.pmf, self.cdf = weights / torch.cumsum(weights, 0)[-1], numbers.cumulative(weights)
+            total = torch.cumsum(weights, 0)[-1]
+            self.pmf = weights / torch.where(total > 0, total, 1.0)
+            self.cdf = numbers.cumulative(weights)
 
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
         """Light from one emitter for each of the points (N, 3)."""

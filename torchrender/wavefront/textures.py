@@ -34,7 +34,7 @@ def wrap(i: torch.Tensor, n: int, mode: int) -> torch.Tensor:
 def texels(data: torch.Tensor, row: torch.Tensor, column: torch.Tensor) -> torch.Tensor:
     """``data[row, column]`` for data (H, W, C): one gather, whose adjoint is one sum."""
     flat = data.reshape(-1, data.shape[-1])
-    return flat.index_select(0, (row * data.shape[1] + column).flatten()).reshape(*row.shape, -1)
+    return flat.index_select(0, (row * data.shape[1] + column).flatten()).reshape(*row.shape, data.shape[-1])
 
 
 def bilinear(
@@ -87,7 +87,7 @@ def mesh_attribute(world: World, record: Record, at: At) -> torch.Tensor:
             corner = corner - world.surfaces.first_vertex[shape][:, None]
             b1, b2 = at.barycentric[rows].unbind(1)
             weight = torch.stack([1 - b1 - b2, b1, b2], 1)[..., None]
-            value = (data.index_select(0, corner.flatten()).reshape(*corner.shape, -1) * weight).sum(1)
+            value = (data.index_select(0, corner.flatten()).reshape(*corner.shape, data.shape[-1]) * weight).sum(1)
         result = result.index_put((rows,), (value * scale).expand(-1, world.channels))
     return result
 

@@ -1,0 +1,292 @@
+"""The path tracer in PyTorch against the native one: the same image and the same derivatives, to rounding."""
+
+from __future__ import annotations
+
+import functools
+import warnings
+
+import pytest
+import reference_scenes
+import torch
+from oracle.scenes import SCENES, SIZE
+from small_scene import COLOUR, TEXELS, ball_and_wall
+from torch.autograd import forward_ad
+
+import torchrender as tr
+from torchrender.scene.declaration import models
+from torchrender.wavefront.bsdfs import BSDFS
+from torchrender.wavefront.emitters import EMITTERS
+from torchrender.wavefront.lights import LIGHT_SHAPES
+from torchrender.wavefront.textures import TEXTURES
+
+SPP = 4
+RTOL = 1e-9  # of the largest number of an image or gradient,
+ATOL = 1e-15  # since derivatives may cancel to zero
+
+
+def supported(name: str) -> bool:
+    """Whether a scene's integrator and models are those of both renderers."""
+    scene = scene_of(name, "rgb")
+    packed = scene.layout().objects
+    known = {"bsdf": BSDFS, "emitter": EMITTERS}
+    return scene.integrator.config()["integrator"] == "path" and all(
+        row[0] in table for category, table in known.items() for row in packed[category]
+    )
+
+
+@functools.cache
+def scene_of(name: str, variant: str) -> tr.Scene:
+    return tr.load_dict(SCENES[name](), dtype=torch.float64, variant=variant)
+
+
+def in_torch(scene: tr.Scene, chunk: int = 1000) -> tr.WavefrontPathTracer:
+    """The scene's own integrator in PyTorch; chunks divide pixels."""
+    own = scene.integrator
+    return tr.WavefrontPathTracer(own.max_depth, own.rr_depth, own.hide_emitters, chunk=chunk)
+
+
+NAMES = [name for name in SCENES if supported(name)]
+
+
+def test_scenes_contain_every_model():
+    packed = [scene_of(name, "rgb").layout().objects for name in NAMES]
+    used = {(category, row[0]) for objects in packed for category in objects for row in objects[category]}
+    here = {"bsdf": {*BSDFS} - {"torch"}, "emitter": {*EMITTERS}, "texture": {*TEXTURES}, "shape": {*LIGHT_SHAPES}}
+    others = {("bsdf", "thindielectric"), ("bsdf", "roughconductor")}  # see test_native_bsdf
+    assert {(c, k) for c, kinds in here.items() for k in kinds} - others <= used
+    assert {m for m in models() if m[0] == "texture"} == {("texture", k) for k in TEXTURES}
+
+
+def assert_equal(found: torch.Tensor, expected: torch.Tensor, what: str) -> None:
+    scale = float(expected.detach().abs().max())
+    difference = float((found - expected).detach().abs().max())
+    assert difference <= RTOL * scale + ATOL, f"{what}: {difference:.3g} of {scale:.3g}"
+
+
+@pytest.mark.parametrize("variant", ["rgb", "mono"])
+@pytest.mark.parametrize("name", NAMES)
+def test_image(name, variant):
+    scene = scene_of(name, variant)
+    native = tr.render(scene, spp=SPP, seed=5, outputs=("rgb", "alpha"))
+    found = tr.render(scene, integrator=in_torch(scene), spp=SPP, seed=5, outputs=("rgb", "alpha"))
+    assert found.rgb.abs().max() > 0.01
+    assert_equal(found.rgb, native.rgb, "image")
+    assert_equal(found.alpha, native.alpha, "alpha")
+
+
+def differentiable(scene: tr.Scene) -> dict[str, torch.Tensor]:
+    """Values of the parameters that have a derivative, by name."""
+    layout = scene.layout()
+    names = [n for n, i in layout.by_name.items() if not layout.slots[i].refusal]
+    return {n: scene.get_parameter(n).detach().clone() for n in names}
+
+
+def render(scene: tr.Scene, values: dict[str, torch.Tensor], **more) -> torch.Tensor:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about moving edges, which are no part of either
+        return tr.render(scene, spp=SPP, seed=5, params=values, **more)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradients(name):
+    """Reverse mode of every parameter that has a derivative, of samples of their own."""
+    scene = scene_of(name, "rgb")
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
+    weight = torch.from_numpy(reference_scenes.weight(SIZE, SIZE, scene.channels))
+    found, expected = (
+        torch.autograd.grad((render(scene, values, integrator=i) * weight).mean(), list(values.values()))
+        for i in (in_torch(scene), scene.integrator)
+    )
+    seen = 0
+    for parameter, a, b in zip(values, found, expected, strict=True):
+        assert_equal(a, b, parameter)
+        seen += bool(b.any())
+    assert seen > len(values) / 3
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_forward_mode(name):
+    """The derivative of the image along one direction in all parameters."""
+    scene = scene_of(name, "rgb")
+    generator = torch.Generator().manual_seed(9)
+    values = differentiable(scene)
+    tangents = {n: torch.randn(v.shape, generator=generator, dtype=v.dtype) for n, v in values.items()}
+    with forward_ad.dual_level():
+        dual = {n: forward_ad.make_dual(v, tangents[n]) for n, v in values.items()}
+        found, expected = (
+            forward_ad.unpack_dual(render(scene, dual, integrator=i)).tangent
+            for i in (in_torch(scene), scene.integrator)
+        )
+    assert expected.abs().max() > 0.01
+    assert_equal(found, expected, "tangent of the image")
+
+
+GLOSSY = {
+    "pane": {"type": "thindielectric", "eta": 1.6, "specular_transmittance": 0.8},
+    "ggx": {"type": "roughconductor", "distribution": "ggx", "alpha": 0.3, "material": "Cu"},
+    "beckmann": {"type": "roughconductor", "alpha": 0.2, "eta": 0.3, "k": 3.0},
+}
+
+
+@pytest.mark.parametrize("name", GLOSSY)
+def test_native_bsdf(name):
+    """Those that the scenes above have only beside models that are not supported."""
+    ball = {"type": "sphere", "radius": 0.8, "bsdf": GLOSSY[name]}
+    objects = ball_and_wall(spp=SPP, ball=ball, integrator={"type": "path", "max_depth": 5})
+    scene = tr.load_dict(objects, dtype=torch.float64)
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items() if "ball.bsdf" in n or n == COLOUR}
+    images = [render(scene, values, integrator=i) for i in (in_torch(scene), scene.integrator)]
+    # Beckmann's slopes are the core's to about 1e-7: both invert a function that has no inverse in closed form.
+    tolerance = 1e-5 if name == "beckmann" else 1e-9
+    torch.testing.assert_close(*images, rtol=tolerance, atol=tolerance)
+    weight = torch.linspace(-1, 1, images[0].numel(), dtype=torch.float64).reshape(images[0].shape)
+    found, expected = (torch.autograd.grad((i * weight).sum(), list(values.values())) for i in images)
+    for parameter, a, b in zip(values, found, expected, strict=True):
+        torch.testing.assert_close(a, b, rtol=tolerance * 10, atol=tolerance * float(b.abs().max()), msg=parameter)
+        assert bool(b.any()), parameter
+
+
+# ------------------------------------------------------------------------------------------- films, samplers, chunks
+def small(**more) -> tr.Scene:
+    return tr.load_dict(ball_and_wall(**more), dtype=torch.float64)
+
+
+WAVEFRONT = tr.WavefrontPathTracer(max_depth=3, chunk=50)
+
+
+@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("part", [{}, {"crop": (1, 2, 3, 4)}, {"pixels": torch.tensor([[5, 7], [0, 3], [5, 7]])}])
+def test_parts_of_the_film(rfilter, part):
+    objects = ball_and_wall()
+    objects["sensor"]["film"]["rfilter"] = {"type": rfilter}
+    objects["sensor"]["film"]["sample_border"] = rfilter == "tent"
+    scene = tr.load_dict(objects, dtype=torch.float64)
+    scene.train_only(COLOUR)
+    native, found = (tr.render(scene, integrator=i, seed=3, **part) for i in (scene.integrator, WAVEFRONT))
+    assert_equal(found, native, "image")
+    weight = torch.linspace(-1, 2, native.numel(), dtype=torch.float64).reshape(native.shape)
+    gradients = [torch.autograd.grad((i * weight).sum(), scene.get_parameter(COLOUR))[0] for i in (native, found)]
+    assert_equal(gradients[1], gradients[0], "gradient")
+
+
+@pytest.mark.parametrize("sampler", tr.SAMPLERS)
+def test_samplers_passes_and_views(sampler):
+    scene = small()
+    scene["second"] = tr.PerspectiveCamera.look_at([1, 1, 3], [0, 0, 0], fov=40, size=(6, 8))
+    settings = {"sampler": sampler, "passes": 2, "spp": 5, "spp_grad": 3, "seed": 8, "seed_grad": 9, "sensor": [1, 0]}
+    scene.train_only(TEXELS)
+    images = [tr.render(scene, integrator=i, layout="bchw", **settings) for i in (scene.integrator, WAVEFRONT)]
+    assert images[1].shape == (2, 3, 6, 8)
+    assert_equal(images[1], images[0], "images")
+    gradients = [torch.autograd.grad(i.square().sum(), scene.get_parameter(TEXELS))[0] for i in images]
+    assert_equal(gradients[1], gradients[0], "gradient")
+
+
+def test_a_camera_outside_of_the_scene_and_first_hits():
+    scene = small()
+    camera = tr.PerspectiveCamera.look_at([1, 1, 3], [0, 0, 0], fov=40, size=(6, 8)).double()
+    names = ("depth", "rgb", "albedo", "shape_id")
+    native, found = (
+        tr.render(scene, sensor=camera, outputs=names, integrator=i, seed=1) for i in (scene.integrator, WAVEFRONT)
+    )
+    for name in names:
+        a, b = getattr(found, name), getattr(native, name)
+        assert torch.equal(a, b) or name == "rgb"
+    assert_equal(found.rgb, native.rgb, "image")
+    stacked = tr.render(scene, integrator=tr.AOV("dd:depth", WAVEFRONT), seed=1)
+    assert_equal(stacked[..., :3], tr.render(scene, integrator=WAVEFRONT, seed=1), "image")
+    assert stacked.shape == (6, 8, 4)
+
+
+@pytest.mark.parametrize("chunk", [5, 24, 1 << 16])
+def test_chunks_are_not_seen(chunk):
+    """6 x 8 pixels of 2 samples: chunks that divide pixels, parts of rows, everything at once."""
+    scene = small()
+    scene.train_only(COLOUR, TEXELS)
+    expected = tr.render(scene, integrator=tr.WavefrontPathTracer(3), seed=2)
+    expected.square().sum().backward()
+    gradients = [scene.get_parameter(n).grad.clone() for n in (COLOUR, TEXELS)]
+    scene.zero_grad()
+    found = tr.render(scene, integrator=tr.WavefrontPathTracer(3, chunk=chunk), seed=2)
+    found.square().sum().backward()
+    assert_equal(found, expected, "image")
+    for name, gradient in zip((COLOUR, TEXELS), gradients, strict=True):
+        assert_equal(scene.get_parameter(name).grad, gradient, name)
+
+
+def test_single_precision_is_that_of_the_core():
+    scene = tr.load_dict(ball_and_wall(height=12, width=16, spp=16))
+    native, found = (tr.render(scene, integrator=i, seed=2) for i in (scene.integrator, WAVEFRONT))
+    assert found.dtype == torch.float32
+    # A path whose ray just passes an edge may go elsewhere for a rounding error.
+    assert float(((found - native).abs() > 1e-4).double().mean()) < 0.01
+    torch.testing.assert_close(found.mean(), native.mean(), rtol=1e-3, atol=0)
+
+
+# ---------------------------------------------------------------------------------------------------------- refusals
+@pytest.mark.parametrize(
+    ("objects", "message"),
+    [
+        ({"ball": {"type": "sphere", "bsdf": {"type": "plastic"}}}, "ball.bsdf: .* no bsdf of type 'plastic'; it has "),
+        (
+            {"lamp": {"type": "rectangle", "emitter": {"type": "directionalarea"}}},
+            "lamp.emitter: .* no emitter of type 'directionalarea'",
+        ),
+        ({"ball": {"type": "sphere", "interior": {"type": "homogeneous"}}}, "does not trace through media"),
+    ],
+)
+def test_what_is_not_supported_is_named(objects, message):
+    scene = tr.load_dict(ball_and_wall(**objects))
+    with pytest.raises(ValueError, match=message):
+        tr.render(scene, integrator=WAVEFRONT)
+
+
+def test_arguments_that_it_does_not_take():
+    scene = small()
+    with pytest.raises(ValueError, match="no 'variance'; PathTracer has it"):
+        tr.render(scene, integrator=WAVEFRONT, outputs=("rgb", "variance"))
+    with pytest.raises(ValueError, match="adaptive_grad: WavefrontPathTracer has no such choice"):
+        tr.render(scene, integrator=WAVEFRONT, adaptive_grad=True)
+    with pytest.raises(ValueError, match="WavefrontPathTracer: chunk: expected at least 1, got 0"):
+        tr.WavefrontPathTracer(chunk=0)
+    with pytest.raises(TypeError, match="chunk: expected an integer, got 'many'"):
+        tr.WavefrontPathTracer(chunk="many")
+    scene["integrator"] = tr.WavefrontPathTracer(max_depth=2, chunk=9)
+    assert "WavefrontPathTracer(max_depth=2, rr_depth=5, hide_emitters=False, chunk=9)" in repr(scene)
+    with pytest.raises(ValueError, match="save: integrator: a WavefrontPathTracer has no form in a scene file"):
+        scene.save("never.xml")
+
+
+def test_second_derivatives_are_refused():
+    scene = small()
+    (parameter,) = scene.train_only(COLOUR)
+    image = tr.render(scene, integrator=WAVEFRONT, seed=0)
+    (gradient,) = torch.autograd.grad(image.square().sum(), parameter, create_graph=True)
+    with pytest.raises(tr.NotDifferentiableError, match="first derivatives only"):
+        gradient.sum().backward()
+
+
+def test_an_edit_between_image_and_derivative_is_an_error():
+    scene = small()
+    (parameter,) = scene.train_only(COLOUR)
+    image = tr.render(scene, integrator=WAVEFRONT, seed=0)
+    with torch.no_grad():
+        parameter.mul_(0.5)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def test_torch_func():
+    """`torch.func` sees a function of tensors: its derivatives are those of autograd."""
+    scene = small()
+    texels = scene.get_parameter(TEXELS).detach()
+
+    def loss(texels: torch.Tensor) -> torch.Tensor:
+        return tr.render(scene, integrator=WAVEFRONT, seed=0, params={TEXELS: texels}).square().sum()
+
+    leaf = texels.clone().requires_grad_()
+    (expected,) = torch.autograd.grad(loss(leaf), leaf)
+    assert_equal(torch.func.grad(loss)(texels), expected, "gradient")
+    tangent = torch.ones_like(texels)
+    _, along = torch.func.jvp(loss, (texels,), (tangent,))
+    assert_equal(along, expected.sum(), "derivative along a direction")
