@@ -78,7 +78,7 @@ def wavefront(max_depth: int = 3, **more) -> tr.WavefrontPathTracer:
 
 
 # ------------------------------------------------------------------------------------------------------------ images
-@pytest.mark.parametrize(("light", "depth"), [*((name, 3) for name in LIGHTS), ("textured", 1), ("sphere", 5)])
+@pytest.mark.parametrize(("light", "depth"), [*((name, 3) for name in LIGHTS), ("constant", 1), ("sphere", 5)])
 def test_diffuse_is_the_native_one(light, depth):
     """Image and derivatives to rounding: defaults sample what the native model samples."""
     ours, theirs = scene_with(Lambert(), light), scene_with(NATIVE, light)
@@ -121,9 +121,9 @@ def test_seen_from_behind(bsdf):
     inside = {**inside, "bsdf": {"type": "twosided", "inner": NATIVE}}
     expected = tr.render(scene_with({}, ball=inside, lamp=lamp), integrator=tr.PathTracer(3), seed=2)
     torch.testing.assert_close(found, expected, rtol=1e-9, atol=1e-12)
-    assert float(found.detach()[0].min()) > 0  # there is nothing but the ball
+    assert float(found.detach()[-1, 0].min()) > 0  # where there is nothing but the ball
     one_sided = tr.render(scene_with({}, ball={**inside, "bsdf": Lambert()}, lamp=lamp), integrator=wavefront(), seed=2)
-    assert float(one_sided.detach()[0].max()) == 0
+    assert float(one_sided.detach()[-1, 0].max()) == 0
 
 
 class Sheet(tr.TorchBSDF):
@@ -148,7 +148,7 @@ def test_light_through_a_sheet():
             "type": "scene",
             "camera": ball_and_wall()["sensor"],
             "sheet": {"type": "rectangle", "to_world": tr.Transform.scale(9.0), "bsdf": Sheet()},
-            "sky": {"type": "constant", "radiance": 1.0},
+            "sky": {"type": "constant", "radiance": 1.0, "sampling_weight": 0.0},  # found by the BSDF's samples alone
         },
         dtype=torch.float64,
     )
@@ -164,7 +164,7 @@ def test_what_a_bsdf_sees_of_the_surface():
         def eval(self, si, wi, wo):
             seen.append(si)
             odd = (si.uv % 1 > 0.5).sum(1, keepdim=True) % 2
-            return torch.where(odd == 1, 0.2, 0.4) * (wo[:, 2:] / math.pi).expand(-1, 3)
+            return torch.where(odd == 1, wo[:, 2:], 2 * wo[:, 2:]).expand(-1, 3) * (0.2 / math.pi)
 
     found = tr.render(scene_with(Checkered()), integrator=wavefront(2), seed=4)
     native = scene_with({"type": "diffuse", "reflectance": {"type": "checkerboard"}})
@@ -235,7 +235,7 @@ def test_forward_mode_is_reverse_mode():
 
 
 def test_memory_of_the_derivative_is_that_of_a_chunk():
-    """What graphs keep alive at a time does not grow with the number of samples, with that of paths in a chunk it does."""
+    """What graphs keep alive does not grow with the number of samples, but with that of paths in a chunk."""
 
     class Kept:
         now = peak = 0
@@ -259,7 +259,7 @@ def test_memory_of_the_derivative_is_that_of_a_chunk():
         return Kept.peak
 
     few = peak(8, 96)
-    assert few > 10_000
+    assert few > 1000
     assert peak(40, 96) < 1.1 * few
     assert peak(8, 384) > 2 * few
 
@@ -320,19 +320,19 @@ def test_one_bsdf_of_several_shapes_and_replacements():
 
 
 def test_a_bsdf_is_found_by_an_optimiser():
-    """Two layers that are tied and parametrized, in single precision: everything that modules do."""
-    target = tr.render(scene_with(NATIVE, dtype=torch.float32), integrator=tr.PathTracer(3), seed=99, spp=64)
+    """Through a parametrization, in single precision: what modules do."""
+    target = tr.render(scene_with(NATIVE, dtype=torch.float32), integrator=tr.PathTracer(3), seed=99, spp=1024)
     bsdf = Lambert((0.5, 0.5, 0.5))
     scene = scene_with(bsdf, dtype=torch.float32)
     with torch.no_grad():
         bsdf.albedo.fill_(0.0)
     nn.utils.parametrize.register_parametrization(bsdf, "albedo", nn.Sigmoid(), unsafe=True)
-    optimiser = torch.optim.Adam([p for p in scene.parameters() if p.requires_grad], lr=0.2)
-    for seed in range(40):
+    optimiser = torch.optim.Adam([p for p in scene.parameters() if p.requires_grad], lr=0.3)
+    for seed in range(30):
         optimiser.zero_grad()
-        (tr.render(scene, integrator=wavefront(chunk=4000), seed=seed, spp=8) - target).square().mean().backward()
+        (tr.render(scene, integrator=wavefront(chunk=4000), seed=seed, spp=16) - target).square().mean().backward()
         optimiser.step()
-    torch.testing.assert_close(bsdf.albedo.detach(), torch.tensor(COLOUR), atol=0.03, rtol=0)
+    torch.testing.assert_close(bsdf.albedo.detach(), torch.tensor(COLOUR), atol=0.04, rtol=0)
 
 
 # ------------------------------------------------------------------------------------------------------------ errors
@@ -358,7 +358,7 @@ def test_native_integrators_refuse_it(integrator):
         tr.render(scene, integrator=integrator)
     with pytest.raises(ValueError, match=r"outputs: ball.bsdf \(Watched\) .* has no 'albedo'"):
         tr.render(scene, integrator=wavefront(), outputs=("rgb", "albedo"))
-    with pytest.raises(ValueError, match="BsdfProbe: name: ball.bsdf is a BSDF written in PyTorch"):
+    with pytest.raises(ValueError, match=r"BsdfProbe: name: ball.bsdf is a BSDF written in PyTorch"):
         tr.testing.BsdfProbe(scene, "ball.bsdf")
     assert not called
     assert torch.isfinite(tr.render(scene, outputs=("shading_normal",)).shading_normal).all()  # which needs none
@@ -419,10 +419,10 @@ def test_numbers_that_are_not_finite_are_dropped_and_reported():
         image.sum().backward()
     gradient = scene.get_parameter(ALBEDO).grad
     assert torch.isfinite(gradient).all() and bool(gradient.any())
-    with pytest.raises(tr.RenderError, match="samples were not finite, first at ball.bsdf: eval"):
+    with pytest.raises(tr.RenderError, match=r"samples were not finite, first at ball.bsdf: eval"):
         tr.render(scene, integrator=integrator, seed=0, nan="raise")
     bad_density = scene_with(Wrong(pdf=lambda wo: wo[:, 2] * math.nan))
-    with pytest.raises(tr.RenderError, match="first at ball.bsdf: pdf"):
+    with pytest.raises(tr.RenderError, match=r"first at ball.bsdf: pdf"):
         tr.render(bad_density, integrator=integrator, seed=0, nan="raise")
 
 
@@ -442,7 +442,7 @@ def test_classes_that_cannot_work_are_refused():
         Lambert(two_sided=1)
     with pytest.raises(ValueError, match=r"ball.bsdf: .*torch.nn module has to be derived from tr.TorchBSDF"):
         scene_with(nn.Linear(3, 3))
-    with pytest.raises(ValueError, match="wall.emitter: expected a emitter, got a bsdf"):
+    with pytest.raises(ValueError, match=r"wall.emitter: expected a emitter, got a bsdf"):
         scene_with({}, wall={"type": "rectangle", "emitter": Lambert()})
 
 
