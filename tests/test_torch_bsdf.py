@@ -149,6 +149,7 @@ def test_light_through_a_sheet():
             "camera": ball_and_wall()["sensor"],
             "sheet": {"type": "rectangle", "to_world": tr.Transform.scale(9.0), "bsdf": Sheet()},
             "sky": {"type": "constant", "radiance": 1.0, "sampling_weight": 0.0},  # found by the BSDF's samples alone
+            "dark": {"type": "point", "intensity": 0.0},
         },
         dtype=torch.float64,
     )
@@ -249,7 +250,8 @@ def test_memory_of_the_derivative_is_that_of_a_chunk():
             Kept.now -= self.size
 
     def peak(spp: int, chunk: int) -> int:
-        scene = scene_with(Lambert())
+        wall = {"type": "rectangle", "to_world": tr.Transform.translate([0, 0, 1]) @ tr.Transform.scale(9.0)}
+        scene = scene_with({}, ball={**wall, "bsdf": Lambert()})  # which is all that is in view
         image = tr.render(scene, integrator=wavefront(chunk=chunk), seed=0, spp=1, spp_grad=spp)
         assert image.grad_fn is not None
         Kept.now = Kept.peak = 0
@@ -328,10 +330,12 @@ def test_a_bsdf_is_found_by_an_optimiser():
         bsdf.albedo.fill_(0.0)
     nn.utils.parametrize.register_parametrization(bsdf, "albedo", nn.Sigmoid(), unsafe=True)
     optimiser = torch.optim.Adam([p for p in scene.parameters() if p.requires_grad], lr=0.3)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 30)
     for seed in range(30):
         optimiser.zero_grad()
         (tr.render(scene, integrator=wavefront(chunk=4000), seed=seed, spp=16) - target).square().mean().backward()
         optimiser.step()
+        schedule.step()
     torch.testing.assert_close(bsdf.albedo.detach(), torch.tensor(COLOUR), atol=0.04, rtol=0)
 
 

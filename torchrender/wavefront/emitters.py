@@ -207,6 +207,7 @@ class Lights:
         self.all = [EMITTERS[r.type](world, i) for i, r in enumerate(found)]
         self.environment = next((e for e in self.all if isinstance(e, (Constant, EnvironmentMap))), None)
         self.areas = [e for e in self.all if isinstance(e, Area)]
+        self.seen = bool(self.areas) or self.environment is not None  # rays can find light
         if self.all:
             weights = torch.stack([world.tensor("emitter", r, "sampling_weight").detach() for r in found])
             total = torch.cumsum(weights, 0)[-1]

@@ -220,6 +220,8 @@ class WavefrontTracer:
         if not bsdf.delta and self.lights.all:
             self.sample_lights(paths, frame, wi, sign, number, bsdf, ue)
 
+        if depth + 2 == self.max_depth and not bsdf.delta and not self.lights.seen:
+            return []  # no ray finds light, and none would be looked for at what it hits
         with torch.set_grad_enabled(torch.is_grad_enabled() and bsdf.delta):
             s = bsdf.sample(wi, ub)
         rows = (~(s.pdf <= 0)).nonzero()[:, 0]  # a density that is not a number is kept, to be found in the result
