@@ -18,6 +18,7 @@ BENCHMARKS = {
     "memory": "peak memory beyond gradients and gradient buffers, at several sample counts",
     "scaling": "time over samples, pixels, threads, triangles and texture sizes",
     "variance": "error of image and gradient at equal time, by sampler, against a reference",
+    "materials": "forward and backward time of every BSDF, and whether all programs agree about it",
     "smoke": "one full-size iteration of the smoke, and what a reconstruction finds in a given time",
     "slab": "one full-size iteration of the translucent slab",
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",

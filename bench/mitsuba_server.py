@@ -26,14 +26,16 @@ class Server:
         path: str,
         arguments: dict,
         parameters: list,
-        resolution: int,
+        resolution: int | None,
         spp: int,
         arrays: str | None,
         integrator: dict | None = None,
     ) -> dict:
         mi, dr = self.mi, self.dr
         # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
-        self.scene = mi.load_file(path, optimize=False, resolution=resolution, spp=spp, **arguments)
+        if resolution is not None:
+            arguments = {"resolution": resolution, "spp": spp, **arguments}
+        self.scene = mi.load_file(path, optimize=False, **arguments)
         self.integrator = mi.load_dict(integrator or {"type": "prb", "max_depth": 5, "rr_depth": 100})
         self.params = mi.traverse(self.scene)
         self.names, self.spp = parameters, spp

@@ -3,7 +3,9 @@
 A server reads one JSON request a line from standard input and answers each with one JSON line. The first answer,
 before any request, is {"version": str, "import_seconds": float}.
 
-    {"do": "load", "path": str, "arguments": {...}, "parameters": [...], "resolution": int, "spp": int, "arrays": str}
+    {"do": "load", "path": str, "arguments": {...}, "parameters": [...], "resolution": int | null, "spp": int,
+     "arrays": str}
+                                        resolution: null where the file leaves neither it nor spp open;
                                         arrays: the same scene as NumPy arrays, see `scene_arrays.py`; optional:
                                         "integrator", a dict of its type and settings
     {"do": "forward", "seed": int}   -> {"forward": seconds}                 an image without derivatives

@@ -226,6 +226,51 @@ def test_smoke(tmp_path, fake_peer):
     assert ours[names[0]] > 10
 
 
+def test_materials(tmp_path, fake_peer):
+    options = ["--only", "redner", "--peer", f"mitsuba={sys.executable}"]
+    (table,) = run(tmp_path, "materials", *TINY, *options)["tables"]  # nothing to compare it with
+    (row,) = table["rows"]
+    assert row["material"] == "redner" and not any("Mitsuba" in column for column in row)
+    options = [
+        "--only",
+        "roughplastic, ggx",
+        "--seeds",
+        "4",
+        "--check-spp",
+        "64",
+        "--peer",
+        f"mitsuba={sys.executable}",
+    ]
+    time, images, gradients = (table["rows"] for table in run(tmp_path, "materials", *TINY, *options)["tables"])
+    (row,) = time
+    ours = row["sum s"]["median"]
+    assert 0 < row["image s"]["median"] < 10 and row["sum s"]["n"] == 2
+    assert row["Mitsuba sum s"]["median"] == 2.0
+    # Ratios of the two rounds lie half the distance between their quartiles beyond these; what belongs to the mean of
+    # the two times is their harmonic mean.
+    q1, q3 = (row["Mitsuba / ours, sum"][name] for name in ("q1", "q3"))
+    low, high = q1 - (q3 - q1) / 2, q3 + (q3 - q1) / 2
+    assert 2 / (1 / low + 1 / high) == pytest.approx(2 / ours)
+    (row,) = images
+    expected = 100 * abs(0.305 / row["mean of the picture"] - 1)
+    assert row["Mitsuba: difference of the means %"] == pytest.approx(expected, rel=1e-3)
+    assert row["Mitsuba: blocks, largest z"] >= row["Mitsuba: blocks, root mean square of z"] > 3
+    assert [row["parameter"].rpartition(".")[0] for row in gradients][:1] == ["material.diffuse_reflectance"]
+    for row in gradients:  # what takes Mitsuba's place finds 1.05 everywhere, our own differences find our gradient
+        assert row["Mitsuba gradient"] == pytest.approx(1.05) and abs(row["Mitsuba z"]) > 5
+        assert row["finite difference"] == pytest.approx(row["gradient"], rel=0.15)
+
+
+def test_materials_are_not_redners(fake_peer, monkeypatch, capsys):
+    from bench import peers
+
+    monkeypatch.setitem(peers.KNOWN, "mitsuba", dataclasses.replace(peers.KNOWN["mitsuba"], reads_arrays=True))
+    assert main(["materials", *TINY, "--peer", f"mitsuba={sys.executable}"]) == 2
+    assert "Mitsuba has one material only" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="no material's name contains 'velvet'"):
+        main(["materials", *TINY, "--only", "velvet"])
+
+
 def test_slab(tmp_path, fake_peer):
     options = ["--size", "2", "8", "8", "--spp-grad", "1", "--passes", "2", "--peer", f"mitsuba={sys.executable}"]
     ours, other = run(tmp_path, "slab", *TINY, *options)["tables"][0]["rows"]

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import warnings
 
 import numpy as np
 import pytest
+import torch
 
 import torchrender as tr
 from bench import compare, peers, plots, report
 from bench.embree_alone import KINDS, QUERIES, EmbreeAlone, Pair
+from bench.materials import ALL, MATERIALS, block_means, cases, z_scores
 from bench.measured import Measured, fit_line, rounds
 from bench.meshes import bumpy_sphere
 from bench.ours import Ours
@@ -203,6 +206,43 @@ def test_embree_alone_extrapolates_beyond_its_limit():
     factor = part.count("bounce") / part.counts["bounce"]["rays"]
     assert factor > 1.5
     assert part.replay("bounce", QUERIES[0], 2) == pytest.approx([2 * factor, 3 * factor])
+
+
+def test_block_means():
+    image = np.arange(5 * 4 * 3, dtype=np.float32).reshape(5, 4, 3)
+    means = block_means(image, 2)
+    assert means.shape == (2, 2, 3)
+    assert np.allclose(means[1, 0], image[2:4, :2].mean((0, 1)))
+    assert np.allclose(block_means(image, 16), image[:4].mean((0, 1)))  # the largest square
+
+
+def test_z_scores_of_equal_and_of_shifted_means():
+    """Of 20000 differences: the root mean square is known to 0.6 % (Student's t, 18 degrees of freedom: 1.061)."""
+    generator = np.random.default_rng(5)
+    first, second = generator.normal(3, 0.1, (2, 10, 20000))
+    assert np.sqrt((z_scores(first, second) ** 2).mean()) == pytest.approx((18 / 16) ** 0.5, rel=0.03)
+    shifted = z_scores(first + 0.2, second)
+    assert np.median(shifted) == pytest.approx(0.2 / (0.1 * (2 / 10) ** 0.5), rel=0.05)
+    constant = np.full((4, 2), 2.0)
+    assert np.isnan(z_scores(constant, constant)).all()
+    assert np.allclose(z_scores(constant, constant * (1 + 1e-4), 1e-4), -1, rtol=1e-3)
+
+
+def test_measured_materials_have_their_parameters():
+    """All of them exist and have derivatives."""
+    options = argparse.Namespace(resolution=8, spp=1, only="")
+    found = cases(options)
+    assert [case.name for case in found] == [*MATERIALS, ALL]
+    for case in found:
+        scene = tr.load_dict(case.scene)
+        leaves = scene.train_only(*case.parameters)
+        assert {id(leaf) for leaf in leaves} == {id(scene.get_parameter(name)) for name in case.parameters}, case.name
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", tr.MissingTermWarning)  # light that would come through where none does
+            tr.render(scene, seed=0).square().mean().backward()
+        assert all(leaf.grad is not None and torch.isfinite(leaf.grad).all() for leaf in leaves), case.name
+    (alone,) = cases(argparse.Namespace(resolution=8, spp=1, only="thindielectric"))
+    assert alone.parameters[-1] == "floor.bsdf.reflectance.color0.value"
 
 
 def test_arrays_of_a_scene():
