@@ -55,6 +55,7 @@ PYTHON_ONLY = {
     "test_spectra",
     "test_substitutes",
     "test_testing",
+    "test_tutorial_capture",
     "test_tutorial_caustics",
     "test_tutorial_media",
     "test_tutorials",
