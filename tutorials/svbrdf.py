@@ -48,6 +48,7 @@ MAPS = {
     "roughness": Map("sample.bsdf.roughness", 0.005, 0.3, 1, 0.1),
 }
 DISTANCE = 2.5  # of the lamp from the middle of the sample, whose sides are 2 long
+EXPOSURE = -2.0  # of the saved photographs, in stops
 
 
 def sample_maps(size: int) -> dict[str, torch.Tensor]:
@@ -153,8 +154,8 @@ def run(
     with torch.no_grad():
         targets = [photograph(place, 1_000_000 + i, target_spp) for i, place in enumerate(places)]
         new_target = photograph(new_place, 2_000_000, target_spp)
-    save(targets[0], folder, "target_first")
-    save(targets[-1], folder, "target_last")
+    save(targets[0], folder, "target_first", EXPOSURE)
+    save(targets[-1], folder, "target_last", EXPOSURE)
     for name, value in truth.items():
         save(value.expand(-1, -1, 3), folder, f"{name}_target")
 
@@ -180,7 +181,7 @@ def run(
 
     start = quality()
     with torch.no_grad():
-        save(photograph(places[0], 1_000_000, 16), folder, "start")
+        save(photograph(places[0], 1_000_000, 16), folder, "start", EXPOSURE)
 
     optimiser = torch.optim.Adam(numbers, lr=rate, betas=(0.9, 0.95))
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, iterations)
@@ -213,8 +214,8 @@ def run(
     for name, value in found().items():
         save(value.expand(-1, -1, 3), folder, f"{name}_result")
     with torch.no_grad():
-        save(photograph(new_place, 2_000_001, 64), folder, "result_new")
-    save(new_target, folder, "target_new")
+        save(photograph(new_place, 2_000_001, 64), folder, "result_new", EXPOSURE)
+    save(new_target, folder, "target_new", EXPOSURE)
     save_curves(curves, folder / "loss.png", f"SVBRDF: {len(MAPS)} maps of {size} x {size} texels")
     for name, value in end.items():
         print(f"PSNR, {name:>12}: {start[name]:.1f} dB at the start, {value:.1f} dB now")
