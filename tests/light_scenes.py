@@ -69,6 +69,29 @@ def point_light() -> dict[str, Any]:
     return {"type": "point", "position": [0.2, 1.1, 0.9], "intensity": {"type": "rgb", "value": [3, 4, 5]}}
 
 
+def spot() -> dict[str, Any]:
+    """Down, at an angle, with an image."""
+    return {
+        "type": "spot",
+        "intensity": {"type": "rgb", "value": [3, 4, 5]},
+        "cutoff_angle": 60,
+        "beam_width": 20,
+        "texture": {**texels(4, 5), "wrap_mode": "clamp"},
+        "to_world": T.look_at([0.2, 1.1, 0.9], [0.3, -1, 0.2], [0, 0, 1]),
+    }
+
+
+def projector(fov: float = 100) -> dict[str, Any]:
+    """Down, at an angle."""
+    to_world = T.look_at([0.2, 1.1, 0.4], [0.3, -1, 0.2], [0, 0, 1])
+    image = {**texels(4, 5, 2.0), "wrap_mode": "clamp"}
+    return {"type": "projector", "irradiance": image, "scale": 0.8, "fov": fov, "to_world": to_world}
+
+
+def sun() -> dict[str, Any]:
+    return {"type": "directional", "irradiance": {"type": "rgb", "value": [3, 4, 5]}, "direction": [0.3, -2, -0.5]}
+
+
 def envmap() -> dict[str, Any]:
     data = 0.2 + texels(8, 16, seed=3)["data"] ** 2 * 2
     return {"type": "envmap", "data": data, "to_world": T.rotate([0, 1, 0], 40)}

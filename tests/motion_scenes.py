@@ -155,6 +155,33 @@ SCENES = {
         floor=floor(),
         lamp={"type": "point", "position": [0.5, 2, 1], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
     ),
+    "sun": lambda: scene(
+        2, above(), floor=floor(), sun={"type": "directional", "direction": [0.5, -2, -1], "irradiance": [3, 2, 1]}
+    ),
+    "spot_light": lambda: scene(
+        2,
+        above(),
+        floor=floor(),
+        lamp={
+            "type": "spot",
+            "intensity": {"type": "rgb", "value": [9, 8, 7]},
+            "cutoff_angle": 40,
+            "beam_width": 10,
+            "texture": bitmap(wrap_mode="clamp"),
+            "to_world": Transform.look_at([0.5, 2, 1], [0, 0, 0], [0, 0, 1]),
+        },
+    ),
+    "projector": lambda: scene(
+        2,
+        above(),
+        floor=floor(),
+        beamer={
+            "type": "projector",
+            "irradiance": bitmap(12, 16, 5.0, wrap_mode="clamp"),
+            "fov": 90,  # its border is out of view
+            "to_world": Transform.look_at([0.5, 2, 1], [0, 0, 0], [0, 0, 1]),
+        },
+    ),
     "rectangle_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("rectangle")),
     "disk_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("disk")),
     "sphere_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("sphere")),

@@ -497,6 +497,68 @@ def _mesh() -> ReferenceScene:
     )
 
 
+def _spot() -> ReferenceScene:
+    """A spot light with an image and one without; a ball in the first one's cone."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 3, "rr_depth": 100},
+            _camera(),
+            lamp={
+                "type": "spot",
+                "intensity": _rgb(30.0, 25.0, 20.0),
+                "cutoff_angle": 25.0,
+                "beam_width": 12.0,
+                "texture": _bitmap(81, 4, 4),
+                "to_world": look_at((1.0, 3.0, 2.0), (0.2, -0.4, 0.0)),
+            },
+            torch={
+                "type": "spot",
+                "intensity": _rgb(9.0, 9.0, 9.0),
+                "cutoff_angle": 40.0,
+                "to_world": look_at((-2.0, 1.5, 1.0), (-0.8, -1.0, -0.5)),
+            },
+            ball={"type": "sphere", "center": [0.4, -0.5, 0.0], "radius": 0.5, "bsdf": _diffuse(_rgb(0.8, 0.5, 0.2))},
+            floor=_floor(_rgb(0.3, 0.5, 0.4)),
+        ),
+        ("lamp.intensity.value", "torch.intensity.value", "lamp.texture.data", "floor.bsdf.reflectance.value"),
+    )
+
+
+def _projector() -> ReferenceScene:
+    """An image thrown over a ball onto the floor, from an angle."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 3, "rr_depth": 100},
+            _camera(),
+            beamer={
+                "type": "projector",
+                "irradiance": _bitmap(82, 6, 9, wrap_mode="clamp"),
+                "scale": 12.0,
+                "fov": 35.0,
+                "to_world": look_at((1.5, 2.5, 2.0), (0.0, -0.7, 0.0)),
+            },
+            ball={"type": "sphere", "center": [-0.3, -0.5, 0.2], "radius": 0.5, "bsdf": _diffuse(_rgb(0.8, 0.5, 0.2))},
+            floor=_floor(_rgb(0.5, 0.6, 0.4)),
+        ),
+        ("beamer.irradiance.data", "beamer.scale", "floor.bsdf.reflectance.value"),
+    )
+
+
+def _directional() -> ReferenceScene:
+    """The sun, given by its direction, beside a weak sky."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 3, "rr_depth": 100},
+            _camera(),
+            sun={"type": "directional", "irradiance": _rgb(3.0, 2.5, 2.0), "direction": [0.5, -2.0, -0.7]},
+            sky={"type": "constant", "radiance": _rgb(0.1, 0.2, 0.3)},
+            ball={"type": "sphere", "center": [0.4, -0.2, 0.0], "radius": 0.6, "bsdf": _diffuse(_rgb(0.8, 0.5, 0.2))},
+            floor=_floor(_bitmap(83, 4, 4)),
+        ),
+        ("sun.irradiance.value", "sky.radiance.value", "ball.bsdf.reflectance.value"),
+    )
+
+
 SCENES = {
     "shapes": _shapes,
     "bitmaps": _bitmaps,
@@ -512,6 +574,9 @@ SCENES = {
     "direct": _direct,
     "film": _film,
     "mesh": _mesh,
+    "spot": _spot,
+    "projector": _projector,
+    "directional": _directional,
 }
 
 

@@ -262,6 +262,9 @@ def test_conductors(eta, k, variant, dtype):
         assert image.min().abs() < 1e-7
 
 
+FROM_ABOVE = tr.Transform.look_at([0, 0, 2], [0, 0, 0], [0, 1, 0])
+
+
 def lights_of(radiance: float) -> dict[str, dict]:
     return {
         "area": {"lamp": {**LAMP, "emitter": {"type": "area", "radiance": radiance}}},
@@ -276,6 +279,9 @@ def lights_of(radiance: float) -> dict[str, dict]:
         "constant": {"sky": {"type": "constant", "radiance": radiance}},
         "envmap": {"sky": {"type": "envmap", "data": torch.full((4, 8, 3), radiance)}},
         "point": {"bulb": {"type": "point", "position": [0, 0, 2], "intensity": radiance}},
+        "directional": {"sun": {"type": "directional", "direction": [0, 0, -1], "irradiance": radiance}},
+        "spot": {"lamp": {"type": "spot", "to_world": FROM_ABOVE, "intensity": radiance}},
+        "projector": {"beamer": {"type": "projector", "to_world": FROM_ABOVE, "irradiance": radiance, "fov": 40}},
         "textured": {
             "lamp": {
                 **LAMP,
@@ -296,7 +302,7 @@ def test_lights_that_are_off(light, variant, dtype):
     name = next(
         n
         for n in differentiable(scene)
-        if n.endswith(("radiance.value", "intensity.value", "radiance.data", "sky.data"))
+        if n.endswith(("radiance.value", "irradiance.value", "intensity.value", "radiance.data", "sky.data"))
     )
     # switched off, but it would be seen: the derivative by its radiance is that of a light that is on
     image = tr.render(scene, spp=16, seed=1)

@@ -73,6 +73,15 @@ def test_bsdfs(bsdf, expected):
     [
         ({"type": "point", "intensity": RGB}, {"sampling_weight", "position", "intensity.value"}),
         ({"type": "constant", "radiance": RGB}, {"sampling_weight", "radiance.value"}),
+        ({"type": "directional", "irradiance": RGB}, {"sampling_weight", "irradiance.value", "to_world"}),
+        (
+            {"type": "spot", "intensity": RGB, "texture": 0.5},
+            {"sampling_weight", "intensity.value", "texture.value", "cutoff_angle", "beam_width", "to_world"},
+        ),
+        (  # Mitsuba has no x_fov
+            {"type": "projector", "irradiance": BITMAP},
+            {"sampling_weight", "scale", "irradiance.data", "irradiance.to_uv", "to_world", "x_fov"},
+        ),
         ({"type": "envmap", "data": TEXELS}, {"sampling_weight", "scale", "data", "to_world"}),
     ],
 )

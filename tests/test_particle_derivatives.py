@@ -176,6 +176,21 @@ GLUED = {
         ("light.position", "light.intensity.value", "wall.to_world"),
         3,
     ),
+    "spot": (
+        with_camera(ls.spot(), wall=WALL),
+        (
+            *(f"light.{n}" for n in ("to_world", "cutoff_angle", "beam_width", "intensity.value", "texture.data")),
+            "light.texture.to_uv",
+            "wall.to_world",
+        ),
+        3,
+    ),
+    "projector": (  # the border of whose image is out of view and meets no wall
+        with_camera(ls.projector()),
+        tuple(f"light.{n}" for n in ("to_world", "x_fov", "scale", "irradiance.data", "irradiance.to_uv")),
+        2,
+    ),
+    "sun": (with_camera(ls.sun(), wall=WALL), ("light.to_world", "light.irradiance.value", "wall.to_world"), 3),
     "constant": (with_camera({"type": "constant"}, wall=WALL), ("light.radiance.value", "wall.to_world"), 3),
     "turned map": (
         with_camera(ls.envmap(), wall=WALL),
@@ -245,7 +260,7 @@ def test_derivatives_are_those_of_the_path_tracer(name):
     ]
     assert bool((p >= sidak(SIGNIFICANCE, COUNT)).all()), "\n".join([name, *text])
     # at least half of the derivatives are known to half of them; light from all around mostly misses the camera's view
-    if name not in ("constant", "turned map", "seen lamp"):
+    if name not in ("constant", "turned map", "seen lamp", "sun"):
         assert float((error / expected.mean(0).abs()).median()) < 0.5, "\n".join([name, *text])
 
 
@@ -260,7 +275,7 @@ def test_forward_and_reverse_mode_agree(name):
     values = [scene.get_parameter(n).detach() for n in names]
 
     def f(*tensors):
-        spp = 64 if name in ("constant", "turned map") else 4
+        spp = 64 if name in ("constant", "turned map", "sun", "projector") else 4
         return tr.render(scene, integrator=light, spp=spp, seed=5, params=dict(zip(names, tensors)))
 
     result = tr.testing.dot_product_test(f, values, rtol=1e-10)
@@ -268,7 +283,13 @@ def test_forward_and_reverse_mode_agree(name):
     assert result.forward != 0
 
 
-@pytest.mark.parametrize("name", ["sheet", "own normals", "meter under a sheet", "area", "turned map", "bumpy ground"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("sheet", "own normals", "meter under a sheet", "area", "turned map", "bumpy ground"),
+        *("spot", "projector", "sun"),
+    ],
+)
 def test_packets_of_single_precision_give_the_gradients_of_double(name):
     table, depth = (PATHWISE, 3) if name in PATHWISE else (GLUED, GLUED[name][2])
     description = table[name][0]() if name in PATHWISE else table[name][0]

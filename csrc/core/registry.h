@@ -27,31 +27,18 @@
 
 namespace tr {
 
-template <class... Ts>
-struct TypeList {
-    static constexpr int Size = sizeof...(Ts);
-};
-
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
                        ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
 using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
-using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter>;
+// (Emitters: emitter/emitter.h, which chooses among them.)
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;
 using Sensors = TypeList<Perspective, IrradianceMeter>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
 using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
 using Attributes = TypeList<AttributeModel>;
-
-// The position of a model in its list.
-template <class Model, class... Ts>
-constexpr int kind_of_model(TypeList<Ts...>) {
-    int i = 0;
-    (void)((std::is_same_v<Model, Ts> ? true : (++i, false)) || ...);
-    return i;
-}
 
 // Records of wrappers have these kinds.
 constexpr int TwoSidedKind = Bsdfs::Size + kind_of_model<TwoSided>(BsdfWrappers{});
@@ -68,12 +55,5 @@ constexpr auto with_openings(TypeList<Ts...>) {
 }
 using LeafBsdfs = decltype(with_openings(Bsdfs{}));
 constexpr int OpeningKind = kind_of_model<Opening>(LeafBsdfs{});
-
-// Calls f with a value of the type at position `kind`.
-template <class F, class... Ts>
-TR_INLINE void dispatch(TypeList<Ts...>, int kind, F &&f) {
-    int i = 0;
-    (void)((i++ == kind ? (f(Ts{}), true) : false) || ...);
-}
 
 }  // namespace tr

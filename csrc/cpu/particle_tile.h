@@ -103,8 +103,7 @@ private:
             EmissionSample<F> e = sample_emission(scene_, v.u[0], a, b, v.u[1], v.u[2], active);
             Color<F, C> sent = eval_emission<C>(scene_, e.point, e.kind, e.active);
             e.active = e.active && finite(sent, e.active, "emitter", e.point.emitter);
-            M parallel = mask<F>(e.kind == int32_t(EmitterKind::Constant)) ||
-                         mask<F>(e.kind == int32_t(EmitterKind::EnvironmentMap));
+            M parallel = is_parallel<F>(e.kind);
             if (Derivative)
                 level().template put_emission<F>(i, slot, sent, e.point, e.p, e.n, e.d, e.kind,
                                                  select(e.active, e.weight, F(0)));
@@ -126,8 +125,7 @@ private:
     template <bool Derivative>
     void connect_emitter(const EmissionSample<F> &e, const Color<F, C> &sent, const M &parallel, const U &slot,
                          size_t i) {
-        M visible = e.active && !mask<F>(e.kind == int32_t(EmitterKind::DirectionalArea)) &&
-                    !mask<F>(e.kind == int32_t(EmitterKind::Point));
+        M visible = e.active && (mask<F>(e.kind == int32_t(EmitterKind::Area)) || is_surrounding<F>(e.kind));
         if (!any(visible)) return;
         Vec3<F> p = select(parallel, -e.d, e.p);
         Connection<F> to = connect(sensor_.camera, p, parallel, visible);

@@ -58,8 +58,8 @@ bool Dependence::values(const char *category, size_t index) const {
 }
 
 bool Dependence::point_position() const {
-    for (const Record &r : layout_.records.at("emitter"))
-        if (r.kind == int32_t(EmitterKind::Point) && number(r.field[PointEmitter::Position])) return true;
+    for (size_t i = 0; i < layout_.records.at("emitter").size(); ++i)
+        if (any_number("emitter", i, {Kind::Point})) return true;
     return false;
 }
 

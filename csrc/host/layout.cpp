@@ -383,10 +383,8 @@ private:
     }
 
     void find_enclosed_media() {
-        for (const SceneObject &emitter : list("emitter"))  // light that does not come from infinitely far away
-            if (emitter.type == PointEmitter::model.type || emitter.type == AreaEmitter::model.type ||
-                emitter.type == DirectionalAreaEmitter::model.type)
-                return;
+        for (const Record &emitter : out_.records["emitter"])
+            if (!is_parallel<float>(emitter.kind)) return;
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
             for (const Record &sensor : out_.records["sensor"])
@@ -535,7 +533,31 @@ private:
                 out_.environment = int(e);
                 if (type == EnvironmentMap::model.type) check_image("emitter", int(e), EnvironmentMap::Data);
             }
+            for_each_point_light<float>(records[e].kind, true, [&](auto model, bool) {
+                constexpr int image = decltype(model)::TextureField;
+                if constexpr (image >= 0)
+                    check_pattern(where("emitter", int(e), model.model.fields[image].name), records[e].field[image]);
+            });
+            if (type == ProjectorEmitter::model.type) {
+                const Record &image = out_.records["texture"][size_t(records[e].field[ProjectorEmitter::Irradiance])];
+                double aspect = 1;
+                if (image.kind == int32_t(TextureKind::Bitmap)) {
+                    const auto &size = out_.tensor_shapes[size_t(image.field[Bitmap::Data])];
+                    aspect = double(size[1]) / double(size[0]);
+                }
+                records[e].field[ProjectorEmitter::AspectOffset] = int32_t(out_.constants.size());
+                out_.constants.push_back(aspect);
+            }
         }
+    }
+
+    // The image of a light that is no surface.
+    void check_pattern(const std::string &at, int32_t texture) const {
+        const Record &record = out_.records.at("texture")[size_t(texture)];
+        if (record.kind == int32_t(TextureKind::MeshAttribute))
+            fail(at, "a texture with coordinates: this light is no mesh", "a mesh_attribute");
+        if (record.kind == int32_t(TextureKind::Checkerboard))
+            for (int f : {Checkerboard::Color0, Checkerboard::Color1}) check_pattern(at, record.field[f]);
     }
 
     void check_meters() {

@@ -177,7 +177,73 @@ class Point(Emitter):
         return Light(normalize(towards), torch.sqrt(square).detach(), pdf, value, apart)
 
 
-EMITTERS = {"area": Area, "constant": Constant, "envmap": EnvironmentMap, "point": Point}
+class Directional(Emitter):
+    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
+        axis = self.world.tensor("emitter", self.record, "to_world")[:3, 2]
+        d = -(axis / torch.linalg.vector_norm(axis)).expand(len(x), 3)
+        one = torch.ones(len(x), dtype=d.dtype)
+        return Light(d, math.inf * one, one, self.color("irradiance", len(x)), one.bool())
+
+
+class Oriented(Emitter):
+    """A point light with a frame: `pattern` gives what it sends along unit directions of that frame."""
+
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Intensity (N, C), and whether light goes there (N,)."""
+        raise NotImplementedError
+
+    def number(self, name: str) -> torch.Tensor:
+        return self.world.tensor("emitter", self.record, name)
+
+    def image(self, name: str, uv: torch.Tensor) -> torch.Tensor:
+        """A texture at coordinates (N, 2)."""
+        none = torch.zeros(len(uv), dtype=torch.int64)
+        return self.world.color("emitter", self.record, name, At(none, none, uv.detach(), uv))
+
+    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
+        to_world = self.number("to_world")
+        towards = to_world[:3, 3] - x
+        square = dot(towards, towards)
+        value, lit = self.pattern(normalize(-towards @ torch.linalg.inv(to_world[:3, :3]).T))
+        pdf = lit.to(square)
+        everywhere = torch.ones_like(lit)
+        return Light(normalize(towards), torch.sqrt(square).detach(), pdf, value / square[:, None], everywhere)
+
+
+class Spot(Oriented):
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        cutoff, beam = torch.deg2rad(self.number("cutoff_angle")), torch.deg2rad(self.number("beam_width"))
+        angle = torch.acos(d[:, 2])
+        fall = torch.where(angle > beam, (cutoff - angle) / (cutoff - beam), 1.0)
+        uv = 0.5 + 0.5 * d[:, :2] / (d[:, 2:] * torch.tan(cutoff))
+        value = self.color("intensity", len(d)) * self.image("texture", uv) * fall[:, None]
+        return value, angle < cutoff
+
+
+class Projector(Oriented):
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        texture = self.world.records["texture"][self.record.field["irradiance"]]
+        aspect = 1.0
+        if texture.type == "bitmap":
+            height, width = self.world.tensor("texture", texture, "data").shape[:2]
+            aspect = width / height
+        slope = torch.tan(torch.deg2rad(self.number("x_fov")) / 2)
+        front = d[:, 2] > 0
+        z = torch.where(front, d[:, 2], 1.0)
+        a, b = d[:, 0] / (z * slope), d[:, 1] / (z * slope / aspect)
+        value = self.image("irradiance", torch.stack([0.5 - a / 2, 0.5 - b / 2], 1)) * self.number("scale") * math.pi
+        return value / (z**3)[:, None], front & (a.abs() < 1) & (b.abs() < 1)
+
+
+EMITTERS = {
+    "area": Area,
+    "constant": Constant,
+    "envmap": EnvironmentMap,
+    "point": Point,
+    "directional": Directional,
+    "spot": Spot,
+    "projector": Projector,
+}
 
 
 class Lights:

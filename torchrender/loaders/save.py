@@ -173,8 +173,9 @@ class _Writer:
         kind = "ply" if isinstance(plugin, Mesh) else plugin.type
         self.line(depth, plugin.category, close=False, type=kind, id=self.ids.get(id(plugin)), **nested)
         done = self.mesh(plugin, depth + 1, where) if isinstance(plugin, Mesh) else set()
+        done |= self.field_of_view(plugin, depth + 1)
         if plugin.category == "sensor":
-            done |= self.sensor(plugin, depth + 1)
+            self.sensor(plugin, depth + 1)
         shown = {theirs: ours for ours, theirs in plugin.aliases.items()}
         for field_name, field in plugin.fields().items():
             if field_name not in done:
@@ -267,13 +268,16 @@ class _Writer:
         return {"vertex_positions", "faces", "vertex_normals", "vertex_texcoords", "face_normals"}
 
     # ------------------------------------------------------------------------------------- what is no parameter
-    def sensor(self, sensor: Plugin, depth: int) -> set[str]:
-        """Field of view, film and sampler."""
-        done = set()
-        if "x_fov" in sensor.fields():
-            self.line(depth, "float", name="fov", value=number(sensor.x_fov.detach().cpu()))
-            self.value(depth, "fov_axis", "x")
-            done.add("x_fov")
+    def field_of_view(self, plugin: Plugin, depth: int) -> set[str]:
+        """Of a camera or projector; returns the fields that are done with that."""
+        if "x_fov" not in plugin.fields():
+            return set()
+        self.line(depth, "float", name="fov", value=number(plugin.x_fov.detach().cpu()))
+        self.value(depth, "fov_axis", "x")
+        return {"x_fov"}
+
+    def sensor(self, sensor: Plugin, depth: int) -> None:
+        """Film and sampler."""
         film = sensor.__dict__.get("film")
         if film is not None:
             self.film(film, depth)
@@ -282,7 +286,6 @@ class _Writer:
             self.line(depth, "sampler", close=False, type=sampler.type)
             self.value(depth + 1, "sample_count", sampler.sample_count)
             self.end(depth, "sampler")
-        return done
 
     def film(self, film: Film, depth: int) -> None:
         self.line(depth, "film", close=False, type="hdrfilm")
@@ -305,7 +308,7 @@ class _Writer:
         self.line(depth, "integrator", close=False, type=integrator.kind, **attributes)
         for name in TYPES[integrator.kind][1]:
             content = getattr(integrator, name, None)
-            if content is not None:
+            if content is not None and (name, content) != ("emitter_sampling", "weight"):
                 self.value(depth + 1, name, content)
         for name, child in integrator._modules.items():
             if isinstance(child, Integrator):

@@ -35,6 +35,35 @@ def x_fov_of(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
     return torch.rad2deg(2 * torch.atan(half))
 
 
+def take_fov(owner: str, properties: dict[str, Any], aspect: float, ctx: Context) -> None:
+    """Replace `fov` with `fov_axis`, or `focal_length`, in `properties` by `x_fov`; `aspect` is width / height."""
+    axis = properties.pop("fov_axis", "x")
+    values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
+    ways = [n for n in ("fov", "focal_length", "x_fov") if n in properties]
+    if len(ways) > 1:
+        ctx.error(f"{owner}: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
+    if "fov" in properties:
+        given = properties.pop("fov")
+        fov = x_fov_of(_angle(given, ctx.at("fov")), axis, aspect)
+        properties["x_fov"] = values.rounded(fov, given, ctx)
+    elif "x_fov" in properties:
+        _angle(properties["x_fov"], ctx.at("x_fov"))
+    else:
+        given = properties.pop("focal_length", "50mm")
+        millimetres = _millimetres(given, ctx.at("focal_length"))
+        diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
+        properties["x_fov"] = values.rounded(x_fov_of(diagonal, "diagonal", aspect), given, ctx)
+
+
+def check_rigid(owner: str, properties: dict[str, Any], ctx: Context) -> None:
+    """ValueError for a `to_world` in `properties` that does more than turn and move."""
+    if "to_world" in properties:
+        matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
+        gram = matrix[:3, :3].T @ matrix[:3, :3]
+        if float((gram - torch.eye(3, dtype=torch.float64)).abs().max()) > 1e-3:
+            ctx.at("to_world").error(f"a {owner}'s matrix may turn and move, but not scale or shear")
+
+
 Rays = namedtuple("Rays", "origins directions tmax")
 Rays.__doc__ = """Camera rays: `origins`, unit `directions` (N, 3), world space, and how far they reach, `tmax` (N,)."""
 
@@ -95,28 +124,8 @@ class PerspectiveCamera(Sensor):
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         self.take_film(properties, ctx)
         film = self.film
-        aspect = film.width / film.height
-        axis = properties.pop("fov_axis", "x")
-        values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
-        ways = [n for n in ("fov", "focal_length", "x_fov") if n in properties]
-        if len(ways) > 1:
-            ctx.error(f"perspective: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
-        if "fov" in properties:
-            given = properties.pop("fov")
-            fov = x_fov_of(_angle(given, ctx.at("fov")), axis, aspect)
-            properties["x_fov"] = values.rounded(fov, given, ctx)
-        elif "x_fov" in properties:
-            _angle(properties["x_fov"], ctx.at("x_fov"))
-        else:
-            given = properties.pop("focal_length", "50mm")
-            millimetres = _millimetres(given, ctx.at("focal_length"))
-            diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
-            properties["x_fov"] = values.rounded(x_fov_of(diagonal, "diagonal", aspect), given, ctx)
-        if "to_world" in properties:
-            matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
-            gram = matrix[:3, :3].T @ matrix[:3, :3]
-            if float((gram - torch.eye(3, dtype=torch.float64)).abs().max()) > 1e-3:
-                ctx.at("to_world").error("a camera's matrix may turn and move, but not scale or shear")
+        take_fov(self.type, properties, film.width / film.height, ctx)
+        check_rigid("camera", properties, ctx)
         near = float(values.double(properties.get("near_clip", 1e-2), ctx.at("near_clip")).detach())
         far = float(values.double(properties.get("far_clip", 1e4), ctx.at("far_clip")).detach())
         if not 0 < near < far:

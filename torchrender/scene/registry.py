@@ -30,6 +30,8 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("emitter", "constant"): "ConstantLight",
     ("emitter", "envmap"): "EnvironmentMap",
     ("emitter", "point"): "PointLight",
+    ("emitter", "directional"): "DirectionalLight",
+    ("emitter", "spot"): "SpotLight",
     ("sensor", "perspective"): "PerspectiveCamera",
     ("sensor", "irradiancemeter"): "IrradianceMeter",
     ("shape", "mesh"): "Mesh",

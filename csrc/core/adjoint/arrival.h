@@ -47,6 +47,12 @@ TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const
     return select(in.parallel, Vec3<F>{F(0), F(0), F(0)}, bar);
 }
 
+// The adjoint of the unit direction of parallel light, which changes J = |N.d|.
+template <class F>
+TR_INLINE Vec3<F> sweep_parallel(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
+    return in.d_bar + area * (in.log_jacobian_bar * norm(in.D) / cosine);
+}
+
 // Adjoints of the matrix of a curved shape.
 template <class F, class Sink>
 TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, Sink &sink) {

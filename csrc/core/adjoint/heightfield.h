@@ -73,6 +73,8 @@ TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const Surface
         auto attached = lanes && in.attached;
         Vec3<F> moved = g.p - q;
         d_bar = select(attached, in.d_bar + moved * in.t, d_bar);
+        auto parallel = glued && in.parallel;
+        if (any(parallel)) d_bar = select(parallel, sweep_parallel(in, n, cosine), d_bar);
         r = select(glued, -from_segment, select(attached, moved, r));
     });
     return r;

@@ -6,8 +6,9 @@
 // vertices hand on: the path's adjoint is one.
 //
 // What moves: light that leaves an area or a point light meets points that are glued to their surfaces, through
-// |N_0.D| |N_1.D| / |D|^4 and |N_1.D| / |D|^3, as after a smooth BSDF; that of an environment through |N_1.d|, d at
-// rest. A beam (`directionalarea`) is a ray that moves with its surface, and what it hits slides.
+// |N_0.D| |N_1.D| / |D|^4 and |N_1.D| / |D|^3, as after a smooth BSDF; that of an environment and parallel light
+// through |N_1.d|, an environment's d being at rest. A beam (`directionalarea`) is a ray that moves with its surface,
+// and what it hits slides.
 #pragma once
 
 #include "../integrator/particle.h"
@@ -198,14 +199,13 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
                                 Sink &sink) {
     const VertexRecord<F, C> &v = e.v;
     auto is = [&](EmitterKind kind) { return active && mask<F>(e.kind == int32_t(kind)); };
-    auto beam = is(EmitterKind::DirectionalArea), area = is(EmitterKind::Area), point = is(EmitterKind::Point);
-    auto parallel = is(EmitterKind::EnvironmentMap) || is(EmitterKind::Constant);
+    auto beam = is(EmitterKind::DirectionalArea), area = is(EmitterKind::Area);
+    auto directional = is(EmitterKind::Directional), parallel = active && is_parallel<F>(e.kind);
     Color<F, C> by_path = next.radiance * v.inverse_pdf, by_camera = v.emitted * v.light_weight;
+    Vec3<F> light_d_bar{F(0), F(0), F(0)};  // of -v.d
     if (wanted.emitter || wanted.geometry) {
         CoordinateAdjoint<F> at;
-        Vec3<F> d_bar{F(0), F(0), F(0)};  // directions of the environment are at rest
-        sweep_emitter(scene, v.light, select(parallel, -v.d, v.d), by_path + by_camera, wanted, active, at, d_bar,
-                      sink);
+        sweep_emitter(scene, v.light, -v.d, by_path + by_camera, wanted, active, at, light_d_bar, sink);
         if (any(beam)) {
             IntOf<F> texture = record_field<F>(scene.emitters, DirectionalAreaEmitter::Radiance, v.light.emitter, beam);
             Color<F, C> g = by_path + by_camera;
@@ -236,12 +236,16 @@ TR_NOINLINE void sweep_emission(const SceneView<S> &scene, const LightSensor<S> 
         Vec3<F> next_bar = sweep_area(scene, v.light.at, v.p, -D, carried, hit, leaves, sink);
         sweep_position(scene, next.at, next.p, next_bar, leaves, sink);
     }
-    if (any(point)) {
-        IntOf<F> offset = record_field<F>(scene.emitters, PointEmitter::Position, v.light.emitter, point);
-        sink.scalar(offset, next.ray.o.x, point);
-        sink.scalar(offset + 1, next.ray.o.y, point);
-        sink.scalar(offset + 2, next.ray.o.z, point);
-    }
+    for_each_point_light<F>(e.kind, active, [&](auto model, const MaskOf<F> &lanes) {
+        Vec3<F> D_bar = zero;
+        if constexpr (decltype(model)::Oriented) {  // the intensity changes with the direction to the next point
+            D_bar = direction_adjoint(next.segment, -light_d_bar);
+            auto meets = lanes && mask<F>(squared_norm(next.segment) > F(0));
+            if (any(meets)) sweep_position(scene, next.at, next.p, D_bar, meets, sink);
+        }
+        sweep_light_place<decltype(model)>(scene, v.light.emitter, next.ray.o - D_bar, lanes, sink);
+    });
+    if (any(directional)) sweep_light_axis(scene, v.light.emitter, next.ray.d, directional, sink);
     auto lit = active && mask<F>(v.light_weight > F(0));
     if (!any(lit)) return;
     const Vec3<S> &o = sensor.camera.origin;

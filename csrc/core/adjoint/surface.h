@@ -129,6 +129,8 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     }
     auto attached = usable && in.attached;
     d_bar = select(attached, in.d_bar + moved * in.t, zero);
+    auto parallel = glued && in.parallel;
+    if (any(parallel)) d_bar = select(parallel, sweep_parallel(in, area, cosine), d_bar);
     return select(glued, -from_segment, select(attached, moved, zero));
 }
 
@@ -203,11 +205,13 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     }
     auto attached = usable && in.attached;
     d_bar = select(attached, in.d_bar + moved * in.t, zero);
+    auto parallel = glued && in.parallel;
+    if (any(parallel)) d_bar = select(parallel, sweep_parallel(in, n, cosine), d_bar);
     return select(glued, -from_segment, select(attached, moved, zero));
 }
 
 // Hands the adjoint of the point p to the surface; returns that of where the ray came from: of its origin and, where
-// attached, of its direction.
+// attached or parallel, of its direction.
 template <class F, class S, class Sink>
 TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
                                         const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active, Sink &sink) {

@@ -17,6 +17,7 @@
 
 #include "../integrator/medium.h"
 #include "layers.h"
+#include "pointlight.h"
 
 namespace tr {
 
@@ -40,7 +41,7 @@ TR_INLINE Vec3<F> direction_adjoint(const Vec3<F> &u, const Vec3<F> &w_bar) {
 }
 
 // Derivative of what an emitter sends, at one of its points. `at` and `d_bar` receive the adjoints of the point and of
-// the direction d to it, where its radiance varies with them.
+// the direction d to it (not looked at unless something moves), where its radiance varies with them.
 template <class F, int C, class S, class Sink>
 TR_INLINE void sweep_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const Vec3<F> &d,
                              const Color<F, C> &g, const Wanted &wanted, const MaskOf<F> &active,
@@ -52,10 +53,13 @@ TR_INLINE void sweep_emitter(const SceneView<S> &scene, const EmitterPoint<F> &p
         if (wanted.emitter) sink.texture(scene, texture, point.at, g, area);
         if (wanted.geometry) sweep_lookup<C>(scene, texture, point.at, g, area, at, sink);
     }
-    auto flat =
-        active && (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Point)));
+    auto flat = active &&
+                (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Directional)));
     if (any(flat) && wanted.emitter)
         sink.color(scene, record_field<F>(scene.emitters, 0, point.emitter, flat), g, flat);
+    for_each_point_light<F>(kind, active, [&](auto model, const MaskOf<F> &lanes) {
+        sweep_point_light<decltype(model), C>(scene, point, d, g, wanted.emitter, wanted.geometry, lanes, d_bar, sink);
+    });
     auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
     if (any(map)) {
         const Record &record = scene.emitters[scene.environment];
@@ -200,16 +204,14 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
                 Arrival<F> in{MaskOf<F>(false), w, distance, w * distance, w_bar, weight};
                 x_bar = sweep_surface(scene, v.light.at, v.p + in.D, in, on_light, area, sink).o;
             }
-            auto point = near && mask<F>(kind == int32_t(EmitterKind::Point));
-            if (any(point)) {
+            for_each_point_light<F>(kind, near, [&](auto model, const MaskOf<F> &lanes) {
                 F inverse = F(1) / distance;
                 Vec3<F> D_bar = unnormalize(w, w_bar, inverse) - w * (F(2) * weight * inverse);  // of 1 / r^2
-                x_bar = select(point, -D_bar, x_bar);
-                IntOf<F> offset = record_field<F>(scene.emitters, PointEmitter::Position, v.light.emitter, point);
-                sink.scalar(offset, D_bar.x, point);
-                sink.scalar(offset + 1, D_bar.y, point);
-                sink.scalar(offset + 2, D_bar.z, point);
-            }
+                x_bar = select(lanes, -D_bar, x_bar);
+                sweep_light_place<decltype(model)>(scene, v.light.emitter, D_bar, lanes, sink);
+            });
+            auto parallel = lit && mask<F>(kind == int32_t(EmitterKind::Directional));
+            if (any(parallel)) sweep_light_axis(scene, v.light.emitter, -w_bar, parallel, sink);
             hit.p = hit.p + x_bar;
         }
     }

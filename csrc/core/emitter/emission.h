@@ -13,7 +13,7 @@ struct EmissionSample {
     IntOf<F> kind;
     Vec3<F> p, n, d;  // where on the emitter (or on a disk in front of the scene), its normal, unit direction of travel
     F weight;
-    F inverse_pdf;  // of the emitter and of p, by area; of an environment of the direction, by solid angle
+    F inverse_pdf;  // of the emitter and of p, by area; of light from afar of the direction, by solid angle
     MaskOf<F> active;
 };
 
@@ -65,14 +65,37 @@ TR_INLINE EmissionSample<F> sample_emission(const SceneView<S> &scene, const F &
         r.inverse_pdf = select(surface, inverse_pmf / q.pdf, r.inverse_pdf);
         r.weight = select(surface, r.inverse_pdf * select(beam, F(1), F(Pi)), r.weight);
     }
-    auto point = is(EmitterKind::Point);
-    if (any(point)) {
-        U offset = U(record_field<F>(scene.emitters, PointEmitter::Position, r.point.emitter, point));
-        F position[3];
-        gather_few_rows<F>(scene.values.constants, offset, point, position);
-        r.p = select(point, Vec3<F>{position[0], position[1], position[2]}, r.p);
-        r.d = select(point, square_to_sphere(a, b), r.d);
-        r.weight = select(point, inverse_pmf * F(4 * Pi), r.weight);
+    for_each_point_light<F>(r.kind, active, [&](auto model, const MaskOf<F> &lanes) {
+        using Model = decltype(model);
+        LightNumbers<Model, F> numbers(scene, r.point.emitter, lanes);
+        F inverse_pdf;
+        Vec3<F> local = Model::sample(numbers.value, a, b, inverse_pdf);
+        auto frame = point_light_frame<Model, F>(scene, r.point.emitter, lanes);
+        r.p = select(lanes, frame.p, r.p);
+        r.weight = select(lanes, inverse_pmf * inverse_pdf, r.weight);
+        if constexpr (Model::Oriented) {
+            Vec2<F> at = direction_to_point(local);
+            r.point.at.b1 = select(lanes, at.x, r.point.at.b1);
+            r.point.at.b2 = select(lanes, at.y, r.point.at.b2);
+            local = normalize(frame.to_world(local));
+        }
+        r.d = select(lanes, local, r.d);
+    });
+    // through a disk as wide as the scene, from in front of it
+    auto from_afar = [&](const Vec3<F> &from, const MaskOf<F> &lanes) {
+        Vec2<F> disk = square_to_disk(c, d);
+        Vec3<F> center{F(scene.center[0]), F(scene.center[1]), F(scene.center[2])};
+        Frame<F> frame = make_frame(from);
+        Vec3<F> p = center + (frame.s * disk.x + frame.t * disk.y + from) * F(scene.radius);
+        r.p = select(lanes, p, r.p);
+        r.n = select(lanes, -from, r.n);
+        r.d = select(lanes, -from, r.d);
+        r.weight = select(lanes, r.inverse_pdf * F(S(Pi) * scene.radius * scene.radius), r.weight);
+    };
+    auto directional = is(EmitterKind::Directional);
+    if (any(directional)) {
+        r.inverse_pdf = select(directional, inverse_pmf, r.inverse_pdf);
+        from_afar(-normalize(DirectionalEmitter::axis<F>(scene, r.point.emitter, directional)), directional);
     }
     if (scene.environment >= 0) {
         auto here = active && mask<F>(r.point.emitter == scene.environment);
@@ -80,20 +103,11 @@ TR_INLINE EmissionSample<F> sample_emission(const SceneView<S> &scene, const F &
             Vec2<F> uv;
             F pdf;
             Vec3<F> from = sample_environment(scene, a, b, uv, pdf, here);
-            // through a disk as wide as the scene, from in front of it
-            Vec2<F> disk = square_to_disk(c, d);
-            F radius(scene.radius);
-            Vec3<F> center{F(scene.center[0]), F(scene.center[1]), F(scene.center[2])};
-            Frame<F> frame = make_frame(from);
-            Vec3<F> p = center + (frame.s * disk.x + frame.t * disk.y + from) * radius;
             r.point.at.b1 = select(here, uv.x, r.point.at.b1);
             r.point.at.b2 = select(here, uv.y, r.point.at.b2);
-            r.p = select(here, p, r.p);
-            r.n = select(here, -from, r.n);
-            r.d = select(here, -from, r.d);
             auto possible = here && mask<F>(pdf > F(0));
             r.inverse_pdf = select(possible, inverse_pmf / select(possible, pdf, F(1)), r.inverse_pdf);
-            r.weight = select(here, r.inverse_pdf * (F(Pi) * radius * radius), r.weight);
+            from_afar(from, here);
         }
     }
     r.active = active && mask<F>(r.weight > F(0));

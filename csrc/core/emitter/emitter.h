@@ -1,22 +1,66 @@
 // All emitters: choosing one and a direction to it, the density of that choice, and what it sends.
 #pragma once
 
+#include "../typelist.h"
 #include "area.h"
 #include "constant.h"
+#include "directional.h"
 #include "directionalarea.h"
 #include "envmap.h"
 #include "point.h"
+#include "projector.h"
+#include "spot.h"
 
 namespace tr {
 
-enum class EmitterKind : int32_t { Area, Constant, EnvironmentMap, Point, DirectionalArea };  // order of the registry
+// A model's kind is its position here.
+using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter,
+                          DirectionalEmitter, SpotEmitter, ProjectorEmitter>;
+
+// Those that have code of their own; point lights go by their models.
+enum class EmitterKind : int32_t {
+    Area = kind_of_model<AreaEmitter>(Emitters{}),
+    Constant = kind_of_model<ConstantEmitter>(Emitters{}),
+    EnvironmentMap = kind_of_model<tr::EnvironmentMap>(Emitters{}),
+    DirectionalArea = kind_of_model<DirectionalAreaEmitter>(Emitters{}),
+    Directional = kind_of_model<DirectionalEmitter>(Emitters{})
+};
+
+// Calls visit(model, lanes) for every model of a point light that lanes have.
+template <class F, class Visit>
+TR_INLINE void for_each_point_light(const IntOf<F> &kind, const MaskOf<F> &active, Visit &&visit) {
+    for_each_model(Emitters{}, [&](auto model) {
+        using Model = decltype(model);
+        if constexpr (IsPointLight<Model>) {
+            auto lanes = active && mask<F>(kind == int32_t(kind_of_model<Model>(Emitters{})));
+            if (any(lanes)) visit(model, lanes);
+        }
+    });
+}
+template <class F>
+TR_INLINE MaskOf<F> is_point_light(const IntOf<F> &kind) {
+    MaskOf<F> r(false);
+    for_each_point_light<F>(kind, MaskOf<F>(true), [&](auto, const MaskOf<F> &lanes) { r = r || lanes; });
+    return r;
+}
+
+// Light from all around, which the camera sees; and light that comes from infinitely far away.
+template <class F>
+TR_INLINE MaskOf<F> is_surrounding(const IntOf<F> &kind) {
+    return mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
+}
+template <class F>
+TR_INLINE MaskOf<F> is_parallel(const IntOf<F> &kind) {
+    return is_surrounding<F>(kind) || mask<F>(kind == int32_t(EmitterKind::Directional));
+}
 
 // Of a shape: such records have the shape's index.
 constexpr bool is_surface_emitter(int32_t kind) {
     return kind == int32_t(EmitterKind::Area) || kind == int32_t(EmitterKind::DirectionalArea);
 }
 
-// Where on which emitter: on an area light a surface point, on an environment map (b1, b2) are its coordinates.
+// Where on which emitter: on an area light a surface point; of an environment map (b1, b2) are its coordinates, of a
+// point light the direction in its frame (pointlight.h).
 template <class F>
 struct EmitterPoint {
     IntOf<F> emitter;
@@ -29,7 +73,7 @@ struct EmitterSample {
     Vec3<F> d;  // unit direction from the reference point
     F distance;
     F pdf;     // per solid angle, times the probability of the emitter; 0: nothing arrives
-    F factor;  // radiance arriving = factor * emitted: 1, or 1 / distance^2 for a point light
+    F factor;  // radiance arriving = factor * emitted: 1, or 1 / distance^2 of point lights
     MaskOf<F> delta;
 };
 
@@ -44,8 +88,7 @@ TR_INLINE EmitterSample<F> no_emitter_sample() {
     return r;
 }
 
-// Emitted radiance (point lights: intensity). `values` may be a tangent, see eval_texture; the product of an
-// environment's scale and texels is then differentiated by the product rule.
+// Emitted radiance (point lights: intensity; `directional`: irradiance).
 template <int C, class F, class S>
 TR_INLINE Color<F, C> eval_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
     RecordLanes<F> record(scene.emitters, point.emitter, active);
@@ -56,12 +99,15 @@ TR_INLINE Color<F, C> eval_emitter(const SceneView<S> &scene, const EmitterPoint
         IntOf<F> texture = record.field(AreaEmitter::Radiance);
         r = select(area, eval_texture<C>(scene, scene.values, texture, point.at, area), r);
     }
-    // radiance of `constant`, intensity of `point`: both are field 0
-    auto flat =
-        active && (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Point)));
+    // radiance of `constant`, irradiance of `directional`: both are field 0
+    auto flat = active &&
+                (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Directional)));
     if (any(flat)) {
         r = select(flat, constant_color<C, F>(scene.values, record.field(0), flat), r);
     }
+    for_each_point_light<F>(kind, active, [&](auto model, const MaskOf<F> &lanes) {
+        r = select(lanes, eval_point_light<decltype(model), C>(scene, point.emitter, point.at, lanes), r);
+    });
     auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
     if (any(map)) {
         const Record &record = scene.emitters[scene.environment];
@@ -163,20 +209,36 @@ TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<
         r.distance = select(area, to_light.length, r.distance);
         r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing), r.pdf);
     }
-    auto point = active && mask<F>(kind == int32_t(EmitterKind::Point));
-    if (any(point)) {
-        U offset = U(record_field<F>(scene.emitters, PointEmitter::Position, r.point.emitter, point));
-        F position[3];
-        gather_few_rows<F>(scene.values.constants, offset, point, position);
-        Vec3<F> to_light = Vec3<F>{position[0], position[1], position[2]} - p;
+    for_each_point_light<F>(kind, active, [&](auto model, const MaskOf<F> &lanes) {
+        using Model = decltype(model);
+        auto frame = point_light_frame<Model, F>(scene, r.point.emitter, lanes);
+        Vec3<F> to_light = frame.p - p;
         F distance = norm(to_light);
-        auto apart = point && mask<F>(distance > F(0));
+        auto apart = lanes && mask<F>(distance > F(0));
         F inverse = F(1) / select(apart, distance, F(1));
         r.d = select(apart, to_light * inverse, r.d);
         r.distance = select(apart, distance, r.distance);
         r.factor = select(apart, inverse * inverse, r.factor);
-        r.pdf = select(apart, F(1), r.pdf);
+        auto lit = apart;
+        if constexpr (Model::Oriented) {
+            Vec3<F> local = frame.to_local(-to_light);
+            local = select(apart, normalize(local), Vec3<F>{F(0), F(0), F(1)});
+            Vec2<F> b = direction_to_point(local);
+            r.point.at.b1 = select(apart, b.x, r.point.at.b1);
+            r.point.at.b2 = select(apart, b.y, r.point.at.b2);
+            LightNumbers<Model, F> numbers(scene, r.point.emitter, lanes);
+            lit = lit && Model::pattern(direction_of_point(b.x, b.y), numbers.value).lit;
+        }
+        r.pdf = select(lit, F(1), r.pdf);
         r.delta = r.delta || apart;
+    });
+    auto parallel = active && mask<F>(kind == int32_t(EmitterKind::Directional));
+    if (any(parallel)) {
+        Vec3<F> axis = DirectionalEmitter::axis<F>(scene, r.point.emitter, parallel);
+        r.d = select(parallel, -normalize(axis), r.d);
+        r.distance = select(parallel, F(INFINITY), r.distance);
+        r.pdf = select(parallel, F(1), r.pdf);
+        r.delta = r.delta || parallel;
     }
     if (scene.environment >= 0) {
         auto here = active && mask<F>(r.point.emitter == scene.environment);

@@ -1,12 +1,14 @@
 // `point`: radiates equally in all directions from a point.
 #pragma once
 
-#include "../scene.h"
+#include "pointlight.h"
 
 namespace tr {
 
-struct PointEmitter {
+struct PointEmitter : PointLight {
     enum { Intensity, Position, Weight };
+    static constexpr bool Oriented = false;
+    static constexpr int ColorField = Intensity, PlaceField = Position;
     static constexpr Field fields[] = {
         {"intensity", Kind::Spectrum, 1, 0, INFINITY, "interior", "radiant intensity, W / sr"},
         {"position", Kind::Point, 0, -INFINITY, INFINITY,
@@ -16,6 +18,12 @@ struct PointEmitter {
          "relative probability of choosing this emitter"},
     };
     static constexpr Model model = {"emitter", "point", "A point light.", fields, 3};
+
+    template <class F>
+    TR_INLINE static Vec3<F> sample(const F (&)[1], const F &u1, const F &u2, F &inverse_pdf) {
+        inverse_pdf = F(4 * Pi);
+        return square_to_sphere(u1, u2);
+    }
 };
 
 }  // namespace tr

@@ -30,9 +30,7 @@ TR_INLINE F shading_correction(const Vec3<F> &wi, const Vec3<F> &wo, const Vec3<
 template <class F>
 TR_INLINE F emission_cosine(const EmissionSample<F> &e, const Vec3<F> &d) {
     auto area = mask<F>(e.kind == int32_t(EmitterKind::Area));
-    auto surrounding =
-        mask<F>(e.kind == int32_t(EmitterKind::Constant)) || mask<F>(e.kind == int32_t(EmitterKind::EnvironmentMap));
-    return select(area, max(dot(e.n, d), F(0)), select(surrounding, F(1), F(0)));
+    return select(area, max(dot(e.n, d), F(0)), select(is_surrounding<F>(e.kind), F(1), F(0)));
 }
 
 template <class F, int C>

@@ -129,6 +129,24 @@ TR_INLINE Dual<F, N> log(const Dual<F, N> &a) {
     return chain(log(a.v), F(1) / a.v, a);
 }
 
+template <class F, int N>
+TR_INLINE void sincos(const Dual<F, N> &a, Dual<F, N> &s, Dual<F, N> &c) {
+    F sine, cosine;
+    sincos(a.v, sine, cosine);
+    s = chain(sine, cosine, a);
+    c = chain(cosine, -sine, a);
+}
+template <class F, int N>
+TR_INLINE Dual<F, N> atan2(const Dual<F, N> &y, const Dual<F, N> &x) {
+    F squared = x.v * x.v + y.v * y.v;
+    auto apart = mask<F>(squared > F(0));
+    F inverse = select(apart, F(1) / select(apart, squared, F(1)), F(0));
+    Dual<F, N> r;
+    r.v = atan2(y.v, x.v);
+    for (int i = 0; i < N; ++i) r.d[i] = (x.v * y.d[i] - y.v * x.d[i]) * inverse;
+    return r;
+}
+
 // x with another value: the derivative stays.
 template <class F>
 TR_INLINE F with_value(const F &, const F &value) {
