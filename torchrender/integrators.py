@@ -30,6 +30,15 @@ def _boolean(owner: str, name: str, value: Any) -> bool:
     return value
 
 
+EMITTER_SAMPLING = ("weight", "power")
+
+
+def _emitter_sampling(owner: str, value: Any) -> str:
+    if value not in EMITTER_SAMPLING:
+        raise ValueError(f"{owner}: emitter_sampling: expected {' or '.join(EMITTER_SAMPLING)}, got {describe(value)}")
+    return value
+
+
 class Integrator(nn.Module):
     """Base of all integrators. Settings are plain attributes and may be changed between renderings."""
 
@@ -43,11 +52,14 @@ class Integrator(nn.Module):
 class _Paths(Integrator):
     """What path tracers with and without media have in common."""
 
-    def __init__(self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False) -> None:
+    def __init__(
+        self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False, emitter_sampling: str = "weight"
+    ) -> None:
         super().__init__()
         self.max_depth = max_depth
         self.rr_depth = rr_depth
         self.hide_emitters = hide_emitters
+        self.emitter_sampling = emitter_sampling
         self.config()
 
     def config(self) -> dict[str, Any]:
@@ -57,12 +69,14 @@ class _Paths(Integrator):
             "max_depth": _integer(name, "max_depth", self.max_depth, -1),
             "rr_depth": _integer(name, "rr_depth", self.rr_depth, 1),
             "hide_emitters": _boolean(name, "hide_emitters", self.hide_emitters),
+            "emitter_sampling": _emitter_sampling(name, self.emitter_sampling),
             "emitter_samples": 1,
             "bsdf_samples": 1,
         }
 
     def extra_repr(self) -> str:
-        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}"
+        shown = "" if self.emitter_sampling == "weight" else f", emitter_sampling={self.emitter_sampling!r}"
+        return f"max_depth={self.max_depth}, rr_depth={self.rr_depth}, hide_emitters={self.hide_emitters}{shown}"
 
 
 class PathTracer(_Paths):
@@ -72,6 +86,9 @@ class PathTracer(_Paths):
         max_depth: longest path in segments; 1 shows emitters only, 2 adds direct light, -1 is unlimited.
         rr_depth: number of segments after which Russian roulette may end a path, at least 1.
         hide_emitters: emitters are not seen directly by the camera.
+        emitter_sampling: ``"weight"``: an emitter is chosen in proportion to its ``sampling_weight``. ``"power"``: to
+            that times the power that it sends into the scene, which pays where there are many lights of different
+            strength; no power counts for less than a tenth of the mean, so that black lights keep their derivative.
     """
 
     kind = "path"
@@ -93,6 +110,7 @@ class VolumetricPathTracer(_Paths):
             emission only, 2 adds light that was scattered once, -1 is unlimited.
         rr_depth: number of segments after which Russian roulette may end a path, at least 1.
         hide_emitters: emitters are not seen directly by the camera.
+        emitter_sampling: ``"weight"`` or ``"power"``, see `PathTracer`.
     """
 
     kind = "volpath"
@@ -120,6 +138,7 @@ class ParticleTracer(_Paths):
             -1 is unlimited.
         rr_depth: number of segments after which Russian roulette may end a path, at least 1.
         hide_emitters: emitters are not seen directly by the camera.
+        emitter_sampling: ``"weight"`` or ``"power"``, see `PathTracer`.
     """
 
     kind = "ptracer"
@@ -175,6 +194,7 @@ class DirectIllumination(Integrator):
         shading_samples: number of both kinds of samples, 1 if nothing is said.
         emitter_samples, bsdf_samples: numbers of each; one of them may be 0. Not together with `shading_samples`.
         hide_emitters: emitters are not seen directly by the camera.
+        emitter_sampling: ``"weight"`` or ``"power"``, see `PathTracer`.
     """
 
     kind = "direct"
@@ -185,6 +205,7 @@ class DirectIllumination(Integrator):
         emitter_samples: int | None = None,
         bsdf_samples: int | None = None,
         hide_emitters: bool = False,
+        emitter_sampling: str = "weight",
     ) -> None:
         super().__init__()
         if shading_samples is not None and (emitter_samples is not None or bsdf_samples is not None):
@@ -195,6 +216,7 @@ class DirectIllumination(Integrator):
         self.emitter_samples = both if emitter_samples is None else emitter_samples
         self.bsdf_samples = both if bsdf_samples is None else bsdf_samples
         self.hide_emitters = hide_emitters
+        self.emitter_sampling = emitter_sampling
         self.config()
 
     def config(self) -> dict[str, Any]:
@@ -207,14 +229,16 @@ class DirectIllumination(Integrator):
             "max_depth": 2,
             "rr_depth": 1 << 20,
             "hide_emitters": _boolean("DirectIllumination", "hide_emitters", self.hide_emitters),
+            "emitter_sampling": _emitter_sampling("DirectIllumination", self.emitter_sampling),
             "emitter_samples": emitter,
             "bsdf_samples": bsdf,
         }
 
     def extra_repr(self) -> str:
+        shown = "" if self.emitter_sampling == "weight" else f", emitter_sampling={self.emitter_sampling!r}"
         return (
             f"emitter_samples={self.emitter_samples}, bsdf_samples={self.bsdf_samples}, "
-            f"hide_emitters={self.hide_emitters}"
+            f"hide_emitters={self.hide_emitters}{shown}"
         )
 
 
@@ -305,8 +329,8 @@ class AOV(Integrator):
         return f"AOV(aovs={self.aovs!r}, integrator={self.integrator!r})"
 
 
-_PATH = ("max_depth", "rr_depth", "hide_emitters")
-_DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters")
+_PATH = ("max_depth", "rr_depth", "hide_emitters", "emitter_sampling")
+_DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters", "emitter_sampling")
 
 # type -> (class, accepted names, defaults that differ from the class)
 TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {

@@ -27,6 +27,7 @@ struct Config {
     std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
     bool zero_at_misses;
     bool adaptive;   // reverse mode of radiance
+    bool by_power;   // emitters are chosen by their power, too
     HitStore *hits;  // may be null
     std::size_t hits_pass;
 };
@@ -76,6 +77,7 @@ inline Config read_config(const py::dict &d) {
         c.hits_pass = hits[1].cast<size_t>();
     }
     c.adaptive = d.contains("adaptive") && d["adaptive"].cast<bool>();
+    c.by_power = d.contains("emitter_sampling") && d["emitter_sampling"].cast<std::string>() == "power";
     return c;
 }
 

@@ -52,6 +52,7 @@ public:
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const Addresses &params,
                        const std::vector<uint8_t> &dirty) = 0;
     virtual std::array<double, 6> bounds() = 0;
+    virtual std::vector<double> emitter_probabilities() = 0;  // of the last call
     // The record that keeps the rays of the next renderings; null: none any more.
     virtual void record_rays(std::shared_ptr<RayRecord> record) = 0;
     virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, bool coherent, int threads,
@@ -231,6 +232,12 @@ public:
         return r;
     }
 
+    std::vector<double> emitter_probabilities() override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        const S *pmf = data_.view().emitter_pmf;
+        return {pmf, pmf ? pmf + data_.view().n_emitters : pmf};
+    }
+
     void record_rays(std::shared_ptr<RayRecord> record) override {
         std::lock_guard<std::mutex> lock(mutex_);
         ray_record_ = std::move(record);
@@ -307,6 +314,7 @@ private:
                                         std::to_string(c.path.sensor));
         if (!c.light && data_.layout().records.at("sensor")[c.path.sensor].kind == IrradianceMeterKind)
             throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");
+        data_.choose_emitters(c.by_power);
         RenderCall<S> call{};
         call.scene = &data_.view();
         call.accel = &data_.accel();
@@ -613,7 +621,8 @@ void declare_scene(py::module_ &m) {
             },
             py::arg("record"), py::arg("kind"), py::arg("width"), py::arg("coherent"), py::arg("threads"),
             py::arg("rounds"))
-        .def("bounding_box", &SceneBase::bounds, Release());
+        .def("bounding_box", &SceneBase::bounds, Release())
+        .def("emitter_probabilities", &SceneBase::emitter_probabilities, Release());
 }
 
 }  // namespace tr

@@ -23,6 +23,8 @@ void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<i
         std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors_[i].shape);
     }
     constants_.assign(layout_.constants.begin(), layout_.constants.end());
+    mean_texels_.clear();
+    by_weight_ = by_power_ = {};
     allocate_geometry();
     if (previous && previous->accel_) take_over(*previous);
     refresh_view();
@@ -110,6 +112,8 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
 
     // until the end is reached nothing counts as up to date
     const std::vector<uint8_t> all(params.size(), 1), changed = all_dirty_ ? all : with_silent_changes(params, dirty);
+    for (size_t i = 0; i < params.size(); ++i)
+        if (changed[i]) mean_texels_.erase(int(i));
     bool first = all_dirty_ || geometry_dirty_, new_environment = all_dirty_ || environment_dirty_;
     all_dirty_ = true;
     for (const ParameterUse &use : layout_.tensors)
@@ -215,39 +219,6 @@ void SceneData<S>::update_environment(const std::vector<const S *> &params, cons
 }
 
 template <class S>
-void SceneData<S>::update_emitters() {
-    const std::vector<Record> &records = layout_.records.at("emitter");
-    std::vector<double> weights;
-    for (size_t i = 0; i < records.size(); ++i) {
-        const Model &model = model_of("emitter", records[i]);
-        for (int f = 0; f < model.n_fields; ++f)
-            if (std::string("sampling_weight") == model.fields[f].name)
-                weights.push_back(double(constants_[size_t(records[i].field[f])]));
-        if (!(weights.back() >= 0))
-            bad_value(path("emitter", int(i)) + ": field 'sampling_weight'", "a number that is not negative",
-                      std::to_string(weights.back()));
-    }
-    emitter_cdf_.resize(weights.size());
-    emitter_pmf_.resize(weights.size());
-    if (weights.empty()) return;
-    double total = build_cdf(weights.data(), weights.size(), emitter_cdf_.data());
-    if (!(total > 0))
-        bad_value(path("emitter", 0) + ": field 'sampling_weight'", "an emitter with a positive weight",
-                  "0 for all of them");
-    // lights that have shrunk to nothing are not chosen while there are others
-    std::vector<double> seen = weights;
-    for (size_t i = 0; i < records.size(); ++i)
-        if (is_surface_emitter(records[i].kind) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
-            seen[i] = 0;
-    double total_seen = build_cdf(seen.data(), seen.size(), emitter_cdf_.data());
-    if (total_seen > 0)
-        weights = seen, total = total_seen;
-    else
-        build_cdf(weights.data(), weights.size(), emitter_cdf_.data());
-    for (size_t i = 0; i < weights.size(); ++i) emitter_pmf_[i] = S(weights[i] / total);
-}
-
-template <class S>
 void SceneData<S>::update_ball() {
     float box[6];
     accel_->bounds(box);
@@ -291,8 +262,7 @@ void SceneData<S>::refresh_view() {
     const auto &bsdfs = layout_.records.at("bsdf");
     view_.layered = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
-    view_.emitter_cdf = emitter_cdf_.data();
-    view_.emitter_pmf = emitter_pmf_.data();
+    choose_emitters(false);
     view_.environment = layout_.environment;
     view_.light_boxes = light_boxes_.data();
     view_.n_light_boxes = n_light_boxes_;

@@ -2,6 +2,7 @@
 // seen by the renderer as a SceneView.
 #pragma once
 
+#include <map>
 #include <memory>
 #include <vector>
 
@@ -39,6 +40,10 @@ public:
     // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,
     // and so does the first after a call that failed. std::invalid_argument for values that cannot be rendered.
     void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
+
+    // How emitters are chosen until the next update: by their weights, or by those times their power. An update goes
+    // back to weights.
+    void choose_emitters(bool by_power);
 
     const SceneView<S> &view() const { return view_; }
     const Accel &accel() const { return *accel_; }
@@ -96,7 +101,14 @@ private:
         uint64_t fingerprint = 0;
     };
     std::vector<HeightsCopy> heights_;
-    std::vector<S> emitter_cdf_, emitter_pmf_, light_boxes_;
+    struct EmitterTable {
+        std::vector<S> cdf, pmf;
+        EmitterTable() = default;
+        explicit EmitterTable(const std::vector<double> &weights);
+    };
+    EmitterTable by_weight_, by_power_;  // the latter is made when it is wanted
+    std::map<int, double> mean_texels_;  // mean luminance by slot, of what has been asked for
+    std::vector<S> light_boxes_;
     int n_light_boxes_ = -1;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
@@ -129,6 +141,12 @@ private:
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
+    void check_frames() const;
+    double mean_of_texture(int32_t texture, int32_t shape);
+    double mean_color(int32_t offset) const;
+    double mean_of_tensor(int32_t slot);
+    double mean_of_environment(int32_t slot);
+    double power_of(const Record &record);
     void update_light_boxes();
     void update_ball();
     void update_media(const std::vector<uint8_t> &dirty);

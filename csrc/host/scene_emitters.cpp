@@ -1,0 +1,194 @@
+// Choosing among emitters: by their sampling weights, and by those times their power.
+#include <algorithm>
+#include <cmath>
+
+#include "../core/registry.h"
+#include "models.h"
+#include "scene_data.h"
+
+namespace tr {
+
+namespace {
+
+double luminance_of(const double *c, int channels) {
+    return channels == 3 ? 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2] : c[0];
+}
+
+}  // namespace
+
+template <class S>
+SceneData<S>::EmitterTable::EmitterTable(const std::vector<double> &weights)
+    : cdf(weights.size()), pmf(weights.size()) {
+    double total = build_cdf(weights.data(), weights.size(), cdf.data());
+    for (size_t i = 0; i < weights.size(); ++i) pmf[i] = S(weights[i] / total);
+}
+
+template <class S>
+void SceneData<S>::update_emitters() {
+    const std::vector<Record> &records = layout_.records.at("emitter");
+    std::vector<double> weights;
+    for (size_t i = 0; i < records.size(); ++i) {
+        const Model &model = model_of("emitter", records[i]);
+        for (int f = 0; f < model.n_fields; ++f)
+            if (std::string("sampling_weight") == model.fields[f].name)
+                weights.push_back(double(constants_[size_t(records[i].field[f])]));
+        if (!(weights.back() >= 0))
+            bad_value(path("emitter", int(i)) + ": field 'sampling_weight'", "a number that is not negative",
+                      std::to_string(weights.back()));
+    }
+    check_frames();
+    by_weight_ = by_power_ = {};
+    if (weights.empty()) return;
+    by_weight_.cdf.resize(weights.size());
+    double total = build_cdf(weights.data(), weights.size(), by_weight_.cdf.data());
+    if (!(total > 0))
+        bad_value(path("emitter", 0) + ": field 'sampling_weight'", "an emitter with a positive weight",
+                  "0 for all of them");
+    // lights that have shrunk to nothing are not chosen while there are others
+    std::vector<double> seen = weights;
+    for (size_t i = 0; i < records.size(); ++i)
+        if (is_surface_emitter(records[i].kind) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
+            seen[i] = 0;
+    double total_seen = build_cdf(seen.data(), seen.size(), by_weight_.cdf.data());
+    by_weight_ = EmitterTable(total_seen > 0 ? seen : weights);
+}
+
+// Frames of lights are inverted while rendering.
+template <class S>
+void SceneData<S>::check_frames() const {
+    const std::vector<Record> &records = layout_.records.at("emitter");
+    for (size_t i = 0; i < records.size(); ++i) {
+        const Model &model = model_of("emitter", records[i]);
+        for (int f = 0; f < model.n_fields; ++f) {
+            if (model.fields[f].kind != Kind::Transform || int(i) == layout_.environment) continue;
+            Affine m;
+            std::copy_n(&constants_[size_t(records[i].field[f])], 12, m.m);
+            m.inverse(path("emitter", int(i)) + ": field 'to_world'");
+        }
+    }
+}
+
+// Mean luminance of a texture; `shape` is the one it is on, or -1. Texels count alike, whatever a mesh shows of them.
+template <class S>
+double SceneData<S>::mean_of_texture(int32_t texture, int32_t shape) {
+    const Record &record = layout_.records.at("texture")[size_t(texture)];
+    switch (TextureKind(record.kind)) {
+        case TextureKind::Constant:
+            return mean_color(record.field[ConstantTexture::Value]);
+        case TextureKind::Bitmap:
+            return mean_of_tensor(record.field[Bitmap::Data]);
+        case TextureKind::Checkerboard:
+            return 0.5 * (mean_of_texture(record.field[Checkerboard::Color0], shape) +
+                          mean_of_texture(record.field[Checkerboard::Color1], shape));
+        case TextureKind::MeshAttribute: {
+            int32_t a = shape < 0 ? -1 : MeshAttribute::find(view_, record, uint32_t(shape));
+            if (a < 0) return 0;
+            double scale = double(constants_[size_t(record.field[MeshAttribute::Scale])]);
+            return std::abs(scale) * mean_of_tensor(layout_.attributes[size_t(a)].tensor);
+        }
+    }
+    return 0;
+}
+
+template <class S>
+double SceneData<S>::mean_color(int32_t offset) const {
+    double c[3] = {0, 0, 0};
+    for (int k = 0; k < layout_.channels; ++k) c[k] = double(constants_[size_t(offset + k)]);
+    return std::abs(luminance_of(c, layout_.channels));
+}
+
+// Kept until the tensor changes.
+template <class S>
+double SceneData<S>::mean_of_tensor(int32_t slot) {
+    auto found = mean_texels_.find(slot);
+    if (found != mean_texels_.end()) return found->second;
+    const TensorView<S> &tensor = tensors_[size_t(slot)];
+    const size_t channels = size_t(tensor.shape[2]), n = size_t(layout_.slot_sizes[size_t(slot)]);
+    double sum[3] = {0, 0, 0};
+    for (size_t i = 0; i < n; ++i) sum[i % channels] += std::abs(double(tensor.data[i]));
+    double mean = luminance_of(sum, int(channels)) * double(channels) / double(n);
+    return mean_texels_[slot] = mean;
+}
+
+// Over the sphere: rows near the poles are short.
+template <class S>
+double SceneData<S>::mean_of_environment(int32_t slot) {
+    auto found = mean_texels_.find(slot);
+    if (found != mean_texels_.end()) return found->second;
+    const TensorView<S> &tensor = tensors_[size_t(slot)];
+    const size_t rows = size_t(tensor.shape[0]), columns = size_t(tensor.shape[1]), channels = size_t(tensor.shape[2]);
+    double sum = 0, total = 0;
+    for (size_t i = 0; i < rows; ++i) {
+        double weight = std::sin(double(i) / double(std::max<size_t>(rows - 1, 1)) * Pi);
+        for (size_t j = 0; j < columns; ++j) {
+            const S *texel = tensor.data + (i * columns + j) * channels;
+            double c[3] = {0, 0, 0};
+            for (size_t k = 0; k < channels; ++k) c[k] = std::abs(double(texel[k]));
+            sum += weight * luminance_of(c, int(channels));
+        }
+        total += weight * double(columns);
+    }
+    return mean_texels_[slot] = total > 0 ? sum / total : 0;
+}
+
+// Power (luminance) that an emitter sends into the scene.
+template <class S>
+double SceneData<S>::power_of(const Record &record) {
+    auto number = [&](int field) { return double(constants_[size_t(record.field[field])]); };
+    const double disk = Pi * double(view_.radius) * double(view_.radius);
+    if (is_surface_emitter(record.kind)) {
+        int32_t shape = record.field[AreaEmitter::ShapeIndex];
+        double spread = record.kind == int32_t(EmitterKind::Area) ? Pi : 1;
+        return spread * mean_of_texture(record.field[AreaEmitter::Radiance], shape) * double(areas_[size_t(shape)]);
+    }
+    if (record.kind == int32_t(EmitterKind::Constant))
+        return 4 * Pi * disk * mean_color(record.field[ConstantEmitter::Radiance]);
+    if (record.kind == int32_t(EmitterKind::Directional))
+        return disk * mean_color(record.field[DirectionalEmitter::Irradiance]);
+    if (record.kind == int32_t(EmitterKind::EnvironmentMap)) {
+        return 4 * Pi * disk * number(EnvironmentMap::Scale) * mean_of_environment(record.field[EnvironmentMap::Data]);
+    }
+    double power = 0;
+    for_each_point_light<float>(record.kind, true, [&](auto model, bool) {
+        using Model = decltype(model);
+        double factor = 4 * Pi;
+        if constexpr (Model::Oriented) {
+            double numbers[Model::Numbers + 1] = {};
+            for (int i = 0; i < Model::Numbers; ++i) numbers[i] = number(Model::number_field(i));
+            factor = Model::flux(numbers) * mean_of_texture(record.field[Model::TextureField], -1);
+        }
+        if constexpr (Model::ColorField >= 0) factor *= mean_color(record.field[Model::ColorField]);
+        power = factor;
+    });
+    return power;
+}
+
+// Black lights keep a tenth of the mean: they have a derivative.
+template <class S>
+void SceneData<S>::choose_emitters(bool by_power) {
+    if (by_power && by_power_.cdf.empty() && !by_weight_.cdf.empty()) {
+        const std::vector<Record> &records = layout_.records.at("emitter");
+        std::vector<double> weights(by_weight_.pmf.begin(), by_weight_.pmf.end()), power(records.size(), 0);
+        double mean = 0, chosen = 0;
+        for (size_t i = 0; i < records.size(); ++i) {
+            if (!(weights[i] > 0)) continue;
+            power[i] = std::max(power_of(records[i]), 0.0);
+            mean += power[i], chosen += 1;
+        }
+        mean /= std::max(chosen, 1.0);
+        for (size_t i = 0; i < records.size(); ++i)
+            weights[i] *= mean > 0 && std::isfinite(mean) ? std::max(power[i], 0.1 * mean) : 1;
+        by_power_ = EmitterTable(weights);
+    }
+    const EmitterTable &table = by_power ? by_power_ : by_weight_;
+    view_.emitter_cdf = table.cdf.data();
+    view_.emitter_pmf = table.pmf.data();
+}
+
+// the other functions of this file are called from these only
+template void SceneData<float>::update_emitters();
+template void SceneData<double>::update_emitters();
+template void SceneData<float>::choose_emitters(bool);
+template void SceneData<double>::choose_emitters(bool);
+
+}  // namespace tr
