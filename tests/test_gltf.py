@@ -12,7 +12,6 @@ from PIL import Image
 from trimesh.visual.material import PBRMaterial
 
 import torchrender as tr
-from torchrender.loaders import gltf
 from torchrender.loaders.geometry import load_scene
 from torchrender.loaders.materials import metallic_roughness
 from torchrender.scene import registry
@@ -104,22 +103,24 @@ def test_emission_with_a_texture():
     assert "light" in tr.from_trimesh(box)
 
 
-def test_cameras_and_lights(tmp_path, monkeypatch):
+def test_cameras_and_lights(tmp_path):
     half = math.sqrt(0.5)
     lights = [
         {"type": "point", "color": [1, 0.5, 0], "intensity": 8},
         {"type": "directional", "name": "sun", "intensity": 3},
         {"type": "spot", "spot": {"innerConeAngle": 0.1, "outerConeAngle": 0.2}},
+        {"type": "area", "name": "panel"},
     ]
     extension = "KHR_lights_punctual"
     nodes = [
         {"mesh": 0, "name": "leaf", "children": [1, 2]},
         {"camera": 0, "translation": [0, 0, 5], "scale": [2, 2, 2]},
-        {"translation": [1, 2, 3], "rotation": [0, half, 0, half], "children": [3, 4, 5]},  # -z turns to -x
+        {"translation": [1, 2, 3], "rotation": [0, half, 0, half], "children": [3, 4, 5, 7]},  # -z turns to -x
         {"extensions": {extension: {"light": 0}}, "translation": [0, 0, -1]},
         {"extensions": {extension: {"light": 1}}},
         {"extensions": {extension: {"light": 2}}},
         {"camera": 1, "matrix": np.eye(4).flatten().tolist()},
+        {"extensions": {extension: {"light": 3}}},
     ]
     lens = {"yfov": 0.5, "aspectRatio": 2.0, "znear": 0.25, "zfar": 50.0}
     document = triangle(
@@ -130,9 +131,8 @@ def test_cameras_and_lights(tmp_path, monkeypatch):
         extensionsUsed=[extension],
     )
     (tmp_path / "a.gltf").write_text(json.dumps(document))
-    known = {**registry.scene_types(), "directional": "emitter", "spot": "emitter"}
-    monkeypatch.setattr(gltf.registry, "scene_types", lambda: known)
-    scene = load_scene(tmp_path / "a.gltf")
+    with pytest.warns(tr.SubstitutionWarning, match="'panel': 'area' is not supported and was left out"):
+        scene = load_scene(tmp_path / "a.gltf")
     camera = scene["sensor"]
     assert camera["fov"] == pytest.approx(math.degrees(0.5)) and camera["fov_axis"] == "y"
     assert (camera["film"]["width"], camera["film"]["height"]) == (1024, 512) and camera["near_clip"] == 0.25
@@ -145,18 +145,13 @@ def test_cameras_and_lights(tmp_path, monkeypatch):
     spot = scene["light_2"]
     assert np.allclose(spot["to_world"][:3, 2], [-1, 0, 0]) and np.allclose(spot["to_world"][:3, 3], [1, 2, 3])
     assert (spot["cutoff_angle"], spot["beam_width"]) == pytest.approx((math.degrees(0.2), math.degrees(0.1)))
-
-    monkeypatch.setattr(
-        gltf.registry, "scene_types", lambda: {"point": "emitter", "twosided": "bsdf", "diffuse": "bsdf"}
-    )
-    with pytest.warns(tr.SubstitutionWarning) as said:
-        scene = load_scene(tmp_path / "a.gltf")
-    assert [scene[n]["type"] for n in ("light", "light_1")] == ["point", "point"] and "light_2" not in scene
-    text = "\n".join(str(w.message) for w in said)
-    assert "'sun': 'directional' is not supported and was left out" in text and "replaced by 'point'" in text
+    built = tr.load_dict(scene)
+    assert torch.allclose(built["light_1"].direction, torch.tensor([-1.0, 0.0, 0.0]), atol=1e-6)
+    assert float(built["light_2"].beam_width) == pytest.approx(math.degrees(0.1))
 
 
-def test_loads_and_renders(tmp_path):
+@pytest.mark.parametrize("kind", ["point", "spot", "directional"])
+def test_loads_and_renders(tmp_path, kind):
     extension = "KHR_lights_punctual"
     nodes = [{"mesh": 0}, {"extensions": {extension: {"light": 0}}, "translation": [0.3, 0.3, 1]}]
     nodes.append({"camera": 0, "translation": [0.3, 0.3, 4]})
@@ -164,12 +159,13 @@ def test_loads_and_renders(tmp_path):
         nodes=nodes,
         scenes=[{"nodes": [0, 1, 2]}],
         cameras=[{"type": "perspective", "perspective": {"yfov": 0.3, "znear": 0.1}}],
-        extensions={extension: {"lights": [{"type": "point", "intensity": 2}]}},
+        extensions={extension: {"lights": [{"type": kind, "intensity": 2, "spot": {"innerConeAngle": 0.5}}]}},
     )
     (tmp_path / "a.gltf").write_text(json.dumps(document))
     scene = tr.load_file(tmp_path / "a.gltf")
     image = tr.render(scene, spp=4, seed=0, crop=(240, 240, 32, 32))
-    # Grey 0.5 under a light of 2 W/sr one unit above, seen near the foot: 0.5 / pi * 2, at most 3 % less aside.
+    # Grey 0.5 under a light of 2 W/sr one unit above, or 2 W/m^2, seen near the foot: 0.5 / pi * 2, at most 3 % less
+    # aside.
     assert torch.allclose(image, torch.tensor(1 / math.pi), rtol=0.03)
 
 

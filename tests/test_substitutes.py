@@ -60,18 +60,15 @@ def test_materials(monkeypatch):
 
 
 def test_lights_shapes_and_what_refers_to_them(monkeypatch):
-    without(monkeypatch, "spot", "sunsky")
-    spot = {"type": "spot", "to_world": tr.Transform.translate([1, 2, 3]), "intensity": 5.0, "cutoff_angle": 30}
+    without(monkeypatch, "sunsky")
     scene, said = load(
-        spot=spot,
         sun={"type": "sunsky", "turbidity": 4},
         fur={"type": "bsplinecurve", "filename": "nowhere.txt"},
         group={"type": "merge", "part": SPHERE},
         light={"type": "volumelight"},
         ball={**SPHERE, "bsdf": {"type": "ref", "id": "fur"}},
     )
-    assert set(scene) == {"spot", "sun", "ball"} and scene.sun.type == "constant"
-    assert scene.spot.type == "point" and scene.spot.position.tolist() == [1, 2, 3]
+    assert set(scene) == {"sun", "ball"} and scene.sun.type == "constant"
     assert any("fur: 'bsplinecurve' is not supported and was left out" in s for s in said)
     assert any("ball.bsdf: refers to 'fur', which was left out" in s for s in said)
     assert np.isfinite(tr.render(scene, sensor=tr.PerspectiveCamera(), spp=1, crop=(0, 0, 2, 2)).numpy()).all()

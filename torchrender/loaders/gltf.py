@@ -17,7 +17,6 @@ import numpy as np
 
 from ..errors import SubstitutionWarning
 from ..io._files import check_size
-from ..scene import registry
 
 HEIGHT = 512  # rows of pixels of a camera: glTF states their proportions only
 _MAX_NODES = 1 << 20
@@ -127,20 +126,16 @@ def _light(light: dict[str, Any], matrix: np.ndarray, name: str) -> dict[str, An
     kind = light["type"]
     power = [float(c) * float(light.get("intensity", 1.0)) for c in light.get("color", (1.0, 1.0, 1.0))]
     colour = {"type": "rgb", "value": power}
-    known = registry.scene_types()
-    label = light.get("name", kind)
-    if kind == "directional" and kind in known:
+    if kind == "directional":
         return {"type": kind, "irradiance": colour, "direction": (-matrix[:3, 2]).tolist()}
-    if kind == "spot" and kind in known:
+    if kind == "spot":
         cone = light.get("spot", {})
         outer, inner = cone.get("outerConeAngle", math.pi / 4), cone.get("innerConeAngle", 0.0)
         angles = {"cutoff_angle": math.degrees(outer), "beam_width": math.degrees(inner)}
         return {"type": kind, "intensity": colour, "to_world": _turned(matrix), **angles}
-    if kind == "spot":
-        _say(f"{name}: the light {label!r}: 'spot' is not supported and was replaced by 'point'")
-    if kind in ("point", "spot"):
+    if kind == "point":
         return {"type": "point", "intensity": colour, "position": matrix[:3, 3].tolist()}
-    _say(f"{name}: the light {label!r}: {kind!r} is not supported and was left out")
+    _say(f"{name}: the light {light.get('name', kind)!r}: {kind!r} is not supported and was left out")
     return None
 
 

@@ -9,8 +9,6 @@ import warnings
 from collections.abc import Callable, Mapping
 from typing import Any
 
-import numpy as np
-
 from ..errors import SubstitutionWarning
 from ..integrators import TYPES as INTEGRATORS
 from ..scene import registry
@@ -194,10 +192,6 @@ def _emitter(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
     kind = value["type"]
     if kind in ("sunsky", "timed_sunsky", "sky", "sun"):
         return walker.replaced(value, {"type": "constant"}, where)
-    if kind == "spot":
-        new = {"type": "point", **{n: value[n] for n in ("intensity", "sampling_weight") if n in value}}
-        new["position"] = np.asarray(value.get("to_world", np.eye(4)), np.float64)[:3, 3].tolist()
-        return walker.replaced(value, new, where)
     return walker.omitted(value, where)
 
 
