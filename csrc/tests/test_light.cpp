@@ -9,8 +9,8 @@ namespace tr::testing {
 
 namespace {
 
-// A beam, an area light, a point light and a surrounding shine through a glass ball onto a wall; the camera, or a
-// meter on the wall, looks.
+// A beam, an area light, lights without a surface and a surrounding shine through a glass ball onto a wall; the camera,
+// or a meter on the wall, looks.
 template <class S>
 void add_scene(SceneBuilder<S> &b, bool meter) {
     int64_t black = b.diffuse(0, 0, 0), wall = b.diffuse(S(0.5), S(0.6), S(0.7));
@@ -19,6 +19,14 @@ void add_scene(SceneBuilder<S> &b, bool meter) {
     int64_t area = b.add("emitter", "area", {{"radiance", b.constant(4, 2, 1)}});
     b.add("emitter", "point", {{"intensity", b.color(5, 6, 7)}, {"position", b.param({3}, {S(1.5), 1, -2})}});
     b.add("emitter", "constant", {{"radiance", b.color(S(0.1), S(0.2), S(0.3))}});
+    b.add("emitter", "spot",
+          {{"intensity", b.color(5, 6, 7)},
+           {"cutoff_angle", b.number(30)},
+           {"beam_width", b.number(10)},
+           {"to_world", b.matrix(1, S(0.5), -1)}});
+    b.add("emitter", "projector",
+          {{"irradiance", b.constant(2, 1, 3)}, {"x_fov", b.number(40)}, {"to_world", b.matrix(-1, S(0.3), -1)}});
+    b.add("emitter", "directional", {{"irradiance", b.color(1, 2, 1)}, {"to_world", b.matrix(0, 0, 0)}});
     b.add("shape", "rectangle", {{"to_world", b.matrix(0, 0, 3, 4)}, {"flip_normals", 1}, {"bsdf", wall}});
     b.add("shape", "rectangle", {{"to_world", b.matrix(S(0.2), 0, -2, S(0.7))}, {"bsdf", black}, {"emitter", beam}});
     b.add("shape", "rectangle", {{"to_world", b.matrix(-2, S(0.5), -1, S(0.5))}, {"bsdf", black}, {"emitter", area}});

@@ -155,6 +155,12 @@ TR_TEST(dual_numbers_match_finite_differences) {
             check_dual([](auto x, auto y) { return sqrt(x) * exp(y) + log(x * y); }, a, b);
             check_dual([](auto x, auto y) { return max(x, y) - min(x * y, y) + abs(x - y); }, a, b);
             check_dual([](auto x, auto y) { return fresnel_conductor(decltype(x)(0.6), x, y); }, a, b);
+            auto turned = [](auto x, auto y) {
+                decltype(x) sine, cosine;
+                sincos(x * y, sine, cosine);
+                return sine * cosine * cosine + atan2(x, cosine - y);
+            };
+            check_dual(turned, a, b);
         }
     }
     check_dual([](auto x, auto y) { return fresnel_dielectric(x, y).reflectance; }, 0.6, 1.5);
