@@ -435,6 +435,8 @@ GIVEN = {
     "index of refraction": (lambda x: tr.Dielectric(int_ior=x), 1.5, "eta"),
     "index outside": (lambda x: tr.Dielectric(ext_ior=x), 1.1, "eta"),
     "point light's matrix": (lambda x: tr.PointLight(to_world=x), torch.eye(4), "position"),
+    "direction of light": (lambda x: tr.DirectionalLight(direction=x), [0.2, -1.0, 0.3], "to_world"),
+    "fov of a projector": (lambda x: tr.Projector(fov=x), 40.0, "x_fov"),
     "vertices": (lambda x: tr.Mesh(x, [[0, 1, 2]]), torch.eye(3), "vertex_positions"),
     "mesh's matrix": (lambda x: tr.Mesh(torch.eye(3), [[0, 1, 2]], to_world=x), torch.eye(4), "vertex_positions"),
     "cube's matrix": (lambda x: tr.Cube(to_world=x), torch.eye(4), "vertex_positions"),

@@ -209,7 +209,7 @@ def test_public_classes_carry_field_names():
     built += [tr.Dielectric(), tr.Conductor(), tr.Bitmap(data=TEXELS), tr.Checkerboard(), tr.AreaLight()]
     built += [tr.ConstantLight(), tr.EnvironmentMap(data=TEXELS), tr.PointLight(), tr.Rectangle(), tr.Disk()]
     built += [tr.Sphere(), tr.Cube(), tr.PerspectiveCamera(), tr.DirectionalAreaLight()]
-    built += [tr.IrradianceMeter(shape=tr.Rectangle())]
+    built += [tr.IrradianceMeter(shape=tr.Rectangle()), tr.DirectionalLight(), tr.SpotLight(), tr.Projector()]
     assert len({type(b) for b in built}) == len(built)
     assert "Diffuse" in dir(tr)
     with pytest.raises(AttributeError, match="Difuse"):

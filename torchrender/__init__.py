@@ -26,7 +26,7 @@ from .progress import progress
 from .render import Renderer, render
 from .scene import Scene
 from .scene.camera import PerspectiveCamera
-from .scene.emitters import EnvironmentMap, PointLight
+from .scene.emitters import DirectionalLight, EnvironmentMap, PointLight, Projector, SpotLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.heightfield import HeightField
 from .scene.layers import BlendBSDF, BumpMap, Mask, NormalMap, TwoSided
@@ -84,6 +84,7 @@ __all__ = [
     "Cube",
     "Dielectric",
     "DirectIllumination",
+    "DirectionalLight",
     "Disk",
     "EnvironmentMap",
     "Film",
@@ -106,6 +107,7 @@ __all__ = [
     "PointLight",
     "Principled",
     "PrincipledThin",
+    "Projector",
     "ReconstructionFilter",
     "Rectangle",
     "RednerMaterial",
@@ -117,6 +119,7 @@ __all__ = [
     "Sampler",
     "Scene",
     "Sphere",
+    "SpotLight",
     "SubstitutionWarning",
     "TabulatedPhase",
     "ThinDielectric",

@@ -37,12 +37,6 @@ TR_INLINE void for_each_point_light(const IntOf<F> &kind, const MaskOf<F> &activ
         }
     });
 }
-template <class F>
-TR_INLINE MaskOf<F> is_point_light(const IntOf<F> &kind) {
-    MaskOf<F> r(false);
-    for_each_point_light<F>(kind, MaskOf<F>(true), [&](auto, const MaskOf<F> &lanes) { r = r || lanes; });
-    return r;
-}
 
 // Light from all around, which the camera sees; and light that comes from infinitely far away.
 template <class F>
