@@ -2,29 +2,10 @@
 // place and to their orientation.
 #pragma once
 
+#include "../texture/slopes.h"
 #include "arrival.h"
 
 namespace tr {
-
-// The derivatives of a texture's value by its coordinates.
-template <class F, int C, class S>
-struct TextureSlopes {
-    const SceneView<S> &scene;
-    Color<F, C> u = uniform_color<C>(F(0)), v = uniform_color<C>(F(0));
-
-    TR_INLINE void constant(const IntOf<F> &, const MaskOf<F> &) {}
-    TR_INLINE void attribute(const Record &, const AttributeInfo &, const Footprint<F, 3> &, const MaskOf<F> &) {}
-    TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &, const MaskOf<F> &lanes) {
-        if (record.field[Bitmap::Filter] == 1) return;
-        const TensorView<S> &tensor = scene.values.tensors[record.field[Bitmap::Data]];
-        const S *m = scene.values.constants + record.field[Bitmap::ToUv];
-        Slopes<F> slope = slopes(at);
-        Color<F, C> x = gather_footprint<C>(tensor, slope.x, lanes) * F(S(tensor.shape[1]));
-        Color<F, C> y = gather_footprint<C>(tensor, slope.y, lanes) * F(S(tensor.shape[0]));
-        u = select(lanes, x * F(m[0]) + y * F(m[3]), u);
-        v = select(lanes, x * F(m[1]) + y * F(m[4]), v);
-    }
-};
 
 // Hands the adjoint of a light's place to its parameter.
 template <class Model, class F, class S, class Sink>
