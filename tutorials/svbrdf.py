@@ -1,17 +1,18 @@
-"""Measure how a flat sample reflects light: its diffuse, specular and roughness maps, from photographs under a flash.
+"""Measure how a flat sample reflects light: maps of colours, roughness and normals, from photographs under a flash.
 
     python tutorials/svbrdf.py            # full run
     python tutorials/svbrdf.py --demo     # the same, smaller
 
 A camera looks straight down at a sample, and a small lamp is moved around above it; each place gives a photograph.
-Every texel is seen from one direction and lit from a few, and has seven unknown numbers: a diffuse colour, a specular
-colour and a roughness. What the mirror direction of a lamp hits shows its highlight, whose height and width tell
-specular colour and roughness apart; all other photographs of that texel show its diffuse colour. Texels that no
-highlight came near leave the two undecided, which is why many places of the lamp are better than few, and why the maps
-are found coarse to fine: what a highlight says is first shared by the texels around it.
+Every texel is seen from one direction and lit from a few, and has ten unknown numbers: a diffuse colour, a specular
+colour, a roughness, and a normal of any length. What the mirror direction of a lamp hits shows its highlight, whose
+height and width tell specular colour and roughness apart, and whose place tells the normal; all other photographs of
+that texel show its diffuse colour, and by their differences the normal again. Texels that no highlight came near leave
+roughness undecided, which is why many places of the lamp are better than few, and why the maps are found coarse to
+fine: what a highlight says is first shared by the texels around it.
 
 Lamp and sample are all there is, so that a path has two segments, and one sample a pixel is nearly free of noise: this
-is an optimisation of 128 x 128 x 7 numbers in which noise plays no part.
+is an optimisation of 128 x 128 x 10 numbers in which noise plays no part.
 """
 
 from __future__ import annotations
@@ -33,19 +34,19 @@ import torchrender as tr
 
 @dataclass(frozen=True)
 class Map:
-    """An unknown map: the texture's place in the scene, its range, its number of channels, and where it starts."""
+    """An unknown map: the texture's place in the scene, its range, and where its channels start."""
 
     texture: str
     low: float
     high: float
-    channels: int
-    start: float
+    start: tuple[float, ...]
 
 
 MAPS = {
-    "diffuse": Map("sample.bsdf.diffuse_reflectance", 0.0, 1.0, 3, 0.3),
-    "specular": Map("sample.bsdf.specular_reflectance", 0.0, 1.0, 3, 0.1),
-    "roughness": Map("sample.bsdf.roughness", 0.005, 0.3, 1, 0.1),
+    "diffuse": Map("sample.bsdf.nested_bsdf.diffuse_reflectance", 0.0, 1.0, (0.3, 0.3, 0.3)),
+    "specular": Map("sample.bsdf.nested_bsdf.specular_reflectance", 0.0, 1.0, (0.1, 0.1, 0.1)),
+    "roughness": Map("sample.bsdf.nested_bsdf.roughness", 0.005, 0.3, (0.1,)),
+    "normals": Map("sample.bsdf.normalmap", 0.0, 1.0, (0.5, 0.5, 0.9)),
 }
 DISTANCE = 2.5  # of the lamp from the middle of the sample, whose sides are 2 long
 EXPOSURE = -2.0  # of the saved photographs, in stops
@@ -66,7 +67,19 @@ def sample_maps(size: int) -> dict[str, torch.Tensor]:
     diffuse = tile * glaze + (1 - tile) * 0.06
     specular = tile * (0.08 - 0.04 * dull) + (1 - tile) * torch.tensor([0.5, 0.42, 0.3])
     roughness = tile * (0.02 + 0.06 * dull + 0.01 * cloud) + (1 - tile) * 0.04
-    return {"diffuse": diffuse, "specular": specular.expand(size, size, 3).clone(), "roughness": roughness}
+    # Tiles are domed; joints are flat.
+    lean = [tile[..., 0] * (4 * x % 1 - 0.5) for x in (u, v)]
+    normals = torch.stack([*lean, torch.ones_like(u)], dim=2)
+    return {
+        "diffuse": diffuse,
+        "specular": specular.expand(size, size, 3).clone(),
+        "roughness": roughness,
+        "normals": unit(normals) * 0.5 + 0.5,
+    }
+
+
+def unit(normals: torch.Tensor) -> torch.Tensor:
+    return normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True)
 
 
 def lamps(count: int) -> torch.Tensor:
@@ -87,10 +100,14 @@ def material(maps: dict[str, torch.Tensor]) -> dict[str, Any]:
         return {"type": "bitmap", "data": maps[name], "raw": True, "wrap_mode": "clamp"}
 
     return {
-        "type": "redner",
-        "diffuse_reflectance": texture("diffuse"),
-        "specular_reflectance": texture("specular"),
-        "roughness": texture("roughness"),
+        "type": "normalmap",
+        "normalmap": texture("normals"),
+        "bsdf": {
+            "type": "redner",
+            "diffuse_reflectance": texture("diffuse"),
+            "specular_reflectance": texture("specular"),
+            "roughness": texture("roughness"),
+        },
     }
 
 
@@ -163,15 +180,16 @@ def run(
     texels = 16
     for unknown in MAPS.values():
         texture = scene.get_submodule(unknown.texture)
-        texture.data = torch.nn.Parameter(torch.full((texels, texels, unknown.channels), unknown.start))
+        texture.data = torch.nn.Parameter(torch.tensor(unknown.start).expand(texels, texels, -1).clone())
         parametrize.register_parametrization(texture, "data", tr.constraints.ScaledSigmoid(unknown.low, unknown.high))
     numbers = [scene.get_submodule(m.texture).parametrizations.data.original for m in MAPS.values()]
 
     def found() -> dict[str, torch.Tensor]:
-        return {
+        maps = {
             name: tr.optim.resample(scene.get_submodule(m.texture).data.detach(), (size, size), "clamp")
             for name, m in MAPS.items()
         }
+        return {**maps, "normals": unit(maps["normals"] * 2 - 1) * 0.5 + 0.5}  # their length means nothing
 
     def quality() -> dict[str, float]:
         with torch.no_grad():
