@@ -56,9 +56,11 @@ PYTHON_ONLY = {
     "test_substitutes",
     "test_testing",
     "test_tutorial_capture",
+    "test_torch_bsdf",
     "test_tutorial_caustics",
     "test_tutorial_media",
     "test_tutorials",
+    "test_wavefront",
     "test_xml",
 }
 

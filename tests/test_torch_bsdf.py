@@ -330,10 +330,10 @@ def test_a_bsdf_is_found_by_an_optimiser():
         bsdf.albedo.fill_(0.0)
     nn.utils.parametrize.register_parametrization(bsdf, "albedo", nn.Sigmoid(), unsafe=True)
     optimiser = torch.optim.Adam([p for p in scene.parameters() if p.requires_grad], lr=0.3)
-    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 30)
-    for seed in range(30):
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, 25)
+    for seed in range(25):
         optimiser.zero_grad()
-        (tr.render(scene, integrator=wavefront(chunk=4000), seed=seed, spp=16) - target).square().mean().backward()
+        (tr.render(scene, integrator=wavefront(chunk=4000), seed=seed, spp=64) - target).square().mean().backward()
         optimiser.step()
         schedule.step()
     torch.testing.assert_close(bsdf.albedo.detach(), torch.tensor(COLOUR), atol=0.04, rtol=0)

@@ -99,6 +99,16 @@ def test_neural_texture(tutorial, tmp_path, capsys):
     check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
 
 
+def test_neural_bsdf(tutorial, tmp_path, capsys):
+    result = tutorial("neural_bsdf").run(tmp_path, resolution=32, lamps=8, iterations=80, room_spp=32)
+    assert result["start"] > 0.8
+    assert result["end"] < 0.45
+    assert result["room"] < 0.12
+    assert result["reciprocity"] < 1e-4
+    assert "weights are the material" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "start", "result", "room_target", "room_result"])
+
+
 def test_camera_calibration(tutorial, tmp_path, capsys):
     errors = tutorial("camera_calibration").run(tmp_path, height=48, steps=(5, 5))
     # From 3.2 degrees, 0.52 units, 4 degrees and 2.1 pixels. The photograph allows 0.05 degrees, 0.005 units, 0.06

@@ -223,6 +223,20 @@ def test_single_precision_is_that_of_the_core():
     torch.testing.assert_close(found.mean(), native.mean(), rtol=1e-3, atol=0)
 
 
+def test_the_default_device_does_not_matter():
+    scene = small()
+    scene.train_only(COLOUR)
+
+    def gradient() -> torch.Tensor:
+        image = tr.render(scene, integrator=WAVEFRONT, seed=2)
+        return torch.autograd.grad(image, scene.get_parameter(COLOUR), torch.ones_like(image, device="cpu"))[0]
+
+    expected = gradient()
+    with torch.device("meta"):
+        found = gradient()
+    assert torch.equal(found, expected)
+
+
 # ---------------------------------------------------------------------------------------------------------- refusals
 @pytest.mark.parametrize(
     ("objects", "message"),

@@ -171,13 +171,14 @@ class WavefrontPathTracer(_Paths):
     """
 
     kind = "wavefront"
+    chunk = 1 << 16
 
     def __init__(
         self, max_depth: int = -1, rr_depth: int = 5, hide_emitters: bool = False, chunk: int = 1 << 16
     ) -> None:
-        self.__dict__["chunk"] = chunk  # which config(), called by the next line, looks at
         super().__init__(max_depth, rr_depth, hide_emitters)
         self.chunk = chunk
+        self.config()
 
     def config(self) -> dict[str, Any]:
         chunk = _integer(type(self).__name__, "chunk", self.chunk, 1)

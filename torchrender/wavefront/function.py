@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -246,6 +247,11 @@ class Chunk:
     alpha: torch.Tensor
 
 
+def on_cpu() -> AbstractContextManager[Any]:
+    """Where tensors are made, whatever torch's default device is."""
+    return nullcontext() if torch.get_default_device().type == "cpu" else torch.device("cpu")
+
+
 def share(sums: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     """``sums / weights``, 0 where there are none."""
     return torch.where(weights > 0, sums / torch.where(weights > 0, weights, 1.0), 0.0)
@@ -256,6 +262,11 @@ class WavefrontFunction(Function):
 
     @staticmethod
     def forward(call: WavefrontCall, *tensors: torch.Tensor) -> Any:
+        with on_cpu():
+            return WavefrontFunction.render(call, tensors)
+
+    @staticmethod
+    def render(call: WavefrontCall, tensors: Sequence[torch.Tensor]) -> Any:
         channels = call.native.channels
         empty = torch.zeros(call.splats.count, channels + 2, dtype=torch.float64, device="cpu")
         sums = [empty.clone() for _ in range(call.passes)]
@@ -309,6 +320,13 @@ class WavefrontVjpFunction(_Derivative):
     @staticmethod
     def forward(call: WavefrontCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *tensors: torch.Tensor) -> Any:
         refuse_batches(adjoint)
+        with on_cpu():
+            return WavefrontVjpFunction.pull(call, needed, adjoint, tensors)
+
+    @staticmethod
+    def pull(
+        call: WavefrontCall, needed: tuple[bool, ...], adjoint: torch.Tensor, tensors: Sequence[torch.Tensor]
+    ) -> tuple[torch.Tensor | None, ...]:
         channels = call.native.channels
         adjoint = adjoint.detach().double().reshape(-1, channels)
         wanted = torch.zeros(call.splats.count, channels, dtype=torch.float64, device="cpu")
@@ -341,6 +359,11 @@ class WavefrontJvpFunction(_Derivative):
 
     @staticmethod
     def forward(call: WavefrontCall, *given: torch.Tensor | None) -> torch.Tensor:
+        with on_cpu():
+            return WavefrontJvpFunction.push(call, given)
+
+    @staticmethod
+    def push(call: WavefrontCall, given: Sequence[torch.Tensor | None]) -> torch.Tensor:
         count = len(given) // 2
         tensors: list[Any] = list(given[:count])
         needed = [t is not None for t in given[count:]]
@@ -376,7 +399,8 @@ def wavefront_call(
     layout = call.wanted.layout
     parameters = TorchParameters(layout)
     named = parameters.tensors(of_torch)
-    splats = Splats(film, call.config["crop"], call.config["window"], call.pixels)
+    with on_cpu():
+        splats = Splats(film, call.config["crop"], call.config["window"], call.pixels)
     shared = {name: getattr(call, name) for name in SHARED}
     made = WavefrontCall(
         scene=scene,
