@@ -249,7 +249,7 @@ class Chunk:
 
 def on_cpu() -> AbstractContextManager[Any]:
     """Where tensors are made, whatever torch's default device is."""
-    return nullcontext() if torch.get_default_device().type == "cpu" else torch.device("cpu")
+    return nullcontext() if torch.empty(0).device.type == "cpu" else torch.device("cpu")
 
 
 def share(sums: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
