@@ -235,6 +235,21 @@ def test_forward_mode_is_reverse_mode():
     assert abs(expected) > 1e-3
 
 
+def test_what_moves_is_part_of_it():
+    """Where the ball, the lamp and the camera are: as with the native material, to rounding."""
+    ours, theirs = scene_with(Lambert(), "sphere"), scene_with(NATIVE, "sphere")
+    names = ("ball.center", "ball.radius", "sky.center", "sky.radius", "sensor.to_world", "wall.to_world")
+    gradients = []
+    for scene, integrator in ((ours, wavefront()), (theirs, tr.PathTracer(3))):
+        values = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in names}
+        with pytest.warns(tr.MissingTermWarning, match="ball.center"):
+            image = tr.render(scene, integrator=integrator, seed=6, params=values)
+        gradients.append(torch.autograd.grad(image.square().sum(), list(values.values())))
+    for name, found, expected in zip(names, *gradients, strict=True):
+        torch.testing.assert_close(found, expected, rtol=1e-8, atol=1e-11, msg=name)
+        assert bool(expected.any()), name
+
+
 def test_memory_of_the_derivative_is_that_of_a_chunk():
     """What graphs keep alive does not grow with the number of samples, but with that of paths in a chunk."""
 

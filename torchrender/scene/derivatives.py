@@ -193,6 +193,9 @@ rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `p
 refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking for one of those raises
 `tr.NotDifferentiableError`.
 
+`tr.WavefrontPathTracer` has the derivatives of the path tracer, and by autograd those of everything that a
+`tr.TorchBSDF` computes with.
+
 `tr.ParticleTracer` has the same derivatives as the path tracers, with the motion of light over the film. That needs a
 Gaussian or tent filter: with a box filter, asking for the derivative of something that moves raises
 `tr.NotDifferentiableError`, and so does, with an `irradiancemeter`, the one with respect to the texture coordinates of
