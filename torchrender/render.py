@@ -238,7 +238,8 @@ def _check_torch_bsdfs(
     from .wavefront.function import refuse_torch_bsdfs, split_params
 
     if shows_radiance and not isinstance(integrator, WavefrontPathTracer):
-        refuse_torch_bsdfs(packed, f"render: integrator: {{}}, which {type(integrator).__name__} does not evaluate")
+        does_not = f"which {type(integrator).__name__} does not evaluate; WavefrontPathTracer(...) does"
+        refuse_torch_bsdfs(packed, f"render: integrator: {{}}, {does_not}")
     if "albedo" in names or (stack is not None and "albedo" in stack.outputs()):
         refuse_torch_bsdfs(packed, "render: outputs: {}, which has no 'albedo'")
     return split_params(packed, params)

@@ -31,6 +31,8 @@ from .world import World, check_supported
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
+# What a native rendering and one in PyTorch have in common.
+SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics wanted".split()
 CAMERA = "to_world x_fov principal_point_offset_x principal_point_offset_y near_clip far_clip pixel_aspect".split()
 
 
@@ -417,9 +419,6 @@ def wavefront_call(
     return WavefrontRendering(made, list(named.values()))
 
 
-SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics wanted".split()
-
-
 @dataclass
 class WavefrontRendering:
     """A call and the modules' tensors for it."""
@@ -447,5 +446,4 @@ def refuse_torch_bsdfs(layout: Layout, message: str) -> None:
     for path, module in layout.torch_names.items():
         if id(module) in layout.used:
             what = f"{path} ({type(module).__name__}) is a BSDF written in PyTorch"
-            advice = "" if "albedo" in message else "; WavefrontPathTracer(...) does"
-            raise ValueError(message.format(what) + advice)
+            raise ValueError(message.format(what))
