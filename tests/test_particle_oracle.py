@@ -41,6 +41,7 @@ SCENES = {
     "beam": (lambda: ls.floor_view(light=ls.beam()), (*BEAM, *FLOOR, *CAMERA), 2),
     "area": (lambda: ls.floor_view(light=ls.area()), (*BEAM, *FLOOR, *CAMERA), 2),
     "tent": (lambda: ls.floor_view(ls.close_camera(rfilter="tent"), light=ls.area()), (*BEAM, *FLOOR, *CAMERA), 2),
+    "mitchell": (lambda: ls.floor_view(ls.close_camera(rfilter="mitchell"), light=ls.area()), (*BEAM, *CAMERA), 2),
     "sheet": (
         lambda: ls.floor_view(light=ls.beam(), sheet=triangle(GLASS)),
         (*SHEET, *BEAM, *FLOOR, *CAMERA),

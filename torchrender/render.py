@@ -17,7 +17,7 @@ from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
 from .compiling import opaque
 from .errors import NotDifferentiableError, describe, nearest
 from .integrators import AOV, Integrator, PathTracer, WavefrontPathTracer
-from .outputs import OUTPUTS, PATH_OUTPUTS, check_names, collect, first_hits
+from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
 from .progress import progress
 from .scene.boundaries import check_phases, warn_of_open_boundaries
 from .scene.camera import PerspectiveCamera
@@ -75,12 +75,15 @@ def render(
             derivative: that of coverage consists of moving silhouettes alone. Of the first surface that is seen:
             ``"depth"`` along the camera's axis and ``"distance"`` from the camera (H, W); ``"position"``, geometric
             ``"normal"`` and ``"shading_normal"`` in world space, ``"normal_camera"`` and ``"shading_normal_camera"`` in
-            the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"`` (H, W, 2); ``"albedo"``
-            (H, W, C): reflectance of diffuse surfaces, ``specular_reflectance`` of conductors,
-            ``specular_transmittance`` of dielectrics, 1 for null. These are averages over the samples that hit
-            something, weighted by the filter; where none does, depth, distance and position are infinite, the others 0.
-            ``"shape_id"`` and ``"prim_id"`` (H, W), int32, belong to the ray through the pixel's centre: position
-            among the scene's shapes and face, -1 at a miss. See `torchrender.outputs`.
+            the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"`` and ``"barycentric"``
+            coordinates (H, W, 2); ``"dp_du"`` and ``"dp_dv"``, derivatives of the position by uv (H, W, 3);
+            ``"albedo"`` (H, W, C): reflectance of diffuse surfaces, ``specular_reflectance`` of conductors,
+            ``specular_transmittance`` of dielectrics, 1 for null; ``"specular_reflectance"`` (H, W, C) and
+            ``"roughness"`` (H, W) of the material; colours of meshes by their names, such as ``"vertex_color"``
+            (H, W, C). These are averages over the samples that hit something, weighted by the filter; where none does,
+            depth, distance and position are infinite, the others 0. ``"shape_id"``, ``"prim_id"`` and
+            ``"material_id"`` (H, W), int32, belong to the ray through the pixel's centre: position among the scene's
+            shapes, face, and a number that surfaces of one material share, -1 at a miss. See `torchrender.outputs`.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N, but light tracing has
@@ -114,6 +117,7 @@ def render(
     _check_kinds_of_derivative(adaptive_grad, correlated)
     passes = _count("passes", passes)
     packed = scene.layout()
+    attributes_of(packed, [n for n in names if n not in PATH_OUTPUTS])
     cameras, batched = _cameras(scene, packed, sensor)
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
@@ -200,7 +204,7 @@ def render(
             views.append(_view(call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
-    found = [_arrange([v[n] for v in views], batched, layout, channels=OUTPUTS[n] != 0) for n in names]
+    found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
     return found[0] if outputs is None else collect(names, found)
 
 
@@ -436,8 +440,7 @@ def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tupl
     rendered = film.window
     sampled = film.window
     if film.sample_border:
-        reach = {"box": 0.5, "tent": film.filter.radius, "gaussian": 4 * film.filter.stddev}[film.filter.type]
-        margin = max(0, math.ceil(reach - 0.5))
+        margin = max(0, math.ceil(film.filter.reach - 0.5))
         sampled = (y0 - margin, x0 - margin, height + 2 * margin, width + 2 * margin)
     if crop is not None:
         top, left, rows, columns = check_crop(crop, (height, width), Context(path=("render",)))
@@ -447,7 +450,7 @@ def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tupl
         "window": sampled,
         "border": crop is not None or film.sample_border,
         "filter": film.filter.type,
-        "filter_param": film.filter.parameter,
+        "filter_param": film.filter.parameters,
     }
     return rendered, rendered[2:], config
 

@@ -24,7 +24,8 @@ struct Config {
     int64_t spp, sample_offset;
     bool packets, light;  // light: paths begin at emitters
     std::optional<std::vector<Pixel>> pixels;
-    std::vector<uint64_t> seeds;  // of the passes of other outputs than radiance
+    std::vector<int32_t> attributes;  // numbers of the names of meshes' colours that are put out
+    std::vector<uint64_t> seeds;      // of the passes of other outputs than radiance
     bool zero_at_misses;
     bool adaptive;   // reverse mode of radiance
     bool by_power;   // emitters are chosen by their power, too
@@ -50,11 +51,11 @@ inline Config read_config(const py::dict &d) {
     c.height = size[0], c.width = size[1];
     c.crop = rect(d["crop"]);
     c.window = d.contains("window") ? rect(d["window"]) : c.crop;
-    std::string filter = d["filter"].cast<std::string>();
-    c.filter = Filter(filter == "box"    ? FilterKind::Box
-                      : filter == "tent" ? FilterKind::Tent
-                                         : FilterKind::Gaussian,
-                      d["filter_param"].cast<double>());
+    FilterKind filter = FilterKind::Box;
+    if (!filter_of(d["filter"].cast<std::string>(), filter))
+        throw std::invalid_argument("filter: unknown type '" + d["filter"].cast<std::string>() + "'");
+    auto numbers = d["filter_param"].cast<std::array<double, 2>>();
+    c.filter = Filter(filter, numbers[0], numbers[1]);
     if (d.contains("pixels")) {  // (n, 2) rows and columns of the crop, int64
         auto [address, n] = d["pixels"].cast<std::pair<uintptr_t, size_t>>();
         const int64_t *p = reinterpret_cast<const int64_t *>(address);
@@ -69,6 +70,7 @@ inline Config read_config(const py::dict &d) {
     c.packets = d["packet"].cast<bool>();
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
     c.light = d["integrator"].cast<std::string>() == "ptracer";
+    if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();
     if (d.contains("hits")) {  // radiance: the store, the number of the pass

@@ -8,12 +8,13 @@ namespace tr {
 
 namespace {
 
-// The mean of a filter over the pixels at distances 0 .. reach along one axis.
+// The mean of a filter's magnitude over the pixels at distances 0 .. reach along one axis: a sample that counts
+// negatively counts no less.
 std::vector<double> pixel_weights(const Filter &filter) {
     const int steps = 32;
     std::vector<double> mean(size_t(filter.reach()) + 1, 0.0);
     for (size_t k = 0; k < mean.size(); ++k)
-        for (int i = 0; i < steps; ++i) mean[k] += filter(double(k) + (i + 0.5) / steps - 0.5) / steps;
+        for (int i = 0; i < steps; ++i) mean[k] += std::fabs(filter(double(k) + (i + 0.5) / steps - 0.5)) / steps;
     return mean;
 }
 

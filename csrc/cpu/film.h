@@ -1,76 +1,11 @@
-// The film: reconstruction filters and the sum of samples into blocks of pixels.
+// The film: the sum of samples into blocks of pixels.
 #pragma once
 
-#include <algorithm>
-#include <cmath>
 #include <vector>
 
-#include "core/math/lanes.h"
-#include "core/math/vector.h"
+#include "filter.h"
 
 namespace tr {
-
-enum class FilterKind { Box, Tent, Gaussian };
-
-class Filter {
-public:
-    Filter() : Filter(FilterKind::Box, 0.5) {}
-    // `parameter`: radius of the tent, standard deviation of the Gaussian
-    Filter(FilterKind kind, double parameter)
-        : kind_(kind),
-          radius_(kind == FilterKind::Box    ? 0.5
-                  : kind == FilterKind::Tent ? parameter
-                                             : 4 * parameter),
-          scale_(-0.5 / (parameter * parameter)),
-          end_(std::exp(scale_ * radius_ * radius_)),
-          // a tent narrower than a pixel reaches its own pixel only, but not all of it
-          reach_(kind == FilterKind::Box ? 0 : std::max(1, int(std::ceil(radius_ - 0.5)))) {}
-
-    // pixels on each side of the sample's own that a sample can reach; 0: the box, whose weights are 1
-    int reach() const { return reach_; }
-    double operator()(double x) const {
-        double a = std::fabs(x);
-        if (kind_ == FilterKind::Box) return 1;
-        if (a >= radius_) return 0;
-        return kind_ == FilterKind::Tent ? 1 - a / radius_ : std::exp(scale_ * a * a) - end_;
-    }
-
-    // The same in lanes, of offsets of at most the radius and half a pixel.
-    template <class F>
-    TR_INLINE F weight(const F &x) const {
-        F a = abs(x);
-        if (kind_ == FilterKind::Box) return F(1);
-        F w =
-            kind_ == FilterKind::Tent ? F(1) - a * F(S<F>(1 / radius_)) : exp(a * a * F(S<F>(scale_))) - F(S<F>(end_));
-        return select(mask<F>(a < F(S<F>(radius_))), w, F(0));
-    }
-    // Its derivative; that of the box is not a function.
-    template <class F>
-    TR_INLINE F slope(const F &x) const {
-        F a = abs(x);
-        if (kind_ == FilterKind::Box) return F(0);
-        F w = kind_ == FilterKind::Tent ? mulsign(F(S<F>(-1 / radius_)), x)
-                                        : x * exp(a * a * F(S<F>(scale_))) * F(S<F>(2 * scale_));
-        return select(mask<F>(a < F(S<F>(radius_))), w, F(0));
-    }
-    double integral(double a, double b) const {
-        auto primitive = [&](double x) {
-            x = std::min(std::max(x, -radius_), radius_);
-            if (kind_ == FilterKind::Box) return x;
-            if (kind_ == FilterKind::Tent) return x - std::copysign(0.5 * x * x / radius_, x);
-            double s = std::sqrt(-scale_);
-            return 0.5 * std::sqrt(Pi) / s * std::erf(s * x) - end_ * x;
-        };
-        return primitive(b) - primitive(a);
-    }
-
-private:
-    template <class F>
-    using S = ScalarOf<F>;
-    FilterKind kind_;
-    double radius_, scale_, end_;
-    int reach_;
-};
 
 struct Rect {
     int y0, x0, y1, x1;  // half open

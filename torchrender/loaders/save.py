@@ -14,6 +14,7 @@ from .. import io
 from ..integrators import TYPES, Integrator
 from ..io._files import as_path
 from ..scene.declaration import CHILD_KINDS
+from ..scene.film import FILTER_PARAMETERS
 from ..scene.mesh import Mesh
 from ..scene.plugin import Plugin
 from ..scene.torch_bsdf import TorchBSDF
@@ -298,8 +299,7 @@ class _Writer:
         for name, content in settings.items():
             self.value(depth + 1, name, content)
         self.line(depth + 1, "rfilter", close=False, type=film.filter.type)
-        parameter = {"tent": "radius", "gaussian": "stddev"}.get(film.filter.type)
-        if parameter is not None:
+        for parameter in FILTER_PARAMETERS[film.filter.type]:
             self.value(depth + 2, parameter, getattr(film.filter, parameter))
         self.end(depth + 1, "rfilter")
         self.end(depth, "film")

@@ -13,7 +13,7 @@ from ..errors import SubstitutionWarning
 from ..integrators import TYPES as INTEGRATORS
 from ..scene import registry
 from ..scene.declaration import models
-from ..scene.film import _FILM_NAMES, _FORMATS, _RELATED, FILTERS, SAMPLERS
+from ..scene.film import _FILM_NAMES, _FORMATS, _RELATED, FILTER_PARAMETERS, FILTERS, SAMPLERS
 from ..scene.values import is_spectrum
 
 # Stand-ins for BSDFs, the better one first: type -> [(stand-in, {its parameter: theirs})].
@@ -272,7 +272,7 @@ def _accepted(kind: str) -> tuple[str, ...]:
     if kind in SAMPLERS:
         return ("sample_count", "seed", "jitter") if kind == "stratified" else ("sample_count", "seed")
     if kind in FILTERS:
-        return {"tent": ("radius",), "gaussian": ("stddev",)}.get(kind, ())
+        return FILTER_PARAMETERS[kind]
     if kind == "hdrfilm":
         return tuple(_FILM_NAMES)
     return registry.accepted_names(kind)

@@ -11,17 +11,41 @@ from . import values
 from .context import Context
 from .registry import DOCUMENTED
 
-FILTERS = ("box", "tent", "gaussian")
+FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
+FILTER_PARAMETERS: dict[str, tuple[str, ...]] = {
+    "box": (),
+    "tent": ("radius",),
+    "gaussian": ("stddev",),
+    "mitchell": ("B", "C"),
+    "catmullrom": (),
+    "lanczos": ("lobes",),
+}
 SAMPLERS = ("independent", "stratified", "sobol")
 
 
 @dataclass
 class ReconstructionFilter:
-    """How a sample spreads over pixels: ``"box"``, ``"tent"`` (`radius` in pixels), ``"gaussian"`` (`stddev`)."""
+    """How a sample spreads over pixels, a function of the distances along rows and columns.
+
+    ``"mitchell"``, ``"catmullrom"`` and ``"lanczos"`` have negative lobes: a pixel next to an edge may be brighter or
+    darker than both of its sides, also negative, and its alpha beyond [0, 1]. Few samples a pixel, whose weights hardly
+    add up to anything, are noisy with them. Outputs that are averages over what is hit (depth, normals) are weighted
+    with the lobes' magnitude.
+
+    Attributes:
+        type: one of FILTERS.
+        radius: of ``"tent"``, in pixels.
+        stddev: of ``"gaussian"``, in pixels; it is cut off at four times that.
+        B, C: of ``"mitchell"``, the cubic of Mitchell and Netravali (1988); 1/3 each unless given, from -8 to 8.
+        lobes: of ``"lanczos"``, its radius in pixels, from 1 to 16; 3 unless given.
+    """
 
     type: str = "gaussian"
     radius: float = 1.0
     stddev: float = 0.5
+    B: float = 1 / 3
+    C: float = 1 / 3
+    lobes: int = 3
 
     def __post_init__(self) -> None:
         ctx = Context(path=("ReconstructionFilter",))
@@ -31,10 +55,26 @@ class ReconstructionFilter:
             if not 0 < value <= 16:
                 ctx.at(name).error(f"expected a number of pixels in (0, 16], got {value:g}")
             setattr(self, name, value)
+        for name in ("B", "C"):
+            value = float(values.number(getattr(self, name), ctx.at(name)))
+            if not abs(value) <= 8:
+                ctx.at(name).error(f"expected a number from -8 to 8, got {value:g}")
+            setattr(self, name, value)
+        self.lobes = values.integer(self.lobes, ctx.at("lobes"), 1)
+        if self.lobes > 16:
+            ctx.at("lobes").error(f"expected 1 to 16 lobes, got {self.lobes}")
 
     @property
-    def parameter(self) -> float:
-        return self.stddev if self.type == "gaussian" else self.radius
+    def parameters(self) -> tuple[float, float]:
+        """What the core takes."""
+        first = {"tent": self.radius, "gaussian": self.stddev, "mitchell": self.B, "lanczos": self.lobes}
+        return float(first.get(self.type, 1.0)), float(self.C if self.type == "mitchell" else 0.0)
+
+    @property
+    def reach(self) -> float:
+        """How far it reaches along rows and columns, in pixels."""
+        radius = {"box": 0.5, "tent": self.radius, "gaussian": 4 * self.stddev, "lanczos": float(self.lobes)}
+        return radius.get(self.type, 2.0)
 
 
 @dataclass
@@ -148,13 +188,13 @@ def filter_from(value: Any, ctx: Context) -> ReconstructionFilter:
     if not isinstance(value, Mapping):
         ctx.error(f"expected a reconstruction filter, got {describe(value)}")
     kind = _checked(value, "rfilter", FILTERS, ctx)
-    accepted = {"box": (), "tent": ("radius",), "gaussian": ("stddev",)}[kind]
+    accepted = FILTER_PARAMETERS[kind]
     given = {k: v for k, v in value.items() if k not in ("type", "id")}
     for name in given:
         if name not in accepted:
             ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
     with ctx.located():
-        return ReconstructionFilter(kind, **{k: float(values.number(v, ctx.at(k))) for k, v in given.items()})
+        return ReconstructionFilter(kind, **given)
 
 
 _FILM_NAMES = (
