@@ -100,6 +100,9 @@ def lamp(kind: str) -> dict:
     light = {"type": "area", "radiance": bitmap(16, 16, 5.0)}
     if kind == "sphere":
         return {"type": "sphere", "center": [0.5, 3, 1], "radius": 0.4, "emitter": light}
+    if kind == "cylinder":  # turned inside out and seen from within: no part of it hides another
+        ends = {"p0": [0.5, 2.8, -2.5], "p1": [0.9, 3.0, 3.5]}
+        return {"type": "cylinder", **ends, "radius": 6.0, "flip_normals": True, "emitter": light}
     to_world = Transform.look_at([0.5, 3, 1], [0, 0, 0], [0, 0, 1]) @ Transform.scale(0.5)
     return {"type": kind, "to_world": to_world, "emitter": light}
 
@@ -111,6 +114,28 @@ def hills(bsdf: dict, to_world: Transform, amplitude: float) -> dict:
     return {"type": "heightfield", "heights": heights, "to_world": to_world, "bsdf": bsdf}
 
 
+def pipe(bsdf: dict) -> dict:
+    """A tube across the view of `at_ball`, wider than it and open beyond it, whose azimuth begins behind."""
+    turned = Transform.rotate([1, 0, 0], -90)
+    return {
+        "type": "cylinder",
+        "p0": [0.2, 0.1, -3.0],
+        "p1": [-0.1, 0.3, 3.2],
+        "radius": 0.9,
+        "to_world": turned @ Transform.rotate([0, 0, 1], 40),
+        "bsdf": bsdf,
+    }
+
+
+def grid() -> dict:
+    """A smooth volume of colours, seen from within between its voxels."""
+    z, y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in (24, 24, 24)), indexing="ij")
+    waves = [torch.sin(0.3 * x + 0.2 * y + i) * torch.cos(0.25 * z - 0.1 * i) for i in range(3)]
+    to_world = Transform.rotate([0, 1, 0], 15) @ Transform.translate([-6, -6, -6]) @ Transform.scale(12)
+    return {"type": "gridvolume", "data": 0.5 + 0.3 * torch.stack(waves, -1), "to_world": to_world}
+
+
+CARVED = {"type": "diffuse", "reflectance": {"type": "volume", "volume": grid()}}
 METAL = {
     "type": "conductor",
     "eta": {"type": "rgb", "value": [0.2, 0.9, 1.1]},
@@ -185,6 +210,12 @@ SCENES = {
     "rectangle_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("rectangle")),
     "disk_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("disk")),
     "sphere_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("sphere")),
+    "cylinder_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("cylinder")),
+    "pipe": lambda: scene(2, at_ball(), pipe=pipe(PAINT), room=black_room()),
+    "metal_pipe": lambda: scene(3, at_ball(), pipe=pipe(METAL), room=black_room()),
+    "carved_floor": lambda: scene(2, above(), floor=floor(CARVED), lamp=lamp("rectangle")),
+    "carved_pipe": lambda: scene(2, at_ball(), pipe=pipe(CARVED), room=black_room()),
+    "carved_hills": lambda: scene(2, above(), hills=hills(CARVED, floor()["to_world"], 0.04), lamp=lamp("disk")),
     "two_sided": lambda: scene(2, above(), floor=floor({"type": "twosided", "bsdf": PAINT}), lamp=lamp("rectangle")),
     "disk_floor": lambda: scene(
         2,

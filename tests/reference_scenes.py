@@ -559,6 +559,146 @@ def _directional() -> ReferenceScene:
     )
 
 
+def _filtered(rfilter: dict) -> ReferenceScene:
+    """A filter with negative lobes over a picture of colours as fine as pixels."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 2},
+            _camera((0, 0, 5), film={"rfilter": rfilter}),
+            square={"type": "rectangle", "to_world": scale(2.5), "bsdf": _diffuse(_bitmap(80, 40, 40, 0.2, 0.8))},
+            sky={"type": "constant", "radiance": 1.0},
+        ),
+        ("square.bsdf.reflectance.data",),
+    )
+
+
+def _cylinders() -> ReferenceScene:
+    """Open tubes: one textured, one turned and stretched by its matrix and mirrored, one that emits inwards."""
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera((0.5, 1.5, 5.0)),
+            pipe={
+                "type": "cylinder",
+                "p0": [-1.3, -0.9, 0.4],
+                "p1": [-0.5, 0.6, -0.2],
+                "radius": 0.4,
+                "bsdf": {"type": "twosided", "bsdf": _diffuse(_bitmap(81, 6, 12))},
+            },
+            tube={
+                "type": "cylinder",
+                "radius": 0.5,
+                "to_world": translate(0.9, -0.5, 0.2) @ rotate("y", 25) @ rotate("x", -70) @ scale(-0.8, 0.8, 1.4),
+                "bsdf": {"type": "twosided", "bsdf": _diffuse(_bitmap(82, 4, 6))},
+            },
+            lamp={
+                "type": "cylinder",
+                "p0": [0.1, 1.0, 0.0],
+                "p1": [0.4, 1.3, 0.6],
+                "radius": 0.2,
+                "flip_normals": True,
+                "emitter": {"type": "area", "radiance": _rgb(9.0, 6.0, 4.0)},
+            },
+            bar={
+                "type": "cylinder",
+                "p0": [-0.9, 1.1, 0.0],
+                "p1": [-0.2, 1.3, 0.0],
+                "radius": 0.05,
+                "emitter": {"type": "area", "radiance": _rgb(6.0, 5.0, 7.0)},
+            },
+            floor=_floor(0.6),
+            sky={"type": "constant", "radiance": _rgb(0.1, 0.12, 0.15)},
+        ),
+        (
+            "pipe.bsdf.brdf_0.reflectance.data",
+            "tube.bsdf.brdf_0.reflectance.data",
+            "lamp.emitter.radiance.value",
+            "bar.emitter.radiance.value",
+        ),
+    )
+
+
+def _volume_texture() -> ReferenceScene:
+    """A grid of colours carved by a ball and a floor, voxels of another under a plate, and a volume without a grid."""
+
+    def grid(seed: int, *matrices: np.ndarray, **more) -> dict:
+        data = np.random.default_rng(seed).uniform(0.1, 0.9, (4, 5, 6, 3)).astype(np.float32)
+        to_world = np.linalg.multi_dot([np.eye(4), *matrices])
+        return {"type": "gridvolume", "data": data, "raw": True, "to_world": to_world, **more}
+
+    turned = translate(-1.6, -1.1, -1.2) @ rotate("y", 20)
+    carved = {"type": "volume", "volume": grid(84, turned, scale(2.8, 2.2, 2.6))}
+    voxels = {"type": "volume", "volume": grid(85, translate(0.2, -0.5, -1.0), scale(0.9), filter_type="nearest")}
+    wrapped = {"type": "volume", "volume": grid(86, scale(0.7), wrap_mode="mirror")}
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            ball={"type": "sphere", "center": [-0.6, -0.1, 0.2], "radius": 0.8, "bsdf": _diffuse(carved)},
+            plate={
+                "type": "disk",
+                "to_world": translate(0.9, 0.1, -0.3) @ scale(0.7, 0.5, 1.0),
+                "bsdf": _diffuse(voxels),
+            },
+            box={
+                "type": "cube",
+                "to_world": translate(1.0, -0.7, 0.6) @ rotate("y", 30) @ scale(0.3),
+                "bsdf": _diffuse(wrapped),
+            },
+            floor=_floor({"type": "volume", "volume": {"type": "constvolume", "value": 0.4}}),
+            bulb={"type": "point", "position": [1.0, 3.0, 3.0], "intensity": _rgb(9.0, 8.0, 6.0)},
+            sky={"type": "constant", "radiance": _rgb(0.4, 0.5, 0.6)},
+        ),
+        (
+            "ball.bsdf.reflectance.volume.data",
+            "plate.bsdf.reflectance.volume.data",
+            "box.bsdf.reflectance.volume.data",
+        ),
+    )
+
+
+def _instances() -> ReferenceScene:
+    """A group of a cube and a ball, three times: turned, mirrored, stretched; and one of a single mesh."""
+    return ReferenceScene(
+        _scene(
+            PATH5,
+            _camera(),
+            pair={
+                "type": "shapegroup",
+                "box": {"type": "cube", "to_world": scale(0.3), "bsdf": _diffuse(_bitmap(87, 4, 4))},
+                "ball": {
+                    "type": "sphere",
+                    "center": [0.0, 0.55, 0.0],
+                    "radius": 0.25,
+                    "bsdf": _diffuse(_bitmap(88, 4, 8)),
+                },
+            },
+            block={
+                "type": "shapegroup",
+                "cube": {"type": "cube", "to_world": scale(0.25), "bsdf": _diffuse(_rgb(0.7, 0.3, 0.2))},
+            },
+            left={
+                "type": "instance",
+                "to_world": translate(-1.1, -0.6, 0.2) @ rotate("y", 30),
+                "group": {"type": "ref", "id": "pair"},
+            },
+            right={
+                "type": "instance",
+                "to_world": translate(1.0, -0.5, 0.0) @ scale(-1.3, 1.3, 1.3) @ rotate("y", -20),
+                "group": {"type": "ref", "id": "pair"},
+            },
+            slab={
+                "type": "instance",
+                "to_world": translate(0.0, 0.4, -0.6) @ rotate("z", 30) @ scale(2.0, 0.5, -1.0),
+                "group": {"type": "ref", "id": "block"},
+            },
+            floor=_floor(0.5),
+            bulb={"type": "point", "position": [1.0, 3.0, 3.0], "intensity": _rgb(9.0, 8.0, 6.0)},
+            sky={"type": "constant", "radiance": _rgb(0.4, 0.5, 0.6)},
+        ),
+    )
+
+
 SCENES = {
     "shapes": _shapes,
     "bitmaps": _bitmaps,
@@ -573,10 +713,16 @@ SCENES = {
     "hidden_and_null": _hidden_and_null,
     "direct": _direct,
     "film": _film,
+    "mitchell": lambda: _filtered({"type": "mitchell", "B": 0.2, "C": 0.5}),
+    "catmullrom": lambda: _filtered({"type": "catmullrom"}),
+    "lanczos": lambda: _filtered({"type": "lanczos"}),
     "mesh": _mesh,
     "spot": _spot,
     "projector": _projector,
     "directional": _directional,
+    "cylinders": _cylinders,
+    "volume_texture": _volume_texture,
+    "instances": _instances,
 }
 
 

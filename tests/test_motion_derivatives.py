@@ -29,6 +29,8 @@ MOVING = {
     ("shape", "mesh"): {"vertex_positions", "vertex_normals", "vertex_texcoords"},
     ("shape", "sphere"): {"to_world", "center", "radius"},
     ("shape", "disk"): {"to_world"},
+    ("shape", "cylinder"): {"to_world", "p0", "p1", "radius"},
+    ("volume", "gridvolume"): {"to_world"},
     ("shape", "heightfield"): {"to_world", "heights"},
     ("shape", "rectangle"): {"to_world"},
     ("texture", "bitmap"): {"to_uv"},

@@ -54,7 +54,8 @@ def test_scenes_contain_every_model():
     packed = [scene_of(name, "rgb").layout().objects for name in SCENES]
     used = {(category, row[0]) for objects in packed for category in objects for row in objects[category]}
     # others: test_media.py
-    assert used == {m for m in models() if m[0] in (*SURFACES, "attribute")} - OF_LIGHT
+    expected = {m for m in models() if m[0] in (*SURFACES, "attribute", "volume")} - OF_LIGHT
+    assert used == expected
 
 
 def assert_equal(native: torch.Tensor, expected: torch.Tensor, what: str) -> None:

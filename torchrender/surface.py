@@ -20,8 +20,8 @@ from .scene.packing import Layout
 if TYPE_CHECKING:
     from .scene.scene import Scene
 
-MESH, SPHERE, DISK, HEIGHT_FIELD = 0, 1, 2, 3
-CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD}
+MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER = 0, 1, 2, 3, 4
+CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER}
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of the rectangle, counter-clockwise seen from +z
 RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 
@@ -46,14 +46,14 @@ class Surfaces:
     """All shapes of a scene, vertices and faces of meshes one after the other. S shapes, V vertices, F faces.
 
     Attributes:
-        kind: (S,) int64, mesh (a rectangle is one), sphere, disk or height field.
+        kind: (S,) int64, mesh (a rectangle is one), sphere, disk, cylinder or height field.
         flip: (S,) bool, normals are turned round.
         smooth, textured: (S,) bool, there are vertex normals, texture coordinates.
         first_face, first_vertex: (S,) int64, where a shape's faces and vertices begin.
         faces: (F, 3) int64, indices into all vertices.
         positions, normals: (V, 3), world space. texcoords: (V, 2).
-        to_world: (S, 4, 4), from the unit sphere or disk, or the square of a height field, to the world; the identity
-            for meshes.
+        to_world: (S, 4, 4), from the unit sphere, disk or cylinder, or the square of a height field, to the world; the
+            identity for meshes.
         heights: of a height field, by its position among the shapes: heights (H, W) and interpolation.
     """
 
@@ -95,6 +95,8 @@ class Surfaces:
                 matrix = tensors[value["to_world"]]
                 if kind == "sphere":
                     matrix = _placed(matrix, tensors[value["center"]], tensors[value["radius"]])
+                if kind == "cylinder":
+                    matrix = _along(matrix, *(tensors[value[name]] for name in ("p0", "p1", "radius")))
             if kind == "rectangle":
                 square = torch.tensor(CORNERS, **real)
                 corners = transform_point(matrix, torch.nn.functional.pad(square, (0, 1)))
@@ -155,7 +157,7 @@ class Surfaces:
         if len(on_mesh) or not len(shape):
             rows.append(on_mesh)
             pieces.append(self._on_triangles(shape[on_mesh], primitive[on_mesh], origins[on_mesh], directions[on_mesh]))
-        quadric = ((kind == SPHERE) | (kind == DISK)).nonzero()[:, 0]
+        quadric = ((kind == SPHERE) | (kind == DISK) | (kind == CYLINDER)).nonzero()[:, 0]
         if len(quadric):
             rows.append(quadric)
             pieces.append(self._on_quadrics(shape[quadric], origins[quadric], directions[quadric], t[quadric]))
@@ -197,23 +199,29 @@ class Surfaces:
     def _on_quadrics(self, shape: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
         matrix = self.to_world[shape]
         inverse = inverse_linear(matrix)
-        sphere = self.kind[shape] == SPHERE
+        sphere, cylinder = self.kind[shape] == SPHERE, self.kind[shape] == CYLINDER
         lo, ld = transform_vector(inverse, o - matrix[:, :3, 3]), transform_vector(inverse, d)
-        a = dot(ld, ld)
-        middle = -dot(lo, ld) / a
-        left = 1 - dot(lo + ld * middle[:, None], lo + ld * middle[:, None])
+        # a cylinder is a sphere in two dimensions
+        across = torch.stack([torch.ones_like(cylinder), torch.ones_like(cylinder), ~cylinder], 1).to(o.dtype)
+        ao, ad = lo * across, ld * across
+        a = dot(ad, ad)
+        parallel = a == 0
+        a = torch.where(parallel, 1.0, a)
+        middle = -dot(ao, ad) / a
+        left = 1 - dot(ao + ad * middle[:, None], ao + ad * middle[:, None])
         grazing = left <= 0
         half = torch.where(grazing, 0.0, torch.sqrt(torch.where(grazing, 1.0, left) / a))
         parallel = ld[:, 2] == 0
         plane = -lo[:, 2] / torch.where(parallel, 1.0, ld[:, 2])
-        t = torch.where(sphere, torch.where(near < middle, middle - half, middle + half), plane)
+        t = torch.where(sphere | cylinder, torch.where(near < middle, middle - half, middle + half), plane)
         local = lo + ld * t[:, None]
-        height = torch.where(sphere, local[:, 2], 0.0)
+        height = torch.where(sphere | cylinder, local[:, 2], 0.0)
         local = torch.stack([local[:, 0], local[:, 1], height], 1)
         axis = local.new_tensor([0.0, 0.0, 1.0]).expand_as(local)
-        normal = normalize(transform_normal(inverse, torch.where(sphere[:, None], local, axis)))
+        up = torch.where((sphere | cylinder)[:, None], local * across, axis)
+        normal = normalize(transform_normal(inverse, up))
         normal = normal * (1 - 2 * self.flip[shape][:, None].to(o.dtype))
-        uv = curved_coordinates(local, sphere)
+        uv = curved_coordinates(local, sphere, cylinder)
         return SurfacePoints(t, transform_point(matrix, local), normal, normal, uv, uv)
 
     def _on_height_field(self, index: int, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
@@ -248,9 +256,26 @@ def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) ->
     return torch.cat([matrix[:, :3] * radius, offset[:, None]], 1)
 
 
-def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor) -> torch.Tensor:
-    """Texture coordinates (N, 2) of points (N, 3) of the unit sphere (azimuth, polar angle), else of the unit disk
-    (radius, azimuth). At the poles and the centre, where azimuths jump, derivatives are zero."""
+def _along(matrix: torch.Tensor, p0: torch.Tensor, p1: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:
+    """`matrix` after moving the cylinder around the z axis from 0 to 1 to the segment from `p0` to `p1`."""
+    axis = p1 - p0
+    n = axis / torch.linalg.vector_norm(axis)
+    # Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017
+    sign = torch.where(n[2] < 0, -1.0, 1.0).to(n.dtype)
+    a = -1 / (sign + n[2])
+    b = n[0] * n[1] * a
+    s = torch.stack([1 + sign * n[0] ** 2 * a, sign * b, -sign * n[0]])
+    t = torch.stack([b, sign + n[1] ** 2 * a, -n[1]])
+    local = torch.stack([s * radius, t * radius, axis, p0], 1)  # (3, 4)
+    linear = (matrix[:3, :3, None] * local[None]).sum(1)
+    top = torch.cat([linear[:, :3], (linear[:, 3] + matrix[:3, 3])[:, None]], 1)
+    return torch.cat([top, matrix[3:]])
+
+
+def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor, cylinder: torch.Tensor | None = None) -> torch.Tensor:
+    """Texture coordinates (N, 2) of points (N, 3) of the unit sphere (azimuth, polar angle) or of a cylinder (azimuth,
+    height), else of the unit disk (radius, azimuth). At the poles and the centre, where azimuths jump, derivatives are
+    zero."""
     x, y, z = local.unbind(-1)
     square = x * x + y * y
     pole = square == 0
@@ -258,7 +283,10 @@ def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor) -> torch.Tenso
     phi = torch.where(pole, 0.0, torch.atan2(torch.where(pole, 0.0, y), torch.where(pole, 1.0, x))) / (2 * math.pi)
     phi = torch.where(phi < 0, phi + 1, phi)
     polar = torch.where(pole, torch.where(z < 0, math.pi, 0.0).to(z.dtype), torch.atan2(radius, z)) / math.pi
-    return torch.stack([torch.where(sphere, phi, radius), torch.where(sphere, polar, phi)], -1)
+    if cylinder is None:
+        cylinder = torch.zeros_like(sphere)
+    second = torch.where(sphere, polar, torch.where(cylinder, z, phi))
+    return torch.stack([torch.where(sphere | cylinder, phi, radius), second], -1)
 
 
 def dot(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:

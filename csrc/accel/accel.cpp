@@ -324,7 +324,7 @@ struct Accel::Impl {
             api().AttachGeometryByID(scene, geometry, values.shape);
         }
         api().CommitGeometry(geometry);
-        device->check("while setting a sphere or disk");
+        device->check("while setting a sphere, disk or cylinder");
     }
 
     // Embree's part of the scene
@@ -371,10 +371,10 @@ void Accel::set_mesh(uint32_t shape, const float *positions, size_t n_vertices, 
     impl_->set_mesh(shape, positions, n_vertices, faces, n_faces);
 }
 
-void Accel::set_quadric(uint32_t shape, bool sphere, const float to_world[12], const float to_object[12]) {
+void Accel::set_quadric(uint32_t shape, QuadricKind kind, const float to_world[12], const float to_object[12]) {
     impl_->ensure_process();
     Quadric q;
-    q.sphere = sphere;
+    q.kind = kind;
     q.shape = shape;
     std::copy(to_world, to_world + 12, q.to_world);
     std::copy(to_object, to_object + 12, q.to_object);

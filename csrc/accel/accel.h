@@ -24,7 +24,7 @@ struct RayBatch {
 struct HitBatch {
     uint32_t *shape, *primitive;  // shape = Accel::Miss: nothing was hit
     float *t, *b1,
-        *b2;  // weights of a triangle's second and third vertex; 0 on spheres and disks, (u, v) on height fields
+        *b2;  // weights of a triangle's second and third vertex; 0 on quadrics, (u, v) on height fields
 };
 
 // What measures Embree by itself needs of an acceleration structure.
@@ -33,6 +33,9 @@ struct EmbreeScene {
     rtc::SceneObject *scene;
     int widest_query;  // rays a query, at most
 };
+
+// The unit sphere, the unit disk in the plane z = 0, and the open cylinder of radius 1 about the z axis from 0 to 1.
+enum class QuadricKind { Sphere, Disk, Cylinder };
 
 class Accel {
 public:
@@ -47,8 +50,8 @@ public:
     // Copies a mesh: positions (n_vertices, 3), faces (n_faces, 3) counted from this mesh's first vertex. A shape may
     // be set again, with the same numbers of vertices and faces; `faces` null then says that they are the same.
     void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces);
-    // The unit sphere or the unit disk in z = 0; matrices of 3 rows of 4.
-    void set_quadric(uint32_t shape, bool sphere, const float to_world[12], const float to_object[12]);
+    // Where a unit shape is; matrices of 3 rows of 4.
+    void set_quadric(uint32_t shape, QuadricKind kind, const float to_world[12], const float to_object[12]);
     // Heights (rows, columns) over the square [-1, 1]^2, see height_field.h, which stay in use; and where they are in
     // the world. Both are to be set, neither needs a commit. `refer`: the same heights at another address. Returns the
     // largest of their absolute values.

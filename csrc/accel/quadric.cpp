@@ -55,13 +55,26 @@ bool sphere_roots(const LocalRay &ray, double &t0, double &t1) {
     return true;
 }
 
+// Distances to the line's points on the infinite cylinder; where it is parallel to the axis there are none.
+bool cylinder_roots(LocalRay ray, double &t0, double &t1) {
+    ray.o[2] = ray.d[2] = 0;
+    return (ray.d[0] != 0 || ray.d[1] != 0) && sphere_roots(ray, t0, t1);
+}
+
 // Smallest distance in (near, far), or a negative number.
 float first_hit(const Quadric &q, const float *rays, uint32_t n, uint32_t lane) {
     LocalRay ray(q, rays, n, lane);
     float near = rays[Near * n + lane], far = rays[Far * n + lane];
     double t0, t1;
-    if (q.sphere) {
+    if (q.kind == QuadricKind::Sphere) {
         if (!sphere_roots(ray, t0, t1)) return -1;
+    } else if (q.kind == QuadricKind::Cylinder) {
+        if (!cylinder_roots(ray, t0, t1)) return -1;
+        for (double t : {t0, t1}) {
+            double z = ray.o[2] + t * ray.d[2];
+            if (z >= 0 && z <= 1 && float(t) > near && float(t) < far) return float(t);
+        }
+        return -1;
     } else {
         if (ray.d[2] == 0) return -1;
         t0 = t1 = -ray.o[2] / ray.d[2];
@@ -79,10 +92,12 @@ void Quadric::bounds(rtc::Bounds &result) const {
     for (int i = 0; i < 3; ++i) {
         const double *row = to_world + 4 * i;
         // the largest coordinate of a linear map of the unit ball (disk) is the length of the row
-        double extent = std::sqrt(row[0] * row[0] + row[1] * row[1] + (sphere ? row[2] * row[2] : 0));
-        double rounding = 1e-6 * (std::abs(row[3]) + extent);
-        result.lower[i] = float(row[3] - extent - rounding);
-        result.upper[i] = float(row[3] + extent + rounding);
+        double z = kind == QuadricKind::Sphere ? row[2] : 0, middle = row[3];
+        double extent = std::sqrt(row[0] * row[0] + row[1] * row[1] + z * z);
+        if (kind == QuadricKind::Cylinder) middle += 0.5 * row[2], extent += 0.5 * std::abs(row[2]);
+        double rounding = 1e-6 * (std::abs(middle) + extent);
+        result.lower[i] = float(middle - extent - rounding);
+        result.upper[i] = float(middle + extent + rounding);
     }
 }
 

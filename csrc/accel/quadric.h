@@ -1,15 +1,17 @@
-// Spheres and disks as Embree's user geometry: the functions that Embree calls for their bounds and for rays.
+// Spheres, disks and cylinders as Embree's user geometry: the functions that Embree calls for their bounds and for
+// rays.
 #pragma once
 
 #include <cstdint>
 
+#include "accel.h"
 #include "embree_api.h"
 
 namespace tr {
 
-// Where the unit sphere, or the unit disk in the plane z = 0, is in the world.
+// Where a unit shape is in the world.
 struct Quadric {
-    bool sphere;
+    QuadricKind kind;
     uint32_t shape;
     double to_world[12], to_object[12];  // 3 rows of 4
 

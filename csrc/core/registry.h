@@ -27,13 +27,13 @@
 
 namespace tr {
 
-using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute>;
+using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute, VolumeTexture>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
 using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
                        ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
 using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
 // (Emitters: emitter/emitter.h, which chooses among them.)
-using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel>;
+using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel, CylinderModel>;
 using Sensors = TypeList<Perspective, IrradianceMeter>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
 using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;

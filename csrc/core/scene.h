@@ -30,7 +30,8 @@ enum ShapeFlags : int32_t {
     IsSphere = 8,
     IsDisk = 16,
     IsHeightField = 32,
-    IsCurved = IsSphere | IsDisk | IsHeightField
+    IsCylinder = 64,
+    IsCurved = IsSphere | IsDisk | IsHeightField | IsCylinder
 };
 
 struct ShapeInfo {

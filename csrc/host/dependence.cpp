@@ -83,8 +83,11 @@ bool Dependence::motion(size_t sensor) const {
             if (any_number(category, i, kinds)) return true;
         return false;
     };
-    // maps of texture coordinates and factors of attributes; the environment's rotation; what turns delta lobes
-    if (any("texture", {Kind::Transform2, Kind::Float}) || any("emitter", {Kind::Transform})) return true;
+    // maps of texture coordinates and factors of attributes; places of volumes; the environment's rotation; what turns
+    // delta lobes
+    if (any("texture", {Kind::Transform2, Kind::Float}) || any("volume", {Kind::Transform}) ||
+        any("emitter", {Kind::Transform}))
+        return true;
     const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
     for (size_t i = 0; i < bsdfs.size(); ++i)
         if ((has_delta_lobes(bsdfs[i].kind) && any_number("bsdf", i, {Kind::Float})) ||

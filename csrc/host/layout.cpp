@@ -414,6 +414,10 @@ private:
                 bsdf = SphereModel::BsdfIndex, emitter = SphereModel::EmitterIndex, flip = SphereModel::Flip;
                 interior = SphereModel::Interior;
                 info.flags |= IsSphere;
+            } else if (type == CylinderModel::model.type) {
+                bsdf = CylinderModel::BsdfIndex, emitter = CylinderModel::EmitterIndex, flip = CylinderModel::Flip;
+                interior = CylinderModel::Interior;
+                info.flags |= IsCylinder;
             } else if (type == HeightFieldModel::model.type) {
                 bsdf = HeightFieldModel::BsdfIndex, emitter = HeightFieldModel::EmitterIndex;
                 flip = HeightFieldModel::Flip, interior = HeightFieldModel::Interior;

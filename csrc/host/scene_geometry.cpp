@@ -1,8 +1,9 @@
 // Derivatives of geometry on the host: from the scene's tables, which the sweep writes and reads, to the parameters'
-// tensors and back. A rectangle's vertices and a sphere's matrix are functions of its small parameters.
+// tensors and back. A rectangle's vertices and a sphere's matrix are functions of small parameters (see placement.h).
 #include <algorithm>
 
 #include "../core/registry.h"
+#include "placement.h"
 #include "scene_data.h"
 
 namespace tr {
@@ -35,21 +36,15 @@ void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const G
     for (size_t i = 0; i < n_shapes; ++i) {
         const int32_t *field = records[i].field;
         if (!(shapes_[i].flags & IsCurved)) continue;
-        const S *moved = &to.constants[size_t(field[0])];
+        const Placement placement = placement_of(shapes_[i], field, constants_.data());
         S *matrix = &to.constants[matrices + 12 * i];
-        std::copy_n(moved, 12, matrix);
-        if (!(shapes_[i].flags & IsSphere)) continue;
-        // to_world * translate(center) * scale(radius)
-        const S *now = &constants_[size_t(field[SphereModel::ToWorld])];
-        const S *center = &constants_[size_t(field[SphereModel::Center])];
-        const S *center_moved = &to.constants[size_t(field[SphereModel::Center])];
-        S radius = constants_[size_t(field[SphereModel::Radius])];
-        S radius_moved = to.constants[size_t(field[SphereModel::Radius])];
-        for (int r = 0; r < 3; ++r)
-            for (int c = 0; c < 3; ++c) {
-                matrix[4 * r + c] = moved[4 * r + c] * radius + now[4 * r + c] * radius_moved;
-                matrix[4 * r + 3] += moved[4 * r + c] * center[c] + now[4 * r + c] * center_moved[c];
-            }
+        std::fill_n(matrix, 12, S(0));
+        add_product(&to.constants[size_t(field[0])], placement.map, false, matrix);
+        double change[12] = {};
+        for (int k = 0; k < placement.n; ++k)
+            for (int j = 0; j < 12; ++j)
+                change[j] += placement.derivative[k][j] * double(to.constants[size_t(placement.offset[k])]);
+        add_product(&constants_[size_t(field[0])], change, true, matrix);
     }
 }
 
@@ -79,24 +74,19 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
     for (size_t i = 0; i < shapes_.size(); ++i) {
         const int32_t *field = records[i].field;
         if (!(shapes_[i].flags & IsCurved)) continue;
+        const Placement placement = placement_of(shapes_[i], field, constants_.data());
         const double *matrix = &sums.constants[n_constants() + 12 * i];
+        const S *now = &constants_[size_t(field[0])];
         double *m = &sums.constants[size_t(field[0])];
-        if (!(shapes_[i].flags & IsSphere)) {
-            for (int k = 0; k < 12; ++k) m[k] += matrix[k];
-            continue;
-        }
-        const S *now = &constants_[size_t(field[SphereModel::ToWorld])];
-        const S *center = &constants_[size_t(field[SphereModel::Center])];
-        double radius = double(constants_[size_t(field[SphereModel::Radius])]);
         for (int r = 0; r < 3; ++r) {
-            double move = matrix[4 * r + 3];
-            m[4 * r + 3] += move;
-            for (int c = 0; c < 3; ++c) {
-                double g = matrix[4 * r + c];
-                m[4 * r + c] += g * radius + move * double(center[c]);
-                sums.constants[size_t(field[SphereModel::Center] + c)] += move * double(now[4 * r + c]);
-                sums.constants[size_t(field[SphereModel::Radius])] += g * double(now[4 * r + c]);
-            }
+            m[4 * r + 3] += matrix[4 * r + 3];
+            for (int l = 0; l < 3; ++l)
+                for (int c = 0; c < 4; ++c) {
+                    m[4 * r + l] += matrix[4 * r + c] * placement.map[4 * l + c];
+                    for (int k = 0; k < placement.n; ++k)
+                        sums.constants[size_t(placement.offset[k])] +=
+                            matrix[4 * r + c] * double(now[4 * r + l]) * placement.derivative[k][4 * l + c];
+                }
         }
     }
 }

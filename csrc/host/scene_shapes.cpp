@@ -2,6 +2,7 @@
 #include <algorithm>
 
 #include "../core/registry.h"
+#include "placement.h"
 #include "scene_data.h"
 
 namespace tr {
@@ -40,6 +41,9 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         if (shapes_[size_t(i)].flags & IsSphere)
             moved = changed(field[SphereModel::ToWorld], 12) || changed(field[SphereModel::Center], 3) ||
                     changed(field[SphereModel::Radius], 1);
+        if (shapes_[size_t(i)].flags & IsCylinder)
+            moved = changed(field[CylinderModel::ToWorld], 12) || changed(field[CylinderModel::P0], 3) ||
+                    changed(field[CylinderModel::P1], 3) || changed(field[CylinderModel::Radius], 1);
         if (shapes_[size_t(i)].flags & IsDisk) moved = changed(field[PlanarFields::ToWorld], 12);
         if (!moved) continue;
         update_quadric(i);
@@ -118,29 +122,43 @@ void SceneData<S>::set_mesh(const MeshSource &mesh, const S *p, bool first) {
 template <class S>
 Affine SceneData<S>::set_matrices(int shape) {
     const int32_t *field = layout_.records.at("shape")[size_t(shape)].field;
-    Affine to_world;
-    std::copy_n(&constants_[size_t(field[0])], 12, to_world.m);
-    std::string where = path("shape", shape) + ": field 'to_world'";
-    if (shapes_[size_t(shape)].flags & IsSphere) {
-        const S *center = &constants_[size_t(field[SphereModel::Center])];
-        double radius = double(constants_[size_t(field[SphereModel::Radius])]);
-        if (!(radius > 0))
-            bad_value(path("shape", shape) + ": field 'radius'", "a positive number", std::to_string(radius));
-        double l = to_world.column_norm(0), tolerance = 1e-3 * l * l;
-        for (int j = 0; j < 3; ++j)
-            if (!(std::abs(to_world.column_dot(j, j) - l * l) <= tolerance) ||
-                !(std::abs(to_world.column_dot(j, (j + 1) % 3)) <= tolerance))
-                bad_value(where, "a rotation, translation and uniform scale",
-                          "a matrix that makes an ellipsoid of the sphere");
-        for (int i = 0; i < 3; ++i) {
-            double *row = to_world.m + 4 * i;
-            row[3] += row[0] * double(center[0]) + row[1] * double(center[1]) + row[2] * double(center[2]);
-            for (int j = 0; j < 3; ++j) row[j] *= radius;
+    const ShapeInfo &info = shapes_[size_t(shape)];
+    auto where = [&](const char *name) { return path("shape", shape) + ": field '" + name + "'"; };
+    auto require_positive = [&](int32_t offset) {
+        double radius = double(constants_[size_t(offset)]);
+        if (!(radius > 0)) bad_value(where("radius"), "a positive number", std::to_string(radius));
+    };
+    if (info.flags & IsSphere) require_positive(field[SphereModel::Radius]);
+    if (info.flags & IsCylinder) {
+        require_positive(field[CylinderModel::Radius]);
+        const S *p0 = &constants_[size_t(field[CylinderModel::P0])],
+                *p1 = &constants_[size_t(field[CylinderModel::P1])];
+        if (std::equal(p0, p0 + 3, p1)) bad_value(where("p1"), "a point apart from p0", "the same point");
+    }
+    const Placement placement = placement_of(info, field, constants_.data());
+    Affine to_world{};
+    add_product(&constants_[size_t(field[0])], placement.map, false, to_world.m);
+    if (info.flags & (IsSphere | IsCylinder)) {
+        // all axes of a sphere are as long, two of a cylinder's, and they are orthogonal
+        const bool sphere = info.flags & IsSphere;
+        auto length = [&](int j) { return to_world.column_norm(j); };
+        const double l = length(0);
+        bool round = std::abs(length(1) - l) <= 5e-4 * l && (!sphere || std::abs(length(2) - l) <= 5e-4 * l);
+        for (int j = 0; j < 3; ++j) {
+            int k = (j + 1) % 3;
+            round &= std::abs(to_world.column_dot(j, k)) <= 1e-3 * length(j) * length(k);
         }
+        if (!round)
+            bad_value(where("to_world"),
+                      sphere ? "a rotation, translation and uniform scale"
+                             : "a rotation, a translation and a scale that leaves the cylinder round and right",
+                      sphere ? "a matrix that makes an ellipsoid of the sphere"
+                             : "a matrix that makes its sections ellipses, or slanted");
     }
     for (double x : to_world.m)
-        if (!(std::abs(x) <= LargestCoordinate)) bad_value(where, "coordinates up to 1e18", std::to_string(x));
-    Affine to_object = to_world.inverse(where);
+        if (!(std::abs(x) <= LargestCoordinate))
+            bad_value(where("to_world"), "coordinates up to 1e18", std::to_string(x));
+    Affine to_object = to_world.inverse(where("to_world"));
     std::copy_n(to_world.m, 12, &matrices_[size_t(shape) * 24]);
     std::copy_n(to_object.m, 12, &matrices_[size_t(shape) * 24 + 12]);
     return to_world;
@@ -168,19 +186,23 @@ template <class S>
 void SceneData<S>::update_quadric(int shape) {
     Affine to_world = set_matrices(shape);
     ShapeInfo &info = shapes_[size_t(shape)];
-    bool sphere = info.flags & IsSphere;
-    if (sphere) {
+    QuadricKind kind = QuadricKind::Disk;
+    if (info.flags & IsSphere) {
+        kind = QuadricKind::Sphere;
         // a mirrored sphere faces inwards, as in Mitsuba
         info.flags = layout_.shapes[size_t(shape)].flags ^ (to_world.determinant() < 0 ? FlipNormals : 0);
         double radius = to_world.column_norm(0);
         areas_[size_t(shape)] = S(4 * Pi * radius * radius);
+    } else if (info.flags & IsCylinder) {
+        kind = QuadricKind::Cylinder;
+        areas_[size_t(shape)] = S(2 * Pi * to_world.column_norm(0) * to_world.column_norm(2));
     } else {
         double xx = to_world.column_dot(0, 0), yy = to_world.column_dot(1, 1), xy = to_world.column_dot(0, 1);
         areas_[size_t(shape)] = S(Pi * std::sqrt(xx * yy - xy * xy));
     }
     float single[24];
     std::copy_n(&matrices_[size_t(shape) * 24], 24, single);
-    accel_->set_quadric(uint32_t(shape), sphere, single, single + 12);
+    accel_->set_quadric(uint32_t(shape), kind, single, single + 12);
     ++counters_.quadrics;
 }
 

@@ -86,10 +86,10 @@ TR_TEST(queries_hit_spheres_and_disks) {
     const float to_world[12] = {2, 0, 0, 1, 0, 2, 0, 0, 0, 0, 2, 0},
                 to_object[12] = {0.5, 0, 0, -0.5, 0, 0.5, 0, 0, 0, 0, 0.5, 0};
     Accel accel;
-    accel.set_quadric(0, true, to_world, to_object);
+    accel.set_quadric(0, QuadricKind::Sphere, to_world, to_object);
     const float identity[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, -5};
     const float back[12] = {1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 5};
-    accel.set_quadric(1, false, identity, back);
+    accel.set_quadric(1, QuadricKind::Disk, identity, back);
     accel.commit();
     float ox[] = {1, 1, 4, 0.5f}, oy[] = {0, 0, 0, 0.5f}, oz[] = {-4, 0, -4, -9}, zero[] = {0, 0, 0, 0},
           dz[] = {1, 2, 1, 1};

@@ -7,7 +7,16 @@ from dataclasses import dataclass
 import torch
 
 from torchrender.heightfield import evaluate
-from torchrender.surface import HEIGHT_FIELD, MESH, SPHERE, Surfaces, inverse_linear, transform_normal, transform_point
+from torchrender.surface import (
+    CYLINDER,
+    HEIGHT_FIELD,
+    MESH,
+    SPHERE,
+    Surfaces,
+    inverse_linear,
+    transform_normal,
+    transform_point,
+)
 
 from .geometry import Rows, dot, normalize
 
@@ -41,7 +50,7 @@ def glue(
     position: torch.Tensor,
     uv: torch.Tensor,
 ) -> Glued:
-    """The points of these coordinates, attached to the surfaces alone. Spheres and disks take `position` and `uv`."""
+    """The points of these coordinates, attached to the surfaces alone. Curved shapes take `position` and `uv`."""
     b, position, uv = barycentric.detach(), position.detach(), uv.detach()
     kind = surfaces.kind[shape]
     on_mesh, on_field = kind == MESH, kind == HEIGHT_FIELD
@@ -74,9 +83,11 @@ def _on_quadrics(surfaces: Surfaces, shape: torch.Tensor, position: torch.Tensor
     matrix = surfaces.to_world[shape]
     inverse = inverse_linear(matrix)
     local = (inverse @ (position - matrix[:, :3, 3])[..., None])[..., 0].detach()
-    sphere = (surfaces.kind[shape] == SPHERE)[:, None]
-    local = torch.where(sphere, normalize(local), local * local.new_tensor([1.0, 1.0, 0.0]))
-    up = transform_normal(inverse, torch.where(sphere, local, local.new_tensor([0.0, 0.0, 1.0])))
+    sphere, cylinder = ((surfaces.kind[shape] == kind)[:, None] for kind in (SPHERE, CYLINDER))
+    across = local * local.new_tensor([1.0, 1.0, 0.0])
+    up = torch.where(sphere, normalize(local), torch.where(cylinder, normalize(across), local.new_tensor([0.0, 0, 1])))
+    local = torch.where(sphere, up, torch.where(cylinder, up + (local - across), across))
+    up = transform_normal(inverse, up)
     sign = torch.where(surfaces.flip[shape], -1.0, 1.0).to(local)[:, None]
     normal = normalize(up) * sign
     area = up * torch.linalg.det(matrix[:, :3, :3])[:, None]

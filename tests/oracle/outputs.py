@@ -38,7 +38,10 @@ def first_hits(
     sensor: int = 0,
     params: Mapping[str, torch.Tensor] | None = None,
 ) -> dict[str, torch.Tensor]:
-    """Outputs by name, (H, W) or (H, W, K); infinite depth, distance and position where nothing is hit, else zero."""
+    """Outputs by name, (H, W) or (H, W, K); infinite depth, distance and position where nothing is hit, else zero.
+
+    Not those that only repeat what others are made of.
+    """
     world = World(scene, params)
     positions, rays, _, _ = camera_samples(world, seed, spp, sensor)
     config = (integrator or scene.integrator or tr.PathTracer()).config()
@@ -57,13 +60,14 @@ def first_hits(
         "normal_camera": hits.normal @ axes.T,
         "shading_normal_camera": hits.shading_normal @ axes.T,
         "uv": hits.uv,
+        "barycentric": hits.barycentric,
         "albedo": albedo(world, hits, d),
     }
     images = {}
     for name, value in found.items():
         columns = torch.cat([value, torch.ones(len(rows), 1, dtype=torch.float64)], 1)
         columns = torch.zeros(len(positions), columns.shape[1], dtype=torch.float64).index_put((rows,), columns)
-        sums = develop(scene.sensors[sensor].film, positions, columns)
+        sums = develop(scene.sensors[sensor].film, positions, columns, magnitude=True)
         share = sums[..., -1:]
         nothing = float("inf") if name in ("depth", "distance", "position") else 0.0
         image = torch.where(share > 0, sums[..., :-1] / torch.where(share > 0, share, 1.0), nothing)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
+
+from torchrender.heightfield import evaluate as evaluate_heights
+from torchrender.surface import CYLINDER, DISK, MESH, SPHERE, transform_point
 
 from .world import At, Record, World
 
@@ -82,9 +86,45 @@ def mesh_attribute(world: World, record: Record, at: At) -> torch.Tensor:
     return result
 
 
+def surface_position(world: World, at: At) -> torch.Tensor:
+    """Where points are in the world (N, 3), from their coordinates."""
+    surfaces = world.surfaces
+    kind, matrix = surfaces.kind[at.shape], surfaces.to_world[at.shape]
+    result = torch.zeros(len(at), 3, dtype=world.scene.dtype)
+    flat = (kind == MESH).nonzero()[:, 0]
+    if len(flat):
+        corner = surfaces.faces[surfaces.first_face[at.shape[flat]] + at.primitive[flat]]
+        b = at.barycentric[flat]
+        weight = torch.cat([1 - b.sum(1, keepdim=True), b], 1)[..., None]
+        result = result.index_put((flat,), (surfaces.positions[corner] * weight).sum(1))
+    u, v = at.barycentric.unbind(1)
+    phi, theta = 2 * math.pi * u, math.pi * v
+    local = {
+        SPHERE: [torch.sin(theta) * torch.cos(phi), torch.sin(theta) * torch.sin(phi), torch.cos(theta)],
+        CYLINDER: [torch.cos(phi), torch.sin(phi), v],
+        DISK: [u * torch.cos(2 * math.pi * v), u * torch.sin(2 * math.pi * v), 0 * u],
+    }
+    for number, p in local.items():
+        rows = (kind == number).nonzero()[:, 0]
+        result = result.index_put((rows,), transform_point(matrix[rows], torch.stack(p, 1)[rows]))
+    for index, (heights, interpolation) in surfaces.heights.items():
+        rows = (at.shape == index).nonzero()[:, 0]
+        z = evaluate_heights(heights, at.barycentric[rows], interpolation)[0]
+        p = torch.cat([2 * at.barycentric[rows] - 1, z[:, None]], 1)
+        result = result.index_put((rows,), transform_point(matrix[rows], p))
+    return result
+
+
+def volume(world: World, record: Record, at: At) -> torch.Tensor:
+    from . import volumes
+
+    return volumes.evaluate(world, record.field["volume"], surface_position(world, at))
+
+
 TEXTURES: dict[str, Callable[[World, Record, At], torch.Tensor]] = {
     "constant": constant,
     "bitmap": bitmap,
     "checkerboard": checkerboard,
     "mesh_attribute": mesh_attribute,
+    "volume": volume,
 }

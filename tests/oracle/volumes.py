@@ -16,8 +16,8 @@ def constvolume(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:
 
 def to_grid(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:
     """Points (N, 3) in the space of a grid's unit cube."""
-    inverse = torch.linalg.inv(world.tensor("volume", record, "to_world").detach())
-    return p @ inverse[:3, :3].T + inverse[:3, 3]
+    matrix = world.tensor("volume", record, "to_world")
+    return (p - matrix[:3, 3]) @ torch.linalg.inv(matrix[:3, :3]).T
 
 
 def gridvolume(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:

@@ -29,7 +29,7 @@ TURNED = "a normal begins to hide from the viewer"  # in the declarations of wha
 
 STEADY = (
     "the particle tracer moves light over the film, whose box filter has no derivative; "
-    "give the film a filter of type 'gaussian' or 'tent'"
+    "give the film another one, such as 'gaussian' or 'tent'"
 )
 
 
@@ -144,7 +144,7 @@ def moves_rays(slot: Slot) -> bool:
         return True
     if category == "bsdf":
         return bool(slot.caveat)  # what bends rays at smooth surfaces moves the edges that are seen through them
-    if category == "emitter":
+    if category in ("emitter", "volume"):
         return slot.kind in ("transform", "point")
     if TURNED in slot.caveat:  # a texture that turns normals, and with them what is reflected and refracted
         return True
@@ -197,7 +197,7 @@ refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking f
 `tr.TorchBSDF` computes with.
 
 `tr.ParticleTracer` has the same derivatives as the path tracers, with the motion of light over the film. That needs a
-Gaussian or tent filter: with a box filter, asking for the derivative of something that moves raises
+filter with a slope: with the box filter, asking for the derivative of something that moves raises
 `tr.NotDifferentiableError`, and so does, with an `irradiancemeter`, the one with respect to the texture coordinates of
 its surface. A beam (`directionalarea`) moves and turns with its surface."""
 

@@ -79,6 +79,7 @@ class Layout:
     slot_of: dict[tuple[int, str], int] = field(default_factory=dict)
     by_name: dict[str, int] = field(default_factory=dict)
     sensors: list[Plugin] = field(default_factory=list)
+    attribute_names: dict[str, int] = field(default_factory=dict)  # numbers that colours of meshes go by
     smooth_meshes: list[Mesh] = field(default_factory=list)  # those whose normals follow from their positions
     used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
     media: bool = False  # some shape or camera has a medium
@@ -104,7 +105,6 @@ class _Packer:
     def __init__(self) -> None:
         self.layout = Layout(objects={category: [] for category, _ in models()})
         self.index: dict[int, int] = {}  # id of a module -> its row
-        self.attribute_names: dict[str, int] = {}
 
     def slot(self, module: nn.Module, attribute: str, name: str, kind: str, limits: Limits) -> int:
         key = (id(module), attribute)
@@ -120,7 +120,8 @@ class _Packer:
         return found
 
     def attribute_id(self, name: str) -> int:
-        return self.attribute_names.setdefault(name, len(self.attribute_names))
+        names = self.layout.attribute_names
+        return names.setdefault(name, len(names))
 
     def add(self, plugin: Plugin, name: str, limits: Limits = COMPLETE) -> int:
         """Row of `plugin` in its category's table; objects that are used twice are packed once."""

@@ -19,6 +19,7 @@ _builder_names: dict[str, tuple[str, ...]] = {}
 # Class names that are not the type name in capitals, so that a class says what it is.
 CLASS_NAMES: dict[tuple[str, str], str] = {
     ("texture", "constant"): "ConstantTexture",
+    ("texture", "volume"): "VolumeTexture",
     ("phase", "tabphase"): "TabulatedPhase",
     ("phase", "blendphase"): "BlendPhase",
     ("bsdf", "twosided"): "TwoSided",

@@ -10,7 +10,7 @@ from ..errors import describe
 from . import values
 from .context import Context
 from .plugin import Plugin
-from .registry import plugin_class, register
+from .registry import builder, plugin_class, register
 
 ON_SHAPES = ("area", "directionalarea")
 """Emitters that are surfaces of shapes."""
@@ -100,6 +100,47 @@ class Disk(Shape):
 
 
 @register
+class Cylinder(Shape):
+    """The side of a cylinder around the segment from `p0` to `p1`, open at both ends; `to_world` acts on it after these
+    and may turn, move and scale it, along its axis by another factor.
+
+    Texture coordinates are the azimuth and the place along the axis, both from 0 to 1.
+
+    Args:
+        p0: (3,), where the axis begins, default the origin.
+        p1: (3,), where it ends, default (0, 0, 1).
+        radius: default 1.
+        to_world: 4x4 matrix.
+        flip_normals: normals point inside.
+        bsdf, emitter: material and area light.
+        interior, exterior: media inside and outside.
+    """
+
+    type = "cylinder"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        if "radius" in properties and not float(values.number(properties["radius"], ctx.at("radius")).detach()) > 0:
+            ctx.at("radius").error(f"expected a positive number, got {describe(properties['radius'])}")
+        return {"p1": [0.0, 0.0, 1.0], **properties}
+
+    def check(self, ctx: Context) -> None:
+        super().check(ctx)
+        if bool((self.p0.detach() == self.p1.detach()).all()):
+            ctx.at("p1").error("expected a point apart from p0, got the same point")
+
+    def bounds(self) -> torch.Tensor:
+        matrix = self.to_world.detach()
+        ends = torch.stack([self.p0.detach(), self.p1.detach()])
+        axis = ends[1] - ends[0]
+        axis = axis / torch.linalg.vector_norm(axis)
+        ends = ends @ matrix[:3, :3].T + matrix[:3, 3]
+        # of the disks at the ends: rows of the matrix without what lies along the axis
+        across = matrix[:3, :3] - (matrix[:3, :3] @ axis)[:, None] * axis
+        extent = torch.linalg.vector_norm(across, dim=1) * self.radius.detach().abs()
+        return torch.stack([ends.amin(0) - extent, ends.amax(0) + extent])
+
+
+@register
 class Sphere(Shape):
     """A sphere; `to_world` acts on it after `center` and `radius`.
 
@@ -124,3 +165,16 @@ class Sphere(Shape):
         middle = matrix[:3, :3] @ self.center.detach() + matrix[:3, 3]
         extent = torch.linalg.vector_norm(matrix[:3, :3], dim=1) * self.radius.detach().abs()
         return torch.stack([middle - extent, middle + extent])
+
+
+@builder("shapegroup", "shape", ("shape",))
+def _shapegroup(_properties: dict[str, Any], ctx: Context) -> Plugin:
+    ctx.error("a shapegroup stands at the top of the dict or file that a scene is loaded from, for its instances")
+
+
+@builder("instance", "shape", ("shapegroup", "to_world"))
+def _instance(_properties: dict[str, Any], ctx: Context) -> Plugin:
+    ctx.error(
+        "an instance stands at the top of the dict or file that a scene is loaded from, which makes copies of its "
+        "shapegroup's shapes; assign such a copy itself"
+    )

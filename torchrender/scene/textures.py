@@ -11,7 +11,7 @@ from ..errors import describe
 from . import values
 from .context import Context
 from .declaration import Field
-from .plugin import Plugin
+from .plugin import Plugin, child_of
 from .registry import register
 
 
@@ -112,6 +112,32 @@ class MeshAttribute(Plugin):
 
     def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
         return iter(())
+
+
+@register
+class VolumeTexture(Plugin):
+    """A volume as a texture: looked up where the point of the surface is in the world, whatever its coordinates.
+
+    Args:
+        volume: a number, a colour or a volume such as a `gridvolume`, default 0.75.
+    """
+
+    category, type = "texture", "volume"
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        if self._modules.get("volume") is None and not self._references:
+            self._modules["volume"] = child_of(self.fields()["volume"].default, "volume", ctx.at("volume"))
+
+    def resolve(self, lookup: Any, ctx: Context) -> None:
+        super().resolve(lookup, ctx)
+        self._fill(ctx)
+
+    def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
+        child = self._modules.get("volume")
+        if child is not None:
+            for leaf, tensor in child.texels():
+                yield f"volume.{leaf}", tensor
 
 
 @register

@@ -96,6 +96,11 @@ class GridVolume(Plugin):
     def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
         return values.voxels(value, ctx)
 
+    def derivative_of(self, field: Field) -> str:
+        if field.name == "to_world" and self.filter_type == "nearest":
+            return "none: moves the faces of nearest voxels, a discontinuity that is not implemented yet"
+        return super().derivative_of(field)
+
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         if self._parameters.get("to_world") is not None:

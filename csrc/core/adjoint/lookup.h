@@ -1,16 +1,17 @@
 // The derivative of a texture's value with respect to everything in it that is not its data: where it is looked up, the
-// map of its coordinates, the factor of an attribute. (For the data see the sinks.)
+// map of its coordinates, the factor of an attribute, the place of a volume. (For the data see the sinks.)
 #pragma once
 
 #include "sink.h"
 
 namespace tr {
 
-// Adjoint of a point on a surface: of its texture coordinates, and of its own coordinates (SurfacePoint::b1, b2) where
-// a look-up uses those directly.
+// Adjoint of a point on a surface: of its texture coordinates, and of its own coordinates (SurfacePoint::b1, b2) and
+// its position where a look-up uses those directly.
 template <class F>
 struct CoordinateAdjoint {
     Vec2<F> uv{F(0), F(0)}, b{F(0), F(0)};
+    Vec3<F> p{F(0), F(0), F(0)};
 };
 
 template <class F, int C>
@@ -18,6 +19,20 @@ TR_INLINE F channel_sum(const Color<F, C> &a) {
     F r = a[0];
     for (int c = 1; c < C; ++c) r = r + a[c];
     return r;
+}
+
+// Colours of a mesh, times `scale`, as a function of the barycentric coordinates.
+template <int C, class F, class S>
+TR_INLINE void sweep_attribute(const SceneView<S> &scene, const AttributeInfo &info, const Footprint<F, 3> &at,
+                               const F &scale, const Color<F, C> &g, const MaskOf<F> &lanes, CoordinateAdjoint<F> &to) {
+    if (info.per_face) return;
+    const TensorView<S> &tensor = scene.values.tensors[info.tensor];
+    Footprint<F, 3> b1 = at, b2 = at;
+    b1.weight[0] = b2.weight[0] = -scale;
+    b1.weight[1] = b2.weight[2] = scale;
+    b1.weight[2] = b2.weight[1] = F(0);
+    to.b.x = select(lanes, to.b.x + channel_sum(g * gather_footprint<C>(tensor, b1, lanes)), to.b.x);
+    to.b.y = select(lanes, to.b.y + channel_sum(g * gather_footprint<C>(tensor, b2, lanes)), to.b.y);
 }
 
 template <class F, int C, class S, class Sink>
@@ -52,14 +67,27 @@ struct LookupVisitor {
         const TensorView<S> &tensor = scene.values.tensors[info.tensor];
         int32_t offset = record.field[MeshAttribute::Scale];
         sink.scalar(IntOf<F>(offset), channel_sum(g * gather_footprint<C>(tensor, at, lanes)), lanes);
-        if (info.per_face) return;
-        F scale(scene.values.constants[offset]);
-        Footprint<F, 3> b1 = at, b2 = at;
-        b1.weight[0] = b2.weight[0] = -scale;
-        b1.weight[1] = b2.weight[2] = scale;
-        b1.weight[2] = b2.weight[1] = F(0);
-        to.b.x = select(lanes, to.b.x + channel_sum(g * gather_footprint<C>(tensor, b1, lanes)), to.b.x);
-        to.b.y = select(lanes, to.b.y + channel_sum(g * gather_footprint<C>(tensor, b2, lanes)), to.b.y);
+        sweep_attribute<C>(scene, info, at, F(scene.values.constants[offset]), g, lanes, to);
+    }
+
+    TR_NOINLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
+        const Record &record = scene.volumes[index];
+        if (record.kind != int32_t(VolumeKind::Grid) || record.field[GridVolume::Filter] == 1) return;
+        const TensorView<S> &grid = scene.values.tensors[record.field[GridVolume::Data]];
+        Vec3<F> local = to_volume(scene, index, p);
+        Footprint<F, 8> at = GridVolume::footprint(grid, record, local);
+        F value[8];
+        for (int k = 0; k < 8; ++k) {
+            Footprint<F, 1> one{{at.texel[k]}, {F(1)}};
+            value[k] = channel_sum(g * gather_footprint<C>(grid, one, lanes));
+        }
+        Vec3<F> slope =
+            transform_normal(scene.volume_to_local + 12 * index, GridVolume::slope(grid, record, local, at, value));
+        to.p = select(lanes, to.p + slope, to.p);
+        // local = M^-1 p, and d M^-1 = -M^-1 dM M^-1
+        int32_t offset = record.field[GridVolume::ToWorld];
+        const F by_row[3] = {slope.x, slope.y, slope.z}, column[4] = {local.x, local.y, local.z, F(1)};
+        for (int i = 0; i < 12; ++i) sink.scalar(IntOf<F>(offset + i), -by_row[i / 4] * column[i % 4], lanes);
     }
 };
 

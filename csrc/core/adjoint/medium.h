@@ -16,20 +16,6 @@
 
 namespace tr {
 
-// The derivative of a volume's value at p; g is its adjoint.
-template <class F, int C, class S, class Sink>
-TR_INLINE void sweep_volume(const SceneView<S> &scene, int32_t volume, const Vec3<F> &p, const Color<F, C> &g,
-                            const MaskOf<F> &active, Sink &sink) {
-    const Record &record = scene.volumes[volume];
-    if (record.kind == int32_t(VolumeKind::Constant)) {
-        sink.color(scene, IntOf<F>(record.field[ConstantVolume::Value]), g, active);
-        return;
-    }
-    int32_t slot = record.field[GridVolume::Data];
-    sink.footprint(scene, slot, GridVolume::footprint(scene.values.tensors[slot], record, to_volume(scene, volume, p)),
-                   g, active);
-}
-
 template <class F, int C, class S, class Sink>
 TR_INLINE void sweep_extinction(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &p,
                                 const Color<F, C> &g, MaskOf<F> active, Sink &sink) {

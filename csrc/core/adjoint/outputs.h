@@ -2,6 +2,7 @@
 #pragma once
 
 #include "camera.h"
+#include "partials.h"
 
 namespace tr {
 
@@ -32,7 +33,7 @@ template <class F>
 struct OutputAdjoint {
     F depth{0}, distance{0}, ray_length{0};
     Vec3<F> position{F(0), F(0), F(0)}, normal{position}, shading_normal{position}, normal_camera{position},
-        shading_normal_camera{position};
+        shading_normal_camera{position}, partial_u{position}, partial_v{position};
     CoordinateAdjoint<F> at;  // texture coordinates, and what is looked up there
 };
 
@@ -55,11 +56,12 @@ TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const Interaction<F>
     sweep_vertex(&Tables::positions, tri.corner[2], e2_bar, wanted, sink);
 }
 
-// `d`: the camera ray's direction, (x, y): its position on the film.
+// `d`: the camera ray's direction, (x, y): its position on the film; `partials`: their adjoints are not all zero.
 template <class F, class S, class Sink>
 TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, const CameraFrame<S> &camera,
                                const F &x, const F &y, S width, S height, const Vec3<F> &d, const Interaction<F> &si,
-                               const OutputAdjoint<F> &g, bool camera_wanted, const MaskOf<F> &active, Sink &sink) {
+                               const OutputAdjoint<F> &g, bool camera_wanted, bool partials, const MaskOf<F> &active,
+                               Sink &sink) {
     const Vec3<F> zero{F(0), F(0), F(0)};
     Vec3<F> axis[3] = {widen<F>(camera.axis[0]), widen<F>(camera.axis[1]), widen<F>(camera.axis[2])};
     Vec3<F> from = si.p - widen<F>(camera.origin), axis_bar[3] = {zero, zero, zero};
@@ -69,6 +71,7 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
 
     HitAdjoint<F> hit;
     hit.at = g.at;
+    if (partials) sweep_partials(scene, si.at, si.shape, g.partial_u, g.partial_v, active, hit.at, sink);
     hit.p = g.position + apart;
     Vec3<F> face = g.normal;
     hit.n = g.shading_normal;

@@ -19,6 +19,20 @@ struct GeometryTables {
     const int32_t *wanted = nullptr;  // by shape
 };
 
+// The derivative of a volume's value at p with respect to its data; g is its adjoint.
+template <class F, int C, class S, class Sink>
+TR_INLINE void sweep_volume(const SceneView<S> &scene, int32_t volume, const Vec3<F> &p, const Color<F, C> &g,
+                            const MaskOf<F> &active, Sink &sink) {
+    const Record &record = scene.volumes[volume];
+    if (record.kind == int32_t(VolumeKind::Constant)) {
+        sink.color(scene, IntOf<F>(record.field[ConstantVolume::Value]), g, active);
+        return;
+    }
+    int32_t slot = record.field[GridVolume::Data];
+    sink.footprint(scene, slot, GridVolume::footprint(scene.values.tensors[slot], record, to_volume(scene, volume, p)),
+                   g, active);
+}
+
 // A gradient of the radiance of one path with respect to one look-up, per channel.
 template <class F, int C>
 class ReverseSink {
@@ -173,6 +187,9 @@ private:
                                  const MaskOf<F> &lanes) {
             F scale(scene.values.constants[record.field[MeshAttribute::Scale]]);
             sink.footprint(scene, info.tensor, at, g * scale, lanes);
+        }
+        TR_NOINLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
+            sweep_volume(scene, index, p, g, lanes, sink);
         }
     };
 };

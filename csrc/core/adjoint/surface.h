@@ -134,17 +134,17 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     return select(glued, -from_segment, select(attached, moved, zero));
 }
 
-// Spheres and disks: p = M local with |local| = 1 or local.z = 0. The normal is M^-T times that of the unit shape.
+// Spheres, disks and cylinders: p = M local with |local| = 1, local.z = 0 or |local.xy| = 1. The normal is M^-T times
+// that of the unit shape.
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
                                const Arrival<F> &in, const HitAdjoint<F> &g, const MaskOf<F> &curved,
-                               const MaskOf<F> &sphere, Vec3<F> &d_bar, Sink &sink) {
+                               const CurvedKind<F> &kind, Vec3<F> &d_bar, Sink &sink) {
     Vec3<F> zero{F(0), F(0), F(0)};
     F to_object[12];
     gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
-    Vec3<F> local = transform_point(to_object, p);
-    local = select(sphere, normalize(local), Vec3<F>{local.x, local.y, F(0)});
-    Vec3<F> up = transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)}));
+    Vec3<F> local = kind.project(transform_point(to_object, p));
+    Vec3<F> up = transform_normal(to_object, kind.normal(local));
     F inverse = F(1) / select(curved, norm(up), F(1));
     Vec3<F> n = up * inverse;
     F cosine = dot(n, select(in.attached, in.d, in.D));
@@ -153,17 +153,19 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     auto glued = usable && !in.attached;
 
     Vec3<F> up_bar = unnormalize(n, g.n, inverse);
-    // attached: the point and with it the normal of a sphere slide
-    Vec3<F> local_bar = select(sphere, transform_vector(to_object, up_bar), zero);
-    // the coordinates are (azimuth, polar angle) or (radius, azimuth), see curved_coordinates
+    // attached: the point and with it the normal of a sphere or cylinder slide
+    auto round = kind.sphere || kind.cylinder;
+    Vec3<F> local_bar = select(round, transform_vector(to_object, up_bar), zero);
+    local_bar.z = select(kind.cylinder, F(0), local_bar.z);
+    // the coordinates are (azimuth, polar angle), (radius, azimuth) or (azimuth, height), see curved_coordinates
     F u = g.at.uv.x + g.at.b.x, v = g.at.uv.y + g.at.b.y;
     F around = local.x * local.x + local.y * local.y;
     auto apart = usable && mask<F>(around > F(1e-12));
     F inverse_around = F(1) / select(apart, around, F(1)), inverse_radius = sqrt(inverse_around);
-    F azimuth = select(sphere, u, v) * F(1 / (2 * Pi)) * inverse_around;
-    F radial = select(sphere, F(0), u) * inverse_radius;
+    F azimuth = select(round, u, v) * F(1 / (2 * Pi)) * inverse_around;
+    F radial = select(round, F(0), u) * inverse_radius;
     Vec3<F> by_coordinates{radial * local.x - azimuth * local.y, radial * local.y + azimuth * local.x,
-                           select(sphere, v * F(-1 / Pi) * inverse_radius, F(0))};
+                           select(kind.sphere, v * F(-1 / Pi) * inverse_radius, select(kind.cylinder, v, F(0)))};
     local_bar = select(apart, local_bar + by_coordinates, local_bar);
     Tangents<F> tangents = curved_tangents(local, sphere);
     if (scene.layered) {
@@ -218,6 +220,7 @@ TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const Surface
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
     g.ng = select(shape.has(FlipNormals), -g.ng, g.ng);
+    g.p = g.p + g.at.p;
     auto mesh = active && !shape.has(IsCurved);
     auto field = active && shape.has(IsHeightField), curved = active && !mesh && !field;
     Vec3<F> zero{F(0), F(0), F(0)};
@@ -228,8 +231,7 @@ TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const Surface
         r = {select(field, other.o, r.o), select(field, other.d, r.d)};
     }
     if (any(curved)) {
-        auto sphere = curved && shape.has(IsSphere);
-        other.o = sweep_curved(scene, at, p, in, g, curved, sphere, other.d, sink);
+        other.o = sweep_curved(scene, at, p, in, g, curved, CurvedKind<F>(shape, curved), other.d, sink);
         r = {select(curved, other.o, r.o), select(curved, other.d, r.d)};
     }
     return r;

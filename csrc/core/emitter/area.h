@@ -84,7 +84,7 @@ TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const U
             F to_object[12];
             gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, cone.valid, to_object);
             Vec3<F> object = normalize(transform_point(to_object, q));
-            Vec2<F> uv = curved_coordinates(object, cone.valid);
+            Vec2<F> uv = curved_coordinates(object, CurvedKind<F>(cone.valid));
             r.p = select(cone.valid, q, r.p);
             r.n = select(cone.valid, n, r.n);
             r.at.b1 = select(cone.valid, uv.x, r.at.b1);

@@ -48,6 +48,23 @@ struct SphereModel {
     static constexpr Model model = {"shape", "sphere", "A sphere.", fields, 8};
 };
 
+struct CylinderModel {
+    enum { ToWorld, P0, P1, Radius, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
+    static constexpr Field fields[] = {
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
+         "applied after p0, p1 and radius; the cylinder has to stay round and right"},
+        {"p0", Kind::Point, 0, -INFINITY, INFINITY, GeometryEdges, "where the axis begins"},
+        {"p1", Kind::Point, None, -INFINITY, INFINITY, GeometryEdges, "where the axis ends; (0, 0, 1) unless given"},
+        {"radius", Kind::Float, 1, 0, INFINITY, GeometryEdges, ""},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
+    };
+    static constexpr Model model = {"shape", "cylinder", "A cylinder, open at both ends.", fields, 9};
+};
+
 struct HeightFieldModel {
     enum { ToWorld, Heights, Interpolation, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {

@@ -125,24 +125,62 @@ TR_INLINE Vec2<F> lookup_coordinates(const SceneView<S> &, const TexturedPoint<F
     return at.uv;
 }
 
-// Texture coordinates of a point of the unit sphere (azimuth, polar angle) or the unit disk (radius, azimuth).
+// What a curved shape is: the unit sphere, the open cylinder of radius 1 about the z axis from 0 to 1, else the unit
+// disk in the plane z = 0.
 template <class F>
-TR_INLINE Vec2<F> curved_coordinates(const Vec3<F> &local, const MaskOf<F> &sphere) {
+struct CurvedKind {
+    MaskOf<F> sphere, cylinder;
+
+    TR_INLINE CurvedKind(const ShapeLanes<F> &shape, const MaskOf<F> &curved)
+        : sphere(curved && shape.has(IsSphere)), cylinder(curved && shape.has(IsCylinder)) {}
+    TR_INLINE explicit CurvedKind(const MaskOf<F> &sphere) : sphere(sphere), cylinder(false) {}
+
+    // A point near the surface, put on it.
+    TR_INLINE Vec3<F> project(const Vec3<F> &p) const {
+        F z = select(cylinder, F(0), p.z);
+        Vec3<F> round = normalize(Vec3<F>{p.x, p.y, z});
+        round.z = select(cylinder, p.z, round.z);
+        return select(sphere || cylinder, round, Vec3<F>{p.x, p.y, F(0)});
+    }
+    // The normal of the unit shape at one of its points.
+    TR_INLINE Vec3<F> normal(const Vec3<F> &local) const {
+        Vec3<F> around{local.x, local.y, select(sphere, local.z, F(0))};
+        return select(sphere || cylinder, around, Vec3<F>{F(0), F(0), F(1)});
+    }
+};
+
+// Texture coordinates of a point of the unit sphere (azimuth, polar angle), the unit disk (radius, azimuth) or a
+// cylinder (azimuth, height).
+template <class F>
+TR_INLINE Vec2<F> curved_coordinates(const Vec3<F> &local, const CurvedKind<F> &kind) {
     F phi = atan2(local.y, local.x) * F(1 / (2 * Pi));
     phi = select(mask<F>(phi < F(0)), phi + F(1), phi);
     F polar = acos(max(F(-1), min(F(1), local.z))) * F(1 / Pi);
     F radius = sqrt(local.x * local.x + local.y * local.y);
-    return {select(sphere, phi, radius), select(sphere, polar, phi)};
+    return {select(kind.sphere || kind.cylinder, phi, radius),
+            select(kind.sphere, polar, select(kind.cylinder, local.z, phi))};
+}
+// The point of the unit shape that has these coordinates.
+template <class F>
+TR_INLINE Vec3<F> curved_point(const Vec2<F> &uv, const CurvedKind<F> &kind) {
+    F sin_phi, cos_phi, sin_theta, cos_theta;
+    sincos(select(kind.sphere || kind.cylinder, uv.x, uv.y) * F(2 * Pi), sin_phi, cos_phi);
+    sincos(uv.y * F(Pi), sin_theta, cos_theta);
+    F radius = select(kind.sphere, sin_theta, select(kind.cylinder, F(1), uv.x));
+    F z = select(kind.sphere, cos_theta, select(kind.cylinder, uv.y, F(0)));
+    return {radius * cos_phi, radius * sin_phi, z};
 }
 
-// The distance to the unit sphere or disk that is near t, which is known to single precision.
+// The distance to the unit shape that is near t, which is known to single precision.
 template <class F, class S>
-TR_INLINE F refine_distance(const S *to_object, const Ray<F> &ray, const F &t, const MaskOf<F> &sphere) {
+TR_INLINE F refine_distance(const S *to_object, const Ray<F> &ray, const F &t, const CurvedKind<F> &kind) {
     Vec3<F> o = transform_point(to_object, ray.o), d = transform_vector(to_object, ray.d);
+    F plane = -o.z / select(mask<F>(d.z == F(0)), F(1), d.z);
+    o.z = select(kind.cylinder, F(0), o.z);
+    d.z = select(kind.cylinder, F(0), d.z);
     F a = dot(d, d), middle = -dot(o, d) / a;
     F half = sqrt(max(F(1) - squared_norm(o + d * middle), F(0)) / a);
-    F plane = -o.z / select(mask<F>(d.z == F(0)), F(1), d.z);
-    return select(sphere, middle + select(mask<F>(t < middle), -half, half), plane);
+    return select(kind.sphere || kind.cylinder, middle + select(mask<F>(t < middle), -half, half), plane);
 }
 
 // What the queries report, made into a point with frames. They work in single precision: with Float = double the
@@ -195,15 +233,15 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u + 12u, curved, to_object);
-        auto sphere = curved && shape.has(IsSphere);
-        if constexpr (sizeof(S) == 8) t = select(curved, refine_distance(to_object, ray, t, sphere), t);
+        CurvedKind<F> kind(shape, curved);
+        if constexpr (sizeof(S) == 8) t = select(curved, refine_distance(to_object, ray, t, kind), t);
         Vec3<F> local = transform_point(to_object, ray.o + ray.d * t);
         // a point in single precision is off the surface: put it back, so that spawned rays start right
-        local = select(sphere, normalize(local), Vec3<F>{local.x, local.y, F(0)});
-        Vec2<F> uv = curved_coordinates(local, sphere);
+        local = kind.project(local);
+        Vec2<F> uv = curved_coordinates(local, kind);
         at.b1 = select(curved, uv.x, at.b1);
         at.b2 = select(curved, uv.y, at.b2);
-        Vec3<F> n = normalize(transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)})));
+        Vec3<F> n = normalize(transform_normal(to_object, kind.normal(local)));
         si.p = select(curved, transform_point(to_world, local), si.p);
         si.ng = select(curved, n, si.ng);
         ns = select(curved, n, ns);
@@ -216,6 +254,32 @@ TR_INLINE Interaction<F> make_interaction(const SceneView<S> &scene, const Ray<F
     si.shape = shape;
     si.t = t;
     return si;
+}
+
+// The position of a point on a surface, from what is stored of it.
+template <class F, class S>
+TR_NOINLINE Vec3<F> surface_position(const SceneView<S> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
+    ShapeLanes<F> shape(scene.shapes, at.shape, active);
+    Vec3<F> p{F(0), F(0), F(0)};
+    auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
+    auto curved = active && !mesh && !field;
+    if (any(mesh)) {
+        Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh);
+        p = tri.p0 + tri.e1 * at.b1 + tri.e2 * at.b2;
+    }
+    if (any(field))
+        each_height_field<F>(
+            scene, at.shape, field, [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
+                Vec3<F> local{F(2) * at.b1 - F(1), F(2) * at.b2 - F(1), height_at(heights, at.b1, at.b2, lanes).z};
+                p = select(lanes, transform_point(scene.shape_matrices + 24 * size_t(one), local), p);
+            });
+    if (any(curved)) {
+        F to_world[12];
+        gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
+        Vec3<F> local = curved_point(Vec2<F>{at.b1, at.b2}, CurvedKind<F>(shape, curved));
+        p = select(curved, transform_point(to_world, local), p);
+    }
+    return p;
 }
 
 // Rays leave a surface from a point moved off it, by an amount relative to the coordinates: 1500 / 2 units in the last
@@ -276,14 +340,15 @@ TR_INLINE SampledPoint<F> sample_shape(const SceneView<S> &scene, const UIntOf<F
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, shape * 24u, curved, to_world);
         gather_matrix<F>(scene.shape_matrices, shape * 24u + 12u, curved, to_object);
-        auto sphere = curved && info.has(IsSphere);
+        CurvedKind<F> kind(info, curved);
         Vec3<F> on_sphere = square_to_sphere(u1, u2);
         Vec2<F> disk = square_to_disk(u1, u2);
-        Vec3<F> local = select(sphere, on_sphere, Vec3<F>{disk.x, disk.y, F(0)});
-        Vec2<F> uv = curved_coordinates(local, sphere);
+        Vec3<F> local = select(kind.sphere, on_sphere, Vec3<F>{disk.x, disk.y, F(0)});
+        if (any(kind.cylinder)) local = select(kind.cylinder, curved_point(Vec2<F>{u1, u2}, kind), local);
+        Vec2<F> uv = curved_coordinates(local, kind);
         r.at.b1 = select(curved, uv.x, r.at.b1);
         r.at.b2 = select(curved, uv.y, r.at.b2);
-        Vec3<F> n = normalize(transform_normal(to_object, select(sphere, local, Vec3<F>{F(0), F(0), F(1)})));
+        Vec3<F> n = normalize(transform_normal(to_object, kind.normal(local)));
         r.p = select(curved, transform_point(to_world, local), r.p);
         r.n = select(curved, n, r.n);
     }

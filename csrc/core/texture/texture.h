@@ -5,6 +5,7 @@
 #include "checkerboard.h"
 #include "constant.h"
 #include "mesh_attribute.h"
+#include "volume.h"
 
 namespace tr {
 
@@ -12,7 +13,8 @@ enum class TextureKind : int32_t {
     Constant = 0,
     Bitmap = 1,
     Checkerboard = 2,
-    MeshAttribute = 3
+    MeshAttribute = 3,
+    Volume = 4
 };  // order of the registry
 
 // Calls visit(index, lanes) once for every distinct index.
@@ -30,6 +32,7 @@ TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&
 //   visitor.constant(offset lanes, lanes)
 //   visitor.bitmap(record, footprint, uv, lanes)
 //   visitor.attribute(record, info, footprint, lanes)      (without the factor `scale`)
+//   visitor.volume(index, position, lanes)
 template <class F, class S, class Point, class Visitor>
 TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const MaskOf<F> &active,
                          Visitor &visitor, int depth = 0) {
@@ -61,6 +64,9 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
                                       same);
                 });
                 break;
+            case TextureKind::Volume:
+                visitor.volume(record.field[VolumeTexture::VolumeIndex], surface_position<F>(scene, at, lanes), lanes);
+                break;
             default:
                 break;
         }
@@ -82,6 +88,10 @@ struct TextureValue {
     TR_INLINE void attribute(const Record &record, const AttributeInfo &info, const Footprint<F, 3> &at,
                              const MaskOf<F> &lanes) {
         footprint(info.tensor, at, F(scene.values.constants[record.field[MeshAttribute::Scale]]), lanes);
+    }
+
+    TR_NOINLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
+        result = select(lanes, eval_volume<C>(scene, values, index, p, lanes), result);
     }
 
 private:

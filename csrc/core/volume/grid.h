@@ -10,8 +10,7 @@ struct GridVolume {
     enum { Data, ToWorld, Filter, Wrap };
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior", "voxels (Z, Y, X, channels)"},
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
-         "none: moving a grid is not implemented; its voxels have derivatives",
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, "interior",
          "from the unit cube that the grid fills to the world"},
         {"filter_type", Kind::Int, 0, 0, 1, "", "0: trilinear, 1: nearest"},
         {"wrap_mode", Kind::Int, 2, 0, 2, "", "beyond the cube; 0: repeat, 1: mirror, 2: clamp"},
@@ -59,6 +58,30 @@ struct GridVolume {
             r.weight[2 * k + 1] = w * x.a;
         }
         return r;
+    }
+
+    // The derivative of a trilinear look-up by p, of numbers that the voxels of its footprint have. It is zero beyond
+    // the outermost voxels of a grid that is clamped.
+    template <class F, class S>
+    TR_INLINE static Vec3<F> slope(const TensorView<S> &grid, const Record &record, const Vec3<F> &p,
+                                   const Footprint<F, 8> &at, const F (&value)[8]) {
+        const F *w = at.weight;
+        const F xa = w[1] + w[3] + w[5] + w[7], ya = w[2] + w[3] + w[6] + w[7], za = w[4] + w[5] + w[6] + w[7];
+        const F wx[2] = {F(1) - xa, xa}, wy[2] = {F(1) - ya, ya}, wz[2] = {F(1) - za, za};
+        Vec3<F> r{F(0), F(0), F(0)};
+        for (int j = 0; j < 2; ++j)
+            for (int i = 0; i < 2; ++i) {
+                r.x = fmadd(wz[j] * wy[i], value[4 * j + 2 * i + 1] - value[4 * j + 2 * i], r.x);
+                r.y = fmadd(wz[j] * wx[i], value[4 * j + 2 + i] - value[4 * j + i], r.y);
+                r.z = fmadd(wy[j] * wx[i], value[4 + 2 * j + i] - value[2 * j + i], r.z);
+            }
+        const bool clamped = record.field[Wrap] == 2;
+        auto axis = [&](const F &slope, const F &x, int n) {
+            F cells = x * F(S(n)) - F(0.5);
+            auto inside = mask<F>(cells > F(0)) && mask<F>(cells < F(S(n - 1)));
+            return select(inside || MaskOf<F>(!clamped), slope * F(S(n)), F(0));
+        };
+        return {axis(r.x, p.x, grid.shape[1]), axis(r.y, p.y, grid.shape[0]), axis(r.z, p.z, grid.shape[3])};
     }
 };
 
