@@ -85,6 +85,9 @@ def load_dict(
     kind = description["type"]
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}
+        from .instances import expand_instances
+
+        objects = expand_instances(objects, Context(variant, dtype, made_device, (), _folder))
         return Scene(objects, variant, dtype, made_device, _folder)
     ctx = Context(variant, dtype, made_device, (str(kind),), _folder)
     from ..integrators import TYPES, from_dict
