@@ -266,6 +266,8 @@ SCENES = {
     "dented_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(normal_map(DULL)), room=black_room()),
     "dented_floor": lambda: scene(2, above(), floor=floor(SIDES), lamp=lamp("rectangle")),
     "dented_disk": lambda: scene(2, above(), floor={**floor(SIDES), "type": "disk"}, lamp=lamp("rectangle")),
+    "dented_hills": lambda: scene(2, above(), hills=hills(SIDES, floor()["to_world"], 0.04), lamp=lamp("rectangle")),
+    "bumpy_hills": lambda: scene(2, above(), hills=hills(BUMPS, floor()["to_world"], 0.04), lamp=lamp("rectangle")),
     "bumpy_in_room": lambda: scene(3, at_ball(), ball=ball(bump_map(DULL)), room=black_room()),
     "bumpy_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(bump_map(DULL)), room=black_room()),
     "bumpy_floor": lambda: scene(2, above(), floor=floor(BUMPS), lamp=lamp("rectangle")),

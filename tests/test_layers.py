@@ -376,9 +376,6 @@ def test_errors_name_the_place():
         deep = layer_scenes.blend(deep, DARK, 0.5)
     with pytest.raises(ValueError, match="nested at most 8 deep"):
         tr.render(room(deep), spp=1)
-    hills = {"type": "heightfield", "heights": torch.zeros(4, 4), "bsdf": layer_scenes.normal_map(PAINT)}
-    with pytest.raises(ValueError, match="without normal or bump maps"):
-        tr.render(tr.load_dict(scene(2, at_ball(), hills=hills)), spp=1)
     with pytest.raises(ValueError, match="in colours"):
         grey = tr.load_dict(scene(2, at_ball(), ball=ball(layer_scenes.normal_map(PAINT))), variant="mono")
         tr.render(grey, spp=1)

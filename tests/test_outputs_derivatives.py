@@ -14,11 +14,12 @@ from test_outputs import ALL, REAL
 
 import torchrender as tr
 
+COLOURS = "vertex_color"
 STEP = 1e-5  # relative error of a central difference of smooth functions in double precision: below 1e-6
 
 
-def texture() -> dict:
-    data = torch.rand(5, 6, 3, generator=torch.Generator().manual_seed(0))
+def texture(seed: int = 0, channels: int = 3) -> dict:
+    data = torch.rand(5, 6, channels, generator=torch.Generator().manual_seed(seed))
     return {"type": "bitmap", "data": data, "raw": True, "wrap_mode": "clamp"}
 
 
@@ -31,13 +32,21 @@ def wavy_mesh(flat: bool) -> tr.Mesh:
     corners = [(j * n + i, j * n + i + 1, j * n + i + n, j * n + i + n + 1) for j in range(n - 1) for i in range(n - 1)]
     faces = torch.tensor([f for a, b, c, d in corners for f in ((a, b, c), (b, d, c))])
     normals = torch.stack([-0.3 * torch.cos(x + y), 0.1 * x, 1 + 0.1 * y], -1).reshape(-1, 3)
+    colours = torch.rand(n * n, 3, generator=torch.Generator().manual_seed(8))
+    paint = {
+        "type": "redner",
+        "diffuse_reflectance": texture(),
+        "specular_reflectance": texture(1),
+        "roughness": texture(2, channels=1),
+    }
     return tr.Mesh(
         vertices,
         faces,
         vertex_normals=None if flat else normals,
         vertex_texcoords=torch.stack([x, y], -1).reshape(-1, 2) / 8 + 0.5,
         face_normals=flat,
-        bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": texture()}},
+        bsdf={"type": "twosided", "bsdf": paint},
+        attributes={COLOURS: colours, "face_color": torch.rand(len(faces), 3)},
     )
 
 
@@ -58,6 +67,30 @@ SURFACES = {
     "flipped rectangle": lambda: plate("rectangle", flip_normals=True),
     "disk": lambda: plate("disk"),
     "height field": lambda: plate("heightfield", heights=torch.sin(torch.arange(20.0)).reshape(4, 5) * 0.2),
+    "cylinder": lambda: {
+        "type": "cylinder",
+        "p0": [-7.0, 1.0, -4.0],
+        "p1": [8.0, -0.5, -3.0],
+        "radius": 3.9,
+        "bsdf": {"type": "roughplastic", "diffuse_reflectance": texture(), "alpha": 0.2},
+    },
+    "carved sphere": lambda: {
+        "type": "sphere",
+        "center": [0.3, 0.2, -3.0],
+        "radius": 3.9,
+        "bsdf": {
+            "type": "roughconductor",
+            "alpha": {"type": "volume", "volume": {"type": "gridvolume", "data": texture(3, 4)["data"][..., None]}},
+            "specular_reflectance": {
+                "type": "volume",
+                "volume": {
+                    "type": "gridvolume",
+                    "data": torch.rand(4, 5, 6, 3, generator=torch.Generator().manual_seed(4)),
+                    "to_world": tr.Transform.translate([-2, -2, 0.2]) @ tr.Transform.scale([4, 4, 0.9]),
+                },
+            },
+        },
+    },
     "sphere": lambda: {
         "type": "sphere",
         "center": [0.3, 0.2, -3.0],
@@ -127,9 +160,11 @@ CASES = [(surface, name) for surface in SURFACES for name in differentiable(scen
 @pytest.mark.parametrize(("surface", "name"), CASES)
 def test_every_output_by_every_parameter(surface, name):
     scene = scene_with(SURFACES[surface]())
+    colours = (COLOURS, "face_color") if "mesh" in surface else ()
 
     def outputs(value: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        return tuple(tr.render(scene, spp=3, seed=1, correlated=True, outputs=REAL, params={name: value}))
+        names = (*REAL, *colours)
+        return tuple(tr.render(scene, spp=3, seed=1, correlated=True, outputs=names, params={name: value}))
 
     assert bool(torch.isfinite(outputs(scene.get_parameter(name).detach())[0]).all())  # the view is filled
     check(scene, name, outputs)
@@ -144,8 +179,8 @@ def test_the_cases_move_what_they_should():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", tr.MissingTermWarning)
         scene.train_only("wall.vertex_positions", "camera.to_world")
-        found = tr.render(scene, spp=3, seed=1, outputs=REAL)
-        for name in REAL:
+        found = tr.render(scene, spp=3, seed=1, outputs=(*REAL, COLOURS))
+        for name in (*REAL, COLOURS):
             scene.zero_grad()
             getattr(found, name).square().sum().backward(retain_graph=True)
             assert float(scene.get_parameter("wall.vertex_positions").grad.abs().max()) > 1e-6, name

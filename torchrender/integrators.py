@@ -253,7 +253,7 @@ class AOV(Integrator):
 
     Args:
         aovs: comma-separated pairs ``"name:type"``; types are ``depth``, ``position``, ``uv``, ``geo_normal``,
-            ``sh_normal``, ``albedo``, ``prim_index``, ``shape_index``.
+            ``sh_normal``, ``dp_du``, ``dp_dv``, ``albedo``, ``prim_index``, ``shape_index``.
         integrator: the nested one; without it there is no radiance.
     """
 
@@ -265,11 +265,13 @@ class AOV(Integrator):
         "uv": ("uv", "UV"),
         "geo_normal": ("normal", "XYZ"),
         "sh_normal": ("shading_normal", "XYZ"),
+        "dp_du": ("dp_du", "XYZ"),
+        "dp_dv": ("dp_dv", "XYZ"),
         "albedo": ("albedo", "RGB"),
         "prim_index": ("prim_id", "I"),
         "shape_index": ("shape_id", "I"),
     }
-    UNSUPPORTED: ClassVar[tuple[str, ...]] = ("dp_du", "dp_dv", "duv_dx", "duv_dy", "boundary_test")
+    UNSUPPORTED: ClassVar[tuple[str, ...]] = ("duv_dx", "duv_dy", "boundary_test")
 
     def __init__(self, aovs: str, integrator: Integrator | None = None) -> None:
         super().__init__()

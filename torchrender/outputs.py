@@ -4,6 +4,13 @@ They are averages over the camera's samples of a pixel, the same samples that ra
 the reconstruction filter; those that hit nothing are left out. Surfaces of every material count, `null` included;
 with an integrator's `hide_emitters` shapes that emit do not. Only primary visibility matters: no light is involved.
 
+``dp_du`` and ``dp_dv`` are the derivatives of the position by the texture coordinates that ``uv`` shows: constant on a
+triangle, zero where its coordinates do not vary. ``barycentric`` repeats ``uv`` on curved shapes. ``roughness`` is the
+number that the material's own parameter ``alpha`` or ``roughness`` has there; without one it is 1 on diffuse surfaces
+and 0 on smooth ones. ``specular_reflectance`` is the parameter of that name, 0 without one. ``material_id`` is a number
+that surfaces of one BSDF object share. Names that begin with ``vertex_`` or ``face_`` are colours of meshes, 0 on
+shapes that have none of that name.
+
 ``variance`` is that of the image's values, estimated from the samples x of weights w that a value I = sum(w x) / sum(w)
 is made of: sum(w^2 (x - I)^2) / sum(w)^2 * n / (n - 1) with n = sum(w)^2 / sum(w^2), which for the box filter is the
 sample variance over the number of samples. It is infinite for a single sample; of several passes it is that of their
@@ -17,15 +24,18 @@ from __future__ import annotations
 
 import functools
 from collections import namedtuple
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.autograd import Function
 
 from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches, zero_gradient
 from .errors import NotDifferentiableError, describe, nearest
+
+if TYPE_CHECKING:
+    from .scene.packing import Layout
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
 PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
@@ -38,12 +48,21 @@ FIRST_HIT_OUTPUTS = {
     "normal_camera": 3,
     "shading_normal_camera": 3,
     "uv": 2,
+    "barycentric": 2,
+    "dp_du": 3,
+    "dp_dv": 3,
     "albedo": -1,
+    "specular_reflectance": -1,
+    "roughness": 0,
     "shape_id": 0,
     "prim_id": 0,
+    "material_id": 0,
 }
 OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS}
-IDENTIFIERS = ("shape_id", "prim_id")
+IDENTIFIERS = ("shape_id", "prim_id", "material_id")
+ATTRIBUTES = ("vertex_", "face_")
+"""What names of colours of meshes begin with, which are outputs, too; a colour's numbers a pixel."""
+MAX_ATTRIBUTES = 4
 _CHANNELS = {**FIRST_HIT_OUTPUTS, "ray_length": 0}
 
 
@@ -67,11 +86,31 @@ def check_names(outputs: Any) -> tuple[str, ...]:
     for name in outputs:
         if not isinstance(name, str):
             raise TypeError(f"render: outputs: expected names, got {describe(name)}")
-        if name not in OUTPUTS:
+        if name not in OUTPUTS and not name.startswith(ATTRIBUTES):
             raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
     if len(set(outputs)) != len(outputs):
         raise ValueError(f"render: outputs: a name comes twice in {tuple(outputs)!r}")
+    if sum(name not in OUTPUTS for name in outputs) > MAX_ATTRIBUTES:
+        raise ValueError(f"render: outputs: at most {MAX_ATTRIBUTES} colours of meshes at once, got {tuple(outputs)!r}")
     return tuple(outputs)
+
+
+def channels_of(name: str) -> int:
+    """Numbers a pixel, -1 for those of a colour, 0 for a plain number."""
+    return {**OUTPUTS, **_CHANNELS}.get(name, -1)
+
+
+def attributes_of(layout: Layout, names: Sequence[str]) -> dict[str, int]:
+    """The numbers of those of `names` that are colours of meshes; ValueError if no mesh has one of them."""
+    known = {name for row in layout.objects["attribute"] for name in [row[2].rpartition(".")[2]]}
+    found = {}
+    for name in names:
+        if name in OUTPUTS or name in _CHANNELS:
+            continue
+        if name not in known:
+            raise ValueError(f"render: outputs: no mesh has colours {name!r}; {nearest(name, [*known, *OUTPUTS])}")
+        found[name] = layout.attribute_names[name]
+    return found
 
 
 @dataclass
@@ -82,18 +121,30 @@ class FirstHitCall:
         render: the rendering that these outputs belong to.
         names: of the outputs, keys of FIRST_HIT_OUTPUTS or ``"ray_length"``, the distance from the near plane.
         zero_at_misses: average over all samples, taking zero for those that hit nothing.
+        attributes: numbers of those names that are colours of meshes.
     """
 
     render: RenderCall
     names: tuple[str, ...]
     zero_at_misses: bool = False
+    attributes: dict[str, int] = field(default_factory=dict)
 
     def config(self, derivative: bool) -> dict[str, Any]:
         configs = self.render.configs(derivative)
-        return {**configs[0], "seeds": [c["seed"] for c in configs], "zero_at_misses": self.zero_at_misses}
+        return {
+            **configs[0],
+            "seeds": [c["seed"] for c in configs],
+            "zero_at_misses": self.zero_at_misses,
+            "attributes": list(self.attributes.values()),
+        }
+
+    def addresses(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, int]:
+        """Where outputs lie, by their names in the core."""
+        numbered = {name: f"attribute_{i}" for i, name in enumerate(self.attributes)}
+        return {numbered.get(name, name): tensor.data_ptr() for name, tensor in tensors.items()}
 
     def empty(self, name: str) -> torch.Tensor:
-        channels = _CHANNELS[name] if _CHANNELS[name] >= 0 else self.render.native.channels
+        channels = channels_of(name) if channels_of(name) >= 0 else self.render.native.channels
         shape = self.render.size if channels == 0 else (*self.render.size, channels)
         dtype = torch.int32 if name in IDENTIFIERS else self.render.native.dtype
         return torch.empty(shape, dtype=dtype, device="cpu")
@@ -105,8 +156,7 @@ class FirstHitFunction(Function):
     @staticmethod
     def forward(call: FirstHitCall, *params: torch.Tensor) -> Any:
         out = {name: call.empty(name) for name in call.names}
-        addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-        stats = call.render.native.call("render_aov", list(params), call.config(False), addresses)
+        stats = call.render.native.call("render_aov", list(params), call.config(False), call.addresses(out))
         call.render.finish("outputs", [stats])
         return tuple(out.values())
 
@@ -153,8 +203,7 @@ class FirstHitJvpFunction(_Derivative):
         out = {name: call.empty(name) for name in call.names if name not in IDENTIFIERS}
         if out:
             given = [0 if t is None else t.data_ptr() for t in dense]
-            addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-            stats = call.render.native.call("aov_jvp", params, call.config(True), given, addresses)
+            stats = call.render.native.call("aov_jvp", params, call.config(True), given, call.addresses(out))
             call.render.finish("outputs_jvp", [stats])
         return tuple(out.values())
 
@@ -177,7 +226,7 @@ class FirstHitVjpFunction(_Derivative):
         }
         grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
         if dense:
-            addresses = {name: tensor.data_ptr() for name, tensor in dense.items()}
+            addresses = call.addresses(dense)
             to = [0 if g is None else g.data_ptr() for g in grads]
             stats = call.render.native.call("aov_vjp", params, call.config(True), addresses, to)
             call.render.finish("outputs_vjp", [stats])
@@ -185,8 +234,12 @@ class FirstHitVjpFunction(_Derivative):
 
 
 def first_hits(
-    call: RenderCall, names: Sequence[str], params: list[torch.Tensor], zero_at_misses: bool = False
+    call: RenderCall,
+    names: Sequence[str],
+    params: list[torch.Tensor],
+    zero_at_misses: bool = False,
 ) -> dict[str, torch.Tensor]:
     """Outputs by name, each (H, W) or (H, W, channels), or (N,) and (N, channels) for a list of pixels."""
     names = tuple(dict.fromkeys(names))
-    return dict(zip(names, FirstHitFunction.apply(FirstHitCall(call, names, zero_at_misses), *params), strict=True))
+    first = FirstHitCall(call, names, zero_at_misses, attributes_of(call.wanted.layout, names))
+    return dict(zip(names, FirstHitFunction.apply(first, *params), strict=True))

@@ -37,7 +37,7 @@ public:
                                 uintptr_t adjoint, const Addresses &gradients) = 0;
     virtual RenderStats forward(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
                                 const Addresses &tangents, uintptr_t image) = 0;
-    // outputs besides radiance, by name; shape_id and prim_id are int32
+    // outputs besides radiance, by name; shape_id, prim_id and material_id are int32
     virtual RenderStats aov(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
                             const Arrays &out) = 0;
     virtual RenderStats aov_reverse(const Config &, const Addresses &params, const std::vector<uint8_t> &dirty,
@@ -342,11 +342,15 @@ private:
                 out.shape = reinterpret_cast<int32_t *>(address);
             else if (name == "prim_id")
                 out.primitive = reinterpret_cast<int32_t *>(address);
+            else if (name == "material_id")
+                out.material = reinterpret_cast<int32_t *>(address);
             else
                 throw std::invalid_argument("outputs: unknown: " + name);
         }
         out.seeds = c.seeds;
         out.zero_at_misses = c.zero_at_misses;
+        for (size_t i = 0; i < out.attributes.size() && i < c.attributes.size(); ++i)
+            out.attributes[i] = c.attributes[i];
         return out;
     }
 

@@ -19,9 +19,16 @@ enum AovKind {
     AovNormalCamera,  // the same in the camera's frame
     AovShadingNormalCamera,
     AovUv,
+    AovBarycentric,
+    AovPartialU,  // of the position by the texture coordinates
+    AovPartialV,
     AovAlbedo,
-    AovCount
+    AovSpecular,
+    AovRoughness,
+    AovAttribute,  // colours of meshes, see AovOutput::attributes
+    AovCount = AovAttribute + 4
 };
+constexpr int AovAttributes = AovCount - AovAttribute;
 
 struct AovName {
     const char *name;
@@ -38,13 +45,23 @@ constexpr AovName aov_names[AovCount] = {
     {"normal_camera", 3, false},
     {"shading_normal_camera", 3, false},
     {"uv", 2, false},
+    {"barycentric", 2, false},
+    {"dp_du", 3, false},
+    {"dp_dv", 3, false},
     {"albedo", 0, false},
+    {"specular_reflectance", 0, false},
+    {"roughness", 1, false},
+    {"attribute_0", 0, false},
+    {"attribute_1", 0, false},
+    {"attribute_2", 0, false},
+    {"attribute_3", 0, false},
 };
-constexpr int MaxAovChannels = 25;
+constexpr int MaxAovChannels = 49;
 
 // Which are wanted, and where each begins among the channels: -1 where it is not wanted.
 struct AovLayout {
     int offset[AovCount], n = 0, colors;
+    std::array<int32_t, AovAttributes> attributes{-1, -1, -1, -1};  // see AovOutput
 
     template <class Given>
     AovLayout(int colors_, Given &&given) : colors(colors_) {
@@ -61,8 +78,9 @@ struct AovLayout {
 template <class S>
 struct AovOutput {
     std::array<S *, AovCount> data{};
-    int32_t *shape = nullptr, *primitive = nullptr;
-    std::vector<uint64_t> seeds;  // of each pass
+    int32_t *shape = nullptr, *primitive = nullptr, *material = nullptr;
+    std::array<int32_t, AovAttributes> attributes{-1, -1, -1, -1};  // numbers of their names
+    std::vector<uint64_t> seeds;                                    // of each pass
     bool zero_at_misses = false;  // averages over all samples, zero where nothing is hit, in place of those that hit
 };
 

@@ -7,14 +7,22 @@ namespace tr {
 
 namespace detail {
 
+// What averages over the samples that hit something are weighted with: filters with negative lobes would make anything
+// of them beside an outline, where such a lobe may be all that reaches the object.
+template <class S>
+Filter filter_of_outputs(const RenderCall<S> &call, const AovOutput<S> &out) {
+    return out.zero_at_misses ? call.filter : call.filter.magnitude();
+}
+
 // Adds values, then the weight of samples that hit something, then all weights of every pass to the film.
 template <class F, int C, class Fill>
 void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const Plan &plan, const AovLayout &layout,
-                      const std::vector<uint64_t> &seeds, Film &film, RenderStats &stats, Fill &&fill) {
+                      const AovOutput<ScalarOf<F>> &out, Film &film, RenderStats &stats, Fill &&fill) {
+    const Filter filter = filter_of_outputs(call, out);
     const size_t capacity = 1024;
     const int values = layout.n + 1;
     std::mutex mutex;
-    for (uint64_t seed : seeds) {
+    for (uint64_t seed : out.seeds) {
         PathConfig config = call.config;
         config.seed = seed;
         OrderedMerge merge(plan, film, call.threads);
@@ -35,7 +43,7 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const Plan &plan, con
                             double v[MaxAovChannels + 1];
                             for (int c = 0; c < layout.n; ++c) v[c] = double(hits->value[c][k]);
                             v[layout.n] = hits->shape[k] != Accel::Miss ? 1 : 0;
-                            blocks[span.unit].splat(call.filter, int32_t(hits->row[k]), int32_t(hits->column[k]),
+                            blocks[span.unit].splat(filter, int32_t(hits->row[k]), int32_t(hits->column[k]),
                                                     double(hits->film_y[k]), double(hits->film_x[k]), v);
                         }
                 });
@@ -55,13 +63,13 @@ void write_outputs(const Plan &plan, const AovLayout &layout, const Film &film, 
                    bool derivative) {
     for (size_t i = 0; i < plan.n_results(); ++i) {
         const double *p = film.at(plan.target_of(i));
-        double total = out.zero_at_misses ? p[layout.n + 1] : p[layout.n];
+        double total = out.zero_at_misses ? p[layout.n + 1] : p[layout.n];  // the first may be negative
         for (int kind = 0; kind < AovCount; ++kind) {
             if (!layout.wants(kind)) continue;
             int n = layout.count(kind);
             bool infinite = aov_names[kind].infinite && !out.zero_at_misses && !derivative;
             for (int c = 0; c < n; ++c)
-                out.data[size_t(kind)][i * size_t(n) + size_t(c)] = total > 0  ? S(p[layout.offset[kind] + c] / total)
+                out.data[size_t(kind)][i * size_t(n) + size_t(c)] = total != 0 ? S(p[layout.offset[kind] + c] / total)
                                                                     : infinite ? S(INFINITY)
                                                                                : S(0);
         }
@@ -89,6 +97,8 @@ void identify(const RenderCall<ScalarOf<F>> &call, const Plan &plan, const AovOu
                           bool hit = hits->shape[k] != Accel::Miss;
                           if (out.shape) out.shape[first + k] = hit ? int32_t(hits->shape[k]) : -1;
                           if (out.primitive) out.primitive[first + k] = hit ? int32_t(hits->primitive[k]) : -1;
+                          if (out.material)
+                              out.material[first + k] = hit ? call.scene->shapes[hits->shape[k]].bsdf : -1;
                       }
                   };
               });
@@ -96,7 +106,9 @@ void identify(const RenderCall<ScalarOf<F>> &call, const Plan &plan, const AovOu
 
 template <class S>
 AovLayout layout_of(const AovOutput<S> &out, int colors) {
-    return AovLayout(colors, [&](int kind) { return out.data[size_t(kind)] != nullptr; });
+    AovLayout r(colors, [&](int kind) { return out.data[size_t(kind)] != nullptr; });
+    r.attributes = out.attributes;
+    return r;
 }
 
 template <class F, int C>
@@ -104,16 +116,16 @@ RenderStats primal_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Scal
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
     Plan plan = make_plan(call);
-    AovLayout layout = layout_of(out, C);
+    const AovLayout layout = layout_of(out, C);
     if (layout.n > 0) {
         Film film(plan, layout.n + 2);
-        splat_first_hits<F, C>(call, plan, layout, out.seeds, film, stats, [](FirstHits<F, C> &hits, size_t n) {
+        splat_first_hits<F, C>(call, plan, layout, out, film, stats, [](FirstHits<F, C> &hits, size_t n) {
             hits.evaluate(n);
             return uint64_t(0);
         });
         write_outputs(plan, layout, film, out, false);
     }
-    if ((out.shape || out.primitive) && !stats.interrupted) identify<F, C>(call, plan, out, stats);
+    if ((out.shape || out.primitive || out.material) && !stats.interrupted) identify<F, C>(call, plan, out, stats);
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
 }
@@ -124,9 +136,9 @@ RenderStats tangent_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
     Plan plan = make_plan(call);
-    AovLayout layout = layout_of(out, C);
+    const AovLayout layout = layout_of(out, C);
     Film film(plan, layout.n + 2);
-    splat_first_hits<F, C>(call, plan, layout, out.seeds, film, stats, [&](FirstHits<F, C> &hits, size_t n) {
+    splat_first_hits<F, C>(call, plan, layout, out, film, stats, [&](FirstHits<F, C> &hits, size_t n) {
         ForwardSink<F, C> sink;
         sink.tangent = derivative.tangent;
         sink.geometry = derivative.geometry_tangent;
@@ -146,19 +158,20 @@ RenderStats adjoint_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
     auto begin = std::chrono::steady_clock::now();
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     Plan plan = make_plan(call);
-    AovLayout layout = layout_of(out, C);
+    const Filter filter = filter_of_outputs(call, out);
+    const AovLayout layout = layout_of(out, C);
     // d loss / d (weighted sums) of every wanted pixel
     Film adjoint(plan, layout.n);
     {
         AovLayout none(C, [](int) { return false; });
         Film weights(plan, 2);
-        splat_first_hits<F, C>(call, plan, none, out.seeds, weights, stats,
+        splat_first_hits<F, C>(call, plan, none, out, weights, stats,
                                [](FirstHits<F, C> &, size_t) { return uint64_t(0); });
         if (stats.interrupted) return stats;
         for (size_t i = 0; i < plan.n_results(); ++i) {
             size_t target = plan.target_of(i);
             double total = weights.at(target)[out.zero_at_misses ? 1 : 0];
-            if (total <= 0) continue;
+            if (total == 0) continue;
             for (int kind = 0; kind < AovCount; ++kind) {
                 if (!layout.wants(kind)) continue;
                 int n = layout.count(kind);
@@ -186,7 +199,7 @@ RenderStats adjoint_aov(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
                         for (const Span &span : spans)
                             for (size_t k = span.begin; k < span.end; ++k) {
                                 double v[MaxAovChannels];
-                                blocks[span.unit].collect(call.filter, int32_t(hits->row[k]), int32_t(hits->column[k]),
+                                blocks[span.unit].collect(filter, int32_t(hits->row[k]), int32_t(hits->column[k]),
                                                           double(hits->film_y[k]), double(hits->film_x[k]), v);
                                 for (int c = 0; c < layout.n; ++c) hits->value[c][k] = S(v[c]);
                             }

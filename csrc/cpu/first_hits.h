@@ -1,12 +1,12 @@
 // The first hits of a batch of camera rays, and the outputs that are functions of them.
 #pragma once
 
-#include "albedo.h"
 #include "aov.h"
 #include "core/adjoint/outputs.h"
 #include "core/integrator/path.h"
 #include "items.h"
 #include "queries.h"
+#include "shown.h"
 
 namespace tr {
 
@@ -103,9 +103,26 @@ public:
                 Vec2<F> uv = texture_coordinates<F>(scene_, si.at, active);
                 put_number(AovUv, 0, uv.x), put_number(AovUv, 1, uv.y);
             }
-            if (wants(AovAlbedo)) {
-                Color<F, C> color = eval_albedo<C>(scene_, si.shape.bsdf, behind(ray, si), si.at, active);
-                for (int c = 0; c < C; ++c) put_number(AovAlbedo, c, color[c]);
+            if (wants(AovBarycentric)) put_number(AovBarycentric, 0, si.at.b1), put_number(AovBarycentric, 1, si.at.b2);
+            if (wants(AovPartialU) || wants(AovPartialV)) {
+                PositionPartials<F> partials = position_partials(scene_, si.at, si.shape, active);
+                if (wants(AovPartialU)) put_vector(AovPartialU, partials.u);
+                if (wants(AovPartialV)) put_vector(AovPartialV, partials.v);
+            }
+            for (int kind : {AovAlbedo, AovSpecular, AovRoughness}) {
+                if (!wants(kind)) continue;
+                Color<F, C> color = eval_shown<C>(scene_, kind, si.shape.bsdf, behind(ray, si), si.at, active);
+                for (int c = 0; c < layout_.count(kind); ++c) put_number(kind, c, color[c]);
+            }
+            for (int k = 0; k < AovAttributes; ++k) {
+                if (!wants(AovAttribute + k)) continue;
+                Color<F, C> color = uniform_color<C>(F(0));
+                each_attribute(
+                    k, si, active, [&](const AttributeInfo &info, const Footprint<F, 3> &at, const M &lanes) {
+                        color =
+                            select(lanes, gather_footprint<C>(scene_.values.tensors[info.tensor], at, lanes), color);
+                    });
+                for (int c = 0; c < C; ++c) put_number(AovAttribute + k, c, color[c]);
             }
         });
     }
@@ -118,17 +135,35 @@ public:
         if (forward)
             for (int k = 0; k < layout_.n; ++k) std::memset(value[k], 0, n * sizeof(S));
         for_hits(n, [&](size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si) {
-            CoordinateAdjoint<F> at;
-            if (wants(AovAlbedo)) {
-                S *const *to = value + layout_.offset[AovAlbedo];
+            // what a channel is linear in: textures, numbers and colours of meshes
+            auto sweep_values = [&](int kind, auto &&give) {
+                S *const *to = value + layout_.offset[kind];
+                const int channels = layout_.count(kind);
                 Color<F, C> g = uniform_color<C>(F(1));
                 if (!forward)
-                    for (int c = 0; c < C; ++c) g[c] = load<F>(to[c] + i);
+                    for (int c = 0; c < C; ++c) g[c] = load<F>(to[std::min(c, channels - 1)] + i);
+                if constexpr (forward) sink.channel = 0;
                 sink.begin();
-                if (wanted.bsdf)
-                    sweep_albedo(scene_, si.shape.bsdf, behind(ray, si), si.at, g, true, false, active, at, sink);
+                give(g);
                 if constexpr (forward)
-                    for (int c = 0; c < C; ++c) store(to[c] + i, select(active, sink.derivative[c], F(0)));
+                    for (int c = 0; c < channels; ++c) store(to[c] + i, select(active, sink.derivative[c], F(0)));
+            };
+            for (int kind : {AovAlbedo, AovSpecular, AovRoughness}) {
+                if (!wants(kind) || !wanted.bsdf) continue;
+                CoordinateAdjoint<F> none;
+                sweep_values(kind, [&](const Color<F, C> &g) {
+                    sweep_shown(scene_, kind, si.shape.bsdf, behind(ray, si), si.at,
+                                kind == AovRoughness ? only_first(g) : g, true, false, active, none, sink);
+                });
+            }
+            for (int k = 0; k < AovAttributes; ++k) {
+                if (!wants(AovAttribute + k)) continue;
+                sweep_values(AovAttribute + k, [&](const Color<F, C> &g) {
+                    each_attribute(k, si, active,
+                                   [&](const AttributeInfo &info, const Footprint<F, 3> &at, const M &lanes) {
+                                       sink.footprint(scene_, info.tensor, at, g, lanes);
+                                   });
+                });
             }
             if (!wanted.geometry) return;
             if constexpr (forward) {
@@ -152,6 +187,25 @@ private:
 
     M behind(const Ray<F> &ray, const Interaction<F> &si) const { return mask<F>(dot(si.frame.n, ray.d) > F(0)); }
 
+    // A colour of which the sink of a luminance gets one number.
+    static Color<F, C> only_first(Color<F, C> g) {
+        for (int c = 1; c < C; ++c) g[c] = F(0);
+        return g;
+    }
+
+    // Calls visit(attribute, its rows, lanes) where meshes have the colours of output k.
+    template <class Visit>
+    void each_attribute(int k, const Interaction<F> &si, const M &active, Visit &&visit) const {
+        const int32_t name = layout_.attributes[size_t(k)];
+        for_each_distinct<F>(I(si.at.shape), active, [&](int32_t shape, const M &lanes) {
+            int32_t a = scene_.shapes[shape].first_attribute;
+            while (a >= 0 && scene_.attributes[a].name != name) a = scene_.attributes[a].next;
+            if (a < 0) return;
+            const AttributeInfo &info = scene_.attributes[a];
+            visit(info, MeshAttribute::footprint<F>(scene_, info, uint32_t(shape), si.at, lanes), lanes);
+        });
+    }
+
     // What moves the hit, its normals or the look-up there; given(channel) is the adjoint of a channel.
     template <class Sink, class Given>
     void sweep_motion(size_t i, const M &active, const Ray<F> &ray, const Interaction<F> &si, const Wanted &wanted,
@@ -168,13 +222,26 @@ private:
         g.normal_camera = vector(AovNormalCamera);
         g.shading_normal_camera = vector(AovShadingNormalCamera);
         g.at.uv = {number(AovUv, 0), number(AovUv, 1)};
-        if (wants(AovAlbedo)) {
+        g.at.b = {number(AovBarycentric, 0), number(AovBarycentric, 1)};
+        g.partial_u = vector(AovPartialU);
+        g.partial_v = vector(AovPartialV);
+        for (int kind : {AovAlbedo, AovSpecular, AovRoughness}) {
+            if (!wants(kind)) continue;
+            Color<F, C> color = uniform_color<C>(F(0));
+            for (int c = 0; c < layout_.count(kind); ++c) color[c] = number(kind, c);
+            sweep_shown(scene_, kind, si.shape.bsdf, behind(ray, si), si.at, color, false, true, active, g.at, sink);
+        }
+        for (int k = 0; k < AovAttributes; ++k) {
+            if (!wants(AovAttribute + k)) continue;
             Color<F, C> color;
-            for (int c = 0; c < C; ++c) color[c] = number(AovAlbedo, c);
-            sweep_albedo(scene_, si.shape.bsdf, behind(ray, si), si.at, color, false, true, active, g.at, sink);
+            for (int c = 0; c < C; ++c) color[c] = number(AovAttribute + k, c);
+            each_attribute(k, si, active, [&](const AttributeInfo &info, const Footprint<F, 3> &at, const M &lanes) {
+                sweep_attribute<C>(scene_, info, at, F(1), color, lanes, g.at);
+            });
         }
         sweep_outputs(scene_, scene_.sensors[call_.config.sensor], camera_, load<F>(film_x + i), load<F>(film_y + i),
-                      S(call_.film_width), S(call_.film_height), ray.d, si, g, wanted.camera, active, sink);
+                      S(call_.film_width), S(call_.film_height), ray.d, si, g, wanted.camera,
+                      wants(AovPartialU) || wants(AovPartialV), active, sink);
     }
 
     static void put(S *const (&to)[3], size_t i, const Vec3<F> &v) {

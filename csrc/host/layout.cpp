@@ -52,7 +52,6 @@ public:
         lay_out_bsdfs(out_);
         connect_shapes();
         find_enclosed_media();
-        check_height_fields();
         connect_emitters();
         connect_attributes();
         check_meters();
@@ -293,19 +292,6 @@ private:
             if (nested >= 0 && nested < int32_t(list("bsdf").size()))
                 visit(nested, where("bsdf", bsdf, model.fields[f].name));
         }
-    }
-
-    bool turns_anything(int bsdf) {
-        bool r = turns_normals(out_.records.at("bsdf")[size_t(bsdf)].kind);
-        for_nested(bsdf, [&](int nested, const std::string &) { r = r || turns_anything(nested); });
-        return r;
-    }
-
-    void check_height_fields() {
-        for (size_t i = 0; i < out_.shapes.size(); ++i)
-            if ((out_.shapes[i].flags & IsHeightField) && turns_anything(out_.shapes[i].bsdf))
-                fail(path("shape", int(i)),
-                     "a bsdf without normal or bump maps, whose heights a height field has itself", "one with them");
     }
 
     void bsdf_depth(int bsdf, int depth) {
@@ -560,6 +546,8 @@ private:
         const Record &record = out_.records.at("texture")[size_t(texture)];
         if (record.kind == int32_t(TextureKind::MeshAttribute))
             fail(at, "a texture with coordinates: this light is no mesh", "a mesh_attribute");
+        if (record.kind == int32_t(TextureKind::Volume))
+            fail(at, "a texture with coordinates: this light has no surface", "a volume");
         if (record.kind == int32_t(TextureKind::Checkerboard))
             for (int f : {Checkerboard::Color0, Checkerboard::Color1}) check_pattern(at, record.field[f]);
     }

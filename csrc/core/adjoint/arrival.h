@@ -9,7 +9,6 @@ template <class F>
 struct HitAdjoint {
     // position, unit shading normal, unit geometric normal of a mesh
     Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)}, ng{F(0), F(0), F(0)};
-    Vec3<F> tangent{F(0), F(0), F(0)}, tangent_v{F(0), F(0), F(0)};  // dp/du, dp/dv, see shape/tangents.h
     CoordinateAdjoint<F> at;
 };
 

@@ -2,6 +2,7 @@
 // turned normal. With branch weights w_j and what the leaf brings, X, the vertex brings w_1 w_2 ... X.
 #pragma once
 
+#include "partials.h"
 #include "slopes.h"
 #include "vertex.h"
 
@@ -104,8 +105,9 @@ template <class F, class S, class Sink>
 TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord<F, 3> &v, const LayerSweep<F> &layers,
                                    const Wanted &wanted, HitAdjoint<F> &hit, Sink &sink) {
     const IntOf<F> &record = layers.leaf.layers.turned;
-    NormalTurn<F> turn(scene, v.at, v.p, record, layers.factor.turned);
+    NormalTurn<F> turn(scene, v.at, record, layers.factor.turned);
     const Vec3<F> n_bar = hit.n, z = layers.factor.base;
+    Vec3<F> by_u{F(0), F(0), F(0)}, by_v{F(0), F(0), F(0)};
     F side = select(layers.leaf.layers.mirrored, F(-1), F(1));
     // whether it was reversed shows in where it points
     auto reversed = mask<F>(dot(turn(z, side, F(-1)), v.normal) > dot(turn(z, side, F(1)), v.normal));
@@ -116,7 +118,7 @@ TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord
         Vec3<D> n = NormalMap::turn(seeded<D>(z, 0), side, seeded<D>(turn.tangents.u, 3), seeded<D>(turn.map, 6), sign);
         auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
         hit.n = select(turn.mapped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
-        hit.tangent = select(turn.mapped, Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
+        by_u = select(turn.mapped, Vec3<F>{bar(3), bar(4), bar(5)}, by_u);
         Color<F, 3> g{{bar(6), bar(7), bar(8)}};
         if (wanted.bsdf) sink.vector_texture(scene, texture, v.at, g, turn.mapped);
         sweep_lookup<3>(scene, texture, v.at, g, turn.mapped, hit.at, sink);
@@ -128,13 +130,15 @@ TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord
                                   u, w, sign);
         auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
         hit.n = select(turn.bumped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
-        hit.tangent = select(turn.bumped, Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
-        hit.tangent_v = select(turn.bumped, Vec3<F>{bar(6), bar(7), bar(8)}, hit.tangent_v);
+        by_u = select(turn.bumped, Vec3<F>{bar(3), bar(4), bar(5)}, by_u);
+        by_v = select(turn.bumped, Vec3<F>{bar(6), bar(7), bar(8)}, by_v);
         Vec2<F> g{bar(9) * turn.scale, bar(10) * turn.scale};
         sink.scalar(record_field<F>(scene.bsdfs, BumpMap::Scale, record, turn.bumped),
                     bar(9) * turn.slopes.x + bar(10) * turn.slopes.y, turn.bumped);
         sweep_slopes<3>(scene, texture, v.at, g, wanted.bsdf, true, turn.bumped, hit.at, sink);
     }
+    const MaskOf<F> &turned = layers.factor.turned;
+    sweep_partials(scene, v.at, ShapeLanes<F>(scene.shapes, v.at.shape, turned), by_u, by_v, turned, hit.at, sink);
 }
 
 // `whole`: what the leaf brings, times the adjoint of the vertex above its layers.

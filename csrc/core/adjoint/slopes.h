@@ -17,6 +17,7 @@ struct SlopesVisitor {
 
     TR_INLINE void constant(const IntOf<F> &, const MaskOf<F> &) {}
     TR_INLINE void attribute(const Record &, const AttributeInfo &, const Footprint<F, 3> &, const MaskOf<F> &) {}
+    TR_INLINE void volume(int32_t, const Vec3<F> &, const MaskOf<F> &) {}
     TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &uv, const MaskOf<F> &lanes) {
         if (record.field[Bitmap::Filter] == 1) return;
         int32_t slot = record.field[Bitmap::Data], offset = record.field[Bitmap::ToUv];

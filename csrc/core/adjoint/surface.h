@@ -6,7 +6,6 @@
 // surface: they keep their coordinates, and the measure in which they are integrated is area, which stretches.
 #pragma once
 
-#include "../shape/tangents.h"
 #include "heightfield.h"
 
 namespace tr {
@@ -19,25 +18,6 @@ TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> 
     sink.vertex(table, i + 1u, g.y, active);
     sink.vertex(table, i + 2u, g.z, active);
 }
-
-// Adjoints of the edges and of their texture coordinates from those of dp/du and dp/dv.
-template <class F>
-struct TangentAdjoint {
-    Vec3<F> e1, e2;
-    F u1, u2, v1, v2;
-    TR_INLINE TangentAdjoint(const Vec3<F> &e1_, const Vec3<F> &e2_, const Corners<F> &corners, const HitAdjoint<F> &g,
-                             const MaskOf<F> &has) {
-        TriangleTangents<F> t(e1_, e2_, corners, has);
-        Vec3<F> a = g.tangent * t.inverse, b = g.tangent_v * t.inverse;
-        e1 = select(t.mapped, a * t.v2 - b * t.u2, g.tangent);
-        e2 = select(t.mapped, b * t.u1 - a * t.v1, g.tangent_v);
-        F determinant = -(dot(a, t.u) + dot(b, t.v)), zero(0);
-        u1 = select(t.mapped, dot(b, e2_) + determinant * t.v2, zero);
-        u2 = select(t.mapped, -dot(b, e1_) - determinant * t.v1, zero);
-        v1 = select(t.mapped, -dot(a, e2_) - determinant * t.u2, zero);
-        v2 = select(t.mapped, dot(a, e1_) + determinant * t.u1, zero);
-    }
-};
 
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
@@ -92,16 +72,10 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
         auto to_texcoords = has && wanted;
         if (any(to_texcoords)) {
             const F weight[3] = {b0, b1, b2};
-            F by_u[3] = {F(0), F(0), F(0)}, by_v[3] = {F(0), F(0), F(0)};
-            if (scene.layered) {
-                TangentAdjoint<F> t(tri.e1, tri.e2, corners, g, has);
-                by_u[0] = -t.u1 - t.u2, by_u[1] = t.u1, by_u[2] = t.u2;
-                by_v[0] = -t.v1 - t.v2, by_v[1] = t.v1, by_v[2] = t.v2;
-            }
             for (int k = 0; k < 3; ++k) {
                 U index = tri.corner[k] * 2u;
-                sink.vertex(&Tables::texcoords, index, fmadd(g.at.uv.x, weight[k], by_u[k]), to_texcoords);
-                sink.vertex(&Tables::texcoords, index + 1u, fmadd(g.at.uv.y, weight[k], by_v[k]), to_texcoords);
+                sink.vertex(&Tables::texcoords, index, g.at.uv.x * weight[k], to_texcoords);
+                sink.vertex(&Tables::texcoords, index + 1u, g.at.uv.y * weight[k], to_texcoords);
             }
         }
     }
@@ -119,10 +93,6 @@ TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F
     q = select(glued, g.p + from_segment, q);
     if (any(wanted)) {
         Vec3<F> e1_bar = cross(tri.e2, area_bar), e2_bar = cross(area_bar, tri.e1);
-        if (scene.layered) {
-            TangentAdjoint<F> t(tri.e1, tri.e2, corners, g, has);
-            e1_bar = e1_bar + t.e1, e2_bar = e2_bar + t.e2;
-        }
         sweep_vertex(&Tables::positions, tri.corner[0], q * b0 - e1_bar - e2_bar, wanted, sink);
         sweep_vertex(&Tables::positions, tri.corner[1], q * b1 + e1_bar, wanted, sink);
         sweep_vertex(&Tables::positions, tri.corner[2], q * b2 + e2_bar, wanted, sink);
@@ -167,19 +137,6 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     Vec3<F> by_coordinates{radial * local.x - azimuth * local.y, radial * local.y + azimuth * local.x,
                            select(kind.sphere, v * F(-1 / Pi) * inverse_radius, select(kind.cylinder, v, F(0)))};
     local_bar = select(apart, local_bar + by_coordinates, local_bar);
-    Tangents<F> tangents = curved_tangents(local, sphere);
-    if (scene.layered) {
-        using D = Dual<F, 3>;
-        F to_world[12];
-        gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
-        Vec3<F> by_u = transform_normal(to_world, g.tangent), by_v = transform_normal(to_world, g.tangent_v);
-        Tangents<D> t = curved_tangents(Vec3<D>{D(local.x, 0), D(local.y, 1), D(local.z, 2)}, sphere);
-        F bar[3];
-        for (int i = 0; i < 3; ++i)
-            bar[i] = t.u.x.d[i] * by_u.x + t.u.y.d[i] * by_u.y + t.v.x.d[i] * by_v.x + t.v.y.d[i] * by_v.y +
-                     t.v.z.d[i] * by_v.z;
-        local_bar = local_bar + Vec3<F>{bar[0], bar[1], select(sphere, bar[2], F(0))};
-    }
     Vec3<F> over = transform_normal(to_object, local_bar);
     Vec3<F> q = n * ((dot(g.p, in.d) + dot(over, in.d)) / cosine) - over;
     Vec3<F> moved = g.p - q, from_segment = zero;
@@ -192,15 +149,12 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
     if (any(wanted)) {
         Vec3<F> a = transform_vector(to_object, up_bar);
         const F row[3] = {q.x, q.y, q.z}, column[3] = {local.x, local.y, local.z}, ups[3] = {up.x, up.y, up.z},
-                as[3] = {a.x, a.y, a.z}, along[3] = {g.tangent.x, g.tangent.y, g.tangent.z},
-                across[3] = {g.tangent_v.x, g.tangent_v.y, g.tangent_v.z},
-                us[3] = {tangents.u.x, tangents.u.y, tangents.u.z}, vs[3] = {tangents.v.x, tangents.v.y, tangents.v.z};
+                as[3] = {a.x, a.y, a.z};
         F determinant = select(glued, in.log_jacobian_bar, F(0));  // d log det(M) = tr(M^-1 dM)
         F matrix[12];
         for (int i = 0; i < 3; ++i) {
             for (int j = 0; j < 3; ++j)
-                matrix[4 * i + j] = row[i] * column[j] - ups[i] * as[j] + determinant * to_object[4 * j + i] +
-                                    along[i] * us[j] + across[i] * vs[j];
+                matrix[4 * i + j] = row[i] * column[j] - ups[i] * as[j] + determinant * to_object[4 * j + i];
             matrix[4 * i + 3] = row[i];
         }
         sweep_matrix<F>(at.shape, matrix, wanted, sink);

@@ -8,7 +8,7 @@
 #pragma once
 
 #include "../registry.h"
-#include "../shape/tangents.h"
+#include "../shape/partials.h"
 #include "../texture/slopes.h"
 
 namespace tr {
@@ -133,20 +133,20 @@ TR_INLINE Vec3<F> as_vector(const Color<F, 3> &c) {
 template <class F>
 struct NormalTurn {
     MaskOf<F> mapped{false}, bumped{false};
-    Tangents<F> tangents;
+    PositionPartials<F> tangents;
     Vec3<F> map{F(0), F(0), F(1)};
     F scale{0};
     Vec2<F> slopes{F(0), F(0)};  // without the scale
 
     template <class S>
-    TR_INLINE NormalTurn(const SceneView<S> &scene, const TexturedPoint<F> &at, const Vec3<F> &p,
-                         const IntOf<F> &record, const MaskOf<F> &turned) {
+    TR_INLINE NormalTurn(const SceneView<S> &scene, const TexturedPoint<F> &at, const IntOf<F> &record,
+                         const MaskOf<F> &turned) {
         static_assert(int(NormalMap::Map) == int(BumpMap::Heights) && int(NormalMap::Flip) == int(BumpMap::Flip) &&
                           int(NormalMap::Shadowing) == int(BumpMap::Shadowing),
                       "these are read as one");
         IntOf<F> kind = record_kind<F>(scene.bsdfs, record, turned);
         IntOf<F> texture = record_field<F>(scene.bsdfs, NormalMap::Map, record, turned);
-        tangents = surface_tangents(scene, at, p, turned);
+        tangents = position_partials(scene, at, ShapeLanes<F>(scene.shapes, at.shape, turned), turned);
         mapped = turned && mask<F>(kind == NormalMapKind);
         bumped = turned && mask<F>(kind == BumpMapKind);
         if (any(mapped)) map = as_vector(eval_texture<3>(scene, scene.values, texture, at, mapped));
@@ -170,10 +170,9 @@ struct NormalTurn {
 
 // The turned normal; `z` is the one that is turned and `wi` the direction to where the path comes from.
 template <class F, class S>
-TR_INLINE Vec3<F> turned_normal(const SceneView<S> &scene, const TexturedPoint<F> &at, const Vec3<F> &p,
-                                const Vec3<F> &z, const F &side, const Vec3<F> &wi, bool viewed,
-                                const Layers<F> &layers, const MaskOf<F> &turned) {
-    NormalTurn<F> turn(scene, at, p, layers.turned, turned);
+TR_INLINE Vec3<F> turned_normal(const SceneView<S> &scene, const TexturedPoint<F> &at, const Vec3<F> &z, const F &side,
+                                const Vec3<F> &wi, bool viewed, const Layers<F> &layers, const MaskOf<F> &turned) {
+    NormalTurn<F> turn(scene, at, layers.turned, turned);
     Vec3<F> n = turn(z, side, F(1));
     if (!viewed) return n;
     auto flips = turned && mask<F>(record_field<F>(scene.bsdfs, NormalMap::Flip, layers.turned, turned) == 1);
@@ -194,7 +193,7 @@ TR_NOINLINE Leaf<F> resolve_layers(const SceneView<S> &scene, Interaction<F> &si
     if constexpr (C == 3) {
         if (any(turned)) {
             F side = select(r.layers.mirrored, F(-1), F(1));
-            Vec3<F> n = turned_normal(scene, si.at, si.p, si.frame.n * side, side, -d, viewed, r.layers, turned);
+            Vec3<F> n = turned_normal(scene, si.at, si.frame.n * side, side, -d, viewed, r.layers, turned);
             si.frame = make_frame(select(turned, n, si.frame.n));
             r.mirrored = r.mirrored && !turned;
         }

@@ -12,6 +12,7 @@ struct TextureSlopes {
 
     TR_INLINE void constant(const IntOf<F> &, const MaskOf<F> &) {}
     TR_INLINE void attribute(const Record &, const AttributeInfo &, const Footprint<F, 3> &, const MaskOf<F> &) {}
+    TR_INLINE void volume(int32_t, const Vec3<F> &, const MaskOf<F> &) {}
     TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &, const MaskOf<F> &lanes) {
         if (record.field[Bitmap::Filter] == 1) return;
         const TensorView<S> &tensor = scene.values.tensors[record.field[Bitmap::Data]];
