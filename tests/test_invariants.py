@@ -19,7 +19,7 @@ SCENES = sorted(reference_scenes.SCENES)
 
 
 def image_and_gradient(scene: tr.Scene) -> tuple[torch.Tensor, torch.Tensor]:
-    words, fixed = ("reflectance", "radiance", "data", "intensity"), ("to_uv", "scale", "sampling_rate")
+    words, fixed = ("reflectance", "radiance", "data", "intensity"), ("to_uv", "to_world", "scale", "sampling_rate")
     names = [n for n, _ in scene.named_parameters() if any(w in n for w in words) and not n.endswith(fixed)]
     parameters = scene.train_only(*names)
     image = tr.render(scene, spp=4, seed=3)
