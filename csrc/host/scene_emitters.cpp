@@ -86,6 +86,12 @@ double SceneData<S>::mean_of_texture(int32_t texture, int32_t shape) {
             double scale = double(constants_[size_t(record.field[MeshAttribute::Scale])]);
             return std::abs(scale) * mean_of_tensor(layout_.attributes[size_t(a)].tensor);
         }
+        case TextureKind::Volume: {
+            const Record &volume = layout_.records.at("volume")[size_t(record.field[VolumeTexture::VolumeIndex])];
+            return volume.kind == kind_of_model<GridVolume>(Volumes{})
+                       ? mean_of_tensor(volume.field[GridVolume::Data])
+                       : mean_color(volume.field[ConstantVolume::Value]);
+        }
     }
     return 0;
 }
