@@ -1,5 +1,5 @@
-"""Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`,
-those of `tests/layer_scenes.py` and `tests/media_scenes.py` into files of their own.
+"""Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`
+and `camera_references.npz`, those of `tests/layer_scenes.py` and `tests/media_scenes.py` into files of their own.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -29,6 +29,7 @@ import reference_scenes as rs  # noqa: E402
 FILES = {
     "references.npz": rs.SCENES,
     "layer_references.npz": layer_scenes.SCENES,
+    "camera_references.npz": rs.CAMERAS,
     "media_references.npz": media_scenes.SCENES,
 }
 RUNS = 16

@@ -32,8 +32,12 @@ def camera(origin, target, fov: float) -> dict:
     return {"type": "perspective", "fov": fov, "to_world": Transform.look_at(origin, target), "film": film}
 
 
+PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+
+
 def scene(depth: int, camera: dict, **objects) -> dict:
     integrator = {"type": "path", "max_depth": depth, "rr_depth": 99}
+    camera = {name: value for name, value in camera.items() if value is not None}
     return {"type": "scene", "integrator": integrator, "camera": camera, **objects}
 
 
@@ -274,6 +278,40 @@ SCENES = {
     "bumpy_disk": lambda: scene(2, above(), floor={**floor(BUMPS), "type": "disk"}, lamp=lamp("rectangle")),
     "mixed_in_room": lambda: scene(3, at_ball(), ball=ball(blend(PAINT, BRUSHED)), room=black_room()),
     "perforated_in_room": lambda: scene(4, at_ball(), ball=ball(mask(BOTH_SIDES)), room=black_room()),
+    "distorted": lambda: scene(
+        2,
+        above() | {"fov": 30, "distortion": [-0.2, 0.08, 0.01, -0.02, 0.03, 0.02, -0.03, 0.01]},
+        floor=floor(),
+        lamp=lamp("rectangle"),
+    ),
+    "thinlens": lambda: scene(
+        2,
+        above() | {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.0},
+        floor=floor(),
+        lamp=lamp("rectangle"),
+    ),
+    "orthographic": lambda: scene(
+        2,
+        above() | {"type": "orthographic", "fov": None, "to_world": above()["to_world"] @ Transform.scale([1, 1.2, 1])},
+        floor=floor(),
+        lamp=lamp("rectangle"),
+    ),
+    "fisheye": lambda: scene(
+        1, above() | {"type": "fisheye", "fov": 90, "distortion": [0.05, -0.02, 0.01, -0.003]}, room=black_room()
+    ),
+    "panorama": lambda: scene(1, above() | {"type": "panorama", "fov": None}, room=black_room()),
+    "radiancemeter": lambda: scene(
+        2,
+        above() | {"type": "radiancemeter", "fov": None, "film": PIXEL},
+        floor=floor(),
+        lamp=lamp("rectangle"),
+    ),
+    "distant": lambda: scene(
+        2,
+        above() | {"type": "distant", "fov": None, "film": PIXEL, "target": [0.2, 0.1, 0.1]},
+        ball=ball(PAINT),
+        sky=environment(),
+    ),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

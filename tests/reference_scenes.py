@@ -699,6 +699,38 @@ def _instances() -> ReferenceScene:
     )
 
 
+def _seen_by(**sensor) -> ReferenceScene:
+    """A checkered floor, balls at three distances, an area light and a sky, seen by another camera."""
+    return ReferenceScene(
+        _scene(
+            {"type": "path", "max_depth": 3, "rr_depth": 100},
+            {**{k: v for k, v in _camera(origin=(0.5, 1.2, 5.0)).items() if k != "fov"}, **sensor},
+            near={"type": "sphere", "center": [-0.7, -0.4, 2.2], "radius": 0.35, "bsdf": _diffuse(_bitmap(95, 4, 8))},
+            middle={"type": "sphere", "center": [0.2, -0.2, 0.2], "radius": 0.5, "bsdf": _diffuse(_bitmap(96, 4, 8))},
+            far={"type": "sphere", "center": [0.9, 0.1, -2.0], "radius": 0.7, "bsdf": _diffuse(_bitmap(97, 4, 8))},
+            floor=_floor({"type": "checkerboard", "color0": 0.7, "color1": _rgb(0.2, 0.1, 0.3), "to_uv": TO_UV}),
+            lamp=_lamp(_rgb(8.0, 7.0, 5.0)),
+            sky={"type": "constant", "radiance": _rgb(0.3, 0.4, 0.5)},
+        )
+    )
+
+
+def _thinlens() -> ReferenceScene:
+    """A lens in focus in the middle, the field of view along the film's height."""
+    return _seen_by(type="thinlens", fov=42.0, fov_axis="y", aperture_radius=0.25, focus_distance=4.6)
+
+
+def _orthographic() -> ReferenceScene:
+    """Parallel rays, the frame scaled, a film twice as wide as high."""
+    film = {**_camera()["film"], "width": 2 * SIZE}
+    place = look_at((0.5, 1.2, 5.0), (0.0, 0.0, 0.0)) @ scale(2.2, 2.2, 1.0)
+    return _seen_by(type="orthographic", to_world=place, film=film)
+
+
+# Rendered into a file of their own.
+CAMERAS = {"thinlens": _thinlens, "orthographic": _orthographic}
+
+
 SCENES = {
     "shapes": _shapes,
     "bitmaps": _bitmaps,

@@ -24,6 +24,7 @@ from torchrender.testing.statistics import sidak, student_p_value
 
 SIGNIFICANCE = 0.01  # of all tests of this file together
 SEEDS = 8
+LENS = {"to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y", "pixel_aspect"}
 # fields that say where something is, not how it looks
 MOVING = {
     ("shape", "mesh"): {"vertex_positions", "vertex_normals", "vertex_texcoords"},
@@ -47,13 +48,13 @@ MOVING = {
     ("bsdf", "roughplastic"): {"eta", "alpha"},
     ("bsdf", "principled"): {"eta", "specular"},
     ("bsdf", "bumpmap"): {"scale"},
-    ("sensor", "perspective"): {
-        "to_world",
-        "x_fov",
-        "principal_point_offset_x",
-        "principal_point_offset_y",
-        "pixel_aspect",
-    },
+    ("sensor", "perspective"): LENS | {"distortion"},
+    ("sensor", "thinlens"): LENS | {"aperture_radius", "focus_distance"},
+    ("sensor", "orthographic"): {"to_world"},
+    ("sensor", "fisheye"): LENS | {"distortion"},
+    ("sensor", "panorama"): {"to_world"},
+    ("sensor", "radiancemeter"): {"to_world"},
+    ("sensor", "distant"): {"to_world", "target"},
 }
 
 

@@ -14,7 +14,7 @@ from oracle.emitters import EMITTERS
 from oracle.film import FILTERS
 from oracle.media import MEDIA
 from oracle.phases import PHASES
-from oracle.scenes import SCENES, SIZE
+from oracle.scenes import SCENES
 from oracle.sensors import SENSORS
 from oracle.shapes import SHAPES
 from oracle.textures import TEXTURES
@@ -94,8 +94,8 @@ def test_gradients(name, variant):
     """Reverse mode of every parameter that has a derivative."""
     scene = scene_of(name, variant)
     values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
-    weight = torch.from_numpy(reference_scenes.weight(SIZE, SIZE, scene.channels))
     native, expected = render_both(scene, values)
+    weight = torch.from_numpy(reference_scenes.weight(*native.shape))
     given = torch.autograd.grad((native * weight).mean(), list(values.values()), allow_unused=True)
     wanted = torch.autograd.grad((expected * weight).mean(), list(values.values()), allow_unused=True)
     seen = 0

@@ -109,6 +109,15 @@ def test_image(name: str, references: dict[str, np.ndarray]) -> None:
     check(name, runs, references[f"{name}.mean"], references[f"{name}.var"], share, systematic)
 
 
+@pytest.mark.parametrize("name", list(reference_scenes.CAMERAS))
+def test_image_of_another_camera(name: str) -> None:
+    stored = np.load(DATA / "camera_references.npz")
+    scene = tr.load_dict(reference_scenes.CAMERAS[name]().scene)
+    with torch.no_grad():
+        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+    check(name, runs, stored[f"{name}.mean"], stored[f"{name}.var"], 16 * 1024 / (RUNS * 64))
+
+
 WITH_GRADIENTS = [name for name, make in ALL.items() if make().gradients]
 
 

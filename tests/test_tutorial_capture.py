@@ -73,7 +73,15 @@ def test_svbrdf(tutorial, tmp_path, capsys):
     assert result["normals, start"] < 27 and result["normals, end"] > 31
     assert result["new picture, start"] < 19 and result["new picture, end"] > 24
     assert "PSNR,  new picture" in capsys.readouterr().out
-    names = ["target_first", "target_new", "result_new", "diffuse_target", "roughness_result", "specular_result", "normals_result"]
+    names = [
+        "target_first",
+        "target_new",
+        "result_new",
+        "diffuse_target",
+        "roughness_result",
+        "specular_result",
+        "normals_result",
+    ]
     check_pictures(tmp_path, names)
 
 

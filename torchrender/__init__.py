@@ -21,11 +21,13 @@ from .integrators import (
     VolumetricPathTracer,
     WavefrontPathTracer,
 )
+from .loaders.colmap import load_colmap
 from .loaders.dict import from_trimesh, load_dict, load_file, variants
 from .progress import progress
 from .render import Renderer, render
 from .scene import Scene
 from .scene.camera import PerspectiveCamera
+from .scene.cameras import FisheyeCamera, OrthographicCamera, PanoramaCamera, ThinLensCamera
 from .scene.emitters import DirectionalLight, EnvironmentMap, PointLight, Projector, SpotLight
 from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
 from .scene.heightfield import HeightField
@@ -44,6 +46,7 @@ from .scene.materials import (
 )
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
+from .scene.meters import DistantSensor, RadianceMeter
 from .scene.phases import BlendPhase, TabulatedPhase
 from .scene.sensor import IrradianceMeter
 from .scene.shapes import Disk, Rectangle, Sphere
@@ -86,8 +89,10 @@ __all__ = [
     "DirectIllumination",
     "DirectionalLight",
     "Disk",
+    "DistantSensor",
     "EnvironmentMap",
     "Film",
+    "FisheyeCamera",
     "GridVolume",
     "HeightField",
     "HeterogeneousMedium",
@@ -100,6 +105,8 @@ __all__ = [
     "MissingTermWarning",
     "NormalMap",
     "NotDifferentiableError",
+    "OrthographicCamera",
+    "PanoramaCamera",
     "ParticleTracer",
     "PathTracer",
     "PerspectiveCamera",
@@ -108,6 +115,7 @@ __all__ = [
     "Principled",
     "PrincipledThin",
     "Projector",
+    "RadianceMeter",
     "ReconstructionFilter",
     "Rectangle",
     "RednerMaterial",
@@ -123,6 +131,7 @@ __all__ = [
     "SubstitutionWarning",
     "TabulatedPhase",
     "ThinDielectric",
+    "ThinLensCamera",
     "TorchBSDF",
     "Transform",
     "TwoSided",
@@ -131,6 +140,7 @@ __all__ = [
     "backends",
     "from_trimesh",
     "integrators",
+    "load_colmap",
     "load_dict",
     "load_file",
     "progress",

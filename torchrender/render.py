@@ -20,7 +20,6 @@ from .integrators import AOV, Integrator, PathTracer, WavefrontPathTracer
 from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
 from .progress import progress
 from .scene.boundaries import check_phases, warn_of_open_boundaries
-from .scene.camera import PerspectiveCamera
 from .scene.context import Context
 from .scene.derivatives import Wanted, depth_outside
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
@@ -39,7 +38,7 @@ GRADIENT_STREAM = 0x67726164
 def render(
     scene: Scene,
     *,
-    sensor: int | PerspectiveCamera | Sequence[int | PerspectiveCamera] = 0,
+    sensor: int | Sensor | Sequence[int | Sensor] = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
     seed: int | torch.Generator | None = None,
@@ -116,9 +115,9 @@ def render(
     _check_words(layout, nan, sampler)
     _check_kinds_of_derivative(adaptive_grad, correlated)
     passes = _count("passes", passes)
-    packed = scene.layout()
+    packed = _layout(scene, sensor)
     attributes_of(packed, [n for n in names if n not in PATH_OUTPUTS])
-    cameras, batched = _cameras(scene, packed, sensor)
+    cameras, batched = _cameras(packed, sensor)
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
@@ -145,6 +144,11 @@ def render(
         film, own = camera.film, default_sampler(camera)
         if isinstance(camera, IrradianceMeter):
             _check_meter(camera, light, names, stack, tensors, packed)
+        elif light and camera.kind() != ("perspective",):
+            raise ValueError(
+                "render: sensor: ParticleTracer connects light to a perspective camera without distortion, or measures "
+                f"it with an irradiancemeter, but this is {_named(camera)}"
+            )
         samples = own.sample_count if spp is None else _count("spp", spp)
         window, size, config = _film_config(film, crop)
         if pixels is not None:
@@ -152,9 +156,9 @@ def render(
             config["pixels"] = (chosen.ctypes.data, len(chosen))
             size = (len(chosen),)
         used = tensors
-        if index == len(packed.sensors) - 1:
-            used = substitute(scene, packed, tensors, camera)
-            if volumetric and camera.medium is not None:
+        if index >= packed.own_sensors:
+            used = substitute(scene, packed, tensors, camera, packed.sensors[index])
+            if volumetric and getattr(camera, "medium", None) is not None:
                 raise ValueError(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
                 )
@@ -400,21 +404,38 @@ def _seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
     return first, second
 
 
-def _cameras(scene: Scene, packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], bool]:
-    """Pairs of index and camera; the last index of the packed sensors stands for cameras outside of the scene."""
+def _named(camera: Sensor) -> str:
+    return f"a {camera.type}" + (" with distortion" if getattr(camera, "distortion", None) is not None else "")
+
+
+def _layout(scene: Scene, sensor: Any) -> Layout:
+    """The scene's layout, with room for cameras that are no part of it."""
+    for item in sensor if isinstance(sensor, Sequence) and not isinstance(sensor, str) else [sensor]:
+        if isinstance(item, Sensor) and not isinstance(item, IrradianceMeter):
+            scene.admit(item)
+    return scene.layout()
+
+
+def _cameras(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], bool]:
+    """Pairs of index and camera; further indices of the packed sensors stand for cameras outside of the scene."""
     if isinstance(sensor, (torch.Tensor, np.ndarray)) and sensor.ndim == 1:
         sensor = sensor.tolist()
     batched = isinstance(sensor, Sequence) and not isinstance(sensor, str)
     chosen = list(sensor) if batched else [sensor]
     if not chosen:
         raise ValueError("render: sensor: an empty list")
-    own = packed.sensors[:-1]
+    own = packed.sensors[: packed.own_sensors]
     found: list[tuple[int, Sensor]] = []
     for item in chosen:
         if isinstance(item, Sensor):
             index = next((i for i, camera in enumerate(own) if camera is item), len(own))
-            if index == len(own) and not isinstance(item, PerspectiveCamera):
-                raise ValueError(f"render: sensor: {describe(item)} has to be one of the scene's: scene['meter'] = ...")
+            if index == len(own):
+                if isinstance(item, IrradianceMeter):
+                    raise ValueError(
+                        f"render: sensor: {describe(item)} has to be one of the scene's: scene['meter'] = ..."
+                    )
+                while packed.sensors[index].kind() != item.kind():
+                    index += 1
             found.append((index, item))
             continue
         if isinstance(item, bool) or not hasattr(item, "__index__"):

@@ -6,6 +6,7 @@
 #include <mutex>
 
 #include "config.h"
+#include "core/sensor/camera.h"
 #include "cpu/aov.h"
 #include "cpu/render.h"
 #include "cpu/zeros.h"
@@ -312,8 +313,11 @@ private:
         if (c.path.sensor >= sensors)
             throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors) + ", got " +
                                         std::to_string(c.path.sensor));
-        if (!c.light && data_.layout().records.at("sensor")[c.path.sensor].kind == IrradianceMeterKind)
-            throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");
+        const Record &sensor = data_.layout().records.at("sensor")[c.path.sensor];
+        const bool meter = sensor.kind == IrradianceMeterKind;
+        if (!c.light && meter) throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");
+        if (c.light && !meter && !is_pinhole(sensor))
+            throw std::invalid_argument("sensor: light paths are connected to pinholes without distortion alone");
         data_.choose_emitters(c.by_power);
         RenderCall<S> call{};
         call.scene = &data_.view();

@@ -20,8 +20,14 @@
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
 #include "medium/medium.h"
+#include "sensor/distant.h"
+#include "sensor/fisheye.h"
 #include "sensor/irradiancemeter.h"
+#include "sensor/orthographic.h"
+#include "sensor/panorama.h"
 #include "sensor/perspective.h"
+#include "sensor/radiancemeter.h"
+#include "sensor/thinlens.h"
 #include "shape/models.h"
 #include "texture/texture.h"
 
@@ -34,7 +40,8 @@ using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric
 using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
 // (Emitters: emitter/emitter.h, which chooses among them.)
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel, CylinderModel>;
-using Sensors = TypeList<Perspective, IrradianceMeter>;
+using Sensors =
+    TypeList<Perspective, IrradianceMeter, ThinLens, Orthographic, Fisheye, Panorama, RadianceMeter, Distant>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
 using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;

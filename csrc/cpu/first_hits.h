@@ -37,6 +37,8 @@ public:
             a.column(o_, n);
             a.column(d_, n);
             a.column(first_, n);
+            a.column(center_, n);
+            a.column(lens_, n);
             for (int k = 0; k < layout.n; ++k) a.column(value[k], n);
             if (sizeof(S) == 8) a.column(single_, n);
         });
@@ -45,18 +47,22 @@ public:
     // Rays through the samples' film positions (choose_positions), or through the centres of their pixels.
     void trace(const PathConfig &config, size_t n, bool centres) {
         const Record &record = scene_.sensors[config.sensor];
+        const bool lens = uses_lens(record);
         if (!centres) choose_positions<F>(config, *this, n);
         for (size_t i = 0; i < n; i += W) {
-            F y = centres ? F(I(load_uint<F>(row + i))) + F(0.5) : load<F>(film_y + i);
-            F x = centres ? F(I(load_uint<F>(column + i))) + F(0.5) : load<F>(film_x + i);
-            F length;
-            Vec3<F> center;
-            Ray<F> ray =
-                Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length, center);
-            put(o_, i, ray.o);
-            put(first_, i, ray.o);
-            put(d_, i, ray.d);
-            store(length_ + i, length);
+            CameraSample<F> at;
+            at.y = centres ? F(I(load_uint<F>(row + i))) + F(0.5) : load<F>(film_y + i);
+            at.x = centres ? F(I(load_uint<F>(column + i))) + F(0.5) : load<F>(film_x + i);
+            if (lens && !centres)
+                at.choose_lens(draw4<F>(config, load_uint<F>(pixel + i), load_uint<F>(sample + i), 0, 4));
+            CameraRay<F> r = camera_ray(scene_, record, at, S(call_.film_width), S(call_.film_height));
+            put(o_, i, r.ray.o);
+            put(first_, i, r.ray.o);
+            put(d_, i, r.ray.d);
+            put(center_, i, r.center);
+            store(lens_[0] + i, at.lens_x);
+            store(lens_[1] + i, at.lens_y);
+            store(length_ + i, select(r.exists, r.length, F(-1)));  // a ray of negative length hits nothing
         }
         query(n);
         if (config.hide_emitters) pass_emitters(scene_, o_, d_, length_, shape, t_, n, [&] { query(n); });
@@ -92,7 +98,7 @@ public:
             };
             Vec3<F> from = si.p - Vec3<F>{F(camera_.origin.x), F(camera_.origin.y), F(camera_.origin.z)};
             if (wants(AovDepth)) put_number(AovDepth, 0, dot(from, axis(2)));
-            if (wants(AovDistance)) put_number(AovDistance, 0, norm(from));
+            if (wants(AovDistance)) put_number(AovDistance, 0, norm(si.p - get(center_, i)));
             if (wants(AovRayLength)) put_number(AovRayLength, 0, dot(si.p - get(first_, i), ray.d));
             if (wants(AovPosition)) put_vector(AovPosition, si.p);
             if (wants(AovNormal)) put_vector(AovNormal, si.ng);
@@ -239,8 +245,9 @@ private:
                 sweep_attribute<C>(scene_, info, at, F(1), color, lanes, g.at);
             });
         }
-        sweep_outputs(scene_, scene_.sensors[call_.config.sensor], camera_, load<F>(film_x + i), load<F>(film_y + i),
-                      S(call_.film_width), S(call_.film_height), ray.d, si, g, wanted.camera,
+        CameraSample<F> at{load<F>(film_x + i), load<F>(film_y + i), load<F>(lens_[0] + i), load<F>(lens_[1] + i)};
+        sweep_outputs(scene_, scene_.sensors[call_.config.sensor], camera_, at, S(call_.film_width),
+                      S(call_.film_height), get(center_, i), ray.d, si, g, wanted.camera,
                       wants(AovPartialU) || wants(AovPartialV), active, sink);
     }
 
@@ -269,7 +276,7 @@ private:
     const SceneView<S> &scene_;
     CameraFrame<S> camera_;
     Arena arena_;
-    S *o_[3], *d_[3], *first_[3], *length_, *t_, *b1_, *b2_;
+    S *o_[3], *d_[3], *first_[3], *center_[3], *lens_[2], *length_, *t_, *b1_, *b2_;
     float *single_[10] = {};
 };
 

@@ -42,11 +42,12 @@ public:
         Front<S, C> &front = fronts_[0];
         n_slots_ = n;
         const Record &record = scene_.sensors[call_.config.sensor];
+        const int numbers = uses_lens(record) ? 4 : 2;
         front.n = 0;
         for (size_t i = 0; i < n; i += W) {
             U slot = U(uint32_t(i)) + lane_index<F>();
             M active = mask<F>(slot < uint32_t(n));
-            Random4<F> u = draw4<F>(call_.config, load_uint<F>(pixel + i), load_uint<F>(sample + i), 0, 2);
+            Random4<F> u = draw4<F>(call_.config, load_uint<F>(pixel + i), load_uint<F>(sample + i), 0, numbers);
             F x = F(I(load_uint<F>(column + i))) + u.u[0], y = F(I(load_uint<F>(row + i))) + u.u[1];
             store(film_x + i, x);
             store(film_y + i, y);
@@ -58,12 +59,11 @@ public:
                 active = active && !mask<F>(size == F(0));
             }
             if (!any(active)) continue;
-            F length;
-            Vec3<F> center;
-            Ray<F> ray =
-                Perspective::ray(scene_, record, x, y, S(call_.film_width), S(call_.film_height), length, center);
+            CameraSample<F> at{x, y};
+            if (numbers > 2) at.choose_lens(u);
+            CameraRay<F> r = camera_ray(scene_, record, at, S(call_.film_width), S(call_.film_height));
             Color<F, C> one = uniform_color<C>(F(1));
-            append(front, ray, length, center, F(0), one, one, F(1), slot, U(0u), U(0u), active);
+            append(front, r.ray, r.length, r.center, F(0), one, one, F(1), slot, U(0u), U(0u), active && r.exists);
         }
     }
 
@@ -181,6 +181,7 @@ protected:
     template <class Sink>
     void sweep_tape(Sink &sink, bool forward, size_t block) {
         typename TapeSweep<F, C>::Paths paths{delta, radiance, film_x, film_y, n_slots_, {}};
+        paths.pixel = pixel, paths.sample = sample;
         if (volumetric_ && probing_) paths.branches = this->branches();
         paths.first_level = this->first_level_;
         boundary_.clear();

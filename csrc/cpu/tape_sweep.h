@@ -26,6 +26,7 @@ public:
         BranchColumns<S, C> branches{};
         int first_level = 0;                      // number of the tape's first level among all
         BlockBoundary<S, C> *boundary = nullptr;  // takes what that hands to the level before it
+        const uint32_t *pixel = nullptr, *sample = nullptr;
     };
 
     TapeSweep(const RenderCall<S> &call, const DerivativeCall<S> &derivative, Levels &levels, int n_levels,
@@ -131,13 +132,22 @@ protected:
                 if (parents)
                     hand_motion(*parents, level, i, ray, u, active);
                 else if (wanted.camera)
-                    sweep_camera(scene_, scene_.sensors[call_.config.sensor], gather<F>(paths_.film_x, slot, active),
-                                 gather<F>(paths_.film_y, slot, active), S(call_.film_width), S(call_.film_height), ray,
-                                 active, sink);
+                    sweep_start(slot, ray, active, sink);
             }
             if constexpr (std::is_same_v<Sink, ForwardSink<F, C>>)
                 add_to_slots<F>(paths_.radiance, slot, sink.derivative, active);
         }
+    }
+
+    template <class Sink>
+    void sweep_start(const U &slot, const RayAdjoint<F> &ray, const M &active, Sink &sink) {
+        const Record &record = scene_.sensors[call_.config.sensor];
+        CameraSample<F> at{gather<F>(paths_.film_x, slot, active), gather<F>(paths_.film_y, slot, active)};
+        if (uses_lens(record)) {
+            LaneSet<F> paths(slot, active);
+            at.choose_lens(draw4<F>(call_.config, paths.get(paths_.pixel), paths.get(paths_.sample), 0, 4));
+        }
+        sweep_camera(scene_, record, at, S(call_.film_width), S(call_.film_height), ray, F(0), active, sink);
     }
 
     // What the path that goes on from the probe of these segments has brought; 0 where there is none.

@@ -47,7 +47,7 @@ protected:
 
     // Of camera rays.
     void begin_volumetric(Front<S, C> &front) {
-        std::fill_n(front.medium, front.n, uint32_t(scene_.sensors[call_.config.sensor].field[Perspective::Medium]));
+        std::fill_n(front.medium, front.n, uint32_t(camera_medium(scene_.sensors[call_.config.sensor])));
         std::fill_n(front.depth, front.n, 0u);
         std::fill_n(front.lag, front.n, S(0));
         for (int c = 0; c < C; ++c) std::fill_n(front.channel[c], front.n, S(1));

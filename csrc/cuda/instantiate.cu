@@ -156,7 +156,7 @@ __global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uin
     Vec3<float> segment = si.p - center;
     Arrival<float> in{true, ray.d, norm(segment), segment, zero, 0.f};
     RayAdjoint<float> g = sweep_surface(scene, si.at, si.p, in, adjoints[i], true, sinks[i]);
-    sweep_camera(scene, camera, x[i], y[i], S(width), S(height), g, true, sinks[i]);
+    sweep_pinhole(scene, camera, x[i], y[i], S(width), S(height), g, zero, true, sinks[i]);
 }
 
 // Scattering in a medium: a new direction, and the forward-mode derivative of its density.

@@ -74,6 +74,15 @@ bool Dependence::shape(size_t index) const {
     return moved_shapes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
 }
 
+bool Dependence::camera(size_t sensor) const {
+    if (any_number("sensor", sensor, {Kind::Float, Kind::Transform})) return true;
+    const Record &record = layout_.records.at("sensor")[sensor];
+    const Model &model = model_of("sensor", record);
+    for (int f = 0; f < model.n_fields; ++f)
+        if (model.fields[f].kind == Kind::Tensor && tensor(record.field[f])) return true;
+    return false;
+}
+
 bool Dependence::motion(size_t sensor) const {
     if (camera(sensor)) return true;
     for (size_t i = 0; i < layout_.shapes.size(); ++i)

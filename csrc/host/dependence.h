@@ -24,7 +24,7 @@ public:
     // or a look-up.
     // Which properties of a medium depend on something wanted.
     MediumWanted medium(size_t index) const;
-    bool camera(size_t sensor) const { return any_number("sensor", sensor, {Kind::Float, Kind::Transform}); }
+    bool camera(size_t sensor) const;
     bool shape(size_t index) const;
     bool motion(size_t sensor) const;
     // Whether a BSDF has a texture that is not constant.

@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "../core/registry.h"
+#include "../core/sensor/camera.h"
 #include "models.h"
 
 namespace tr {
@@ -54,7 +55,7 @@ public:
         find_enclosed_media();
         connect_emitters();
         connect_attributes();
-        check_meters();
+        check_sensors();
         return std::move(out_);
     }
 
@@ -373,8 +374,7 @@ private:
             if (!is_parallel<float>(emitter.kind)) return;
         for (size_t m = 0; m < out_.media.size(); ++m) {
             bool bounded = false, open = false;
-            for (const Record &sensor : out_.records["sensor"])
-                open |= sensor.kind != IrradianceMeterKind && sensor.field[Perspective::Medium] == int32_t(m);
+            for (const Record &sensor : out_.records["sensor"]) open |= camera_medium(sensor) == int32_t(m);
             for (const ShapeInfo &shape : out_.shapes) {
                 if (shape.interior != int32_t(m) && shape.exterior != int32_t(m)) continue;
                 bounded = true;
@@ -552,14 +552,25 @@ private:
             for (int f : {Checkerboard::Color0, Checkerboard::Color1}) check_pattern(at, record.field[f]);
     }
 
-    void check_meters() {
+    void check_sensors() {
         for (int i = 0; i < int(list("sensor").size()); ++i) {
+            check_table(i, Perspective::model.type, Perspective::Distortion, 8);
+            check_table(i, Fisheye::model.type, Fisheye::Distortion, 4);
+            check_table(i, Distant::model.type, Distant::Target, 3);
             if (list("sensor")[size_t(i)].type != IrradianceMeter::model.type) continue;
             int shape = value("sensor", i, IrradianceMeter::ShapeIndex);
             if (!(out_.shapes[size_t(shape)].flags & HasTexcoords))
                 fail(where("sensor", i, "shape"), "a rectangle, or a mesh with texture coordinates",
                      "'" + list("shape")[size_t(shape)].type + "' without");
         }
+    }
+
+    void check_table(int sensor, const std::string &type, int f, int64_t size) {
+        if (list("sensor")[size_t(sensor)].type != type || value("sensor", sensor, f) < 0) return;
+        const auto &s = shapes_[size_t(value("sensor", sensor, f))];
+        if (s.size() != 1 || s[0] != size)
+            fail(where("sensor", sensor, field("sensor", sensor, f).name),
+                 "a tensor of shape (" + std::to_string(size) + ",)", text(s));
     }
 
     void connect_attributes() {

@@ -12,7 +12,7 @@ from .bsdfs import BSDFS, resolve
 from .film import develop
 from .geometry import dot, normalize
 from .path import PathTracer, camera_samples
-from .world import At, World
+from .world import At, Record, World
 
 
 def albedo(world: World, hits: tr.queries.Hits, d: torch.Tensor) -> torch.Tensor:
@@ -27,6 +27,17 @@ def albedo(world: World, hits: tr.queries.Hits, d: torch.Tensor) -> torch.Tensor
         if name is not None:
             result = result.index_put((rows,), world.color("bsdf", record, name, at[rows]))
     return result
+
+
+class Unclipped:
+    """A world whose cameras see from where they are, not from their near plane on."""
+
+    def __init__(self, world: World) -> None:
+        self.world, self.scene, self.records = world, world.scene, world.records
+
+    def tensor(self, category: str, record: Record, name: str) -> torch.Tensor:
+        found = self.world.tensor(category, record, name)
+        return torch.zeros_like(found) if name == "near_clip" else found
 
 
 def first_hits(
@@ -51,9 +62,10 @@ def first_hits(
     rows = hits.valid.nonzero()[:, 0]
     hits, d = tr.queries.Hits(*(x[rows] for x in hits)), rays.directions[rows]
     away = hits.position - to_world[:3, 3]
+    apart = hits.position - camera_samples(Unclipped(world), seed, spp, sensor)[1].origins[rows]
     found = {
         "depth": dot(away, axes[2])[:, None],
-        "distance": torch.sqrt(dot(away, away))[:, None],
+        "distance": torch.sqrt(dot(apart, apart))[:, None],
         "position": hits.position,
         "normal": hits.normal,
         "shading_normal": hits.shading_normal,

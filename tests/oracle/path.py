@@ -364,4 +364,5 @@ def camera_samples(
     pixel = ((y + 32768) << 16) | (x + 32768)
     u = numbers.random4(seed, sensor, pixel, sample, 0)
     positions = torch.stack([x + u[:, 0], y + u[:, 1]], 1)
-    return positions, SENSORS[record.type](world, record, (film.height, film.width), positions), pixel, sample
+    rays = SENSORS[record.type](world, record, (film.height, film.width), positions, u[:, 2:])
+    return positions, rays, pixel, sample

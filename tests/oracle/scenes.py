@@ -278,7 +278,55 @@ def splits() -> dict:
     )
 
 
+def _seen_by(sensor: dict, height: int = SIZE, width: int = SIZE) -> dict:
+    """A textured ball and floor under a map and an area light, seen by this sensor."""
+    film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "tent", "radius": 0.9}}
+    return r._scene(
+        {"type": "path", "max_depth": 3, "rr_depth": 9},
+        {"to_world": r.look_at((0.2, 1.0, 4.0), (0.0, 0.0, 0.0)), "film": film, **sensor},
+        ball={
+            "type": "sphere",
+            "center": [0.2, 0.1, 0.0],
+            "radius": 0.9,
+            "bsdf": r._diffuse(r._bitmap(61, 5, 7)),
+        },
+        floor=r._floor(r._bitmap(62, 6, 6)),
+        lamp=r._lamp(r._rgb(6.0, 5.0, 4.0)),
+        sky={"type": "envmap", "data": r._noise(63, 5, 7, 0.1, 2.0), "to_world": r.rotate("x", 50)},
+    )
+
+
+OFF_CENTRE = {"principal_point_offset_x": 0.04, "principal_point_offset_y": -0.07, "pixel_aspect": 1.2}
+SENSORS: dict[str, Callable[[], dict]] = {
+    "distorted": lambda: _seen_by(
+        {
+            "type": "perspective",
+            "fov": 45,
+            "distortion": [-0.2, 0.08, 0.01, -0.02, 0.03, 0.02, -0.03, 0.01],
+            **OFF_CENTRE,
+        },
+        6,
+    ),
+    "thinlens": lambda: _seen_by(
+        {"type": "thinlens", "fov": 40, "aperture_radius": 0.2, "focus_distance": 3.2, **OFF_CENTRE}, 6
+    ),
+    "orthographic": lambda: _seen_by(
+        {
+            "type": "orthographic",
+            "to_world": r.look_at((0.2, 1.0, 4.0), (0.0, 0.0, 0.0)) @ r.scale(1.4, 1.2, 1.5),
+        },
+        6,
+    ),
+    "fisheye": lambda: _seen_by(
+        {"type": "fisheye", "fov": 130, "distortion": [0.05, -0.02, 0.01, -0.003], **OFF_CENTRE}, 6
+    ),
+    "panorama": lambda: _seen_by({"type": "panorama"}, 6),
+    "radiancemeter": lambda: _seen_by({"type": "radiancemeter"}, 1, 1),
+    "distant": lambda: _seen_by({"type": "distant"}, 1, 1),
+    "distant_point": lambda: _seen_by({"type": "distant", "target": [0.1, 0.3, 0.2]}, 1, 1),
+}
 SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
     **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, lights, splits)},
+    **SENSORS,
 }

@@ -176,7 +176,7 @@ class _Writer:
         done = self.mesh(plugin, depth + 1, where) if isinstance(plugin, Mesh) else set()
         done |= self.field_of_view(plugin, depth + 1)
         if plugin.category == "sensor":
-            self.sensor(plugin, depth + 1)
+            done |= self.sensor(plugin, depth + 1)
         shown = {theirs: ours for ours, theirs in plugin.aliases.items()}
         for field_name, field in plugin.fields().items():
             if field_name not in done:
@@ -277,8 +277,14 @@ class _Writer:
         self.value(depth, "fov_axis", "x")
         return {"x_fov"}
 
-    def sensor(self, sensor: Plugin, depth: int) -> None:
-        """Film and sampler."""
+    def sensor(self, sensor: Plugin, depth: int) -> set[str]:
+        """Target, film and sampler; returns the fields that are done with that."""
+        done = set()
+        target = getattr(sensor, "target", None)
+        if target is not None:
+            x, y, z = (number(v) for v in target.detach().cpu())
+            self.line(depth, "point", name="target", x=x, y=y, z=z)
+            done.add("target")
         film = sensor.__dict__.get("film")
         if film is not None:
             self.film(film, depth)
@@ -287,6 +293,7 @@ class _Writer:
             self.line(depth, "sampler", close=False, type=sampler.type)
             self.value(depth + 1, "sample_count", sampler.sample_count)
             self.end(depth, "sampler")
+        return done
 
     def film(self, film: Film, depth: int) -> None:
         self.line(depth, "film", close=False, type="hdrfilm")

@@ -1,21 +1,24 @@
-"""The perspective camera, from a scene dict or from what people have: OpenCV and OpenGL matrices."""
+"""What cameras share, and the perspective one: from a scene dict or from OpenCV's and OpenGL's matrices."""
 
 from __future__ import annotations
 
 import math
-from collections import namedtuple
-from collections.abc import Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
 from ..errors import describe
 from ..transform import Transform, as_matrix, on_cpu
 from . import values
+from .camera_rays import Rays, distorted_rays, perspective_rays
 from .context import Context
 from .film import Film, ReconstructionFilter
 from .registry import register
 from .sensor import Sensor
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 # The diagonal of the 36 mm x 24 mm frame that focal lengths refer to.
@@ -35,8 +38,27 @@ def x_fov_of(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
     return torch.rad2deg(2 * torch.atan(half))
 
 
-def take_fov(owner: str, properties: dict[str, Any], aspect: float, ctx: Context) -> None:
-    """Replace `fov` with `fov_axis`, or `focal_length`, in `properties` by `x_fov`; `aspect` is width / height."""
+def x_fov_of_angles(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
+    """The same for a lens whose image grows with the angle."""
+    if axis in ("smaller", "larger"):
+        axis = "x" if (aspect > 1) == (axis == "larger") else "y"
+    return fov * {"x": 1.0, "y": aspect, "diagonal": aspect / math.hypot(1.0, aspect)}[axis]
+
+
+def take_fov(
+    owner: str,
+    properties: dict[str, Any],
+    aspect: float,
+    ctx: Context,
+    most: float = 180.0,
+    of: Callable[[torch.Tensor, str, float], torch.Tensor] = x_fov_of,
+    otherwise: str | None = "50mm",
+) -> None:
+    """Replace `fov` with `fov_axis`, or `focal_length`, in `properties` by `x_fov`.
+
+    `aspect` is width / height; `of` gives the horizontal field of view from one along another axis, which is less than
+    `most`; without any the focal length is `otherwise`.
+    """
     axis = properties.pop("fov_axis", "x")
     values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
     ways = [n for n in ("fov", "focal_length", "x_fov") if n in properties]
@@ -44,12 +66,12 @@ def take_fov(owner: str, properties: dict[str, Any], aspect: float, ctx: Context
         ctx.error(f"{owner}: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
     if "fov" in properties:
         given = properties.pop("fov")
-        fov = x_fov_of(_angle(given, ctx.at("fov")), axis, aspect)
+        fov = of(_angle(given, ctx.at("fov"), most), axis, aspect)
         properties["x_fov"] = values.rounded(fov, given, ctx)
     elif "x_fov" in properties:
-        _angle(properties["x_fov"], ctx.at("x_fov"))
-    else:
-        given = properties.pop("focal_length", "50mm")
+        _angle(properties["x_fov"], ctx.at("x_fov"), most)
+    elif otherwise is not None:
+        given = properties.pop("focal_length", otherwise)
         millimetres = _millimetres(given, ctx.at("focal_length"))
         diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
         properties["x_fov"] = values.rounded(x_fov_of(diagonal, "diagonal", aspect), given, ctx)
@@ -64,108 +86,74 @@ def check_rigid(owner: str, properties: dict[str, Any], ctx: Context) -> None:
             ctx.at("to_world").error(f"a {owner}'s matrix may turn and move, but not scale or shear")
 
 
-Rays = namedtuple("Rays", "origins directions tmax")
-Rays.__doc__ = """Camera rays: `origins`, unit `directions` (N, 3), world space, and how far they reach, `tmax` (N,)."""
+class Camera(Sensor):
+    """What all cameras share: a film, a matrix, and rays through positions on the film."""
 
-
-def perspective_rays(
-    to_world: torch.Tensor,
-    x_fov: torch.Tensor,
-    offset_x: torch.Tensor,
-    offset_y: torch.Tensor,
-    near_clip: torch.Tensor,
-    far_clip: torch.Tensor,
-    pixel_aspect: torch.Tensor,
-    size: tuple[int, int],
-    positions: torch.Tensor,
-) -> Rays:
-    """Rays of a pinhole camera with these parameters, see `PerspectiveCamera.rays`; `size` of the film is (H, W)."""
-    height, width = size
-    tangent = torch.tan(x_fov * (math.pi / 360))
-    x = 2 * (positions[:, 0] * (1 / width) + offset_x)
-    y = 2 * (positions[:, 1] * (1 / height) + offset_y)
-    local = torch.stack([(1 - x) * tangent, (1 - y) * (tangent * height / width * pixel_aspect), torch.ones_like(x)], 1)
-    local = local / torch.linalg.vector_norm(local, dim=1, keepdim=True)
-    directions = (to_world[:3, :3] * local[:, None]).sum(2)  # not a matrix product, which autocast would round
-    directions = directions / torch.linalg.vector_norm(directions, dim=1, keepdim=True)
-    stretch = 1 / local[:, 2]
-    origins = to_world[:3, 3] + directions * (stretch * near_clip)[:, None]
-    return Rays(origins, directions, (stretch * (far_clip - near_clip)).detach())
-
-
-@register
-class PerspectiveCamera(Sensor):
-    """A pinhole camera that looks along its +z axis, +y up, +x to the left.
-
-    Args:
-        to_world: 4x4 matrix, camera to world, without scaling.
-        fov: field of view in degrees along `fov_axis` (``x``, ``y``, ``diagonal``, ``smaller``, ``larger``).
-        focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
-        near_clip, far_clip: planes in front of the camera between which surfaces are seen.
-        principal_point_offset_x, principal_point_offset_y: fractions of the film's width and height by which the
-            image moves left and up.
-        film, sampler: dicts or objects.
-        medium: the medium that the camera is in, if it is in one.
-    """
-
-    type = "perspective"
-    # A pinhole is in focus everywhere; scenes written for lenses say a distance nevertheless.
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {
-        "shutter_open": (0, 0.0),
-        "shutter_close": (0, 0.0),
-        "focus_distance": (),
-    }
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (0, 0.0), "shutter_close": (0, 0.0)}
     unsupported: ClassVar[tuple[str, ...]] = ("srf",)
-
-    @classmethod
-    def parameter_names(cls) -> list[str]:
-        return ["fov", "fov_axis", "focal_length", *super().parameter_names()]
+    rigid: ClassVar[bool] = True  # its matrix neither scales nor shears
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         self.take_film(properties, ctx)
-        film = self.film
-        take_fov(self.type, properties, film.width / film.height, ctx)
-        check_rigid("camera", properties, ctx)
+        if self.rigid:
+            check_rigid("camera", properties, ctx)
+        elif "to_world" in properties:
+            matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world")).detach().double()
+            if float(torch.linalg.det(matrix[:3, :3])) == 0:
+                ctx.at("to_world").error("the matrix is singular")
         near = float(values.double(properties.get("near_clip", 1e-2), ctx.at("near_clip")).detach())
         far = float(values.double(properties.get("far_clip", 1e4), ctx.at("far_clip")).detach())
-        if not 0 < near < far:
-            ctx.error(f"perspective: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
+        if "near_clip" in self.fields() and not 0 < near < far:
+            ctx.error(f"{self.type}: expected 0 < near_clip < far_clip, got {near:g} and {far:g}")
         return properties
 
-    def rays(self, positions: Any = None) -> Rays:
-        """The rays of positions on the film, differentiable in pose, field of view and principal point.
-
-        ``tr.ray_intersect(scene, *camera.rays(positions))`` is what the camera sees there.
-
-        Args:
-            positions: (N, 2) as (x, y) in pixels from the upper left corner of the whole film, x to the right and y
-                down, pixel centres at +0.5. None: the centres of the pixels that are rendered, row by row.
-
-        Returns:
-            A named tuple of `origins` (N, 3) on the near plane, unit `directions` (N, 3) in world space, and `tmax`
-            (N,), the distances to the far plane, which carry no gradient.
-        """
-        if positions is None:
+    def positions(self, given: Any) -> torch.Tensor:
+        """`given` positions on the film as (N, 2) in the camera's precision, None: the centres of the pixels."""
+        device = self.to_world.device
+        if given is None:
             y0, x0, height, width = self.film.window
-            rows = torch.arange(height, device=self.to_world.device) + (y0 + 0.5)
-            columns = torch.arange(width, device=self.to_world.device) + (x0 + 0.5)
+            rows = torch.arange(height, device=device) + (y0 + 0.5)
+            columns = torch.arange(width, device=device) + (x0 + 0.5)
             y, x = torch.meshgrid(rows, columns, indexing="ij")
-            positions = torch.stack([x, y], -1).reshape(-1, 2)
-        if not isinstance(positions, torch.Tensor):
-            positions = torch.as_tensor(positions, device=self.to_world.device)
-        if positions.ndim != 2 or positions.shape[1] != 2 or positions.is_complex():
-            raise ValueError(f"rays: positions: expected shape (N, 2), got {describe(positions)}")
-        return perspective_rays(
-            self.to_world,
-            self.x_fov,
-            self.principal_point_offset_x,
-            self.principal_point_offset_y,
-            self.near_clip,
-            self.far_clip,
-            self.pixel_aspect,
-            (self.film.height, self.film.width),
-            positions.to(self.to_world),
-        )
+            given = torch.stack([x, y], -1).reshape(-1, 2)
+        if not isinstance(given, torch.Tensor):
+            given = torch.as_tensor(given, device=device)
+        if given.ndim != 2 or given.shape[1] != 2 or given.is_complex():
+            raise ValueError(f"rays: positions: expected shape (N, 2), got {describe(given)}")
+        return given.to(self.to_world)
+
+    def on_lens(self, lens: Any, count: int) -> torch.Tensor:
+        """`lens` as (N, 2) in the unit square, None: its middle."""
+        if lens is None:
+            return self.to_world.new_full((count, 2), 0.5)
+        if not isinstance(lens, torch.Tensor):
+            lens = torch.as_tensor(lens, device=self.to_world.device)
+        if lens.shape != (count, 2) or lens.is_complex():
+            raise ValueError(f"rays: lens: expected shape ({count}, 2) like positions, got {describe(lens)}")
+        return lens.to(self.to_world)
+
+    def values_of(self, *names: str) -> list[torch.Tensor]:
+        return [getattr(self, name) for name in names]
+
+    @property
+    def world_to_camera(self) -> torch.Tensor:
+        """(4, 4), the rows [R | t] and 0 0 0 1 of OpenCV's convention (+y down, +z forward); attached to `to_world`."""
+        signs = self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0])
+        return signs[:, None] * torch.linalg.inv(self.to_world)  # not a matrix product, which autocast would round
+
+
+class LensCamera(Camera):
+    """A camera with a field of view: its constructors from what people have, and the way back."""
+
+    @classmethod
+    def focal_of(cls, x_fov: torch.Tensor, width: int) -> torch.Tensor:
+        """Focal length in pixels of a film of this width."""
+        return width / (2 * torch.tan(torch.deg2rad(x_fov) / 2))
+
+    @classmethod
+    def fov_of(cls, focal: torch.Tensor, width: int) -> torch.Tensor:
+        """The reverse."""
+        return torch.rad2deg(2 * torch.atan(width / (2 * focal)))
 
     # ------------------------------------------------------------------------------------------- constructors
     @classmethod
@@ -181,7 +169,7 @@ class PerspectiveCamera(Sensor):
         fov_axis: str = "x",
         filter: str | ReconstructionFilter = "gaussian",
         **properties: Any,
-    ) -> PerspectiveCamera:
+    ) -> Self:
         """A camera at `origin` that looks at `target`.
 
         Args:
@@ -192,8 +180,8 @@ class PerspectiveCamera(Sensor):
             properties: others that the class takes.
         """
         matrix = Transform.look_at(origin, target, up).matrix
-        film = _film(size, filter)
-        precision = _precision(cls, origin, target, up, fov)
+        film = film_of(size, filter)
+        precision = precision_of(cls, origin, target, up, fov)
         return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, _context=precision, **properties)
 
     @classmethod
@@ -204,10 +192,11 @@ class PerspectiveCamera(Sensor):
         R: Any,
         t: Any,
         size: Sequence[int],
+        distortion: Any = None,
         *,
         filter: str | ReconstructionFilter = "gaussian",
         **properties: Any,
-    ) -> PerspectiveCamera:
+    ) -> Self:
         """A camera in OpenCV's convention: x_camera = R x_world + t, looking along +z with +y down.
 
         Args:
@@ -215,27 +204,33 @@ class PerspectiveCamera(Sensor):
             R: (3, 3) rotation, world to camera.
             t: (3,) translation.
             size: of the film (H, W).
+            distortion: coefficients of the lens, as OpenCV has them: k1 k2 p1 p2 (k3 (k4 k5 k6)), of a fisheye lens
+                k1 k2 k3 k4.
+            properties: others that the class takes.
 
-        Tensors keep their graph: gradients of an image reach K, R and t.
+        Tensors keep their graph: gradients of an image reach K, R, t and the distortion.
         """
-        ctx = Context(path=("PerspectiveCamera", "from_opencv"))
+        name = f"{cls.__name__}.from_opencv"
+        ctx = Context(path=(cls.__name__, "from_opencv"))
         height, width = _size(size, ctx)
-        intrinsics = as_matrix(K, 3, "PerspectiveCamera.from_opencv: K")
-        rotation = as_matrix(R, 3, "PerspectiveCamera.from_opencv: R")
+        intrinsics = as_matrix(K, 3, f"{name}: K")
+        rotation = as_matrix(R, 3, f"{name}: R")
         offset = values.vector(t, ctx.at("t")).double()
         fx, fy = intrinsics[0, 0], intrinsics[1, 1]
         _check_intrinsics(intrinsics.detach(), ctx.at("K"))
         # Our +x is left and +y up: both are turned around with respect to OpenCV's.
         flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
         to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
+        if distortion is not None:
+            properties["distortion"] = distortion
         return cls(
             to_world=to_world,
-            x_fov=torch.rad2deg(2 * torch.atan(width / (2 * fx))),
+            x_fov=cls.fov_of(fx, width),
             principal_point_offset_x=0.5 - intrinsics[0, 2] / width,
             principal_point_offset_y=0.5 - intrinsics[1, 2] / height,
-            film=_film((height, width), filter),
+            film=film_of((height, width), filter),
             pixel_aspect=fx / fy,
-            _context=_precision(cls, K, R, t),
+            _context=precision_of(cls, K, R, t, distortion),
             **properties,
         )
 
@@ -250,7 +245,7 @@ class PerspectiveCamera(Sensor):
         fov_axis: str = "x",
         filter: str | ReconstructionFilter = "gaussian",
         **properties: Any,
-    ) -> PerspectiveCamera:
+    ) -> Self:
         """A camera in OpenGL's, Blender's and NeRF's convention: looking along -z with +y up and +x right.
 
         Args:
@@ -258,22 +253,22 @@ class PerspectiveCamera(Sensor):
             fov: field of view in degrees along `fov_axis`.
             size: of the film (H, W).
         """
-        ctx = Context(path=("PerspectiveCamera", "from_opengl"))
+        ctx = Context(path=(cls.__name__, "from_opengl"))
         height, width = _size(size, ctx)
         matrix = camera_to_world if isinstance(camera_to_world, (torch.Tensor, Transform)) else None
         if matrix is None:
             matrix = values.floating(camera_to_world, Context(dtype=torch.float64, path=ctx.path))
         if isinstance(matrix, torch.Tensor) and matrix.shape == (3, 4):
             matrix = torch.cat([matrix.double(), torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
-        matrix = as_matrix(matrix, 4, "PerspectiveCamera.from_opengl: camera_to_world")
+        matrix = as_matrix(matrix, 4, f"{cls.__name__}.from_opengl: camera_to_world")
         flip = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0], dtype=torch.float64))
-        film = _film((height, width), filter)
+        film = film_of((height, width), filter)
         return cls(
             to_world=matrix @ flip,
             fov=fov,
             fov_axis=fov_axis,
             film=film,
-            _context=_precision(cls, camera_to_world, fov),
+            _context=precision_of(cls, camera_to_world, fov),
             **properties,
         )
 
@@ -281,21 +276,91 @@ class PerspectiveCamera(Sensor):
     @property
     def K(self) -> torch.Tensor:
         """Intrinsics (3, 3) in pixels of the whole film, as `from_opencv` takes them; attached to the parameters."""
-        half = torch.tan(torch.deg2rad(self.x_fov) / 2)
-        fx = self.film.width / (2 * half)
+        fx = self.focal_of(self.x_fov, self.film.width)
         cx = (0.5 - self.principal_point_offset_x) * self.film.width
         cy = (0.5 - self.principal_point_offset_y) * self.film.height
         zero, one = torch.zeros_like(fx), torch.ones_like(fx)
         return torch.stack([fx, zero, cx, zero, fx / self.pixel_aspect, cy, zero, zero, one]).reshape(3, 3)
 
-    @property
-    def world_to_camera(self) -> torch.Tensor:
-        """(4, 4), the rows [R | t] and 0 0 0 1 of OpenCV's convention (+y down, +z forward); attached to `to_world`."""
-        signs = self.to_world.new_tensor([-1.0, -1.0, 1.0, 1.0])
-        return signs[:, None] * torch.linalg.inv(self.to_world)  # not a matrix product, which autocast would round
+
+class ProjectiveCamera(LensCamera):
+    """A camera that sees straight lines as straight lines, but for its distortion."""
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        return ["fov", "fov_axis", "focal_length", *super().parameter_names()]
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        properties = super().prepare(properties, ctx)
+        take_fov(self.type, properties, self.film.width / self.film.height, ctx)
+        return properties
 
 
-def _precision(cls: type, *given: Any) -> Context:
+LENS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y", "near_clip", "far_clip",
+        "pixel_aspect")  # fmt: skip
+
+
+@register
+class PerspectiveCamera(ProjectiveCamera):
+    """A pinhole camera that looks along its +z axis, +y up, +x to the left.
+
+    Args:
+        to_world: 4x4 matrix, camera to world, without scaling.
+        fov: field of view in degrees along `fov_axis` (``x``, ``y``, ``diagonal``, ``smaller``, ``larger``).
+        focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
+        near_clip, far_clip: planes in front of the camera between which surfaces are seen.
+        principal_point_offset_x, principal_point_offset_y: fractions of the film's width and height by which the
+            image moves left and up.
+        distortion: coefficients of the lens in OpenCV's order, k1 k2 p1 p2 (k3 (k4 k5 k6)); fields of view and focal
+            lengths are those without it. Where the lens shows nothing the image is black.
+        film, sampler: dicts or objects.
+        medium: the medium that the camera is in, if it is in one.
+    """
+
+    type = "perspective"
+    # A pinhole is in focus everywhere; scenes written for lenses say a distance nevertheless.
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {**Camera.inert, "focus_distance": ()}
+    optional: ClassVar[frozenset[str]] = frozenset({"distortion"})
+
+    def convert_tensor(self, field: Any, value: Any, ctx: Context) -> torch.Tensor:
+        return coefficients(value, (4, 5, 8), 8, "k1 k2 p1 p2 (k3 (k4 k5 k6))", ctx)
+
+    def required(self) -> dict[str, Any]:
+        return {} if self.distortion is None else {"distortion": [0.0] * 8}
+
+    def rays(self, positions: Any = None) -> Rays:
+        """The rays of positions on the film, differentiable in pose, field of view, principal point and distortion.
+
+        ``tr.ray_intersect(scene, *camera.rays(positions))`` is what the camera sees there.
+
+        Args:
+            positions: (N, 2) as (x, y) in pixels from the upper left corner of the whole film, x to the right and y
+                down, pixel centres at +0.5. None: the centres of the pixels that are rendered, row by row.
+
+        Returns:
+            A named tuple of `origins` (N, 3) on the near plane, unit `directions` (N, 3) in world space, and `tmax`
+            (N,), the distances to the far plane, which carry no gradient; 0 where the lens shows nothing.
+        """
+        size, at = (self.film.height, self.film.width), self.positions(positions)
+        if self.distortion is None:
+            return perspective_rays(*self.values_of(*LENS), size, at)
+        return distorted_rays(*self.values_of(*LENS, "distortion"), size, at)
+
+
+def coefficients(value: Any, lengths: tuple[int, ...], length: int, names: str, ctx: Context) -> torch.Tensor:
+    """Coefficients of a lens, filled up with zeros; a string holds them separated by commas."""
+    given = values.numbers(value, ctx) if isinstance(value, str) else value
+    tensor = values.floating(given, ctx)
+    if tensor.ndim != 1 or len(tensor) not in lengths:
+        counts = " or ".join([", ".join(str(n) for n in lengths[:-1]), str(lengths[-1])] if len(lengths) > 1 else
+                             [str(lengths[0])])  # fmt: skip
+        ctx.error(f"expected {counts} coefficients ({names}), got {describe(value)}")
+    if len(tensor) == length:
+        return tensor.contiguous()
+    return torch.cat([tensor, tensor.new_zeros(length - len(tensor))])
+
+
+def precision_of(cls: type, *given: Any) -> Context:
     """float64 if a tensor among the arguments is, else torch's default."""
     wide = any(isinstance(value, torch.Tensor) and value.dtype == torch.float64 for value in given)
     return Context(dtype=torch.float64 if wide else torch.get_default_dtype(), path=(cls.__name__,))
@@ -320,15 +385,15 @@ def _size(size: Any, ctx: Context) -> tuple[int, int]:
     return values.integer(height, ctx.at("size"), 1), values.integer(width, ctx.at("size"), 1)
 
 
-def _film(size: Any, filter: str | ReconstructionFilter) -> Film:
+def film_of(size: Any, filter: str | ReconstructionFilter) -> Film:
     height, width = _size(size, Context(path=("PerspectiveCamera",)))
     return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
 
 
-def _angle(value: Any, ctx: Context) -> torch.Tensor:
+def _angle(value: Any, ctx: Context, most: float = 180.0) -> torch.Tensor:
     angle = values.double(value, ctx)
-    if not 0 < float(angle.detach()) < 180:
-        ctx.error(f"expected an angle between 0 and 180 degrees, got {float(angle.detach()):g}")
+    if not 0 < float(angle.detach()) < most:
+        ctx.error(f"expected an angle between 0 and {most:g} degrees, got {float(angle.detach()):g}")
     return angle
 
 

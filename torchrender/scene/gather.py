@@ -75,10 +75,12 @@ def has_derivative(tensor: torch.Tensor) -> bool:
     return (tensor.requires_grad and torch.is_grad_enabled()) or has_tangent(tensor)
 
 
-def substitute(scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin) -> list[torch.Tensor]:
-    """`tensors` with those of a `camera` that is no part of the scene."""
+def substitute(
+    scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin, stand_in: Plugin
+) -> list[torch.Tensor]:
+    """`tensors` with those of a `camera` that is no part of the scene, in the place of its `stand_in`."""
     changed = list(tensors)
-    for attribute, index in layout.camera_slots(layout.sensors[-1]).items():
+    for attribute, index in layout.camera_slots(stand_in).items():
         changed[index] = _dense(scene, f"camera.{attribute}", getattr(camera, attribute))
     return changed
 

@@ -6,7 +6,7 @@ table: slots, indices of other objects, static numbers, in the order in which th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ from .derivatives import COMPLETE, Limits
 from .media import Medium
 from .mesh import Mesh
 from .plugin import Plugin
+from .sensor import Sensor
 from .shapes import ON_SHAPES, Shape
 from .torch_bsdf import TorchBSDF
 
@@ -78,7 +79,8 @@ class Layout:
     index_tensors: list[torch.Tensor] = field(default_factory=list)
     slot_of: dict[tuple[int, str], int] = field(default_factory=dict)
     by_name: dict[str, int] = field(default_factory=dict)
-    sensors: list[Plugin] = field(default_factory=list)
+    sensors: list[Sensor] = field(default_factory=list)  # those of the scene, then those that stand for others
+    own_sensors: int = 0  # how many are the scene's
     attribute_names: dict[str, int] = field(default_factory=dict)  # numbers that colours of meshes go by
     smooth_meshes: list[Mesh] = field(default_factory=list)  # those whose normals follow from their positions
     used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
@@ -235,8 +237,8 @@ def _used(scene: Scene) -> set[int]:
     return found
 
 
-def pack(scene: Scene, free_camera: Plugin) -> Layout:
-    """The layout of `scene`, with one more sensor that stands for cameras that are no part of it."""
+def pack(scene: Scene, stand_ins: Iterable[Sensor]) -> Layout:
+    """The layout of `scene`, with more sensors that stand for cameras that are no part of it."""
     packer = _Packer()
     lights = []
     for name, plugin in top_level(scene):
@@ -244,15 +246,18 @@ def pack(scene: Scene, free_camera: Plugin) -> Layout:
             lights.append((name, plugin))
             continue
         packer.add(plugin, name)
-        if plugin.category == "sensor":
+        if isinstance(plugin, Sensor):
             packer.layout.sensors.append(plugin)
     for name, plugin in lights:
         packer.alias(plugin, name, COMPLETE)
-    packer.add(free_camera, "camera")
     layout = packer.layout
-    layout.sensors.append(free_camera)
-    layout.used = _used(scene) | {id(free_camera)}
+    layout.own_sensors = len(layout.sensors)
+    for camera in stand_ins:
+        packer.add(camera, "camera")
+        layout.sensors.append(camera)
+    free = {id(camera) for camera in stand_ins}
+    layout.used = _used(scene) | free
     layout.media = any(isinstance(m, Medium) and id(m) in layout.used for m in scene.modules())
     # It is no part of the scene, so nothing of it can be asked for by name.
-    layout.by_name = {n: i for n, i in layout.by_name.items() if layout.slots[i].module is not free_camera}
+    layout.by_name = {n: i for n, i in layout.by_name.items() if id(layout.slots[i].module) not in free}
     return layout

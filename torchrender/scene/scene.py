@@ -54,7 +54,8 @@ class Scene(nn.Module):
         self.statistics: dict[str, Any] = {}
         self.warned: set[str] = set()  # parameters whose incomplete derivative was warned about
         ctx = self._context(folder)
-        self.__dict__["_free_camera"] = PerspectiveCamera(film=Film(1, 1), _context=ctx.at("camera"))
+        camera = PerspectiveCamera(film=Film(1, 1), _context=ctx.at("camera"))
+        self.__dict__["_stand_ins"] = {camera.kind(): camera}  # of cameras that are no part of the scene
         for name, value in objects.items():
             self._put(name, value, ctx, resolve=False)
         self._resolve(ctx)
@@ -370,9 +371,10 @@ class Scene(nn.Module):
 
     def _apply(self, fn: Any, recurse: bool = True) -> Scene:
         super()._apply(fn, recurse)
-        for name in ("_free_camera",):
-            self.__dict__[name]._apply(fn)
-        probe = next((p for p in self.__dict__["_free_camera"].parameters()), None)
+        stand_ins = self.__dict__["_stand_ins"].values()
+        for camera in stand_ins:
+            camera._apply(fn)
+        probe = next((p for camera in stand_ins for p in camera.parameters()), None)
         if probe is not None:
             self._dtype, self._device = probe.dtype, probe.device
         structure_changed()
@@ -392,9 +394,16 @@ class Scene(nn.Module):
         """The packed structure, made anew only if some scene object changed since."""
         epoch = structure_epoch()
         if self._layout is None or self._epoch != epoch:
-            self._layout = pack(self, self.__dict__["_free_camera"])
+            self._layout = pack(self, self.__dict__["_stand_ins"].values())
             self._epoch = epoch
         return self._layout
+
+    def admit(self, camera: Sensor) -> None:
+        """Make room for rendering a camera that is no part of the scene."""
+        stand_ins = self.__dict__["_stand_ins"]
+        if camera.kind() not in stand_ins:
+            stand_ins[camera.kind()] = camera.stand_in(self._context().at("camera"))
+            structure_changed()
 
     def native(self, layout: Layout, shapes: list[tuple[int, ...]]) -> NativeScene:
         """The native scene for this structure and these shapes of parameters, built if there is none yet."""

@@ -8,7 +8,7 @@ from typing import Any
 from .context import Context
 from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
 from .plugin import Plugin
-from .registry import DOCUMENTED, register
+from .registry import DOCUMENTED, plugin_class, register
 
 
 class Sensor(Plugin):
@@ -36,6 +36,19 @@ class Sensor(Plugin):
                 sampler = sampler_from(properties.pop(name), ctx.at(name))
         self.__dict__["film"] = film
         self.__dict__["sampler"] = sampler
+
+    def required(self) -> dict[str, Any]:
+        """Properties of the least sensor that is packed as this one is."""
+        return {}
+
+    def stand_in(self, ctx: Context) -> Sensor:
+        """A sensor in whose place this one can be rendered."""
+        cls = plugin_class("sensor", self.type)
+        return cls(film=Film(1, 1), _context=ctx, **self.required())  # type: ignore[return-value]
+
+    def kind(self) -> tuple[str, ...]:
+        """Equal for sensors that can be rendered in place of each other."""
+        return (self.type, *self.required())
 
     def extra_repr(self) -> str:
         film = self.film

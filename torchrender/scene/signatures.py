@@ -51,6 +51,8 @@ OTHERS = {
     "int_ior": "Number | str",
     "ext_ior": "Number | str",
     "material": "str",
+    "origin": "Vector",
+    "direction": "Vector",
     "to_world": "Matrix",
     "name": "str",
 }

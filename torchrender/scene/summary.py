@@ -25,10 +25,8 @@ def summarise(scene: Scene) -> str:
         lines.append(f"  integrator: {integrator!r}")
     volumetric = isinstance(integrator, VolumetricPathTracer)
     rows = []
-    layout = pack(scene, scene._free_camera)
+    layout = pack(scene, ())
     for slot in layout.slots:
-        if slot.name.startswith("camera.") and slot.module is scene._free_camera:
-            continue
         tensor = slot.tensor().detach()
         shape = "x".join(str(n) for n in tensor.shape) or "number"
         derivative = describe_derivative(refusal_of(slot, volumetric), slot.caveat)

@@ -56,18 +56,19 @@ TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const Interaction<F>
     sweep_vertex(&Tables::positions, tri.corner[2], e2_bar, wanted, sink);
 }
 
-// `d`: the camera ray's direction, (x, y): its position on the film; `partials`: their adjoints are not all zero.
+// `d`: the camera ray's direction, `center`: where it comes from; `partials`: their adjoints are not all zero.
 template <class F, class S, class Sink>
 TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, const CameraFrame<S> &camera,
-                               const F &x, const F &y, S width, S height, const Vec3<F> &d, const Interaction<F> &si,
-                               const OutputAdjoint<F> &g, bool camera_wanted, bool partials, const MaskOf<F> &active,
-                               Sink &sink) {
+                               const CameraSample<F> &sample, S width, S height, const Vec3<F> &center,
+                               const Vec3<F> &d, const Interaction<F> &si, const OutputAdjoint<F> &g,
+                               bool camera_wanted, bool partials, const MaskOf<F> &active, Sink &sink) {
     const Vec3<F> zero{F(0), F(0), F(0)};
     Vec3<F> axis[3] = {widen<F>(camera.axis[0]), widen<F>(camera.axis[1]), widen<F>(camera.axis[2])};
-    Vec3<F> from = si.p - widen<F>(camera.origin), axis_bar[3] = {zero, zero, zero};
+    Vec3<F> from = si.p - center, axis_bar[3] = {zero, zero, zero};
     F t = norm(from);
-    Vec3<F> apart = axis[2] * g.depth + from * ((g.distance + g.ray_length) / select(active, t, F(1)));
-    axis_bar[2] = from * g.depth;
+    Vec3<F> deeper = axis[2] * g.depth, along = from * ((g.distance + g.ray_length) / select(active, t, F(1)));
+    Vec3<F> apart = deeper + along;
+    axis_bar[2] = (si.p - widen<F>(camera.origin)) * g.depth;
 
     HitAdjoint<F> hit;
     hit.at = g.at;
@@ -89,18 +90,25 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
     Arrival<F> in{active, d, t, zero, zero, F(0)};
     RayAdjoint<F> ray = sweep_surface(scene, si.at, si.p, in, hit, active, sink);
     if (!camera_wanted) return;
-    ray.o = ray.o - apart;
     int32_t to_world = record.field[Perspective::ToWorld];
     for (int k = 0; k < 3; ++k) {
         Vec3<F> column = unnormalize(axis[k], axis_bar[k], F(S(1) / camera.length[k]));
         const F rows[3] = {column.x, column.y, column.z};
         for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + k), rows[i], active);
     }
+    if (!is_pinhole(record)) {  // depth is from the frame's origin, distances are from where the ray comes from
+        const F back[3] = {deeper.x, deeper.y, deeper.z};
+        for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + 3), -back[i], active);
+        ray.o = ray.o - along;
+        return sweep_camera(scene, record, sample, width, height, ray, -g.ray_length, active, sink);
+    }
+    ray.o = ray.o - apart;
     // the near plane is met at near |u| along the ray
-    Perspective::FilmPoint<F, S> film(scene, record, x, y, width, height);
+    Perspective::FilmPoint<F, S> film(scene, record, sample.x, sample.y, width, height);
     Vec3<F> u = film.direction();
     F near(-film.constants[record.field[Perspective::Near]]);
-    sweep_camera(scene, record, x, y, width, height, ray, u * (g.ray_length * near / norm(u)), active, sink);
+    sweep_pinhole(scene, record, sample.x, sample.y, width, height, ray, u * (g.ray_length * near / norm(u)), active,
+                  sink);
 }
 
 }  // namespace tr

@@ -128,7 +128,6 @@ template <class F, int N>
 TR_INLINE Dual<F, N> log(const Dual<F, N> &a) {
     return chain(log(a.v), F(1) / a.v, a);
 }
-
 template <class F, int N>
 TR_INLINE void sincos(const Dual<F, N> &a, Dual<F, N> &s, Dual<F, N> &c) {
     F sine, cosine;

@@ -6,7 +6,7 @@
 namespace tr {
 
 struct Perspective {
-    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect, Medium };
+    enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect, Medium, Distortion };
     static constexpr const char *Edges =
         "interior, without the motion of visible edges; zero where silhouettes, creases, shadows and jumps of textures "
         "are "
@@ -22,8 +22,10 @@ struct Perspective {
         {"pixel_aspect", Kind::Float, 1, 1e-3, 1e3, Edges,
          "focal length in pixels along x over that along y; 1 for square pixels"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the camera is in"},
+        {"distortion", Kind::Tensor, -1, -INFINITY, INFINITY, Edges,
+         "(8,) coefficients of the lens, in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; see distorted.h"},
     };
-    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 8};
+    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 9};
 
     // (x, y): position on the film in pixels, the whole film being width x height. The direction in the camera's frame
     // is (a x slope, b y slope, 1), normalised.
