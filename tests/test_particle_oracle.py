@@ -3,6 +3,7 @@ gradients by autograd, are equal to rounding."""
 
 from __future__ import annotations
 
+import layer_scenes
 import light_scenes as ls
 import pytest
 import torch
@@ -20,6 +21,9 @@ CAMERA = tuple(
 )
 SHEET = ("sheet.vertex_positions", "sheet.vertex_normals", "sheet.bsdf.eta")
 FLOOR = ("floor.to_world", "floor.bsdf.reflectance.value")
+PLACE = FLOOR[0]
+PAINT = {"type": "diffuse", "reflectance": ls.RGB}
+METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.5, "eta": 0.2, "k": 3.9}
 
 
 def mirrored() -> dict:
@@ -35,6 +39,40 @@ def lens() -> dict:
     place = ls.facing_down(0.1, 1.2, 0.1) @ ls.T.rotate([1, 0, 0], 3) @ ls.T.scale(0.25)
     return ls.floor_view(light={**ls.beam(), "to_world": place}, lens=ball)
 
+
+def turned(bsdf: dict, **more) -> dict:
+    """A normal map whose normals do not repeat over the floor, and differ much."""
+    texture = {"type": "bitmap", "data": layer_scenes.normals(5, 6, 1.5), "raw": True}
+    return {"type": "normalmap", "normalmap": texture, "bsdf": bsdf, **more}
+
+
+def from_behind(bsdf: dict) -> dict:
+    """A floor that faces down."""
+    return {
+        **ls.floor(),
+        "to_world": ls.T.translate([0, -1, 0]) @ ls.T.rotate([1, 0, 0], 90) @ ls.T.scale(3),
+        "bsdf": bsdf,
+    }
+
+
+def veil() -> dict:
+    """A sheet with holes in front of glass that is also a mirror and nothing at all."""
+    return triangle(
+        layer_scenes.mask(layer_scenes.blend(GLASS, layer_scenes.blend(MIRROR, {"type": "null"}, 0.7), 0.4), 0.8)
+    )
+
+
+VEIL = tuple(
+    f"sheet.{n}"
+    for n in (
+        "vertex_positions",
+        "bsdf.opacity.value",
+        "bsdf.nested_bsdf.weight.value",
+        "bsdf.nested_bsdf.bsdf_0.eta",
+        "bsdf.nested_bsdf.bsdf_1.weight.value",
+    )
+)
+BLEND = tuple(f"floor.bsdf.{n}" for n in ("weight.data", "bsdf_0.reflectance.value", "bsdf_1.alpha.value"))
 
 # name: (scene, parameters, depth)
 SCENES = {
@@ -54,6 +92,31 @@ SCENES = {
     ),
     "mirror": (mirrored, ("mirror.to_world", "mirror.bsdf.eta.value", "mirror.bsdf.k.value", *BEAM, *FLOOR), 3),
     "lens": (lens, ("lens.center", "lens.radius", "lens.bsdf.eta", *BEAM, *FLOOR), 4),
+    "blend": (
+        lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf=layer_scenes.blend(PAINT, METAL))),
+        (*BLEND, *BEAM, PLACE, *CAMERA),
+        2,
+    ),
+    "through layers": (lambda: ls.floor_view(light=ls.area(), sheet=veil()), (*VEIL, *BEAM, *FLOOR), 3),
+    "beam through layers": (lambda: ls.floor_view(light=ls.beam(), sheet=veil()), (*VEIL, *BEAM, *FLOOR), 3),
+    "meter under layers": (lambda: ls.metered(light=ls.area(), sheet=veil()), (*VEIL, *BEAM, PLACE), 3),
+    "turned normals": (
+        lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf=turned(METAL))),
+        ("floor.bsdf.normalmap.data", "floor.bsdf.nested_bsdf.alpha.value", *BEAM, PLACE, *CAMERA),
+        2,
+    ),
+    "turned normals behind": (
+        lambda: ls.floor_view(
+            light=ls.beam(), floor=from_behind({"type": "twosided", "bsdf": layer_scenes.blend(turned(PAINT), PAINT)})
+        ),
+        (*(f"floor.bsdf.brdf_0.{n}" for n in ("weight.data", "bsdf_0.normalmap.data")), *BEAM, PLACE, *CAMERA),
+        2,
+    ),
+    "turned glass": (
+        lambda: ls.floor_view(light=ls.area(), sheet=triangle(turned(GLASS))),
+        ("sheet.bsdf.normalmap.data", "sheet.bsdf.nested_bsdf.eta", *SHEET[:2], *BEAM, *FLOOR, *CAMERA),
+        3,
+    ),
     "meter": (lambda: ls.metered(light=ls.beam()), (*BEAM, "floor.to_world"), 2),
     "meter under a sheet": (
         lambda: ls.metered(light=ls.area(), sheet=triangle(GLASS)),
@@ -73,9 +136,10 @@ def test_images_and_gradients_are_those_of_plain_torch(name):
 
     ours, theirs = leaves(), leaves()
     image = tr.render(scene, integrator=tracer, spp=4, seed=7, correlated=True, params=ours)
-    expected = light.render(scene, spp=4, seed=7, max_depth=depth, params=theirs)
+    expected = light.render(scene, spp=4, seed=7, max_depth=depth)
     assert float(image.detach().mean()) > 1e-4
     torch.testing.assert_close(image, expected, rtol=1e-6, atol=1e-8)
+    expected = light.render(scene, spp=4, seed=7, max_depth=depth, params=theirs, derivative=True)
     found, wanted = (
         torch.autograd.grad((x * weight(x)).sum(), list(params.values()), allow_unused=True)
         for x, params in ((image, ours), (expected, theirs))

@@ -1,4 +1,4 @@
-"""The BSDFs whose shape is simple, `twosided`, and the list of all."""
+"""The BSDFs whose shape is simple, those around others, and the list of all."""
 
 from __future__ import annotations
 
@@ -107,8 +107,12 @@ class ThinDielectric(Dielectric):
         return BsdfSample(wo, torch.where(reflects, r, 1 - r), torch.ones_like(r), (~reflects).long())
 
 
-class TwoSided:
-    """Another BSDF on either side; seen from behind, directions are mirrored. See `resolve`."""
+class Hole(Null):
+    """What is met of a `mask` where it is not."""
+
+
+class Layer:
+    """Gives way to a BSDF that it holds; see layers.py."""
 
 
 def resolve(world: World, bsdf: torch.Tensor, behind: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -136,5 +140,9 @@ BSDFS = {
     "principledthin": PrincipledThin,
     "redner": RednerMaterial,
     "null": Null,
-    "twosided": TwoSided,
+    "mask": Hole,
+    "twosided": Layer,
+    "blendbsdf": Layer,
+    "normalmap": Layer,
 }
+LAYERS = ("twosided", "blendbsdf", "mask", "normalmap")

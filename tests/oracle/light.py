@@ -16,12 +16,13 @@ import torch
 import torchrender as tr
 from torchrender.scene.film import Film
 
-from . import numbers
+from . import layers, numbers
 from .bsdf import fresnel_dielectric
 from .bsdfs import BSDFS, Dielectric
 from .film import FILTERS, reach
 from .geometry import Frame, dot, normalize, reattach
 from .glued import Glued, glue
+from .layers import Layers
 from .path import offset_origin
 from .world import At, World
 
@@ -99,9 +100,18 @@ def _integrals(film: Film, size: int, measured: bool) -> torch.Tensor:
 
 
 def render(
-    scene: tr.Scene, *, seed: int, spp: int, max_depth: int, params: Mapping[str, torch.Tensor] | None = None
+    scene: tr.Scene,
+    *,
+    seed: int,
+    spp: int,
+    max_depth: int,
+    params: Mapping[str, torch.Tensor] | None = None,
+    derivative: bool = False,
 ) -> torch.Tensor:
-    """Image (H, W, C), attached to the scene's parameters and to `params`. Without roulette; the lamp is not seen."""
+    """Image (H, W, C), attached to the scene's parameters and to `params`. Without roulette; the lamp is not seen.
+
+    With `derivative`, paths are those of the native derivative with respect to all weights of blends and masks.
+    """
     world, film = World(scene, params), scene.sensors[0].film
     (emitter,) = world.records["emitter"]
     lamp = next(i for i, s in enumerate(world.records["shape"]) if s.field["emitter"] == 0)
@@ -157,24 +167,30 @@ def render(
             texels = film.width * film.height / torch.linalg.vector_norm(at.area[seen], dim=1)
             places.append((uv[seen, 0] * film.width, uv[seen, 1] * film.height, beta[seen] * texels[:, None]))
         chains = []
-        for number in bsdf_of[shape].unique().tolist():
-            chosen = (bsdf_of[shape] == number).nonzero()[:, 0]
+        block = numbers.BSDF_BLOCK + numbers.BLOCKS_PER_SCATTERING * depth
+        u = numbers.random4(seed, 0, pixel[lane], sample[lane], block)
+        found = layers.find(world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, derivative=derivative)
+        for number in found.leaf.unique().tolist():
+            chosen = (found.leaf == number).nonzero()[:, 0]
             record = world.records["bsdf"][number]
             kind = LightDielectric if record.type == "dielectric" else BSDFS[record.type]
             bsdf = kind(world, record, here[chosen])
-            x, s, g, w = (t[chosen] for t in (position, ns, ng, -d))
-            frame = Frame.about(s)
-            wi = frame.to_local(w)
+            above = found[chosen]
+            x, g, w = (t[chosen] for t in (position, ng, -d))
+            frame = Frame.about(above.normal)
+            flip = torch.where(above.mirrored[:, None], x.new_tensor([1, 1, -1]), x.new_tensor([1, 1, 1]))
+            wi = frame.to_local(w) * flip
+            brought = beta[chosen] * (above.weight * above.inverse * above.dimmed(w))[:, None]
             if bsdf.smooth:
                 if view is not None:
-                    places.append(_seen(world, view, bsdf, frame, x, w, s, g, beta[chosen]))
+                    places.append(_seen(world, view, bsdf, frame, flip, x, w, above, g, brought))
                 continue
-            block = numbers.BSDF_BLOCK + numbers.BLOCKS_PER_SCATTERING * depth
-            found = bsdf.sample(wi, numbers.random4(seed, 0, pixel[lane[chosen]], sample[lane[chosen]], block))
-            out = normalize(frame.to_world(found.wo))
-            weight = bsdf.eval(wi, found.wo, found.lobe) * (correction(w, out, s, g) / found.pdf)[:, None]
-            alive = found.pdf > 0
-            chains.append((chosen[alive], out[alive], (beta[chosen] * weight)[alive]))
+            taken = bsdf.sample(wi, u[chosen])
+            out = normalize(frame.to_world(taken.wo * flip))
+            weight = correction(w, out, above.normal, g) / taken.pdf
+            weight = bsdf.eval(wi, taken.wo, taken.lobe) * weight[:, None]
+            alive = (taken.pdf > 0) & ~above.hides(w) & ~above.hides(out)
+            chains.append((chosen[alive], out[alive], (brought * weight)[alive]))
         depth, glued = depth + 1, False
         if not chains:
             break
@@ -193,12 +209,12 @@ def _transfer(start: Glued, end: Glued) -> torch.Tensor:
     return value / value.detach()
 
 
-def _seen(world, view, bsdf, frame, x, w, s, g, beta) -> tuple[torch.Tensor, ...]:
+def _seen(world, view, bsdf, frame, flip, x, w, above: Layers, g, beta) -> tuple[torch.Tensor, ...]:
     """Places on the film and what is brought there, of points x (N, 3) that light reaches from w."""
     to, clear, column, row, importance, seen = view.connect(x)
-    wi, wo = frame.to_local(w), frame.to_local(to)
-    seen = seen & (bsdf.pdf(wi, wo) > 0)
+    wi, wo = frame.to_local(w) * flip, frame.to_local(to) * flip
+    seen = seen & (bsdf.pdf(wi, wo) > 0) & ~above.hides(w) & ~above.hides(to)
     seen = seen & ~world.occluded(offset_origin(x.detach(), g.detach(), to.detach()), to, clear)
-    factor = bsdf.eval(wi, wo, torch.zeros(len(x)).long()) * (correction(w, to, s, g) * importance)[:, None]
+    factor = bsdf.eval(wi, wo, torch.zeros(len(x)).long()) * (correction(w, to, above.normal, g) * importance)[:, None]
     rows = seen.nonzero()[:, 0]
     return column[rows], row[rows], (beta * factor)[rows]

@@ -8,9 +8,10 @@ import torch
 
 import torchrender as tr
 
-from .bsdfs import BSDFS, resolve
+from .bsdfs import BSDFS
 from .film import develop
 from .geometry import dot, normalize
+from .layers import share
 from .path import PathTracer, camera_samples
 from .world import At, Record, World
 
@@ -18,14 +19,12 @@ from .world import At, Record, World
 def albedo(world: World, hits: tr.queries.Hits, d: torch.Tensor) -> torch.Tensor:
     """Albedo (N, C) of the BSDFs at hits."""
     at = At(hits.shape_id.long(), hits.prim_id.long(), hits.barycentric, hits.uv)
-    leaf, _ = resolve(world, world.shape_field("bsdf")[at.shape], dot(hits.shading_normal, d).detach() > 0)
+    bsdf, behind = world.shape_field("bsdf")[at.shape], dot(hits.shading_normal, d).detach() > 0
     result = torch.ones(len(at), world.channels, dtype=torch.float64)
-    for number in leaf.unique().tolist():
-        rows = (leaf == number).nonzero()[:, 0]
-        record = world.records["bsdf"][number]
-        name = BSDFS[record.type].albedo
-        if name is not None:
-            result = result.index_put((rows,), world.color("bsdf", record, name, at[rows]))
+    for number in bsdf.unique().tolist():
+        for back in (False, True):
+            rows = ((bsdf == number) & (behind == back)).nonzero()[:, 0]
+            result = result.index_put((rows,), albedo_of(world, number, at[rows], back))
     return result
 
 
@@ -38,6 +37,26 @@ class Unclipped:
     def tensor(self, category: str, record: Record, name: str) -> torch.Tensor:
         found = self.world.tensor(category, record, name)
         return torch.zeros_like(found) if name == "near_clip" else found
+
+
+def albedo_of(world: World, number: int, at: At, back: bool) -> torch.Tensor:
+    """Of one BSDF, seen from one side (N, C): of mixtures the mixture, white in holes."""
+    record = world.records["bsdf"][number]
+
+    def inside(name: str) -> torch.Tensor:
+        return albedo_of(world, record.field[name], at, back)
+
+    white = torch.ones(len(at), world.channels, dtype=torch.float64)
+    if record.type == "twosided":
+        return inside("brdf_1" if back and record.field["brdf_1"] >= 0 else "brdf_0")
+    if record.type == "normalmap":
+        return inside("nested_bsdf")
+    if record.type in ("blendbsdf", "mask"):
+        w = share(world, record, at)[:, None]
+        first, second = ("bsdf_0", "bsdf_1") if record.type == "blendbsdf" else (None, "nested_bsdf")
+        return (1 - w) * (inside(first) if first else white) + w * inside(second)
+    name = BSDFS[record.type].albedo
+    return white if name is None else world.color("bsdf", record, name, at)
 
 
 def first_hits(

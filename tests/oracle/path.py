@@ -19,12 +19,13 @@ import torchrender as tr
 from torchrender.render import _film_config
 from torchrender.scene.camera import Rays
 
-from . import numbers
-from .bsdfs import BSDFS, resolve
+from . import layers, numbers
+from .bsdfs import BSDFS
 from .emitters import Lights
 from .film import develop, reach
 from .geometry import Frame, Rows, dot, normalize, reattach
 from .glued import glue
+from .layers import Layers
 from .sensors import SENSORS
 from .world import At, Record, World
 
@@ -155,20 +156,41 @@ class PathTracer:
         wi = frame.to_local(-paths.d)
         if index == 0:
             self.emission(paths, wi[:, 2] > 0, depth)
-        leaf, mirrored = resolve(self.world, self.shape_bsdf[paths.shape], wi[:, 2] < 0)
-        is_null = torch.tensor([r.type == "null" for r in self.world.records["bsdf"]])[leaf]
+        ue, ub = self.draw(paths, depth + index)
+        found = layers.find(
+            self.world,
+            self.shape_bsdf[paths.shape],
+            paths.at,
+            paths.position,
+            paths.shading_normal,
+            paths.d,
+            ub[:, 3],
+            viewed=True,
+            derivative=self.derivative,
+        )
+        is_null = torch.tensor([r.type in ("null", "mask") for r in self.world.records["bsdf"]])[found.leaf]
         newly = paths.lane[~paths.seen & ~is_null]
         self.alpha[newly] = 1.0
         paths = replace(paths, seen=paths.seen | ~is_null)
         if not scatters:
             return paths[:0]
-        sign = torch.where(mirrored, -1.0, 1.0).to(wi)
+        frame = Frame.about(found.normal)
+        sign = torch.where(found.mirrored, -1.0, 1.0).to(wi)
+        wi = frame.to_local(-paths.d)
         wi = torch.stack([wi[:, 0], wi[:, 1], wi[:, 2] * sign], 1)
         pieces = [paths[:0]]
-        for number in leaf.unique().tolist():
-            rows = (leaf == number).nonzero()[:, 0]
-            pieces.append(self.scatter(paths[rows], frame[rows], wi[rows], sign[rows], number, depth, index))
+        for number in found.leaf.unique().tolist():
+            rows = (found.leaf == number).nonzero()[:, 0]
+            here = (paths[rows], frame[rows], wi[rows], sign[rows], found[rows], ue[rows], ub[rows])
+            pieces.append(self.scatter(*here, number, depth, index))
         return Paths.cat(pieces)
+
+    def draw(self, paths: Paths, scattering: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """The random numbers (N, 4) of emitter and BSDF sampling."""
+        pixel, sample = self.pixel[paths.lane], self.sample[paths.lane]
+        block = numbers.BLOCKS_PER_SCATTERING * scattering
+        ue = numbers.random4(self.seed, self.sensor, pixel, sample, numbers.EMITTER_BLOCK + block)
+        return ue, numbers.random4(self.seed, self.sensor, pixel, sample, numbers.BSDF_BLOCK + block)
 
     def weight_of_hit(self, paths: Paths, pdf: torch.Tensor, depth: int) -> torch.Tensor:
         """Weight of emission that BSDF sampling found, given the density with which emitter sampling would have."""
@@ -193,24 +215,32 @@ class PathTracer:
             self.add(lit.lane, lit.beta * light.radiance(lit.at) * weight[:, None])
 
     def scatter(
-        self, paths: Paths, frame: Frame, wi: torch.Tensor, sign: torch.Tensor, number: int, depth: int, index: int
+        self,
+        paths: Paths,
+        frame: Frame,
+        wi: torch.Tensor,
+        sign: torch.Tensor,
+        above: Layers,
+        ue: torch.Tensor,
+        ub: torch.Tensor,
+        number: int,
+        depth: int,
+        index: int,
     ) -> Paths:
         """Emitter and BSDF sampling at vertices that share a BSDF; returns the paths that go on."""
         record = self.world.records["bsdf"][number]
         bsdf = BSDFS[record.type](self.world, record, paths.at)
         n_emitter = self.emitter_samples if depth == 0 else 1
         n_bsdf = self.bsdf_samples if depth == 0 else 1
-        block = numbers.BLOCKS_PER_SCATTERING * (depth + index)
-        pixel, sample = self.pixel[paths.lane], self.sample[paths.lane]
-        ue = numbers.random4(self.seed, self.sensor, pixel, sample, numbers.EMITTER_BLOCK + block)
-        ub = numbers.random4(self.seed, self.sensor, pixel, sample, numbers.BSDF_BLOCK + block)
         if bsdf.smooth and self.lights.all and index < self.emitter_samples:
-            self.sample_lights(paths, frame, wi, sign, bsdf, ue, n_emitter, n_bsdf)
+            self.sample_lights(paths, frame, wi, sign, above, bsdf, ue, n_emitter, n_bsdf)
 
         s = bsdf.sample(wi, ub)
-        alive = (s.pdf > 0) & (index < n_bsdf)
-        inverse = torch.where(alive, 1 / torch.where(alive, n_bsdf * s.pdf, 1.0), 0.0)
-        weight = bsdf.eval(wi, s.wo, s.lobe).detach() * inverse[:, None]
+        wo = frame.to_world(torch.stack([s.wo[:, 0], s.wo[:, 1], s.wo[:, 2] * sign], 1)).detach()
+        alive = (s.pdf > 0) & (index < n_bsdf) & ~above.hides(-paths.d) & ~above.hides(wo)
+        inverse = torch.where(alive, above.inverse / torch.where(alive, n_bsdf * s.pdf, 1.0), 0.0)
+        brought = (above.weight * above.dimmed(wo)).detach() * inverse
+        weight = bsdf.eval(wi, s.wo, s.lobe).detach() * brought[:, None]
         if self.derivative:  # a path that an albedo of zero would end goes on, since that has a derivative
             weight = weight.abs().clamp(min=0.05)
         survival = paths.survival * weight
@@ -231,8 +261,8 @@ class PathTracer:
             rows = (alive & kind).nonzero()[:, 0]
             went_on = {"survival": (survival * keep[:, None])[rows], "eta": eta[rows]}
             went_on["origin_pdf"] = s.pdf[rows].detach() if smooth else torch.zeros_like(sign[rows])
-            on = (paths[rows], frame[rows], wi[rows], sign[rows], s.wo[rows], s.lobe[rows], (inverse * keep)[rows])
-            going.append(self.go_on(record, *on, smooth, went_on))
+            on = (paths[rows], frame[rows], wi[rows], sign[rows], above[rows], s.wo[rows], s.lobe[rows])
+            going.append(self.go_on(record, *on, (inverse * keep)[rows], smooth, went_on))
         return Paths.cat(going)
 
     def go_on(
@@ -242,6 +272,7 @@ class PathTracer:
         frame: Frame,
         wi: torch.Tensor,
         sign: torch.Tensor,
+        above: Layers,
         wo: torch.Tensor,
         lobe: torch.Tensor,
         factor: torch.Tensor,
@@ -260,16 +291,16 @@ class PathTracer:
         else:
             o = reattach(o, paths.position)
         hits = self.world.intersect(o, d)
-        factor = factor[:, None]
         if smooth:
             hits, ratio, towards = self.glued(hits, paths.position)
             d = torch.where(hits.valid[:, None], reattach(d, towards), d)
             wo = frame.to_local(d) * flip
-            factor = factor * ratio[:, None]
+            factor = factor * ratio
+        factor = factor * above.weight * above.dimmed(d)
         return Paths(
             lane=paths.lane,
             d=d,
-            beta=paths.beta * bsdf.eval(wi, wo, lobe) * factor,
+            beta=paths.beta * bsdf.eval(wi, wo, lobe) * factor[:, None],
             origin=position,
             seen=paths.seen,
             **went_on,
@@ -297,6 +328,7 @@ class PathTracer:
         frame: Frame,
         wi: torch.Tensor,
         sign: torch.Tensor,
+        above: Layers,
         bsdf: object,
         u: torch.Tensor,
         n_emitter: int,
@@ -306,9 +338,10 @@ class PathTracer:
         wo = frame.to_local(light.direction)
         wo = torch.stack([wo[:, 0], wo[:, 1], wo[:, 2] * sign], 1)
         pdf = bsdf.pdf(wi, wo).detach()
-        possible = (light.pdf > 0) & (pdf > 0)
+        possible = (light.pdf > 0) & (pdf > 0) & ~above.hides(-paths.d) & ~above.hides(light.direction)
         mis = torch.where(light.delta, 1.0, power_heuristic(n_emitter * light.pdf, n_bsdf * pdf))
         factor = torch.where(possible, mis / torch.where(possible, n_emitter * light.pdf, 1.0), 0.0)
+        factor = factor * above.inverse * above.weight * above.dimmed(light.direction)
         value = paths.beta * bsdf.eval(wi, wo, torch.zeros_like(paths.lane)) * light.value * factor[:, None]
 
         rows = possible.nonzero()[:, 0]

@@ -1,0 +1,171 @@
+"""What of a tree of BSDFs a hit is scattered by: csrc/core/integrator/layers.h, bsdf/normalmap.h and shape/tangents.h.
+
+What is attached. The weights of the branches that were taken; the chances of taking them are not. A turned normal is an
+attached function of the map, of where that is looked up, of the shading normal and of dp/du; so is what the shadowing
+function leaves of light, and one of the direction of light besides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+
+from torchrender.surface import MESH, SPHERE, inverse_linear, transform_vector
+
+from .bsdf import luminance
+from .bsdfs import LAYERS, resolve
+from .geometry import Rows, dot, normalize
+from .world import At, Record, World
+
+LEAST_SQUARED_COSINE = 1e-6
+
+
+@dataclass
+class Layers(Rows):
+    """The layers that N hits were found below.
+
+    `leaf` (N,) is the number of the BSDF that scatters, that of the mask in its holes; `mirrored` (N,) whether it sees
+    directions mirrored; `weight` (N,) the product of the weights of the branches, `inverse` (N,) that of 1 / chance;
+    `turned` (N,) the number of a normal map, -1 where there is none, and `shadowed` (N,) whether it dims light; `base`
+    and `normal` (N, 3) what it turned and what became of it, on the side that is shaded.
+    """
+
+    leaf: torch.Tensor
+    mirrored: torch.Tensor
+    weight: torch.Tensor
+    inverse: torch.Tensor
+    turned: torch.Tensor
+    shadowed: torch.Tensor
+    base: torch.Tensor
+    normal: torch.Tensor
+
+    def hides(self, w: torch.Tensor) -> torch.Tensor:
+        """Where one of the two normals sees `w` (N, 3) from the other side."""
+        return (self.turned >= 0) & (dot(self.base, w) * dot(self.normal, w) <= 0).detach()
+
+    def dimmed(self, light: torch.Tensor) -> torch.Tensor:
+        """What is left of light from `light` (N, 3): Estevez, Lecocq and Stein 2019, chapter 12."""
+
+        def tangent2(cosine: torch.Tensor) -> torch.Tensor:
+            squared = (cosine * cosine).clamp(min=LEAST_SQUARED_COSINE)
+            return (1 - squared).clamp(min=0.0) / squared
+
+        alpha2 = (tangent2(dot(self.base, self.normal)) / 8).clamp(max=1.0)
+        left = 2 / (1 + torch.sqrt(1 + alpha2 * tangent2(dot(self.base, light))))
+        return torch.where(self.shadowed, left, 1.0)
+
+
+def share(world: World, record: Record, at: At) -> torch.Tensor:
+    """The weight (N,) of the second branch of a blend, or of what is there of a mask."""
+    name = "weight" if record.type == "blendbsdf" else "opacity"
+    return luminance(world.color("bsdf", record, name, at)).clamp(0.0, 1.0)
+
+
+def find(
+    world: World,
+    bsdf: torch.Tensor,
+    at: At,
+    position: torch.Tensor,
+    normal: torch.Tensor,
+    d: torch.Tensor,
+    u: torch.Tensor,
+    *,
+    viewed: bool,
+    derivative: bool,
+) -> Layers:
+    """The layers of hits with these BSDFs (N,) and normals (N, 3), found along d (N, 3) with the numbers u (N,).
+
+    `viewed`: paths come from the camera. `derivative`: either branch has a chance, whatever its weight is.
+    """
+    behind = (dot(normal, d) > 0).detach()
+    leaf, turned = bsdf.clone(), torch.full_like(bsdf, -1)
+    mirrored, hole = torch.zeros_like(behind), torch.zeros_like(behind)
+    weight = inverse = torch.ones_like(u)
+    u = u.clone()
+    is_layer = torch.tensor([r.type in LAYERS for r in world.records["bsdf"]])
+    while bool((waiting := is_layer[leaf] & ~hole).any()):
+        number = int(leaf[waiting][0])
+        record = world.records["bsdf"][number]
+        rows = (waiting & (leaf == number)).nonzero()[:, 0]
+        if record.type == "twosided":
+            leaf[rows], mirrored[rows] = resolve(world, leaf[rows], behind[rows])
+        elif record.type == "normalmap":
+            turned[rows], leaf[rows] = number, record.field["nested_bsdf"]
+        else:
+            w = share(world, record, at[rows])
+            q = 0.1 + 0.8 * w.detach() if derivative else w.detach()
+            second = u[rows] < q
+            chance = torch.where(second, q, 1 - q).clamp(min=1e-12)
+            u[rows] = (torch.where(second, u[rows], u[rows] - q) / chance).clamp(max=1 - 1e-7)
+            weight = weight.index_put((rows,), weight[rows] * torch.where(second, w, 1 - w))
+            inverse = inverse.index_put((rows,), inverse[rows] / chance)
+            if record.type == "blendbsdf":
+                leaf[rows] = torch.where(second, record.field["bsdf_1"], record.field["bsdf_0"])
+            else:
+                leaf[rows] = torch.where(second, record.field["nested_bsdf"], number)
+                hole[rows] = ~second
+    side = torch.where(mirrored & (turned >= 0), -1.0, 1.0).to(normal)
+    base = normal * side[:, None]
+    normal, shadowed = base, torch.zeros_like(behind)
+    for number in turned[turned >= 0].unique().tolist():
+        record = world.records["bsdf"][number]
+        rows = (turned == number).nonzero()[:, 0]
+        tangent = dp_du(world, at[rows], position[rows])
+        n = turn(world, record, at[rows], base[rows], side[rows], tangent, -d[rows], viewed)
+        normal = normal.index_put((rows,), n)
+        shadowed[rows] = record.field["use_shadowing_function"] == 1
+    return Layers(leaf, mirrored & (turned < 0), weight, inverse, turned, shadowed, base, normal)
+
+
+def turn(
+    world: World,
+    record: Record,
+    at: At,
+    z: torch.Tensor,
+    side: torch.Tensor,
+    tangent: torch.Tensor,
+    wi: torch.Tensor,
+    viewed: bool,
+) -> torch.Tensor:
+    """The normals z (N, 3), those of the back where `side` (N,) is -1, as the map turns them."""
+    s = normalize(tangent - z * dot(z, tangent)[:, None])
+    t = torch.linalg.cross(z, s) * side[:, None]
+    x, y, up = (2 * world.color("bsdf", record, "normalmap", at) - 1)[..., None].unbind(1)
+    n = normalize(s * x + t * y + z * up)
+    if not viewed or record.field["flip_invalid_normals"] == 0:
+        return n
+    hides = (dot(n, wi) * dot(z, wi) < 0).detach()
+    return torch.where(hides[:, None], normalize(z * up - s * x - t * y), n)
+
+
+def dp_du(world: World, at: At, p: torch.Tensor) -> torch.Tensor:
+    """How points p (N, 3) move with the first texture coordinate, up to a factor: (N, 3)."""
+    surfaces = world.surfaces
+    flat, curved = ((surfaces.kind[at.shape] == MESH) == which for which in (True, False))
+    rows, some = flat.nonzero()[:, 0], curved.nonzero()[:, 0]
+    result = torch.zeros_like(p).index_put((rows,), _along_triangles(world, at[rows]))
+    return result.index_put((some,), _along_quadrics(world, at.shape[some], p[some]))
+
+
+def _along_triangles(world: World, at: At) -> torch.Tensor:
+    """Along the first edge where there are no texture coordinates."""
+    surfaces = world.surfaces
+    corner = surfaces.faces[surfaces.first_face[at.shape] + at.primitive]
+    p, uv = surfaces.positions[corner], surfaces.texcoords[corner]
+    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
+    u1, v1 = (uv[:, 1] - uv[:, 0]).unbind(1)
+    u2, v2 = (uv[:, 2] - uv[:, 0]).unbind(1)
+    determinant = u1 * v2 - u2 * v1
+    usable = surfaces.textured[at.shape] & (determinant != 0)
+    solved = (e1 * v2[:, None] - e2 * v1[:, None]) / torch.where(usable, determinant, 1.0)[:, None]
+    return torch.where(usable[:, None], solved, e1)
+
+
+def _along_quadrics(world: World, shape: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+    """Around a sphere's axis, away from a disk's centre."""
+    matrix = world.surfaces.to_world[shape]
+    x, y, _ = transform_vector(inverse_linear(matrix), p - matrix[:, :3, 3]).unbind(1)
+    zero = torch.zeros_like(x)
+    around, away = torch.stack([-y, x, zero], 1), torch.stack([x, y, zero], 1)
+    return transform_vector(matrix, torch.where((world.surfaces.kind[shape] == SPHERE)[:, None], around, away))
