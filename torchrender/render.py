@@ -91,7 +91,8 @@ def render(
             `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
         correlated: differentiate the samples of the image, `seed_grad` being `seed`: gradients of nonlinear losses are
             then biased. Where a gradient can be asked for and `spp_grad` is `spp`, the hits of the image's rays are
-            kept for `backward()`, which then traces nothing (see ``torchrender.autograd.STORED_HITS_LIMIT``).
+            kept for `backward()`, which then traces nothing (see ``torchrender.autograd.STORED_HITS_LIMIT``); but not
+            where blends or masks choose by chance.
         adaptive_grad: `backward()` through radiance gives each pixel samples in proportion to the size of its incoming
             gradient (at least 1, and about a fifth of `spp_grad`, where that is not zero; none where it is). `spp_grad`
             is their mean over the rendered pixels, those without any included. Unbiased as without it; forward mode and
@@ -195,6 +196,7 @@ def render(
             and not light
             and not wavefront
             and call.spp_grad == call.spp
+            and not _mixes(packed)
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
         )
@@ -210,6 +212,11 @@ def render(
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
     return found[0] if outputs is None else collect(names, found)
+
+
+def _mixes(packed: Layout) -> bool:
+    """Whether there are blends or masks: paths of the derivative may choose other branches, and hit other things."""
+    return any(kind in ("blendbsdf", "mask") for kind, _, _ in packed.objects["bsdf"])
 
 
 def _check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volumetric: bool) -> None:
