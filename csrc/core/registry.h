@@ -1,6 +1,8 @@
 // The models of this build, one line each. The position in a list is the model's kind.
 #pragma once
 
+#include "bsdf/anisotropicconductor.h"
+#include "bsdf/anisotropicdielectric.h"
 #include "bsdf/blendbsdf.h"
 #include "bsdf/bumpmap.h"
 #include "bsdf/conductor.h"
@@ -35,8 +37,9 @@ namespace tr {
 
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute, VolumeTexture>;
 // The ones that scatter, and those that are resolved to one of them at a hit.
-using Bsdfs = TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic,
-                       ThinDielectric, Principled, RoughPlastic, PrincipledThin, RednerMaterial>;
+using Bsdfs =
+    TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic, ThinDielectric,
+             Principled, RoughPlastic, PrincipledThin, RednerMaterial, AnisotropicConductor, AnisotropicDielectric>;
 using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
 // (Emitters: emitter/emitter.h, which chooses among them.)
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel, CylinderModel>;

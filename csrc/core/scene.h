@@ -76,6 +76,8 @@ struct SceneView {
     int32_t n_shapes;
     bool textured;  // there is a texture that is not constant
     bool layered;   // there is a BSDF that chooses by chance, or turns normals
+    bool oriented;  // there is a BSDF whose frame follows the texture coordinates
+    TR_INLINE bool has_tangents() const { return layered || oriented; }
 
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;

@@ -43,7 +43,7 @@ private:
                 level.template get_motion<F>(i, v);
                 parallel = mask<F>(load_uint<F>(level.attached + i) == 2u);
             } else {
-                v.d = VertexFrame<F>(v.normal, v.mirror).frame.to_world(v.wi) * F(-1);
+                v.d = VertexFrame<F>(vertex_frame(scene_, v), v.mirror).frame.to_world(v.wi) * F(-1);
                 v.p = {F(0), F(0), F(0)};
             }
             sink.begin();

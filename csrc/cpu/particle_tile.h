@@ -78,7 +78,7 @@ private:
     void new_level(size_t n) {
         if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
         TapeLevel<S, C> &level = *levels_[size_t(n_levels_)];
-        level.reserve(n, false, true, scene_.layered);
+        level.reserve(n, false, true, scene_);
         level.parent_level = n_levels_ - 1;
         level.scatters = true;
         ++n_levels_;
@@ -248,6 +248,7 @@ private:
             }
         }
         Leaf<F> leaf = this->resolve(si, ray.d, slot, uint32_t(depth), false, Derivative, active);
+        if (scene_.oriented) this->orient(kind, si, active);
         Vec3<F> wi = si.frame.to_local(-ray.d);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         LaneSet<F> paths(slot, active);
@@ -293,7 +294,7 @@ private:
             keep = select(alive, F(1) / select(alive, q, F(1)), F(1));
         }
         if (Derivative) {
-            level().template put_light_scattering<F>(i, leaf, si.at.uv, wi, si.frame.n, si.ng, s,
+            level().template put_light_scattering<F>(i, leaf, si.at.uv, wi, si.frame, si.ng, s,
                                                      select(alive, s.inverse_pdf * keep, F(0)));
             level().template put_connection<F>(i, s.wo_camera, select(connected, to.importance, F(0)));
         }

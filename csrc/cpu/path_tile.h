@@ -276,6 +276,13 @@ protected:
                                  derivative && derivative_->wanted.bsdf ? bsdf_wanted() : nullptr, active);
     }
 
+    // Turns the frame to the tangent if the model of this kind asks for that.
+    void orient(int kind, Interaction<F> &si, const M &active) const {
+        bool oriented = false;
+        dispatch(Bsdfs{}, kind, [&](auto m) { oriented = IsOriented<decltype(m)>::value; });
+        if (oriented) si.frame = tangent_frame(si.frame.n, surface_tangent(scene_, si.at, active));
+    }
+
     // The kinds of the packet of hits at i: Ignore where nothing is to be done.
     I kinds_at(const Front<S, C> &front, size_t i, const M &active, bool scatters, int depth, uint32_t scattering,
                bool derivative) const {
@@ -364,7 +371,7 @@ protected:
         if (Derivative) {
             if (size_t(n_levels_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S, C>>());
             TapeLevel<S, C> &level = *levels_[size_t(n_levels_++)];
-            level.reserve(entries(front.n), volumetric_, false, scene_.layered);
+            level.reserve(entries(front.n), volumetric_, false, scene_);
             level.parent_level = parent_level;
             level.scatters = scatters;
             segments = &level.segments;
@@ -472,6 +479,7 @@ protected:
         }
 
         Leaf<F> leaf = resolve(si, ray.d, slot, uint32_t(depth + index), Viewed, Derivative, active);
+        if (scene_.oriented) orient(kind, si, active);
         Vec3<F> wi = si.frame.to_local(-ray.d);
         wi.z = select(leaf.mirrored, -wi.z, wi.z);
         LaneSet<F> paths(slot, active);
@@ -511,7 +519,7 @@ protected:
             keep = select(alive && counted, F(1) / select(alive, q, F(1)), F(1));
         }
         if (Derivative)
-            level().put_scattering(i, leaf, si.at.uv, wi, si.frame.n, s, select(alive, s.inverse_pdf * keep, F(0)));
+            level().put_scattering(i, leaf, si.at.uv, wi, si.frame, s, select(alive, s.inverse_pdf * keep, F(0)));
         if (!any(alive)) return;
         Vec3<F> wo = s.sample.wo;
         wo.z = select(leaf.mirrored, -wo.z, wo.z);

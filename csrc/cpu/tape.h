@@ -191,6 +191,26 @@ struct LayerColumns {
     }
 };
 
+// The column of a level that oriented scenes add: the first axis of the local frame. By entry of the level.
+template <class S>
+struct OrientationColumns {
+    Arena arena;
+    S *s[3] = {nullptr, nullptr, nullptr};
+
+    void allocate(size_t n) {
+        arena.allocate([&](Arena &a) { a.column(s, n); });
+    }
+    template <class F>
+    TR_INLINE void put(size_t i, const Vec3<F> &axis) {
+        if (!s[0]) return;
+        store(s[0] + i, axis.x), store(s[1] + i, axis.y), store(s[2] + i, axis.z);
+    }
+    template <class F, int C>
+    TR_INLINE void get(size_t i, VertexRecord<F, C> &v) const {
+        if (s[0]) v.s = load_vec<F>(s, i);
+    }
+};
+
 // Of the paths that go on from probes: the segment each belongs to, and what it brings. By slot of the tile.
 template <class S, int C>
 struct BranchColumns {
@@ -209,6 +229,7 @@ struct TapeLevel {
     VolumeColumns<S, C> volume;  // of volumetric paths
     LightColumns<S> light;       // of light paths
     LayerColumns<S> layers;      // of layered scenes
+    OrientationColumns<S> orientation;
 
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
@@ -221,12 +242,13 @@ struct TapeLevel {
     S *d[3], *p[3], *segment[3], *t;
     uint32_t *attached;
 
-    void reserve(size_t n, bool volumetric, bool of_light, bool layered) {
+    void reserve(size_t n, bool volumetric, bool of_light, const SceneView<S> &scene) {
         if (n <= capacity) return;
         capacity = n;
         if (volumetric) volume.allocate(n);
         if (of_light) light.allocate(n);
-        if (layered) layers.allocate(n);
+        if (scene.layered) layers.allocate(n);
+        if (scene.oriented) orientation.allocate(n);
         arena.allocate([&](Arena &a) {
             for (uint32_t **p : {&slot, &parent, &shape, &primitive, &light_shape, &light_primitive, &attached,
                                  &next_shape, &next_primitive})
@@ -276,7 +298,7 @@ struct TapeLevel {
     }
     template <class F>
     TR_INLINE void put_scattering(size_t i, const Leaf<F> &leaf, const Vec2<F> &uv_, const Vec3<F> &wi_,
-                                  const Vec3<F> &normal_, const Scattering<F, C> &s, const F &inverse_pdf_) {
+                                  const Frame<F> &frame, const Scattering<F, C> &s, const F &inverse_pdf_) {
         store(bsdf + i, leaf.bsdf);
         store(uv[0] + i, uv_.x);
         store(uv[1] + i, uv_.y);
@@ -284,14 +306,15 @@ struct TapeLevel {
         put_light(i, s.light.point, s.wo_light, s.light_weight, s.emitted, s.light.distance);
         put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
-        put(normal, i, normal_);
+        put(normal, i, frame.n);
         layers.put(i, leaf.choice, leaf.base);
+        orientation.put(i, frame.s);
     }
 
     // The same of a light path; put_connection follows.
     template <class F>
     TR_INLINE void put_light_scattering(size_t i, const Leaf<F> &leaf, const Vec2<F> &uv_, const Vec3<F> &wi_,
-                                        const Vec3<F> &normal_, const Vec3<F> &ng, const LightScattering<F, C> &s,
+                                        const Frame<F> &frame, const Vec3<F> &ng, const LightScattering<F, C> &s,
                                         const F &inverse_pdf_) {
         store(bsdf + i, leaf.bsdf);
         store(uv[0] + i, uv_.x);
@@ -300,8 +323,9 @@ struct TapeLevel {
         put_light(i, no_emitter_sample<F>().point, s.wo_camera, F(0), uniform_color<C>(F(0)), F(1));
         put_direction(i, s.sample.wo, s.sample.lobe, inverse_pdf_);
         store(mirror + i, select(leaf.mirrored, F(-1), F(1)));
-        put(normal, i, normal_);
+        put(normal, i, frame.n);
         layers.put(i, leaf.choice, leaf.base);
+        orientation.put(i, frame.s);
         light.put(i, ng);
     }
     template <class F>
@@ -370,6 +394,7 @@ struct TapeLevel {
         store(bsdf + i, IntOf<F>(0));
         store(mirror + i, F(1));
         layers.put(i, F(0), z);
+        orientation.put(i, Vec3<F>{F(1), F(0), F(0)});
         for (S *column : uv) store(column + i, F(0));
     }
     // A collision in a medium: where, and the direction of travel.
@@ -403,6 +428,7 @@ struct TapeLevel {
         v.mirror = load<F>(mirror + i);
         v.normal = load_vec<F>(normal, i);
         layers.get(i, v);
+        orientation.get(i, v);
         return v;
     }
     // To the light, and on along the path.

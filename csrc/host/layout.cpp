@@ -305,7 +305,7 @@ private:
     void check_reflects(int bsdf, const std::string &at) {
         const std::string &type = list("bsdf")[size_t(bsdf)].type;
         for (const Model *model : {&TwoSided::model, &Dielectric::model, &NullBsdf::model, &RoughDielectric::model,
-                                   &ThinDielectric::model, &MaskBsdf::model})
+                                   &ThinDielectric::model, &AnisotropicDielectric::model, &MaskBsdf::model})
             if (type == model->type) fail(at, "a bsdf that only reflects", "'" + type + "'");
         for_nested(bsdf, [&](int nested, const std::string &) { check_reflects(nested, at); });
     }
@@ -317,6 +317,14 @@ private:
             if (type == model->type)
                 fail(at, "a bsdf other than " + type + ", which may stand around it", "'" + type + "'");
         for_nested(bsdf, [&](int nested, const std::string &) { check_turned(nested, at); });
+    }
+
+    // A height field has no tangents.
+    void check_unoriented(int bsdf, const std::string &at) {
+        const std::string &type = list("bsdf")[size_t(bsdf)].type;
+        for (const Model *model : {&AnisotropicConductor::model, &AnisotropicDielectric::model})
+            if (type == model->type) fail(at, "a bsdf that is equally rough in all directions", "'" + type + "'");
+        for_nested(bsdf, [&](int nested, const std::string &) { check_unoriented(nested, at); });
     }
 
     void connect_media() {
@@ -420,6 +428,7 @@ private:
             info.interior = value("shape", i, interior);
             info.exterior = value("shape", i, interior + 1);
             if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
+            if (info.flags & IsHeightField) check_unoriented(info.bsdf, where("shape", i, "bsdf"));
             if (value("shape", i, flip)) info.flags |= FlipNormals;
             if (info.emitter >= 0 && !(info.flags & IsCurved)) {
                 info.cdf_offset = out_.n_cdf_faces;

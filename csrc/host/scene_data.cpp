@@ -261,6 +261,11 @@ void SceneData<S>::refresh_view() {
                                  [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
     const auto &bsdfs = layout_.records.at("bsdf");
     view_.layered = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
+    view_.oriented = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) {
+        bool oriented = false;
+        dispatch(Bsdfs{}, r.kind, [&](auto model) { oriented = IsOriented<decltype(model)>::value; });
+        return oriented;
+    });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
     choose_emitters(false);
     view_.environment = layout_.environment;

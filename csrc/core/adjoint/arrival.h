@@ -9,6 +9,7 @@ template <class F>
 struct HitAdjoint {
     // position, unit shading normal, unit geometric normal of a mesh
     Vec3<F> p{F(0), F(0), F(0)}, n{F(0), F(0), F(0)}, ng{F(0), F(0), F(0)};
+    Vec3<F> tangent{F(0), F(0), F(0)}, tangent_v{F(0), F(0), F(0)};  // dp/du, dp/dv
     CoordinateAdjoint<F> at;
 };
 
@@ -50,6 +51,15 @@ TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const
 template <class F>
 TR_INLINE Vec3<F> sweep_parallel(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
     return in.d_bar + area * (in.log_jacobian_bar * norm(in.D) / cosine);
+}
+
+template <class F, class Sink, class Table>
+TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
+                            Sink &sink) {
+    UIntOf<F> i = vertex * 3u;
+    sink.vertex(table, i, g.x, active);
+    sink.vertex(table, i + 1u, g.y, active);
+    sink.vertex(table, i + 2u, g.z, active);
 }
 
 // Adjoints of the matrix of a curved shape.

@@ -2,7 +2,6 @@
 // turned normal. With branch weights w_j and what the leaf brings, X, the vertex brings w_1 w_2 ... X.
 #pragma once
 
-#include "partials.h"
 #include "slopes.h"
 #include "vertex.h"
 
@@ -48,7 +47,7 @@ struct LayerSweep {
 template <int C, class F, class S>
 TR_NOINLINE LayerSweep<F> begin_layers(const SceneView<S> &scene, const VertexRecord<F, C> &v, const Wanted &wanted,
                                        Transport transport, const MaskOf<F> &active) {
-    Frame<F> frame = make_frame(v.normal);
+    Frame<F> frame = vertex_frame(scene, v);
     frame.n = v.normal * v.mirror;
     Vec3<F> wi = frame.to_world(v.wi), wo = frame.to_world(v.wo), wo_light = frame.to_world(v.wo_light);
     auto back = mask<F>(dot(v.base, wi) < F(0));
@@ -107,7 +106,6 @@ TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord
     const IntOf<F> &record = layers.leaf.layers.turned;
     NormalTurn<F> turn(scene, v.at, record, layers.factor.turned);
     const Vec3<F> n_bar = hit.n, z = layers.factor.base;
-    Vec3<F> by_u{F(0), F(0), F(0)}, by_v{F(0), F(0), F(0)};
     F side = select(layers.leaf.layers.mirrored, F(-1), F(1));
     // whether it was reversed shows in where it points
     auto reversed = mask<F>(dot(turn(z, side, F(-1)), v.normal) > dot(turn(z, side, F(1)), v.normal));
@@ -118,7 +116,7 @@ TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord
         Vec3<D> n = NormalMap::turn(seeded<D>(z, 0), side, seeded<D>(turn.tangents.u, 3), seeded<D>(turn.map, 6), sign);
         auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
         hit.n = select(turn.mapped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
-        by_u = select(turn.mapped, Vec3<F>{bar(3), bar(4), bar(5)}, by_u);
+        hit.tangent = select(turn.mapped, hit.tangent + Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
         Color<F, 3> g{{bar(6), bar(7), bar(8)}};
         if (wanted.bsdf) sink.vector_texture(scene, texture, v.at, g, turn.mapped);
         sweep_lookup<3>(scene, texture, v.at, g, turn.mapped, hit.at, sink);
@@ -130,15 +128,13 @@ TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord
                                   u, w, sign);
         auto bar = [&](int i) { return n.x.d[i] * n_bar.x + n.y.d[i] * n_bar.y + n.z.d[i] * n_bar.z; };
         hit.n = select(turn.bumped, Vec3<F>{bar(0), bar(1), bar(2)} * side, hit.n);
-        by_u = select(turn.bumped, Vec3<F>{bar(3), bar(4), bar(5)}, by_u);
-        by_v = select(turn.bumped, Vec3<F>{bar(6), bar(7), bar(8)}, by_v);
+        hit.tangent = select(turn.bumped, hit.tangent + Vec3<F>{bar(3), bar(4), bar(5)}, hit.tangent);
+        hit.tangent_v = select(turn.bumped, Vec3<F>{bar(6), bar(7), bar(8)}, hit.tangent_v);
         Vec2<F> g{bar(9) * turn.scale, bar(10) * turn.scale};
         sink.scalar(record_field<F>(scene.bsdfs, BumpMap::Scale, record, turn.bumped),
                     bar(9) * turn.slopes.x + bar(10) * turn.slopes.y, turn.bumped);
         sweep_slopes<3>(scene, texture, v.at, g, wanted.bsdf, true, turn.bumped, hit.at, sink);
     }
-    const MaskOf<F> &turned = layers.factor.turned;
-    sweep_partials(scene, v.at, ShapeLanes<F>(scene.shapes, v.at.shape, turned), by_u, by_v, turned, hit.at, sink);
 }
 
 // `whole`: what the leaf brings, times the adjoint of the vertex above its layers.

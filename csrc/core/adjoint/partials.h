@@ -2,7 +2,7 @@
 #pragma once
 
 #include "../shape/partials.h"
-#include "surface.h"
+#include "heightfield.h"
 
 namespace tr {
 

@@ -116,7 +116,7 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Li
                                              const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, Sink &sink) {
     constexpr Transport importance = Transport::Importance;
     auto params = load_params<Model, C>(scene, v.bsdf, v.at, active);
-    VertexFrame<F> frame(v.normal, v.mirror);
+    FrameOf<Model, F> frame(vertex_frame(scene, v), v.mirror);
     Vec3<F> wi = -v.d, wo = frame.frame.to_world(v.wo), to_camera = frame.frame.to_world(v.wo_light);
     LayerSweep<F> layers;
     if (scene.layered) layers = begin_layers<C>(scene, v, wanted, importance, active);
@@ -178,7 +178,7 @@ TR_INLINE Color<F, C> sweep_light_scattering(const SceneView<S> &scene, const Li
         }
     }
     d_bar = d_bar - frame.into(v.wi, wi_bar) - wi_world;
-    hit.n = hit.n + frame.n_bar * v.mirror;
+    frame.hand_to(hit, scene, v, active);
     if (scene.layered) finish_layers<C>(scene, v, layers, whole * scattered, wanted, active, hit, sink);
     return total;
 }

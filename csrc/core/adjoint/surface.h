@@ -7,17 +7,9 @@
 #pragma once
 
 #include "heightfield.h"
+#include "partials.h"
 
 namespace tr {
-
-template <class F, class Sink, class Table>
-TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
-                            Sink &sink) {
-    UIntOf<F> i = vertex * 3u;
-    sink.vertex(table, i, g.x, active);
-    sink.vertex(table, i + 1u, g.y, active);
-    sink.vertex(table, i + 2u, g.z, active);
-}
 
 template <class F, class S, class Sink>
 TR_INLINE Vec3<F> sweep_triangle(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
@@ -174,6 +166,7 @@ TR_NOINLINE RayAdjoint<F> sweep_surface(const SceneView<S> &scene, const Surface
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
     g.ng = select(shape.has(FlipNormals), -g.ng, g.ng);
+    if (scene.has_tangents()) sweep_partials(scene, at, shape, g.tangent, g.tangent_v, active, g.at, sink);
     g.p = g.p + g.at.p;
     auto mesh = active && !shape.has(IsCurved);
     auto field = active && shape.has(IsHeightField), curved = active && !mesh && !field;

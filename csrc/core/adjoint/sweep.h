@@ -78,29 +78,45 @@ TR_INLINE void sweep_emitter(const SceneView<S> &scene, const EmitterPoint<F> &p
 }
 
 // The local frame of a vertex, and the adjoint of its normal when directions are taken to it and from it: when the
-// normal moves by dn, the frame turns with it, ds = -(s.dn) n, dt = -(t.dn) n. (Isotropic: how it turns about n does
-// not matter.)
-template <class F>
+// normal moves by dn, the frame turns with it, ds = -(s.dn) n, dt = -(t.dn) n. How it turns about n besides, by dphi,
+// ds = dphi t, dt = -dphi s, matters where the model is Oriented: as s = a / |a|, a = u - (n.u) n, u being dp/du,
+// dphi = t.ds = t.(du - (n.u) dn) / |a|.
+template <class F, bool Oriented = false>
 struct VertexFrame {
     Frame<F> frame;
     Vec3<F> n_bar{F(0), F(0), F(0)};
+    F phi_bar{0};
 
-    TR_INLINE explicit VertexFrame(const Vec3<F> &normal, const F &mirror) : frame(make_frame(normal)) {
-        frame.n = normal * mirror;
-    }
+    TR_INLINE VertexFrame(const Frame<F> &of, const F &mirror) : frame(of) { frame.n = of.n * mirror; }
     // the adjoint of a world direction from that of its local coordinates
     TR_INLINE Vec3<F> into(const Vec3<F> &local, const Vec3<F> &local_bar) {
         n_bar = n_bar + frame.to_world(local) * local_bar.z - frame.s * (local_bar.x * local.z) -
                 frame.t * (local_bar.y * local.z);
+        if constexpr (Oriented) phi_bar = phi_bar + (local_bar.x * local.y - local_bar.y * local.x);
         return frame.to_world(local_bar);
     }
     // the adjoint of local coordinates from that of the world direction they give
     TR_INLINE Vec3<F> out_of(const Vec3<F> &local, const Vec3<F> &world_bar) {
+        static_assert(!Oriented, "delta lobes are the same in all directions");
         F along = dot(frame.n, world_bar);
         n_bar = n_bar + world_bar * local.z - frame.s * (local.x * along) - frame.t * (local.y * along);
         return frame.to_local(world_bar);
     }
+    // What the surface gets of all that.
+    template <int C, class S>
+    TR_INLINE void hand_to(HitAdjoint<F> &hit, const SceneView<S> &scene, const VertexRecord<F, C> &v,
+                           const MaskOf<F> &active) const {
+        hit.n = hit.n + n_bar * v.mirror;
+        if constexpr (Oriented) {
+            TangentPart<F> part(v.normal, surface_tangent(scene, v.at, active));
+            Vec3<F> u_bar = frame.t * (phi_bar * part.inverse);
+            hit.tangent = hit.tangent + u_bar;
+            hit.n = hit.n - u_bar * part.up;
+        }
+    }
 };
+template <class Model, class F>
+using FrameOf = VertexFrame<F, IsOriented<Model>::value>;
 
 // Adjoints of both directions of eval, whose value has the weight `weight`.
 template <Transport transport, class Model, int C, class F>
@@ -140,7 +156,7 @@ TR_INLINE void eval_block(const ParamsOf<Model, F, C> &params, int first, const 
 template <Transport transport, class Model, int C, class F, class S, class Sink>
 TR_INLINE void sweep_continuation(const SceneView<S> &scene, const VertexRecord<F, C> &v,
                                   const ParamsOf<Model, F, C> &params, const Color<F, C> &a_path,
-                                  const NextVertex<F, C> &next, const MaskOf<F> &active, VertexFrame<F> &frame,
+                                  const NextVertex<F, C> &next, const MaskOf<F> &active, FrameOf<Model, F> &frame,
                                   Vec3<F> &wi_bar, HitAdjoint<F> &hit, Sink &sink) {
     Vec3<F> wo_bar;
     sweep_directions<transport, Model, C>(params, v.wi, v.wo, v.lobe, a_path, wi_bar, wo_bar);
@@ -181,7 +197,7 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
                                  const MaskOf<F> &active, const MaskOf<F> &lit, const Vec3<F> &light_d_bar,
                                  const CoordinateAdjoint<F> &light_at, const Wanted &wanted, HitAdjoint<F> &hit,
                                  Sink &sink) {
-    VertexFrame<F> frame(v.normal, v.mirror);
+    FrameOf<Model, F> frame(vertex_frame(scene, v), v.mirror);
     Vec3<F> zero{F(0), F(0), F(0)}, wi_bar = zero;
     sweep_continuation<Transport::Radiance, Model, C>(scene, v, params, a_path, next, active, frame, wi_bar, hit, sink);
 
@@ -216,7 +232,7 @@ TR_NOINLINE Vec3<F> sweep_motion(const SceneView<S> &scene, const VertexRecord<F
         }
     }
     Vec3<F> from_bar = frame.into(v.wi, wi_bar);
-    hit.n = hit.n + frame.n_bar * v.mirror;
+    frame.hand_to(hit, scene, v, active);
     return -from_bar;
 }
 
@@ -302,7 +318,7 @@ TR_INLINE Color<F, C> sweep_scattering(const SceneView<S> &scene, const VertexRe
     if constexpr (Model::Smooth) {
         if (any(lit) && (wanted.emitter || wanted.geometry)) {
             Vec3<F> d{F(0), F(0), F(1)};
-            if (wanted.geometry) d = VertexFrame<F>(v.normal, v.mirror).frame.to_world(v.wo_light);
+            if (wanted.geometry) d = VertexFrame<F>(vertex_frame(scene, v), v.mirror).frame.to_world(v.wo_light);
             Color<F, C> g = a * f_light * v.through * v.light_weight;
             if (scene.layered) g = g * layers.light_factor;
             sweep_emitter(scene, v.light, d, g, wanted, lit, light_at, light_d_bar, sink);

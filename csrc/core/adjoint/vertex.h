@@ -29,6 +29,7 @@ struct VertexRecord {
     // the local frame: shading normal, and -1 where z is turned round (the back of `twosided`)
     Vec3<F> normal;
     F mirror;
+    Vec3<F> s{F(0), F(0), F(0)};  // its first axis, of oriented scenes
     // layered scenes, see Leaf
     F choice{0};
     Vec3<F> base{F(0), F(0), F(0)};
@@ -37,6 +38,12 @@ struct VertexRecord {
     F t;
     MaskOf<F> attached;  // the ray comes from the camera or a delta lobe
 };
+
+template <class F, int C, class S>
+TR_INLINE Frame<F> vertex_frame(const SceneView<S> &scene, const VertexRecord<F, C> &v) {
+    if (scene.oriented) return {v.s, cross(v.normal, v.s), v.normal};
+    return make_frame(v.normal);
+}
 
 struct Wanted {
     bool bsdf, emitter, light_position;

@@ -2,6 +2,7 @@
 //
 //   static constexpr Field fields[];  static constexpr Model model;
 //   static constexpr bool Smooth, Delta;      has a part with a density / has delta lobes
+//   static constexpr bool Oriented = true;    x and y count: they are along dp/du and across it
 //   static constexpr int Albedo;              the field, a texture, that is the output `albedo`; -1: white
 //   template <class T, int C> struct Params;  the parameters at a point, for a scalar type T (a Float or a dual number)
 //   Params<T, C> params(const T *numbers)     (see ParamList)
@@ -14,9 +15,9 @@
 //   sample(params, wi, u0, u1, u2) -> BsdfSample
 //   direction(params, wi, lobe)  models with Delta: where a delta lobe sends wi, differentiable in wi and the numbers
 //
-// Directions are local: +z is the shading normal; wi points to where the path came from, wo along the new ray, both
-// away from the surface. Radiance is transported along wo -> wi. Values include |cos(theta_o)|. `lobe` numbers what
-// `sample` chose: 0 is the smooth part of a model that has one.
+// Directions are local: +z is the shading normal, x and y are any two axes unless the model is Oriented; wi points to
+// where the path came from, wo along the new ray, both away from the surface. Radiance is transported along wo -> wi.
+// Values include |cos(theta_o)|. `lobe` numbers what `sample` chose: 0 is the smooth part of a model that has one.
 #pragma once
 
 #include "../math/dual.h"
@@ -124,6 +125,12 @@ template <class Model, class = void>
 struct IsTabled : std::false_type {};
 template <class Model>
 struct IsTabled<Model, std::enable_if_t<Model::Tabled>> : std::true_type {};
+
+// A model whose frame follows the texture coordinates, see tangent_frame.
+template <class Model, class = void>
+struct IsOriented : std::false_type {};
+template <class Model>
+struct IsOriented<Model, std::enable_if_t<Model::Oriented>> : std::true_type {};
 
 template <class Model>
 struct ParamCount {

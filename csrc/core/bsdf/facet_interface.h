@@ -23,6 +23,8 @@ struct FacetInterface {
     T eta;     // the relative index along wi
     T ci, ct;  // cosines of wi and of the refracted direction on the facet (of refraction times |h|); 1 without facet
     T cos2, sin2;       // of the facet's normal
+    Vec3<T> h;          // along it
+    T inverse2;         // 1 / |h|^2
     T stretch;          // |wi.h| |wo.h| / (wi.h + eta wo.h)^2 of refraction
     MaskOf<T> outside;  // wi is above the surface
     MaskOf<T> reflects, possible;
@@ -34,10 +36,10 @@ struct FacetInterface {
         outside = mask<F>(!(zi < F(0)));
         reflects = mask<F>(mulsign(zo, zi) > F(0));
         eta = select(outside, inside_over_outside, T(1) / inside_over_outside);
-        Vec3<T> h = wi + wo * select(reflects, T(1), eta);
+        h = wi + wo * select(reflects, T(1), eta);
         T length2 = squared_norm(h);
         auto usable = mask<F>(value_of(length2) > F(1e-20));
-        T inverse2 = T(1) / select(usable, length2, T(1));
+        inverse2 = T(1) / select(usable, length2, T(1));
         T wi_h = dot(wi, h), wo_h = dot(wo, h);
         // both directions see the facet on the side on which they are
         F side = value_of(h.z);

@@ -1,8 +1,12 @@
-// Isotropic microfacet distributions: densities of normals, masking and the sampling of visible normals, for all rough
-// models. Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007.
+// Microfacet distributions: densities of normals, masking and the sampling of visible normals, for all rough models.
+// Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007.
 //
 // A microsurface has the roughness alpha; a Beckmann surface has Gaussian slopes of variance alpha^2 / 2. Directions
 // are local, +z is the macroscopic normal. The mask `ggx` chooses lane by lane.
+//
+// Where alpha is a Vec2, roughness differs along x and y: slopes are those of the surface of alpha 1, each times its
+// own alpha (Heitz, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", JCGT 3(2), 2014,
+// section 5.3).
 #pragma once
 
 #include "../math/erf.h"
@@ -45,19 +49,58 @@ TR_INLINE T microfacet_density(const M &ggx, const T &alpha, const T &cos2, cons
     return r;
 }
 
-// Smith's masking over the cosine, G1(v) / |v.z|, which grazing directions do not make infinite: equations 34 and
-// (exactly, not by its rational fit) 26.
-template <class T>
-TR_INLINE T ggx_masking_over_cosine(const T &alpha, const Vec3<T> &v) {
-    return T(2) / (abs(v.z) + sqrt(v.z * v.z + alpha * alpha * (v.x * v.x + v.y * v.y)));
+// D of the normal along h, by |h|^-2.
+template <class T, class M>
+TR_INLINE T density_along(const M &ggx, const T &alpha, const Vec3<T> &h, const T &inverse2) {
+    return microfacet_density(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2);
 }
 template <class T, class M>
-TR_INLINE T masking_over_cosine(const M &ggx, const T &alpha, const Vec3<T> &v) {
+TR_INLINE T density_along(const M &ggx, const Vec2<T> &alpha, const Vec3<T> &h, const T &inverse2) {
+    T x = h.x / alpha.x, y = h.y / alpha.y;
+    T cos2 = h.z * h.z * inverse2, stretched2 = (x * x + y * y) * inverse2, area = alpha.x * alpha.y * T(Pi), r(0);
+    if (any(ggx)) {
+        T d = cos2 + stretched2;
+        r = T(1) / (area * d * d);
+    }
+    if (!all(ggx)) {
+        T c = max(cos2, T(1e-8));
+        r = select(ggx, r, exp(-(stretched2 / c)) / (area * c * c));
+    }
+    return r;
+}
+
+// The part of v along the surface, times the roughness in its direction, squared; and its root, which has a derivative
+// everywhere.
+template <class T>
+TR_INLINE T spread2(const T &alpha, const Vec3<T> &v) {
+    return alpha * alpha * (v.x * v.x + v.y * v.y);
+}
+template <class T>
+TR_INLINE T spread2(const Vec2<T> &alpha, const Vec3<T> &v) {
+    T x = alpha.x * v.x, y = alpha.y * v.y;
+    return x * x + y * y;
+}
+template <class T>
+TR_INLINE T spread(const T &alpha, const Vec3<T> &v) {
+    return alpha * sqrt(max(v.x * v.x + v.y * v.y, T(1e-14)));
+}
+template <class T>
+TR_INLINE T spread(const Vec2<T> &alpha, const Vec3<T> &v) {
+    return sqrt(max(spread2(alpha, v), T(1e-20)));
+}
+
+// Smith's masking over the cosine, G1(v) / |v.z|, which grazing directions do not make infinite: equations 34 and
+// (exactly, not by its rational fit) 26.
+template <class A, class T>
+TR_INLINE T ggx_masking_over_cosine(const A &alpha, const Vec3<T> &v) {
+    return T(2) / (abs(v.z) + sqrt(v.z * v.z + spread2(alpha, v)));
+}
+template <class A, class T, class M>
+TR_INLINE T masking_over_cosine(const M &ggx, const A &alpha, const Vec3<T> &v) {
     T r(0);
     if (any(ggx)) r = ggx_masking_over_cosine(alpha, v);
     if (!all(ggx)) {
-        T z = abs(v.z), s2 = v.x * v.x + v.y * v.y;
-        T s = alpha * sqrt(max(s2, T(1e-14)));
+        T z = abs(v.z), s = spread(alpha, v);
         r = select(ggx, r, T(2) / (T(2) * z + s * (erfc_integral(z / s) * T(1 / SqrtPi))));
     }
     return r;
@@ -90,31 +133,41 @@ TR_INLINE Vec2<F> visible_beckmann_slopes(const F &sin, const F &cos, const F &u
     return {x, inverse(u2)};
 }
 
+// A vector of the surface of alpha 1 as one of the surface of this roughness.
+template <class F>
+TR_INLINE Vec3<F> scaled_along(const F &alpha, const Vec3<F> &v) {
+    return {alpha * v.x, alpha * v.y, v.z};
+}
+template <class F>
+TR_INLINE Vec3<F> scaled_along(const Vec2<F> &alpha, const Vec3<F> &v) {
+    return {alpha.x * v.x, alpha.y * v.y, v.z};
+}
+
 // A normal visible from wi (wi.z >= 0), of density D(m) G1(wi) max(wi.m, 0) / wi.z. For GGX by the spherical caps of
 // Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", HPG 2023, of the same distribution as Heitz,
 // "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
-template <class F>
-TR_INLINE Vec3<F> sample_visible_ggx_normal(const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
-    Vec3<F> stretched = normalize(Vec3<F>{alpha * wi.x, alpha * wi.y, wi.z});
+template <class A, class F>
+TR_INLINE Vec3<F> sample_visible_ggx_normal(const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
+    Vec3<F> stretched = normalize(scaled_along(alpha, wi));
     F above = F(1) - u2, z = fmadd(above, F(1) + stretched.z, -stretched.z), s, c;
     F r = sqrt(max(u2 * (F(1) + stretched.z) * (F(1) + z), F(0)));  // sqrt(1 - z^2)
     sincos(u1 * F(2 * Pi), s, c);
     Vec3<F> h{fmadd(r, c, stretched.x), fmadd(r, s, stretched.y), max(above * (F(1) + stretched.z), F(1e-20))};
-    return normalize(Vec3<F>{alpha * h.x, alpha * h.y, h.z});
+    return normalize(scaled_along(alpha, h));
 }
-template <class F, class M>
-TR_INLINE Vec3<F> sample_visible_normal(const M &ggx, const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
+template <class A, class F, class M>
+TR_INLINE Vec3<F> sample_visible_normal(const M &ggx, const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
     Vec3<F> m{F(0), F(0), F(1)};
     if (any(ggx)) m = sample_visible_ggx_normal(alpha, wi, u1, u2);
     if (!all(ggx)) {
-        Vec3<F> stretched = normalize(Vec3<F>{alpha * wi.x, alpha * wi.y, wi.z});
+        Vec3<F> stretched = normalize(scaled_along(alpha, wi));
         F s = sqrt(stretched.x * stretched.x + stretched.y * stretched.y);
         auto tilted = mask<F>(s > F(1e-15));
         F inverse = select(tilted, F(1) / select(tilted, s, F(1)), F(0));
         F c = select(tilted, stretched.x * inverse, F(1)), d = stretched.y * inverse;
         Vec2<F> slope = visible_beckmann_slopes(s, stretched.z, u1, u2);
         F x = c * slope.x - d * slope.y, y = d * slope.x + c * slope.y;
-        m = select(ggx, m, normalize(Vec3<F>{-alpha * x, -alpha * y, F(1)}));
+        m = select(ggx, m, normalize(scaled_along(alpha, Vec3<F>{-x, -y, F(1)})));
     }
     return m;
 }
@@ -125,6 +178,10 @@ TR_INLINE T rendered_alpha(const T &alpha) {
     using F = std::decay_t<decltype(value_of(alpha))>;
     return at_least(alpha, F(MinAlpha));
 }
+template <class T>
+TR_INLINE Vec2<T> rendered_alpha(const Vec2<T> &alpha) {
+    return {rendered_alpha(alpha.x), rendered_alpha(alpha.y)};
+}
 
 // Reflection off facets into the hemisphere of the normal, for models that reflect only: a surface of density D(h)
 // G1(wi) G1(wo) / (4 |cos_i| |cos_o|) times what a facet reflects (equation 20).
@@ -134,9 +191,9 @@ struct FacetReflection {
     T cosine;   // of either direction on the facet
     MaskOf<T> possible;
 
-    template <class M>
-    TR_INLINE FacetReflection(const M &ggx, const T &alpha, const Vec3<T> &wi, const Vec3<T> &wo) {
-        using F = std::decay_t<decltype(value_of(alpha))>;
+    template <class M, class A>
+    TR_INLINE FacetReflection(const M &ggx, const A &alpha, const Vec3<T> &wi, const Vec3<T> &wo) {
+        using F = std::decay_t<decltype(value_of(wi.z))>;
         possible = mask<F>(value_of(wi.z) > F(0)) && mask<F>(value_of(wo.z) > F(0));
         Vec3<T> h = wi + wo;
         T length2 = squared_norm(h);
@@ -144,19 +201,18 @@ struct FacetReflection {
         length2 = select(possible, length2, T(1));
         T inverse2 = T(1) / length2;
         cosine = sqrt(length2) * T(0.5);  // wi.h = wo.h = |h|^2 / 2
-        density = microfacet_density(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2) *
-                  masking_over_cosine(ggx, alpha, wi);
+        density = density_along(ggx, alpha, h, inverse2) * masking_over_cosine(ggx, alpha, wi);
     }
     // G1(wo), the cosine of wo being positive where reflection is possible
-    template <class M>
-    TR_INLINE T shadowing(const M &ggx, const T &alpha, const Vec3<T> &wo) const {
+    template <class M, class A>
+    TR_INLINE T shadowing(const M &ggx, const A &alpha, const Vec3<T> &wo) const {
         return abs(wo.z) * masking_over_cosine(ggx, alpha, wo);
     }
 };
 
 // The direction into which a facet seen from wi reflects; below the horizon it is no sample.
-template <class F, class M>
-TR_INLINE Vec3<F> sample_facet_reflection(const M &ggx, const F &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
+template <class A, class F, class M>
+TR_INLINE Vec3<F> sample_facet_reflection(const M &ggx, const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
     Vec3<F> seen{wi.x, wi.y, abs(wi.z)};
     Vec3<F> m = sample_visible_normal(ggx, alpha, seen, u1, u2);
     return normalize(m * (F(2) * dot(seen, m)) - seen);

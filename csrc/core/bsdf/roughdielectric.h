@@ -8,22 +8,11 @@
 
 namespace tr {
 
-struct RoughDielectric {
+// `Surface` says how rough it is: alpha(params) is a number, or a pair of them.
+template <class Surface>
+struct DielectricFacets {
     enum { Reflectance = 0, Transmittance = 1 };  // of color[]
-    enum { Eta = 0, Alpha = 1 };                  // of number[]
-    static constexpr Field fields[] = {
-        {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3, "interior",
-         "index of refraction inside (below the surface) over outside; within 1e-3 of 1 it counts as 1.001 or 0.999"},
-        {"alpha", Kind::Scalar, 0.1, 0, 10, "interior",
-         "roughness of the microfacet distribution; below 0.001 it counts as that"},
-        {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
-        {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
-        {"distribution", Kind::Int, 0, 0, 1, "", "0: beckmann, 1: ggx"},
-    };
-    static constexpr Model model = {"bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5};
-    static constexpr bool Smooth = true, Delta = false;
-    static constexpr bool Asymmetric = true;
-    static constexpr int Albedo = 3;  // what goes through is most of it
+    enum { Eta = 0 };                             // of number[]
 
     template <class P>
     TR_INLINE static auto ggx(const P &params) {
@@ -42,10 +31,11 @@ struct RoughDielectric {
     TR_INLINE static Terms<T> terms(const P &params, const V &wi_, const V &wo_) {
         Vec3<T> wi = convert<T>(wi_), wo = convert<T>(wo_);
         FacetInterface<T> facet(usable_index(T(params.number[Eta])), wi, wo);
-        T alpha = rendered_alpha(T(params.number[Alpha])), fresnel = facet.fresnel();
+        auto alpha = rendered_alpha(Surface::template alpha<T>(params));
+        T fresnel = facet.fresnel();
         T scattered = select(facet.reflects, fresnel * T(0.25), (T(1) - fresnel) * facet.stretch);
         auto facets = ggx(params);
-        T density = microfacet_density(facets, alpha, facet.cos2, facet.sin2);
+        T density = density_along(facets, alpha, facet.h, facet.inverse2);
         T value = select(facet.possible, scattered * density * masking_over_cosine(facets, alpha, wi), T(0));
         return {value, facet.eta, facet.reflects, facet.possible};
     }
@@ -58,7 +48,7 @@ struct RoughDielectric {
         using T = std::decay_t<decltype(params.number[0] * wi.z)>;
         Terms<T> r = terms<T>(params, wi, wo);
         Vec3<T> to = convert<T>(wo);
-        T alpha = rendered_alpha(T(params.number[Alpha]));
+        auto alpha = rendered_alpha(Surface::template alpha<T>(params));
         T value = r.value * (abs(to.z) * masking_over_cosine(ggx(params), alpha, to));
         T transmitted = transport == Transport::Radiance ? value : value * (r.eta * r.eta);
         Color<T, C> result;
@@ -78,7 +68,8 @@ struct RoughDielectric {
     template <int C, class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
         Vec3<F> seen = select(mask<F>(wi.z < F(0)), -wi, wi);
-        Vec3<F> m = sample_visible_normal(ggx(params), rendered_alpha(params.number[Alpha]), seen, u1, u2);
+        Vec3<F> m =
+            sample_visible_normal(ggx(params), rendered_alpha(Surface::template alpha<F>(params)), seen, u1, u2);
         F cos_i = dot(wi, m);
         Fresnel<F> fresnel = fresnel_dielectric(cos_i, usable_index(params.number[Eta]));
         auto reflects = mask<F>(u0 < fresnel.reflectance);
@@ -91,6 +82,27 @@ struct RoughDielectric {
         r.lobe = IntOf<F>(0);
         r.delta = r.null = MaskOf<F>(false);
         return r;
+    }
+};
+
+struct RoughDielectric : DielectricFacets<RoughDielectric> {
+    static constexpr Field fields[] = {
+        {"eta", Kind::Float, 1.5046 / 1.000277, 1e-3, 1e3, "interior",
+         "index of refraction inside (below the surface) over outside; within 1e-3 of 1 it counts as 1.001 or 0.999"},
+        {"alpha", Kind::Scalar, 0.1, 0, 10, "interior",
+         "roughness of the microfacet distribution; below 0.001 it counts as that"},
+        {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
+        {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
+        {"distribution", Kind::Int, 0, 0, 1, "", "0: beckmann, 1: ggx"},
+    };
+    static constexpr Model model = {"bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5};
+    static constexpr bool Smooth = true, Delta = false;
+    static constexpr bool Asymmetric = true;
+    static constexpr int Albedo = 3;  // what goes through is most of it
+
+    template <class T, class P>
+    TR_INLINE static T alpha(const P &params) {
+        return T(params.number[1]);
     }
 };
 

@@ -108,4 +108,34 @@ TR_NOINLINE PositionPartials<F> position_partials(const SceneView<S> &scene, con
     return r;
 }
 
+// dp/du alone.
+template <class F, class S>
+TR_INLINE Vec3<F> surface_tangent(const SceneView<S> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
+    return position_partials(scene, at, ShapeLanes<F>(scene.shapes, at.shape, active), active).u;
+}
+
+// The part of a tangent u that is orthogonal to the unit normal n: along = u - (n.u) n, and 1 / |along|, 0 where there
+// is none.
+template <class F>
+struct TangentPart {
+    Vec3<F> along;
+    F up, inverse;
+    TR_INLINE TangentPart(const Vec3<F> &n, const Vec3<F> &u) : up(dot(n, u)) {
+        along = u - n * up;
+        F size2 = squared_norm(along);
+        auto usable = mask<F>(size2 > F(1e-12) * squared_norm(u));
+        inverse = select(usable, F(1) / sqrt(select(usable, size2, F(1))), F(0));
+    }
+};
+
+// The frame of Oriented models, turned about the normal n until s is along the tangent.
+template <class F>
+TR_INLINE Frame<F> tangent_frame(const Vec3<F> &n, const Vec3<F> &u) {
+    TangentPart<F> part(n, u);
+    Frame<F> frame = make_frame(n);
+    frame.s = select(mask<F>(part.inverse > F(0)), part.along * part.inverse, frame.s);
+    frame.t = cross(n, frame.s);
+    return frame;
+}
+
 }  // namespace tr
