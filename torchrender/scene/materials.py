@@ -128,6 +128,18 @@ class Dielectric(Plugin):
         return properties
 
 
+DIRECTIONS = ("alpha_u", "alpha_v")
+
+
+def two_roughnesses(properties: dict[str, Any], ctx: Context, kind: str) -> None:
+    """Refuse one direction's roughness alone, and that of all directions beside it."""
+    given = [name for name in DIRECTIONS if name in properties]
+    if "alpha" in properties:
+        ctx.error(f"{kind}: give alpha, or {' and '.join(DIRECTIONS)}, but not both")
+    if len(given) == 1:
+        ctx.error(f"{kind}: {given[0]} is given without {DIRECTIONS[given[0] == DIRECTIONS[0]]}; give both, or alpha")
+
+
 @register
 class RoughDielectric(Dielectric):
     """Rough dielectric interface: microscopic facets that reflect and refract once.
@@ -139,6 +151,8 @@ class RoughDielectric(Dielectric):
     Args:
         distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
+        alpha_u, alpha_v: in place of it the roughness along dp/du and across it (textures). The object that is made is
+            an `AnisotropicDielectric`.
         int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
         ext_ior: index of refraction outside; default ``"air"`` (1.000277).
         eta: relative index of refraction, in place of the two. Within 0.001 of 1 it counts as 1.001 or 0.999.
@@ -147,7 +161,37 @@ class RoughDielectric(Dielectric):
 
     category, type = "bsdf", "roughdielectric"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
-    unsupported = ("alpha_u", "alpha_v")
+
+    def __new__(cls, **properties: Any) -> RoughDielectric:
+        made = AnisotropicDielectric if cls is RoughDielectric and properties.keys() & {*DIRECTIONS} else cls
+        return super().__new__(made)
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        names = super().parameter_names()
+        return [*names, *DIRECTIONS] if cls is RoughDielectric else names
+
+
+@register
+class AnisotropicDielectric(RoughDielectric):
+    """Rough dielectric interface that is brushed: a `RoughDielectric` with `alpha_u` and `alpha_v`.
+
+    Directions are those of `AnisotropicConductor`.
+
+    Args:
+        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha_u, alpha_v: roughness along dp/du and across it (textures), default 0.1. Below 0.001 they count as 0.001.
+        int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two. Within 0.001 of 1 it counts as 1.001 or 0.999.
+        specular_reflectance, specular_transmittance: factors for tinting (texture); 1 is physical.
+    """
+
+    native = "anisotropicdielectric"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        two_roughnesses(properties, ctx, self.type)
+        return super().prepare(properties, ctx)
 
 
 @register
@@ -193,6 +237,8 @@ class RoughConductor(Conductor):
     Args:
         distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
+        alpha_u, alpha_v: in place of it the roughness along dp/du and across it (textures). The object that is made is
+            an `AnisotropicConductor`.
         eta, k, material: as for a smooth conductor.
         specular_reflectance: factor (texture); 1 is physical.
     """
@@ -200,7 +246,37 @@ class RoughConductor(Conductor):
     category, type = "bsdf", "roughconductor"
     optional = frozenset({"specular_reflectance"})
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
-    unsupported = ("alpha_u", "alpha_v")
+
+    def __new__(cls, **properties: Any) -> RoughConductor:
+        made = AnisotropicConductor if cls is RoughConductor and properties.keys() & {*DIRECTIONS} else cls
+        return super().__new__(made)
+
+    @classmethod
+    def parameter_names(cls) -> list[str]:
+        names = super().parameter_names()
+        return [*names, *DIRECTIONS] if cls is RoughConductor else names
+
+
+@register
+class AnisotropicConductor(RoughConductor):
+    """Rough conductor that is brushed, one-sided: a `RoughConductor` with `alpha_u` and `alpha_v`.
+
+    The tangent dp/du, in which the texture coordinate u grows, is made orthogonal to the shading normal; of a mesh
+    without texture coordinates it is the first edge of each triangle. Brushed along u, a metal is smooth along u and
+    rough across it: alpha_u < alpha_v.
+
+    Args:
+        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha_u, alpha_v: roughness along dp/du and across it (textures), default 0.1. Below 0.001 they count as 0.001.
+        eta, k, material: as for a smooth conductor.
+        specular_reflectance: factor (texture); 1 is physical.
+    """
+
+    native = "anisotropicconductor"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        two_roughnesses(properties, ctx, self.type)
+        return super().prepare(properties, ctx)
 
 
 @register
@@ -252,6 +328,7 @@ class RoughPlastic(RoughDielectric):
 
     category, type = "bsdf", "roughplastic"
     inside = "polypropylene"
+    unsupported = DIRECTIONS
     optional = frozenset({"specular_reflectance"})
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:

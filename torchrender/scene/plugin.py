@@ -47,6 +47,7 @@ class Plugin(nn.Module):
     __signature__ = LazySignature()
     category: ClassVar[str] = ""
     type: ClassVar[str] = ""
+    native: ClassVar[str] = ""  # the native model, where that is not named as `type` is
     renames: ClassVar[dict[str, str]] = {}  # native field -> name in Python
     aliases: ClassVar[dict[str, str]] = {}  # further names, those of a scene dict -> name in Python
     enumerations: ClassVar[dict[str, tuple[str, ...]]] = ENUMERATIONS
@@ -68,7 +69,7 @@ class Plugin(nn.Module):
     @classmethod
     def model(cls) -> Model:
         """The native declaration of this class."""
-        return models()[cls.category, cls.type]
+        return models()[cls.category, cls.native or cls.type]
 
     @classmethod
     def fields(cls) -> dict[str, Field]:

@@ -22,6 +22,8 @@ CLASS_NAMES: dict[tuple[str, str], str] = {
     ("texture", "volume"): "VolumeTexture",
     ("phase", "tabphase"): "TabulatedPhase",
     ("phase", "blendphase"): "BlendPhase",
+    ("bsdf", "anisotropicconductor"): "AnisotropicConductor",
+    ("bsdf", "anisotropicdielectric"): "AnisotropicDielectric",
     ("bsdf", "twosided"): "TwoSided",
     ("bsdf", "blendbsdf"): "BlendBSDF",
     ("bsdf", "normalmap"): "NormalMap",
@@ -77,8 +79,8 @@ DOCUMENTED: dict[str, tuple[str, ...]] = {
 
 
 def register(cls: type[Plugin]) -> type[Plugin]:
-    """Class decorator: use this class for its category and type."""
-    _classes[cls.category, cls.type] = cls
+    """Class decorator: use this class for its category and native model."""
+    _classes[cls.category, cls.native or cls.type] = cls
     return cls
 
 

@@ -34,6 +34,8 @@ ANNOTATIONS = {
 }
 # Parameters that no native field has, by name.
 OTHERS = {
+    "alpha_u": "TextureLike",
+    "alpha_v": "TextureLike",
     "fov": "Number",
     "fov_axis": "str",
     "focal_length": "Number | str",
@@ -101,7 +103,9 @@ def annotation_of(name: str, field: Field | None, cls: type[Plugin]) -> str:
 
 def default_of(name: str, field: Field | None, cls: type[Plugin]) -> Any:
     """The declared default where it is a plain value; None where the class finds one, or where there is none."""
-    if field is None or field.default is None or name in cls.optional or name in OTHERS:
+    if field is None or field.default is None or name in cls.optional:
+        return None
+    if name in OTHERS and field.kind != "texture":
         return None
     if field.kind == "int":
         return cls._decode(name, int(field.default))
