@@ -1,8 +1,8 @@
-"""Evaluate the BSDFs of `tests/bsdf_cases.py` with Mitsuba 3.9.1 into `tests/data/bsdf_references.npz`.
+"""Evaluate the BSDFs of `tests/bsdf_cases.py` with Mitsuba 3.9.1 into the files of `tests/data` that it names.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
-    mitsuba-env/bin/python bench/make_bsdf_references.py
+    mitsuba-env/bin/python bench/make_bsdf_references.py [file ...]
 
 Stored per case, in single precision: `NAME.eval` (n, 3), with the cosine; of delta lobes `NAME.delta` (2, n, 3), the
 weights, times the probability with which each was chosen, of reflection and transmission, 0 where there is none.
@@ -49,12 +49,15 @@ def delta_lobes(bsdf: mi.BSDF, wi: np.ndarray) -> np.ndarray:
 def main() -> None:
     mi.set_variant("llvm_ad_rgb")
     wi, wo = cases.directions()
-    stored = {}
-    for name, description in cases.SMOOTH.items():
-        stored[f"{name}.eval"] = evaluate(mi.load_dict(description), wi, wo).astype(np.float32)
-    for name, description in cases.DELTA.items():
-        stored[f"{name}.delta"] = delta_lobes(mi.load_dict(description), wi).astype(np.float32)
-    np.savez_compressed(ROOT / "tests" / "data" / "bsdf_references.npz", **stored)
+    for file, (smooth, delta) in cases.FILES.items():
+        if sys.argv[1:] and file not in sys.argv[1:]:
+            continue
+        stored = {}
+        for name, description in smooth.items():
+            stored[f"{name}.eval"] = evaluate(mi.load_dict(description), wi, wo).astype(np.float32)
+        for name, description in delta.items():
+            stored[f"{name}.delta"] = delta_lobes(mi.load_dict(description), wi).astype(np.float32)
+        np.savez_compressed(ROOT / "tests" / "data" / file, **stored)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,5 @@
 """Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`
-and `camera_references.npz`, those of `tests/layer_scenes.py` and `tests/media_scenes.py` into files of their own.
+and `camera_references.npz`, those of `tests/{layer,brushed,media}_scenes.py` into files of their own.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -22,6 +22,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
+import brushed_scenes  # noqa: E402
 import layer_scenes  # noqa: E402
 import media_scenes  # noqa: E402
 import reference_scenes as rs  # noqa: E402
@@ -30,6 +31,7 @@ FILES = {
     "references.npz": rs.SCENES,
     "layer_references.npz": layer_scenes.SCENES,
     "camera_references.npz": rs.CAMERAS,
+    "brushed_references.npz": brushed_scenes.SCENES,
     "media_references.npz": media_scenes.SCENES,
 }
 RUNS = 16
@@ -120,6 +122,7 @@ def make(name: str, description: rs.ReferenceScene) -> dict[str, np.ndarray]:
 def main() -> None:
     mi.set_variant("llvm_ad_rgb")
     rs.write_twisted_mesh(rs.DATA / "twisted.ply")
+    brushed_scenes.write_sheet(brushed_scenes.SHEET)
     for file, scenes in FILES.items():
         target = rs.DATA / file
         stored = dict(np.load(target)) if target.exists() else {}

@@ -1,6 +1,6 @@
 """BSDFs whose values are compared with Mitsuba's, as plain dictionaries, and the directions at which.
 
-`bench/make_bsdf_references.py` evaluates them with Mitsuba 3.9.1 into `tests/data/bsdf_references.npz`,
+`bench/make_bsdf_references.py` evaluates them with Mitsuba 3.9.1 into files of `tests/data` (see FILES),
 `test_bsdf_references.py` with torchrender. This module needs NumPy alone, so that both environments can import it.
 """
 
@@ -32,6 +32,7 @@ def _thin(**more) -> dict:
 
 
 _METAL = {"type": "roughconductor", "material": "Au", "specular_reflectance": rgb(0.9, 0.7, 0.5)}
+_GLASS = {"type": "roughdielectric", "int_ior": 1.5, "ext_ior": 1.0}
 _SHEET = {
     "roughness": 0.4,
     "spec_trans": 0.4,
@@ -81,12 +82,29 @@ SMOOTH = {
     "principledthin_glossy": _thin(spec_trans=1.0, roughness=0.6, spec_tint=0.3, eta=1.8),
     "principledthin_everything": _thin(**_SHEET),
 }
+ANISOTROPIC = {
+    "roughconductor_brushed_ggx": {**_METAL, "distribution": "ggx", "alpha_u": 0.1, "alpha_v": 0.5},
+    "roughconductor_brushed_beckmann": {**_METAL, "distribution": "beckmann", "alpha_u": 0.4, "alpha_v": 0.15},
+    "roughconductor_brushed_coarse": {"type": "roughconductor", "distribution": "ggx", "alpha_u": 1.0, "alpha_v": 0.3},
+    "roughdielectric_brushed_ggx": {
+        **_GLASS,
+        "distribution": "ggx",
+        "alpha_u": 0.15,
+        "alpha_v": 0.5,
+        "specular_reflectance": rgb(0.9, 0.8, 0.7),
+        "specular_transmittance": rgb(0.7, 0.8, 0.9),
+    },
+    "roughdielectric_brushed_beckmann": {**_GLASS, "distribution": "beckmann", "alpha_u": 0.4, "alpha_v": 0.2},
+}
 DELTA = {
     "conductor": {"type": "conductor", "material": "Cu"},
     "plastic": _plastic(specular_reflectance=rgb(0.9, 0.5, 0.2)),
     "thindielectric": {"type": "thindielectric", "specular_reflectance": 0.9, "specular_transmittance": 0.7},
     "thin_pane": {"type": "thindielectric", "int_ior": 1.8, "ext_ior": 1.0},
 }
+
+FILES = {"bsdf_references.npz": (SMOOTH, DELTA), "anisotropic_bsdf_references.npz": (ANISOTROPIC, {})}
+ALL_SMOOTH = SMOOTH | ANISOTROPIC
 
 
 def directions(n: int = N, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -99,6 +99,17 @@ def attribute_plane() -> dict:
     )
 
 
+def shaded_plane(bsdf: dict) -> Mesh:
+    """Two triangles of one plane, with normals that change over it and turned texture coordinates.
+
+    Tangents are the same on both, so that nothing jumps at the edge between them.
+    """
+    corners = torch.tensor([[-4, -4, 0], [4, -4, 0], [4, 4, 0], [-4, 4, 0]], dtype=torch.float64)
+    up = torch.tensor([[-0.2, 0.1, 1], [0.3, 0.1, 1], [0.2, -0.2, 1], [-0.1, -0.3, 1]], dtype=torch.float64)
+    texcoords = corners[:, :2] @ torch.tensor([[0.2, 0.1], [-0.05, 0.15]], dtype=torch.float64)
+    return Mesh(corners, [[0, 1, 2], [0, 2, 3]], up, texcoords, bsdf=bsdf)
+
+
 def lamp(kind: str) -> dict:
     """An area light over the floor, facing it."""
     light = {"type": "area", "radiance": bitmap(16, 16, 5.0)}
@@ -151,6 +162,10 @@ FROSTED = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.4, "int_
 
 
 BRUSHED = {**METAL, "type": "roughconductor", "alpha": {"type": "bitmap", "data": smooth_texture(16, 16)[..., :1]}}
+ALONG = {**BRUSHED, "alpha_u": BRUSHED["alpha"], "alpha_v": 0.5, "distribution": "ggx"}
+del ALONG["alpha"]
+FROSTED_ALONG = {**FROSTED, "alpha_u": 0.3, "alpha_v": 0.5}
+del FROSTED_ALONG["alpha"]
 TOY = {"type": "plastic", "diffuse_reflectance": bitmap(), "int_ior": 1.5}
 MUG = {**TOY, "type": "roughplastic", "distribution": "ggx", "alpha": 0.4}
 PANE = {"type": "thindielectric", "int_ior": 1.5}
@@ -312,6 +327,26 @@ SCENES = {
         ball=ball(PAINT),
         sky=environment(),
     ),
+    "along_floor": lambda: scene(2, above(), floor=floor({"type": "twosided", "bsdf": ALONG}), lamp=lamp("rectangle")),
+    "along_disk": lambda: scene(
+        2,
+        above(),
+        floor={
+            "type": "disk",  # whose centre, where the radius has no direction, is out of view
+            "to_world": Transform.rotate([1, 0, 0], -70) @ Transform.translate([2, 0.5, 0]) @ Transform.scale(5.0),
+            "bsdf": ALONG,
+        },
+        lamp=lamp("rectangle"),
+    ),
+    "along_mesh": lambda: scene(2, above(), plane=shaded_plane(ALONG), lamp=lamp("rectangle")),
+    "along_ball": lambda: scene(
+        3,
+        at_ball(),
+        ball={**ball(ALONG), "to_world": Transform.rotate([1, 0, 0], 90)},  # poles are out of view
+        room=black_room(),
+    ),
+    "frosted_along": lambda: scene(3, above(), plane=shaded_plane(FROSTED_ALONG), room=black_room(20.0)),
+    "along_dents": lambda: scene(2, above(), floor=floor(normal_map(ALONG)), lamp=lamp("rectangle")),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),
 }

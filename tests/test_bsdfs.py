@@ -17,7 +17,7 @@ pytestmark = pytest.mark.core
 N = 40_000
 ANGLES = [15, 75, 130]
 REDNER = {"type": "redner", "diffuse_reflectance": 0.3, "specular_reflectance": bsdf_cases.rgb(0.2, 0.5, 0.7)}
-CASES = bsdf_cases.SMOOTH | {f"redner_{r}": {**REDNER, "roughness": r} for r in (0.05, 0.4, 1.0)}
+CASES = bsdf_cases.ALL_SMOOTH | {f"redner_{r}": {**REDNER, "roughness": r} for r in (0.05, 0.4, 1.0)}
 ROUGH = {  # with alpha or roughness close to 0, the limit that each approaches
     "roughconductor": ({"distribution": "ggx", "material": "Au"}, {"type": "conductor", "material": "Au"}),
     "roughplastic": ({"distribution": "beckmann"}, {"type": "plastic"}),
@@ -94,6 +94,12 @@ ENDS = [
     *({"type": "thindielectric", "eta": eta} for eta in (0.7, 1.0, 3.0)),
     *({"type": "redner", "roughness": r, "specular_reflectance": x} for r in (0.0, 1e-4, 1.0) for x in (0.0, 1.0)),
     *({"type": "roughdielectric", "alpha": a} for a in (0.0, 1e-4, 1.0)),
+    *(
+        {"type": kind, "alpha_u": a, "alpha_v": b, "distribution": d}
+        for kind in ("roughconductor", "roughdielectric")
+        for a, b in ((0.0, 1.0), (1.0, 0.0))
+        for d in ("beckmann", "ggx")
+    ),
     *({"type": "principled", **dict.fromkeys(NUMBERS, x), "base_color": b} for x in (0.0, 1.0) for b in (0.0, 1.0)),
     *({"type": "principled", name: 1.0, "base_color": 0.0} for name in (*NUMBERS, "clearcoat_gloss")),
     {"type": "principled", "eta": 1.0, "spec_trans": 1.0},

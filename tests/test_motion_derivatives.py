@@ -43,6 +43,7 @@ MOVING = {
     ("emitter", "projector"): {"to_world", "x_fov"},
     ("bsdf", "dielectric"): {"eta"},
     ("bsdf", "roughdielectric"): {"eta"},
+    ("bsdf", "anisotropicdielectric"): {"eta"},
     ("bsdf", "thindielectric"): {"eta"},
     ("bsdf", "plastic"): {"eta"},
     ("bsdf", "roughplastic"): {"eta", "alpha"},

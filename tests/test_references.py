@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import brushed_scenes
 import layer_scenes
 import numpy as np
 import pytest
@@ -30,14 +31,14 @@ MAX_Z, MAX_MEAN_SQUARE, MAX_SUM_Z = 6.5, 1.5, 4.5
 ROUNDING, LESS_ROUNDING = 2e-3, 3e-4
 
 
-ALL = {**reference_scenes.SCENES, **layer_scenes.SCENES}
+ALL = {**reference_scenes.SCENES, **layer_scenes.SCENES, **brushed_scenes.SCENES}
 
 
 @pytest.fixture(scope="module")
 def references() -> dict[str, np.ndarray]:
     return {
         key: value
-        for name in ("references", "layer_references")
+        for name in ("references", "layer_references", "brushed_references")
         for key, value in np.load(DATA / f"{name}.npz").items()
     }
 
