@@ -24,6 +24,8 @@ FLOOR = ("floor.to_world", "floor.bsdf.reflectance.value")
 PLACE = FLOOR[0]
 PAINT = {"type": "diffuse", "reflectance": ls.RGB}
 METAL = {"type": "roughconductor", "distribution": "ggx", "alpha": 0.5, "eta": 0.2, "k": 3.9}
+ALONG = {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.3, "alpha_v": 0.7, "eta": 0.2, "k": 3.9}
+BRUSHED = ("bsdf.alpha_u.value", "bsdf.alpha_v.value")
 
 
 def mirrored() -> dict:
@@ -95,6 +97,21 @@ SCENES = {
     "blend": (
         lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf=layer_scenes.blend(PAINT, METAL))),
         (*BLEND, *BEAM, PLACE, *CAMERA),
+        2,
+    ),
+    "brushed": (
+        lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf=ALONG)),
+        (*(f"floor.{n}" for n in BRUSHED), *BEAM, PLACE, *CAMERA),
+        2,
+    ),
+    "brushed triangle": (
+        lambda: ls.floor_view(light=ls.area(), floor=triangle(ALONG, low=True)),
+        (*(f"floor.{n}" for n in BRUSHED), "floor.vertex_positions", "floor.vertex_normals", *BEAM, *CAMERA),
+        2,
+    ),
+    "turned brushed": (
+        lambda: ls.floor_view(light=ls.beam(), floor=from_behind({"type": "twosided", "bsdf": turned(ALONG)})),
+        (*(f"floor.bsdf.brdf_0.{n}" for n in ("normalmap.data", "nested_bsdf.alpha_u.value")), *BEAM, PLACE, *CAMERA),
         2,
     ),
     "through layers": (lambda: ls.floor_view(light=ls.area(), sheet=veil()), (*VEIL, *BEAM, *FLOOR), 3),

@@ -31,6 +31,7 @@ class Bsdf:
 
     smooth = False  # has a lobe with a density, which is number 0
     delta = True  # has delta lobes
+    oriented = False  # the frame's first axis follows the texture coordinates
     albedo: str | None = None  # the texture that is the output `albedo`; None is white
 
     def __init__(self, world: World, record: Record, at: At) -> None:

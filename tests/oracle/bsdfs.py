@@ -11,7 +11,7 @@ from .coated import Plastic, RoughPlastic
 from .numbers import cosine_hemisphere
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
-from .rough import RoughConductor, RoughDielectric
+from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
 from .world import World
 
 
@@ -133,6 +133,8 @@ BSDFS = {
     "dielectric": Dielectric,
     "roughdielectric": RoughDielectric,
     "roughconductor": RoughConductor,
+    "anisotropicconductor": AnisotropicConductor,
+    "anisotropicdielectric": AnisotropicDielectric,
     "plastic": Plastic,
     "roughplastic": RoughPlastic,
     "thindielectric": ThinDielectric,

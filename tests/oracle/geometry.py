@@ -53,6 +53,12 @@ class Frame(Rows):
         s = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], 1)
         return cls(s, torch.stack([b, sign + y * y * a, -y], 1), n)
 
+    @classmethod
+    def along(cls, n: torch.Tensor, tangent: torch.Tensor) -> Frame:
+        """Turned about the normals until s is in the direction of the tangents, csrc/core/shape/tangents.h."""
+        s = normalize(tangent - n * dot(n, tangent)[:, None])
+        return cls(s, torch.linalg.cross(n, s), n)
+
     def to_local(self, v: torch.Tensor) -> torch.Tensor:
         return torch.stack([dot(v, self.s), dot(v, self.t), dot(v, self.n)], 1)
 

@@ -14,8 +14,8 @@ import torch
 from torchrender.surface import MESH, SPHERE, inverse_linear, transform_vector
 
 from .bsdf import luminance
-from .bsdfs import LAYERS, resolve
-from .geometry import Rows, dot, normalize
+from .bsdfs import BSDFS, LAYERS, resolve
+from .geometry import Frame, Rows, dot, normalize
 from .world import At, Record, World
 
 LEAST_SQUARED_COSINE = 1e-6
@@ -116,6 +116,15 @@ def find(
         normal = normal.index_put((rows,), n)
         shadowed[rows] = record.field["use_shadowing_function"] == 1
     return Layers(leaf, mirrored & (turned < 0), weight, inverse, turned, shadowed, base, normal)
+
+
+def frames(world: World, found: Layers, at: At, position: torch.Tensor) -> Frame:
+    """The frames of the BSDFs that were found, which those follow that are oriented by texture coordinates."""
+    frame = Frame.about(found.normal)
+    oriented = torch.tensor([getattr(BSDFS[r.type], "oriented", False) for r in world.records["bsdf"]])
+    rows = oriented[found.leaf].nonzero()[:, 0]
+    along = Frame.along(found.normal[rows], dp_du(world, at[rows], position[rows]))
+    return Frame(*(getattr(frame, axis).index_put((rows,), getattr(along, axis)) for axis in "stn"))
 
 
 def turn(

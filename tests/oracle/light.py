@@ -177,7 +177,7 @@ def render(
             bsdf = kind(world, record, here[chosen])
             above = found[chosen]
             x, g, w = (t[chosen] for t in (position, ng, -d))
-            frame = Frame.about(above.normal)
+            frame = layers.frames(world, above, here[chosen], x)
             flip = torch.where(above.mirrored[:, None], x.new_tensor([1, 1, -1]), x.new_tensor([1, 1, 1]))
             wi = frame.to_local(w) * flip
             brought = beta[chosen] * (above.weight * above.inverse * above.dimmed(w))[:, None]

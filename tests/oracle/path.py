@@ -174,7 +174,7 @@ class PathTracer:
         paths = replace(paths, seen=paths.seen | ~is_null)
         if not scatters:
             return paths[:0]
-        frame = Frame.about(found.normal)
+        frame = layers.frames(self.world, found, paths.at, paths.position)
         sign = torch.where(found.mirrored, -1.0, 1.0).to(wi)
         wi = frame.to_local(-paths.d)
         wi = torch.stack([wi[:, 0], wi[:, 1], wi[:, 2] * sign], 1)

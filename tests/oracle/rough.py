@@ -13,32 +13,32 @@ BISECTIONS = 90
 
 
 class Facets:
-    """Microscopic facets of the roughness alpha, () or (N,). Walter et al., "Microfacet Models for Refraction through
-    Rough Surfaces", EGSR 2007."""
+    """Microscopic facets of the roughness alpha, () or (N,), that along x if there is another along y. Walter et al.,
+    "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007."""
 
-    def __init__(self, alpha: torch.Tensor, ggx: bool) -> None:
-        self.alpha, self.ggx = alpha, ggx
+    def __init__(self, alpha: torch.Tensor, ggx: bool, across: torch.Tensor | None = None) -> None:
+        self.alpha, self.across, self.ggx = alpha, alpha if across is None else across, ggx
 
     def density(self, h: torch.Tensor) -> torch.Tensor:
         """D(h), equations 33 and 25."""
-        cos2, a2 = h[:, 2].square(), self.alpha.square()
-        tan2 = (1 - cos2) / cos2
+        cos2, area = h[:, 2].square(), math.pi * self.alpha * self.across
+        slope2 = ((h[:, 0] / self.alpha).square() + (h[:, 1] / self.across).square()) / cos2
         if self.ggx:
-            return a2 / (math.pi * cos2.square() * (a2 + tan2).square())
-        return torch.exp(-tan2 / a2) / (math.pi * a2 * cos2.square())
+            return 1 / (area * cos2.square() * (1 + slope2).square())
+        return torch.exp(-slope2) / (area * cos2.square())
 
     def masking(self, v: torch.Tensor) -> torch.Tensor:
         """G1(v), equations 34 and 26."""
-        cotangent = v[:, 2].abs() / v[:, :2].norm(dim=1)
+        spread = torch.stack([self.alpha * v[:, 0], self.across * v[:, 1]], 1).norm(dim=1)
+        a = v[:, 2].abs() / spread
         if self.ggx:
-            return 2 / (1 + root(1 + (self.alpha / cotangent).square()))
-        a = cotangent / self.alpha
+            return 2 / (1 + root(1 + 1 / a.square()))
         return 2 / (2 + torch.exp(-a * a) / (a * math.sqrt(math.pi)) - torch.erfc(a))
 
     def visible_normal(self, wi: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """GGX: Dupuy and Benyoub, HPG 2023. Beckmann: Heitz and d'Eon, EGSR 2014, inverted by bisection."""
-        alpha = self.alpha.detach()
-        stretch = torch.stack([alpha, alpha, torch.ones_like(alpha)], -1)
+        alpha, across = self.alpha.detach(), self.across.detach()
+        stretch = torch.stack([alpha, across, torch.ones_like(alpha)], -1)
         w = normalized(wi * stretch)
         if self.ggx:
             phi, z = 2 * math.pi * u[:, 1], (1 - u[:, 2]) * (1 + w[:, 2]) - w[:, 2]
@@ -58,15 +58,23 @@ class Facets:
         slope = torch.stack([low, torch.erfinv(2 * u[:, 2] - 1)], 1)
         c, s = (w[:, :2] / sin[:, None]).unbind(1)
         x, y = c * slope[:, 0] - s * slope[:, 1], s * slope[:, 0] + c * slope[:, 1]
-        return normalized(torch.stack([-alpha * x, -alpha * y, torch.ones_like(x)], 1))
+        return normalized(torch.stack([-alpha * x, -across * y, torch.ones_like(x)], 1))
 
 
-class RoughConductor(Bsdf):
+class OfFacets(Bsdf):
     smooth, delta = True, False
+
+    def read_facets(self) -> Facets:
+        names = ("alpha_u", "alpha_v") if self.oriented else ("alpha",)
+        alpha, *across = (self.scalar(name) for name in names)
+        return Facets(alpha, self.record.field["distribution"] == 1, *across)
+
+
+class RoughConductor(OfFacets):
     albedo = "specular_reflectance"
 
     def read(self, color, number) -> None:
-        self.facets = Facets(self.scalar("alpha"), self.record.field["distribution"] == 1)
+        self.facets = self.read_facets()
         self.eta, self.k, self.reflectance = color("eta"), color("k"), color("specular_reflectance")
 
     def visible(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
@@ -91,13 +99,16 @@ class RoughConductor(Bsdf):
         return BsdfSample(wo, self.pdf(wi, wo), torch.ones_like(wo[:, 2]), torch.zeros(len(wi)).long())
 
 
-class RoughDielectric(Bsdf):
-    smooth, delta = True, False
+class AnisotropicConductor(RoughConductor):
+    oriented = True
+
+
+class RoughDielectric(OfFacets):
     albedo = "specular_transmittance"
 
     def read(self, color, number) -> None:
         self.eta = number("eta")
-        self.facets = Facets(self.scalar("alpha"), self.record.field["distribution"] == 1)
+        self.facets = self.read_facets()
         self.reflectance, self.transmittance = color("specular_reflectance"), color("specular_transmittance")
 
     def split(self, wi: torch.Tensor, wo: torch.Tensor):
@@ -147,3 +158,7 @@ class RoughDielectric(Bsdf):
         right_side = (wo[:, 2] * wi[:, 2] > 0) == reflects
         pdf = torch.where(right_side, self.pdf(wi, wo), 0.0)
         return BsdfSample(wo, pdf, torch.where(reflects, 1.0, eta_it).detach(), torch.zeros(len(wi)).long())
+
+
+class AnisotropicDielectric(RoughDielectric):
+    oriented = True

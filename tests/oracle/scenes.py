@@ -355,6 +355,74 @@ def normals() -> dict:
     )
 
 
+def brushed() -> dict:
+    """Facets that are rougher along one direction, on all shapes, from both sides; metal and glass."""
+
+    def along(kind: str, u, v, **more) -> dict:
+        return {"type": kind, "alpha_u": u, "alpha_v": v, **more}
+
+    def metal(u, v, **more) -> dict:
+        return along("roughconductor", u, v, eta=r._rgb(0.2, 0.9, 1.1), k=r._rgb(3.9, 2.4, 2.2), **more)
+
+    bare = _tube(to_world=r.translate(1.4, 0.3, -0.4) @ r.scale(0.6), bsdf=metal(0.2, 0.5))
+    bare.vertex_texcoords = None
+    return r._scene(
+        {"type": "path", "max_depth": 5, "rr_depth": 3},
+        r._camera(),
+        ball={
+            "type": "sphere",
+            "to_world": r.translate(-0.9, -0.1, 0.2) @ r.rotate("x", 70) @ r.scale(0.7),
+            "bsdf": metal(r._bitmap(141, 3, 4), 0.3, distribution="ggx"),
+        },
+        tube=_tube(
+            to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6),
+            bsdf={"type": "twosided", "bsdf": metal(0.4, r._bitmap(142, 4, 3, 0.1, 0.5))},
+        ),
+        bare=bare,
+        lens={
+            "type": "sphere",
+            "center": [0.3, 0.3, -1.0],
+            "radius": 0.5,
+            "bsdf": along("roughdielectric", 0.2, r._bitmap(143, 3, 3, 0.2, 0.6), distribution="ggx", int_ior=1.3),
+        },
+        frosted={
+            "type": "disk",
+            "to_world": r.translate(-0.3, 0.5, 1.4) @ r.rotate("y", 30) @ r.scale(0.5, 0.4, 1.0),
+            "bsdf": along("roughdielectric", 0.5, 0.2, specular_transmittance=r._rgb(0.9, 0.8, 0.7)),
+        },
+        leaf={
+            "type": "rectangle",
+            "to_world": r.translate(0.6, 0.8, 0.8) @ MIRROR @ r.rotate("y", 40) @ r.scale(0.4),
+            "flip_normals": True,
+            "bsdf": layer_scenes.blend({"type": "twosided", "bsdf": metal(0.3, 0.6)}, r._diffuse(0.4), 0.3),
+        },
+        floor={"type": "rectangle", "to_world": r.FLOOR, "bsdf": metal(0.5, 0.2, specular_reflectance=0.8)},
+        lamp=r._lamp(r._bitmap(144, 3, 4, 1.0, 9.0)),
+        bulb={"type": "point", "position": [-2.0, 2.0, 1.0], "intensity": r._rgb(4.0, 5.0, 3.0)},
+        sky={"type": "envmap", "data": r._noise(145, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )
+
+
+def turned_brushed() -> dict:
+    """The same below normal maps."""
+    metal = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.6, "distribution": "ggx"}
+    glass = {"type": "roughdielectric", "alpha_u": 0.6, "alpha_v": 0.3, "int_ior": 1.3}
+    dented = {"type": "normalmap", "normalmap": _bumps(151), "bsdf": metal}
+    return r._scene(
+        {"type": "path", "max_depth": 4, "rr_depth": 3},
+        r._camera(),
+        ball={
+            "type": "sphere",
+            "to_world": r.translate(-0.9, -0.1, 0.2) @ r.rotate("x", 70) @ r.scale(0.7),
+            "bsdf": layer_scenes.normal_map(glass),
+        },
+        tube=_tube(to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6), bsdf={"type": "twosided", "bsdf": dented}),
+        floor={"type": "rectangle", "to_world": r.FLOOR, "bsdf": layer_scenes.normal_map(metal)},
+        lamp=r._lamp(r._bitmap(152, 3, 4, 1.0, 9.0)),
+        sky={"type": "envmap", "data": r._noise(153, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )
+
+
 def lights() -> dict:
     """Emitting disk, mesh, mirrored rectangle, sphere from outside and from inside; the camera does not see them."""
 
@@ -453,5 +521,6 @@ SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
     **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, layers, normals, lights, splits)},
     **SENSORS,
+    **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed)},
 }
-ONLY_RGB = ("normals",)  # a scene in grey refuses normal maps
+ONLY_RGB = ("normals", "turned_brushed")  # a scene in grey refuses normal maps
