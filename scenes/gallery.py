@@ -139,6 +139,68 @@ def painted(size: int = 256) -> torch.Tensor:
     return torch.stack([0.5 + 0.35 * bands, 0.45 + 0.3 * waves, 0.5 + 0.35 * bands * waves], dim=-1)
 
 
+def dents(size: int = 512) -> torch.Tensor:
+    """Heights (size, size, 1) of a hammered surface, in units of the scene."""
+    centres = (torch.arange(size) + 0.5) / size * 2 * math.pi
+    v, u = torch.meshgrid(centres, centres, indexing="ij")
+    return 0.012 * (torch.sin(14 * u + torch.sin(5 * v)) * torch.sin(9 * v + torch.sin(6 * u)))[..., None]
+
+
+def weave(size: int = 512) -> torch.Tensor:
+    """Normals (size, size, 3), as colours, of a basket's weave."""
+    centres = (torch.arange(size) + 0.5) / size * 2 * math.pi
+    v, u = torch.meshgrid(centres, centres, indexing="ij")
+    over = (torch.sin(8 * u) * torch.sin(8 * v) > 0).float()
+    x, y = 0.8 * torch.cos(16 * u) * over, 0.8 * torch.cos(16 * v) * (1 - over)
+    normals = torch.stack([x, y, torch.ones_like(x)], dim=-1)
+    return normals / torch.linalg.vector_norm(normals, dim=-1, keepdim=True) * 0.5 + 0.5
+
+
+def spots(size: int = 256) -> torch.Tensor:
+    """Weights (size, size, 1) of round spots with soft edges."""
+    centres = (torch.arange(size) + 0.5) / size
+    v, u = torch.meshgrid(centres, centres, indexing="ij")
+    distance = torch.hypot((12 * u) % 1 - 0.5, (8 * v) % 1 - 0.5)
+    return torch.sigmoid(40 * (0.32 - distance))[..., None]
+
+
+def texture(data: torch.Tensor) -> dict[str, Any]:
+    return {"type": "bitmap", "data": data, "raw": True}
+
+
+def seen_by(zoom: float = 1.0, **sensor: Any) -> Callable[[int], dict[str, Any]]:
+    """A row of balls, seen by another camera."""
+
+    def scene(size: int) -> dict[str, Any]:
+        made = make_materials.shown({"type": "diffuse"}, resolution=size)
+        del made["ball"]
+        old = made["sensor"]
+        made["sensor"] = {
+            "film": old["film"],
+            "to_world": old["to_world"] @ tr.Transform.scale([zoom, zoom, 1]),
+            **sensor,
+        }
+        colours = rgb(0.6, 0.1, 0.1), rgb(0.6, 0.5, 0.1), rgb(0.1, 0.4, 0.2), rgb(0.1, 0.2, 0.6)
+        for i, colour in enumerate(colours):
+            bsdf = {"type": "plastic", "diffuse_reflectance": colour}
+            center = [1.2 * i - 1.8, 0.5, 2.1 - 1.5 * i]
+            made[f"ball{i}"] = {"type": "sphere", "center": center, "radius": 0.5, "bsdf": bsdf}
+        return made
+
+    return scene
+
+
+def tubes(size: int) -> dict[str, Any]:
+    """Cylinders that stand on the floor."""
+    made = make_materials.shown({"type": "diffuse"}, resolution=size)
+    del made["ball"]
+    for i in range(5):
+        bsdf = {"type": "twosided", "bsdf": {"type": "roughconductor", "material": "Cu", "alpha": 0.2}}
+        x, z, height = 0.62 * i - 1.25, 0.5 * math.sin(2.2 * i), 0.7 + 0.32 * i
+        made[f"tube{i}"] = {"type": "cylinder", "p0": [x, 0, z], "p1": [x, height, z], "radius": 0.3, "bsdf": bsdf}
+    return made
+
+
 PLASTIC = {"diffuse_reflectance": rgb(0.1, 0.3, 0.6)}
 NO_SKY = {"sky": None}
 NIGHT = {"sky": {"type": "constant", "radiance": rgb(0.01, 0.012, 0.02)}}
@@ -152,6 +214,10 @@ GALLERY = [
     Picture(
         "roughconductor: copper",
         {"type": "roughconductor", "material": "Cu", "distribution": "beckmann", "alpha": 0.35},
+    ),
+    Picture(
+        "roughconductor: brushed",
+        {"type": "roughconductor", "material": "Al", "distribution": "ggx", "alpha_u": 0.4, "alpha_v": 0.05},
     ),
     Picture("dielectric: glass", {"type": "dielectric", "int_ior": "bk7"}),
     Picture("dielectric: diamond", {"type": "dielectric", "int_ior": "diamond"}),
@@ -184,6 +250,39 @@ GALLERY = [
             "roughness": 0.02,
         },
     ),
+    Picture(
+        "blendbsdf: paint on metal",
+        {
+            "type": "blendbsdf",
+            "weight": texture(spots()),
+            "metal": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
+            "paint": {"type": "plastic", **PLASTIC},
+        },
+    ),
+    Picture(
+        "mask: a perforated sheet",
+        {
+            "type": "mask",
+            "opacity": texture(1 - spots()),
+            "sheet": {"type": "twosided", "bsdf": {"type": "roughconductor", "material": "Cu", "alpha": 0.3}},
+        },
+    ),
+    Picture(
+        "normalmap: a weave",
+        {
+            "type": "normalmap",
+            "normalmap": texture(weave()),
+            "bsdf": {"type": "roughplastic", "diffuse_reflectance": rgb(0.5, 0.3, 0.12), "alpha": 0.3},
+        },
+    ),
+    Picture(
+        "bumpmap: hammered gold",
+        {
+            "type": "bumpmap",
+            "heights": texture(dents()),
+            "bsdf": {"type": "roughconductor", "material": "Au", "alpha": 0.15},
+        },
+    ),
     # lights
     Picture("area light", {"type": "roughplastic", **PLASTIC}, NO_SKY, exposure=0.5),
     Picture(
@@ -191,8 +290,48 @@ GALLERY = [
         {"type": "roughplastic", **PLASTIC},
         {**NIGHT, "lamp": {"type": "point", "position": [-2, 3, 2.5], "intensity": rgb(20, 18, 15)}},
     ),
+    Picture(
+        "spot",
+        {"type": "roughplastic", **PLASTIC},
+        {
+            **NIGHT,
+            "lamp": {
+                "type": "spot",
+                "to_world": tr.Transform.look_at([-2.5, 4.5, 3], [0, 0.8, 0], [0, 1, 0]),
+                "cutoff_angle": 20,
+                "intensity": rgb(90, 80, 65),
+            },
+        },
+    ),
+    Picture(
+        "projector",
+        {"type": "diffuse", "reflectance": 0.8},
+        {
+            **NIGHT,
+            "lamp": {
+                "type": "projector",
+                "to_world": tr.Transform.look_at([-1.5, 3, 5], [0, 0.8, 0], [0, 1, 0]),
+                "irradiance": texture(painted()),
+                "fov": 40,
+                "scale": 60.0,
+            },
+        },
+    ),
+    Picture(
+        "directional",
+        {"type": "roughplastic", **PLASTIC},
+        {
+            "sky": {"type": "constant", "radiance": rgb(0.15, 0.2, 0.3)},
+            "lamp": {"type": "directional", "direction": [1, -1.6, -0.8], "irradiance": rgb(3, 2.7, 2.2)},
+        },
+    ),
     Picture("environment map", {"type": "roughplastic", **PLASTIC}, {"lamp": None}),
+    # cameras
+    Picture("thinlens", scene=seen_by(type="thinlens", fov=30, aperture_radius=0.2, focus_distance=6.6)),
+    Picture("orthographic", scene=seen_by(2.2, type="orthographic")),
+    Picture("fisheye", scene=seen_by(type="fisheye", fov=150)),
     # shapes, media, light tracing
+    Picture("cylinder", scene=tubes),
     Picture("heightfield", scene=landscape),
     Picture("heterogeneous: smoke", objects=smoke()),
     Picture(

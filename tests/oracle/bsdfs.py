@@ -146,5 +146,6 @@ BSDFS = {
     "twosided": Layer,
     "blendbsdf": Layer,
     "normalmap": Layer,
+    "bumpmap": Layer,
 }
-LAYERS = ("twosided", "blendbsdf", "mask", "normalmap")
+LAYERS = ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap")

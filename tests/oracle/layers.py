@@ -1,4 +1,5 @@
-"""What of a tree of BSDFs a hit is scattered by: csrc/core/integrator/layers.h, bsdf/normalmap.h and shape/tangents.h.
+"""What of a tree of BSDFs a hit is scattered by: csrc/core/integrator/layers.h, bsdf/{normalmap,bumpmap}.h and
+shape/partials.h.
 
 What is attached. The weights of the branches that were taken; the chances of taking them are not. A turned normal is an
 attached function of the map, of where that is looked up, of the shading normal and of dp/du; so is what the shadowing
@@ -7,15 +8,17 @@ function leaves of light, and one of the direction of light besides.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 
-from torchrender.surface import MESH, SPHERE, inverse_linear, transform_vector
+from torchrender.surface import CYLINDER, MESH, SPHERE, inverse_linear, transform_vector
 
 from .bsdf import luminance
 from .bsdfs import BSDFS, LAYERS, resolve
 from .geometry import Frame, Rows, dot, normalize
+from .textures import slopes
 from .world import At, Record, World
 
 LEAST_SQUARED_COSINE = 1e-6
@@ -90,7 +93,7 @@ def find(
         rows = (waiting & (leaf == number)).nonzero()[:, 0]
         if record.type == "twosided":
             leaf[rows], mirrored[rows] = resolve(world, leaf[rows], behind[rows])
-        elif record.type == "normalmap":
+        elif record.type in ("normalmap", "bumpmap"):
             turned[rows], leaf[rows] = number, record.field["nested_bsdf"]
         else:
             w = share(world, record, at[rows])
@@ -111,8 +114,8 @@ def find(
     for number in turned[turned >= 0].unique().tolist():
         record = world.records["bsdf"][number]
         rows = (turned == number).nonzero()[:, 0]
-        tangent = dp_du(world, at[rows], position[rows])
-        n = turn(world, record, at[rows], base[rows], side[rows], tangent, -d[rows], viewed)
+        along = partials(world, at[rows], position[rows])
+        n = turn(world, record, at[rows], base[rows], side[rows], *along, -d[rows], viewed)
         normal = normal.index_put((rows,), n)
         shadowed[rows] = record.field["use_shadowing_function"] == 1
     return Layers(leaf, mirrored & (turned < 0), weight, inverse, turned, shadowed, base, normal)
@@ -123,7 +126,7 @@ def frames(world: World, found: Layers, at: At, position: torch.Tensor) -> Frame
     frame = Frame.about(found.normal)
     oriented = torch.tensor([getattr(BSDFS[r.type], "oriented", False) for r in world.records["bsdf"]])
     rows = oriented[found.leaf].nonzero()[:, 0]
-    along = Frame.along(found.normal[rows], dp_du(world, at[rows], position[rows]))
+    along = Frame.along(found.normal[rows], partials(world, at[rows], position[rows])[0])
     return Frame(*(getattr(frame, axis).index_put((rows,), getattr(along, axis)) for axis in "stn"))
 
 
@@ -133,32 +136,47 @@ def turn(
     at: At,
     z: torch.Tensor,
     side: torch.Tensor,
-    tangent: torch.Tensor,
+    du: torch.Tensor,
+    dv: torch.Tensor,
     wi: torch.Tensor,
     viewed: bool,
 ) -> torch.Tensor:
     """The normals z (N, 3), those of the back where `side` (N,) is -1, as the map turns them."""
-    s = normalize(tangent - z * dot(z, tangent)[:, None])
-    t = torch.linalg.cross(z, s) * side[:, None]
-    x, y, up = (2 * world.color("bsdf", record, "normalmap", at) - 1)[..., None].unbind(1)
-    n = normalize(s * x + t * y + z * up)
+    if record.type == "normalmap":
+        s = normalize(du - z * dot(z, du)[:, None])
+        t = torch.linalg.cross(z, s) * side[:, None]
+        x, y, up = (2 * world.color("bsdf", record, "normalmap", at) - 1)[..., None].unbind(1)
+        leaning, upwards = s * x + t * y, z * up
+    else:
+        n, scale = z * side[:, None], world.tensor("bsdf", record, "scale")
+        hu, hv = slopes(world, world.records["texture"][record.field["nested_texture"]], at).unbind(1)
+        a = du + n * (hu * scale - dot(n, du))[:, None]
+        b = dv + n * (hv * scale - dot(n, dv))[:, None]
+        m = normalize(torch.linalg.cross(a, b))
+        up = dot(m, n)[:, None]
+        leaning, upwards = (m - n * up) * torch.where(up.detach() < 0, -1.0, 1.0), z * up.abs()
+    n = normalize(leaning + upwards)
     if not viewed or record.field["flip_invalid_normals"] == 0:
         return n
     hides = (dot(n, wi) * dot(z, wi) < 0).detach()
-    return torch.where(hides[:, None], normalize(z * up - s * x - t * y), n)
+    return torch.where(hides[:, None], normalize(upwards - leaning), n)
 
 
-def dp_du(world: World, at: At, p: torch.Tensor) -> torch.Tensor:
-    """How points p (N, 3) move with the first texture coordinate, up to a factor: (N, 3)."""
-    surfaces = world.surfaces
-    flat, curved = ((surfaces.kind[at.shape] == MESH) == which for which in (True, False))
-    rows, some = flat.nonzero()[:, 0], curved.nonzero()[:, 0]
-    result = torch.zeros_like(p).index_put((rows,), _along_triangles(world, at[rows]))
-    return result.index_put((some,), _along_quadrics(world, at.shape[some], p[some]))
+def partials(world: World, at: At, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """dp/du and dp/dv (N, 3) at points p (N, 3)."""
+    flat = (world.surfaces.kind[at.shape] == MESH).nonzero()[:, 0]
+    curved = (world.surfaces.kind[at.shape] != MESH).nonzero()[:, 0]
+    on_triangles = _along_triangles(world, at[flat])
+    on_quadrics = _along_quadrics(world, at.shape[curved], p[curved])
+    du, dv = (
+        torch.zeros_like(p).index_put((flat,), a).index_put((curved,), b)
+        for a, b in zip(on_triangles, on_quadrics, strict=True)
+    )
+    return du, dv
 
 
-def _along_triangles(world: World, at: At) -> torch.Tensor:
-    """Along the first edge where there are no texture coordinates."""
+def _along_triangles(world: World, at: At) -> tuple[torch.Tensor, torch.Tensor]:
+    """Along the edges where there are no texture coordinates."""
     surfaces = world.surfaces
     corner = surfaces.faces[surfaces.first_face[at.shape] + at.primitive]
     p, uv = surfaces.positions[corner], surfaces.texcoords[corner]
@@ -167,14 +185,20 @@ def _along_triangles(world: World, at: At) -> torch.Tensor:
     u2, v2 = (uv[:, 2] - uv[:, 0]).unbind(1)
     determinant = u1 * v2 - u2 * v1
     usable = surfaces.textured[at.shape] & (determinant != 0)
-    solved = (e1 * v2[:, None] - e2 * v1[:, None]) / torch.where(usable, determinant, 1.0)[:, None]
-    return torch.where(usable[:, None], solved, e1)
+    inverse = 1 / torch.where(usable, determinant, 1.0)[:, None]
+    du, dv = (e1 * v2[:, None] - e2 * v1[:, None]) * inverse, (e2 * u1[:, None] - e1 * u2[:, None]) * inverse
+    return torch.where(usable[:, None], du, e1), torch.where(usable[:, None], dv, e2)
 
 
-def _along_quadrics(world: World, shape: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
-    """Around a sphere's axis, away from a disk's centre."""
-    matrix = world.surfaces.to_world[shape]
-    x, y, _ = transform_vector(inverse_linear(matrix), p - matrix[:, :3, 3]).unbind(1)
-    zero = torch.zeros_like(x)
-    around, away = torch.stack([-y, x, zero], 1), torch.stack([x, y, zero], 1)
-    return transform_vector(matrix, torch.where((world.surfaces.kind[shape] == SPHERE)[:, None], around, away))
+def _along_quadrics(world: World, shape: torch.Tensor, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Azimuth and polar angle of a sphere, radius and azimuth of a disk, azimuth and height of a cylinder."""
+    matrix, kind = world.surfaces.to_world[shape], world.surfaces.kind[shape][:, None]
+    x, y, z = transform_vector(inverse_linear(matrix), p - matrix[:, :3, 3]).unbind(1)
+    zero, r = torch.zeros_like(x), torch.sqrt(x * x + y * y)
+    around = 2 * math.pi * torch.stack([-y, x, zero], 1)
+    out = torch.stack([x / r, y / r, zero], 1)
+    down = math.pi * torch.stack([z * x / r, z * y / r, -r], 1)
+    axis = torch.stack([zero, zero, zero + 1], 1)
+    du = torch.where((kind == SPHERE) | (kind == CYLINDER), around, out)
+    dv = torch.where(kind == SPHERE, down, torch.where(kind == CYLINDER, axis, around))
+    return transform_vector(matrix, du), transform_vector(matrix, dv)

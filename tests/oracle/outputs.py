@@ -49,7 +49,7 @@ def albedo_of(world: World, number: int, at: At, back: bool) -> torch.Tensor:
     white = torch.ones(len(at), world.channels, dtype=torch.float64)
     if record.type == "twosided":
         return inside("brdf_1" if back and record.field["brdf_1"] >= 0 else "brdf_0")
-    if record.type == "normalmap":
+    if record.type in ("normalmap", "bumpmap"):
         return inside("nested_bsdf")
     if record.type in ("blendbsdf", "mask"):
         w = share(world, record, at)[:, None]

@@ -343,6 +343,15 @@ def normals() -> dict:
                 r._bitmap(131, 3, 3),
             ),
         },
+        cobbles={
+            "type": "sphere",
+            "to_world": r.translate(-1.3, 0.9, 0.0) @ r.rotate("z", 50) @ r.scale(0.4),
+            "bsdf": layer_scenes.bump_map(_metal(134), 0.1, scale=0.9),
+        },
+        dunes=_tube(
+            to_world=r.translate(1.2, 1.0, 0.2) @ r.scale(0.5),
+            bsdf={"type": "twosided", "bsdf": {"type": "bumpmap", "heights": _bumps(135), "bsdf": paint}},
+        ),
         veil={
             "type": "rectangle",
             "to_world": r.translate(-0.6, 1.0, 0.6) @ r.rotate("x", -50) @ r.scale(0.4),

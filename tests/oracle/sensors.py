@@ -1,63 +1,10 @@
-"""Sensors: functions of the world, the sensor's record, film size, film and lens positions (N, 2), to rays."""
+"""Sensors: functions of the world, the sensor's record, film size, film and lens positions (N, 2), to rays.
+
+They are those of the integrator in PyTorch; tests/test_lens_rays.py holds their rays against closed forms.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from torchrender.wavefront.sensors import SENSORS
 
-import torch
-
-from torchrender.scene import camera_rays
-from torchrender.scene.camera_rays import Rays
-
-from .world import Record, World
-
-LENS = "to_world x_fov principal_point_offset_x principal_point_offset_y near_clip far_clip pixel_aspect"
-Sensor = Callable[[World, Record, tuple[int, int], torch.Tensor, torch.Tensor], Rays]
-
-
-def sensor(rays: Callable[..., Rays], names: str, lens: bool = False) -> Sensor:
-    """A sensor whose rays are a function of these fields, of size and positions, and of those on a lens."""
-
-    def trace(
-        world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
-    ) -> Rays:
-        fields = [world.tensor("sensor", record, name) for name in names.split()]
-        return rays(*fields, size, positions, *([on_lens] if lens else []))
-
-    return trace
-
-
-def perspective(
-    world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
-) -> Rays:
-    if record.field["distortion"] < 0:
-        trace = sensor(camera_rays.perspective_rays, LENS)
-    else:
-        trace = sensor(camera_rays.distorted_rays, f"{LENS} distortion")
-    return trace(world, record, size, positions, on_lens)
-
-
-def radiancemeter(
-    world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
-) -> Rays:
-    return camera_rays.radiancemeter_rays(world.tensor("sensor", record, "to_world"), len(positions))
-
-
-def distant(
-    world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
-) -> Rays:
-    target = world.tensor("sensor", record, "target") if record.field["target"] >= 0 else None
-    bounds = world.scene.bounding_box().detach().float().double()  # as the ray queries know it
-    return camera_rays.distant_rays(world.tensor("sensor", record, "to_world"), target, bounds, on_lens)
-
-
-PLANES = "to_world near_clip far_clip"
-SENSORS: dict[str, Sensor] = {
-    "perspective": perspective,
-    "thinlens": sensor(camera_rays.thinlens_rays, f"{LENS} aperture_radius focus_distance", lens=True),
-    "orthographic": sensor(camera_rays.orthographic_rays, PLANES),
-    "fisheye": sensor(camera_rays.fisheye_rays, f"{LENS} distortion max_angle"),
-    "panorama": sensor(camera_rays.panorama_rays, PLANES),
-    "radiancemeter": radiancemeter,
-    "distant": distant,
-}
+__all__ = ["SENSORS"]

@@ -58,6 +58,25 @@ def bitmap(world: World, record: Record, at: At) -> torch.Tensor:
     return bilinear(data, rows, columns, x - left, y - top, world.channels)
 
 
+def slopes(world: World, record: Record, at: At) -> torch.Tensor:
+    """The derivatives (N, 2) of a bilinear bitmap's luminance by the texture coordinates; of others, zero."""
+    if record.type != "bitmap" or record.field["filter_type"] == 1:
+        return torch.zeros(len(at), 2, dtype=torch.float64)
+    data = world.tensor("texture", record, "data").expand(-1, -1, 3)
+    data = (data * data.new_tensor([0.2126, 0.7152, 0.0722])).sum(2)
+    height, width = data.shape
+    mode = record.field["wrap_mode"]
+    uv = image_coordinates(world, record, at)
+    x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
+    left, top = torch.floor(x.detach()), torch.floor(y.detach())
+    (x0, x1), (y0, y1) = ([wrap(i.long() + k, n, mode) for k in (0, 1)] for i, n in ((left, width), (top, height)))
+    a, b = x - left, y - top
+    across = ((1 - b) * (data[y0, x1] - data[y0, x0]) + b * (data[y1, x1] - data[y1, x0])) * width
+    down = ((1 - a) * (data[y1, x0] - data[y0, x0]) + a * (data[y1, x1] - data[y0, x1])) * height
+    matrix = world.tensor("texture", record, "to_uv")[:2, :2]
+    return across[:, None] * matrix[0] + down[:, None] * matrix[1]
+
+
 def checkerboard(world: World, record: Record, at: At) -> torch.Tensor:
     uv = image_coordinates(world, record, at).detach()
     right, lower = (uv - torch.floor(uv) > 0.5).unbind(1)

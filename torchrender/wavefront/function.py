@@ -15,7 +15,6 @@ from torch.autograd import Function
 from ..autograd import BATCHED, RenderCall, _Derivative, _passes, mix, refuse_batches
 from ..errors import NotDifferentiableError, RenderError, describe, nearest
 from ..progress import progress
-from ..scene.camera import perspective_rays
 from ..scene.derivatives import Wanted, depth_outside, moves_rays
 from ..scene.film import Film
 from ..scene.native import NativeScene
@@ -24,16 +23,18 @@ from .bsdfs import BSDFS
 from .emitters import EMITTERS
 from .film import Splats, Spread
 from .geometry import Rows
+from .lights import LIGHT_SHAPES
 from .numbers import CAMERA_BLOCK, Numbers, pixel_key
 from .path import WavefrontTracer
-from .world import World, check_supported
+from .sensors import SENSORS
+from .textures import TEXTURES
+from .world import World, check_light_shapes, check_supported
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
 # What a native rendering and one in PyTorch have in common.
 SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics wanted".split()
-CAMERA = "to_world x_fov principal_point_offset_x principal_point_offset_y near_clip far_clip pixel_aspect".split()
 
 
 class TorchParameters(nn.Module):
@@ -160,8 +161,8 @@ class WavefrontCall:
     def samples(self, index: torch.Tensor, spp: int, random: Numbers) -> Samples:
         """The samples of these numbers (N,), which count those of one pixel after the other."""
         pixel, sample = self.splats.sources[index // spp], index % spp
-        offset = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)[:, :2].flip(1).double()
-        return Samples(pixel, sample, offset)
+        drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
+        return Samples(pixel, sample, drawn[:, :2].flip(1).double(), drawn[:, 2:])
 
     def _trace(
         self, tracer: WavefrontTracer, samples: Samples, modules: dict[str, torch.Tensor]
@@ -170,8 +171,7 @@ class WavefrontCall:
         world.begin()
         record = world.records["sensor"][self.sensor]
         positions = (samples.pixel.double() + samples.offset).flip(1).to(world.dtype)  # x, y
-        camera = [world.tensor("sensor", record, name) for name in CAMERA]
-        rays = perspective_rays(*camera, self.film_size, positions)
+        rays = SENSORS[record.type](world, record, self.film_size, positions, samples.lens.to(world.dtype))
         if not world.moving:
             rays = type(rays)(*(t.detach() for t in rays))
 
@@ -232,11 +232,12 @@ class WavefrontCall:
 
 @dataclass
 class Samples(Rows):
-    """Samples of pixels: rows and columns (N, 2), numbers (N,), and places in their pixels, y and x (N, 2)."""
+    """Samples of pixels: rows and columns (N, 2), numbers (N,), places in pixels, y and x, and on a lens (N, 2)."""
 
     pixel: torch.Tensor
     sample: torch.Tensor
     offset: torch.Tensor
+    lens: torch.Tensor
 
 
 @dataclass
@@ -438,7 +439,8 @@ def check_scene(layout: Layout) -> None:
             "render: integrator: WavefrontPathTracer does not trace through media, which the scene has; "
             "VolumetricPathTracer ('volpath') does"
         )
-    check_supported(layout, {"bsdf": BSDFS, "emitter": EMITTERS})
+    check_supported(layout, {"bsdf": BSDFS, "emitter": EMITTERS, "texture": TEXTURES, "sensor": SENSORS})
+    check_light_shapes(layout, LIGHT_SHAPES)
 
 
 def refuse_torch_bsdfs(layout: Layout, message: str) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +68,7 @@ class World:
         self.dtype, self.channels = native.dtype, native.channels
         self.tensors = list(tensors)
         self.plain = [t.detach() for t in tensors]
-        self._scene = scene
+        self.scene = scene
         self.records = {category: records(layout, category) for category in layout.objects}
         self.torch_bsdfs = layout.torch_bsdfs
         self.nonfinite_where = ""  # the first place where a number was not finite
@@ -77,7 +77,7 @@ class World:
     def begin(self) -> None:
         """Before every chunk: what is computed of the tensors, whose graph the chunk before has used up."""
         if self.moving or not hasattr(self, "surfaces"):
-            self.surfaces = Surfaces.of(self._scene, self.layout, self.tensors if self.moving else self.plain)
+            self.surfaces = Surfaces.of(self.scene, self.layout, self.tensors if self.moving else self.plain)
 
     def tensor(self, category: str, record: Record, name: str) -> torch.Tensor:
         """The tensor of a field, its declared default where none was given."""
@@ -124,6 +124,16 @@ class World:
 
     def note_nonfinite(self, where: str) -> None:
         self.nonfinite_where = self.nonfinite_where or where
+
+
+def check_light_shapes(layout: Layout, shapes: Mapping[str, Any]) -> None:
+    """ValueError for the first shape, by its path, that emits and is none of these."""
+    for record in records(layout, "shape"):
+        if record.field.get("emitter", -1) >= 0 and record.type not in shapes:
+            raise ValueError(
+                f"render: integrator: {record.path}: WavefrontPathTracer has no light on a {record.type}; "
+                f"it has {', '.join(shapes)}"
+            )
 
 
 def check_supported(layout: Layout, tables: dict[str, Any]) -> None:
