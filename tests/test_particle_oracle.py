@@ -8,6 +8,7 @@ import light_scenes as ls
 import pytest
 import torch
 from oracle import light
+from oracle.scenes import bumps
 from test_particle_derivatives import direction, triangle, weight
 
 import torchrender as tr
@@ -42,10 +43,14 @@ def lens() -> dict:
     return ls.floor_view(light={**ls.beam(), "to_world": place}, lens=ball)
 
 
-def turned(bsdf: dict, **more) -> dict:
-    """A normal map whose normals do not repeat over the floor, and differ much."""
-    texture = {"type": "bitmap", "data": layer_scenes.normals(5, 6, 1.5), "raw": True}
-    return {"type": "normalmap", "normalmap": texture, "bsdf": bsdf, **more}
+def turned(bsdf: dict, texture: dict | None = None) -> dict:
+    """Of a smooth map, unless told."""
+    texture = {"type": "bitmap", "data": layer_scenes.normals(5, 6, 1.5), "raw": True} if texture is None else texture
+    return {"type": "normalmap", "normalmap": texture, "bsdf": bsdf}
+
+
+# normals that hide from the light or from the camera, many on the large triangle
+BUMPS = bumps(141, 0.3, to_uv=ls.T.scale([20.0, 20.0, 1.0]))
 
 
 def from_behind(bsdf: dict) -> dict:
@@ -122,15 +127,21 @@ SCENES = {
         ("floor.bsdf.normalmap.data", "floor.bsdf.nested_bsdf.alpha.value", *BEAM, PLACE, *CAMERA),
         2,
     ),
+    "turned normals that hide": (
+        lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf=turned(METAL, bumps(141)))),
+        ("floor.bsdf.normalmap.data", *BEAM, PLACE),
+        2,
+    ),
     "turned normals behind": (
         lambda: ls.floor_view(
-            light=ls.beam(), floor=from_behind({"type": "twosided", "bsdf": layer_scenes.blend(turned(PAINT), PAINT)})
+            light=ls.beam(),
+            floor=from_behind({"type": "twosided", "bsdf": layer_scenes.blend(turned(PAINT, BUMPS), PAINT)}),
         ),
         (*(f"floor.bsdf.brdf_0.{n}" for n in ("weight.data", "bsdf_0.normalmap.data")), *BEAM, PLACE, *CAMERA),
         2,
     ),
     "turned glass": (
-        lambda: ls.floor_view(light=ls.area(), sheet=triangle(turned(GLASS))),
+        lambda: ls.floor_view(light=ls.area(), sheet=triangle(turned(GLASS, BUMPS))),
         ("sheet.bsdf.normalmap.data", "sheet.bsdf.nested_bsdf.eta", *SHEET[:2], *BEAM, *FLOOR, *CAMERA),
         3,
     ),

@@ -295,9 +295,9 @@ def layers() -> dict:
     )
 
 
-def _bumps(seed: int, **more) -> dict:
+def bumps(seed: int, lowest: float = 0.6, **more) -> dict:
     """A map of rough normals of any length, some of which hide from the viewer."""
-    texels = np.random.default_rng(seed).uniform(0, 1, (4, 5, 3)) * [1, 1, 0.4] + [0, 0, 0.6]
+    texels = np.random.default_rng(seed).uniform([0, 0, lowest], 1, (4, 5, 3))
     return {"type": "bitmap", "data": texels.astype(np.float32), "raw": True, **more}
 
 
@@ -305,7 +305,7 @@ def normals() -> dict:
     """Normal maps on all shapes, from both sides, around and inside of mixtures, of rough and of clear models."""
 
     def turned(bsdf: dict, seed: int, **more) -> dict:
-        return {"type": "normalmap", "normalmap": _bumps(seed), "bsdf": bsdf, **more}
+        return {"type": "normalmap", "normalmap": bumps(seed), "bsdf": bsdf, **more}
 
     paint, glass = r._diffuse(r._bitmap(121, 3, 3)), {"type": "dielectric", "int_ior": 1.3}
     bare = _tube(to_world=r.translate(1.4, 0.3, -0.4) @ r.scale(0.6), bsdf=turned(paint, 122))
