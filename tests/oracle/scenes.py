@@ -350,7 +350,7 @@ def normals() -> dict:
         },
         dunes=_tube(
             to_world=r.translate(1.2, 1.0, 0.2) @ r.scale(0.5),
-            bsdf={"type": "twosided", "bsdf": {"type": "bumpmap", "heights": _bumps(135), "bsdf": paint}},
+            bsdf={"type": "twosided", "bsdf": {"type": "bumpmap", "heights": bumps(135), "bsdf": paint}},
         ),
         veil={
             "type": "rectangle",
@@ -416,7 +416,7 @@ def turned_brushed() -> dict:
     """The same below normal maps."""
     metal = {"type": "roughconductor", "alpha_u": 0.2, "alpha_v": 0.6, "distribution": "ggx"}
     glass = {"type": "roughdielectric", "alpha_u": 0.6, "alpha_v": 0.3, "int_ior": 1.3}
-    dented = {"type": "normalmap", "normalmap": _bumps(151), "bsdf": metal}
+    dented = {"type": "normalmap", "normalmap": bumps(151), "bsdf": metal}
     return r._scene(
         {"type": "path", "max_depth": 4, "rr_depth": 3},
         r._camera(),
