@@ -167,6 +167,32 @@ def test_derivative_by_the_opacity():
     agree(loaded, "ball.bsdf.opacity.value", torch.ones(()), 0.1)
 
 
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize("opacity", [0.0, 0.9, 1.0])
+def test_holes_before_a_lamp(opacity, correlated):
+    """The image is 1 - opacity, though no path of an image of opacity 1 meets the lamp."""
+    loaded = tr.load_dict(
+        scene(
+            2,
+            camera([0, 0, 5], [0, 0, 0], 30),
+            sheet={"type": "rectangle", "to_world": Transform.scale(3.0), "bsdf": layer_scenes.mask(PAINT, opacity)},
+            lamp={
+                "type": "rectangle",
+                "to_world": Transform.translate([0, 0, -1]) @ Transform.scale(9.0),
+                "emitter": {"type": "area", "radiance": 1.0},
+            },
+        )
+    )
+    found = []
+    for seed in range(16):
+        x = torch.tensor(opacity, requires_grad=True)
+        params = {"sheet.bsdf.opacity.value": x}
+        tr.render(loaded, spp=64, seed=seed, correlated=correlated, params=params).mean().backward()
+        found.append(float(x.grad))
+    mean, error = np.mean(found), np.std(found, ddof=1) / 4
+    assert abs(mean + 1) < 4.1 * error + 1e-5, f"{mean} +- {error}"  # Student's t of 15 degrees of freedom
+
+
 @pytest.mark.parametrize(
     "name", ["ball.bsdf.weight.data", "ball.bsdf.bsdf_0.reflectance.value", "ball.bsdf.bsdf_1.alpha.value"]
 )
