@@ -226,10 +226,10 @@ struct TapeLevel {
     static constexpr int NoParent = -1, InBlockBefore = -2;
     int parent_level = NoParent;
     bool scatters = false;
-    VolumeColumns<S, C> volume;  // of volumetric paths
-    LightColumns<S> light;       // of light paths
-    LayerColumns<S> layers;      // of layered scenes
-    OrientationColumns<S> orientation;
+    VolumeColumns<S, C> volume;         // of volumetric paths
+    LightColumns<S> light;              // of light paths
+    LayerColumns<S> layers;             // of layered scenes
+    OrientationColumns<S> orientation;  // of oriented scenes
 
     uint32_t *slot, *parent, *shape, *primitive, *light_shape, *light_primitive;
     int32_t *emission_emitter, *bsdf, *light_emitter, *lobe;
