@@ -56,6 +56,16 @@ _METAL = {"material": "Au", "specular_reflectance": rgb(0.9, 0.9, 0.8)}
 _METAL_PARAMETERS = ("specular_reflectance.value", "alpha.value")
 _PAINT = {"base_color": rgb(0.7, 0.3, 0.2), "roughness": 0.3}
 
+
+def _waves(size: int = 64) -> np.ndarray:
+    """Normals (size, size, 3), as colours, of waves."""
+    v, u = np.meshgrid(*2 * [2 * np.pi * (np.arange(size) + 0.5) / size], indexing="ij")
+    n = np.stack([0.4 * np.sin(4 * u), 0.4 * np.cos(3 * v), np.ones_like(u)], axis=-1)
+    return (n / np.linalg.norm(n, axis=-1, keepdims=True) / 2 + 0.5).astype(np.float32)
+
+
+_WAVES = _waves()
+
 MATERIALS = {
     "diffuse": Material({"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)}, ("reflectance.value",)),
     "conductor": Material({"type": "conductor", **_METAL}, ("specular_reflectance.value",)),
@@ -100,6 +110,35 @@ MATERIALS = {
     "principledthin": Material(
         {"type": "principledthin", "spec_trans": 0.4, "diff_trans": 0.6, "eta": 1.4, **_PAINT},
         ("base_color.value", "roughness.value", "spec_trans.value", "diff_trans.value"),
+    ),
+    "roughconductor, brushed": Material(
+        {"type": "roughconductor", "distribution": "ggx", "alpha_u": 0.3, "alpha_v": 0.1, **_METAL},
+        ("specular_reflectance.value", "alpha_u.value", "alpha_v.value"),
+    ),
+    "blendbsdf": Material(
+        {
+            "type": "blendbsdf",
+            "weight": 0.4,
+            "bsdf_0": {"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)},
+            "bsdf_1": {"type": "roughconductor", "distribution": "ggx", "alpha": 0.2, **_METAL},
+        },
+        ("weight.value", "bsdf_0.reflectance.value", "bsdf_1.alpha.value"),
+    ),
+    "mask": Material(
+        {
+            "type": "mask",
+            "opacity": 0.7,
+            "nested_bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)}},
+        },
+        ("nested_bsdf.brdf_0.reflectance.value",),
+    ),
+    "normalmap": Material(
+        {
+            "type": "normalmap",
+            "normalmap": {"type": "bitmap", "data": _WAVES, "raw": True},
+            "nested_bsdf": {"type": "diffuse", "reflectance": rgb(0.7, 0.3, 0.2)},
+        },
+        ("nested_bsdf.reflectance.value", "normalmap.data"),
     ),
     "redner": Material(
         {"type": "redner", "diffuse_reflectance": rgb(0.6, 0.3, 0.2), "specular_reflectance": 0.3, "roughness": 0.2},

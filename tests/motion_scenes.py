@@ -327,6 +327,9 @@ SCENES = {
         ball=ball(PAINT),
         sky=environment(),
     ),
+    "along_hills": lambda: scene(
+        2, above(), hills=hills({"type": "twosided", "bsdf": ALONG}, floor()["to_world"], 0.04), lamp=lamp("rectangle")
+    ),
     "along_floor": lambda: scene(2, above(), floor=floor({"type": "twosided", "bsdf": ALONG}), lamp=lamp("rectangle")),
     "along_disk": lambda: scene(
         2,

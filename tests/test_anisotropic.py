@@ -236,11 +236,3 @@ def test_saved_scenes_come_back(name, tmp_path):
         n: v.tolist() for n, v in loaded.ball.bsdf.named_parameters()
     }
     assert again.ball.bsdf.distribution == loaded.ball.bsdf.distribution
-
-
-def test_height_fields_have_no_tangents():
-    loaded = tr.load_dict(
-        scene(2, above(), hills={"type": "heightfield", "heights": torch.zeros(3, 3), "bsdf": BRUSHED})
-    )
-    with pytest.raises(ValueError, match=r"hills: .*'bsdf'.*equally rough in all directions"):
-        tr.render(loaded, spp=1)

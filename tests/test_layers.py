@@ -230,6 +230,17 @@ def test_derivative_by_heights(name, integrator):
     agree(loaded, name, direction, 0.02, 256, **more)
 
 
+@pytest.mark.parametrize("outputs", [None, ("albedo",)], ids=["image", "albedo"])
+def test_clamped_weights_have_no_derivative(outputs):
+    texels = torch.tensor([[1.5, 1.5], [-0.5, -0.5]])[..., None]  # a row above 1, a row below 0
+    weight = {"type": "bitmap", "data": texels, "raw": True, "filter_type": "nearest"}
+    loaded = room(layer_scenes.blend(PAINT, DARK, weight), 2)
+    loaded.train_only("ball.bsdf.weight.data")
+    found = tr.render(loaded, spp=16, seed=1, outputs=outputs)
+    (found if outputs is None else found.albedo).sum().backward()
+    assert float(loaded.get_parameter("ball.bsdf.weight.data").grad.abs().max()) == 0
+
+
 @pytest.mark.parametrize("kind", ["blend", "mask", "normalmap", "bumpmap"])
 def test_forward_and_reverse_mode_agree(kind):
     both = {"type": "twosided", "bsdf": PAINT}

@@ -266,7 +266,7 @@ def test_gradients_reach_what_a_camera_is_made_of():
         (lambda: tr.PerspectiveCamera(distortion=[float("nan")] * 8), r"distortion: .*not finite"),
         (lambda: tr.FisheyeCamera(distortion=[0.1] * 5), r"distortion: expected 4 coefficients \(k1 k2 k3 k4\)"),
         (lambda: tr.FisheyeCamera(fov=800), r"fov: expected an angle between 0 and 720 degrees, got 800"),
-        (lambda: tr.FisheyeCamera(fov=100, x_fov=100), "give one of fov and x_fov"),
+        (lambda: tr.FisheyeCamera(fov=100, x_fov=100), "give one of fov, focal_length and x_fov"),
         (lambda: tr.FisheyeCamera(max_angle=200.0), r"max_angle: 200 is outside the range \[0, 180\]"),
         (lambda: tr.ThinLensCamera(), r"'aperture_radius' is missing"),
         (lambda: tr.ThinLensCamera(aperture_radius=-0.1), r"aperture_radius: -0.1 is outside the range"),

@@ -185,6 +185,7 @@ def test_every_declared_parameter_that_moves_something_is_tested():
             names = {field.name, f"vertex_{field.name}", f"vertex_{field.name}".replace("vertices", "positions")}
             looks = (category, kind, field.name) in {
                 ("texture", "bitmap", "data"),
+                ("texture", "volume", "volume"),
                 ("emitter", "envmap", "data"),
                 ("emitter", "envmap", "scale"),
                 ("attribute", "attribute", "data"),

@@ -75,9 +75,10 @@ def test_image(name, variant):
 
 
 def differentiable(scene: tr.Scene) -> dict[str, torch.Tensor]:
-    """Values of the parameters that have a derivative, by name."""
+    """Values of the parameters that have a derivative, by one of their names."""
     layout = scene.layout()
-    names = [n for n, i in layout.by_name.items() if not layout.slots[i].refusal]
+    first = {i: n for n, i in reversed(layout.by_name.items())}
+    names = [n for i, n in first.items() if not layout.slots[i].refusal]
     return {n: scene.get_parameter(n).detach().clone() for n in names}
 
 

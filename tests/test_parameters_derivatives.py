@@ -39,7 +39,7 @@ def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
 # What moves something has tests of its own, in test_motion_derivatives.py.
 MOVING = (
     ".to_world .heights .position .center .radius .vertex_positions .vertex_normals .vertex_texcoords .to_uv .eta "
-    ".x_fov .principal_point_offset_x .principal_point_offset_y .pixel_aspect"
+    ".x_fov .principal_point_offset_x .principal_point_offset_y .pixel_aspect .p0 .p1"
 ).split()
 CASES = [
     (name, parameter)

@@ -66,7 +66,7 @@ def assert_same(scene: tr.Scene, monkeypatch: pytest.MonkeyPatch, share: float =
 
 
 # Where a colour is black or nearly so its derivative follows paths that the image has given up. Those are traced.
-BLACK = ("area", "mesh", "rough_beckmann", "rough_ggx", "glossy", "principled")
+BLACK = ("area", "mesh", "rough_beckmann", "rough_ggx", "glossy", "principled", "cylinders")
 
 
 @pytest.mark.parametrize("name", sorted(reference_scenes.SCENES))

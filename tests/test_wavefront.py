@@ -8,7 +8,7 @@ import warnings
 import pytest
 import reference_scenes
 import torch
-from oracle.scenes import SCENES, SIZE
+from oracle.scenes import SCENES
 from small_scene import COLOUR, TEXELS, ball_and_wall
 from torch.autograd import forward_ad
 
@@ -28,7 +28,7 @@ def supported(name: str) -> bool:
     """Whether a scene's integrator and models are those of both renderers."""
     scene = scene_of(name, "rgb")
     packed = scene.layout().objects
-    known = {"bsdf": BSDFS, "emitter": EMITTERS}
+    known = {"bsdf": BSDFS, "emitter": EMITTERS, "texture": TEXTURES}
     return scene.integrator.config()["integrator"] == "path" and all(
         row[0] in table for category, table in known.items() for row in packed[category]
     )
@@ -54,7 +54,7 @@ def test_scenes_contain_every_model():
     here = {"bsdf": {*BSDFS} - {"torch"}, "emitter": {*EMITTERS}, "texture": {*TEXTURES}, "shape": {*LIGHT_SHAPES}}
     others = {("bsdf", "thindielectric"), ("bsdf", "roughconductor")}  # see test_native_bsdf
     assert {(c, k) for c, kinds in here.items() for k in kinds} - others <= used
-    assert {m for m in models() if m[0] == "texture"} == {("texture", k) for k in TEXTURES}
+    assert {m for m in models() if m[0] == "texture"} == {("texture", k) for k in (*TEXTURES, "volume")}
 
 
 def assert_equal(found: torch.Tensor, expected: torch.Tensor, what: str) -> None:
@@ -75,9 +75,10 @@ def test_image(name, variant):
 
 
 def differentiable(scene: tr.Scene) -> dict[str, torch.Tensor]:
-    """Values of the parameters that have a derivative, by name."""
+    """Values of the parameters that have a derivative, by one of their names."""
     layout = scene.layout()
-    names = [n for n, i in layout.by_name.items() if not layout.slots[i].refusal]
+    first = {i: n for n, i in reversed(layout.by_name.items())}
+    names = [n for i, n in first.items() if not layout.slots[i].refusal]
     return {n: scene.get_parameter(n).detach().clone() for n in names}
 
 
@@ -92,7 +93,7 @@ def test_gradients(name):
     """Reverse mode of every parameter that has a derivative, of samples of their own."""
     scene = scene_of(name, "rgb")
     values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
-    weight = torch.from_numpy(reference_scenes.weight(SIZE, SIZE, scene.channels))
+    weight = torch.from_numpy(reference_scenes.weight(*scene.sensors[0].film.window[2:], scene.channels))
     found, expected = (
         torch.autograd.grad((render(scene, values, integrator=i) * weight).mean(), list(values.values()))
         for i in (in_torch(scene), scene.integrator)

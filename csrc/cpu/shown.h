@@ -156,8 +156,10 @@ void sweep_shown(const SceneView<S> &scene, int output, const IntOf<F> &root, co
     Color<F, C> by_weight = g * (b - a);
     if (scalar)
         for (int c = 1; c < C; ++c) by_weight[c] = F(0);
-    if (values) sink.scalar_texture(scene, mixture.weight, at, by_weight, mixed);
-    if (motion) sweep_lookup<C>(scene, mixture.weight, at, luminance_adjoint(by_weight), mixed, to, sink);
+    auto free = unclamped_weight<C>(scene, mixture.weight, at, mixed);
+    if (!any(free)) return;
+    if (values) sink.scalar_texture(scene, mixture.weight, at, by_weight, free);
+    if (motion) sweep_lookup<C>(scene, mixture.weight, at, luminance_adjoint(by_weight), free, to, sink);
 }
 
 }  // namespace detail

@@ -319,14 +319,6 @@ private:
         for_nested(bsdf, [&](int nested, const std::string &) { check_turned(nested, at); });
     }
 
-    // A height field has no tangents.
-    void check_unoriented(int bsdf, const std::string &at) {
-        const std::string &type = list("bsdf")[size_t(bsdf)].type;
-        for (const Model *model : {&AnisotropicConductor::model, &AnisotropicDielectric::model})
-            if (type == model->type) fail(at, "a bsdf that is equally rough in all directions", "'" + type + "'");
-        for_nested(bsdf, [&](int nested, const std::string &) { check_unoriented(nested, at); });
-    }
-
     void connect_media() {
         const int grid = find_model("volume", GridVolume::model.type)->kind;
         const std::vector<Record> &volumes = out_.records["volume"];
@@ -428,7 +420,6 @@ private:
             info.interior = value("shape", i, interior);
             info.exterior = value("shape", i, interior + 1);
             if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
-            if (info.flags & IsHeightField) check_unoriented(info.bsdf, where("shape", i, "bsdf"));
             if (value("shape", i, flip)) info.flags |= FlipNormals;
             if (info.emitter >= 0 && !(info.flags & IsCurved)) {
                 info.cdf_offset = out_.n_cdf_faces;

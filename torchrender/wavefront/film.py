@@ -11,6 +11,14 @@ import torch
 from ..scene.film import Film
 
 
+def cubic(x: torch.Tensor, b: float, c: float) -> torch.Tensor:
+    """Mitchell and Netravali, "Reconstruction Filters in Computer Graphics", SIGGRAPH 1988, equation 8."""
+    x = x.abs()
+    inner = ((12 - 9 * b - 6 * c) * x + (-18 + 12 * b + 6 * c)) * x * x + (6 - 2 * b)
+    outer = (((-b - 6 * c) * x + (6 * b + 30 * c)) * x - (12 * b + 48 * c)) * x + (8 * b + 24 * c)
+    return torch.where(x < 1, inner, torch.where(x < 2, outer, 0.0)) / 6
+
+
 class Splats:
     """Samples of pixels, and the pixels that they contribute to.
 
@@ -23,8 +31,7 @@ class Splats:
 
     def __init__(self, film: Film, rendered: tuple[int, ...], sampled: tuple[int, ...], pixels: Any = None) -> None:
         self.kind, self.filter = film.filter.type, film.filter
-        radius = {"box": 0.5, "tent": self.filter.radius, "gaussian": 4 * self.filter.stddev}[self.kind]
-        self.reach = 0 if self.kind == "box" else max(1, math.ceil(radius - 0.5))
+        self.reach = max(0, math.ceil(film.filter.reach - 0.5))
         self.y0, self.x0, height, width = rendered
         whole = {"dtype": torch.int64, "device": "cpu"}
         wanted = torch.arange(height * width, **whole)
@@ -63,6 +70,13 @@ class Splats:
             return torch.ones_like(x)
         if self.kind == "tent":
             return (1 - x.abs() / self.filter.radius).clamp(min=0.0)
+        if self.kind == "mitchell":
+            return cubic(x, self.filter.B, self.filter.C)
+        if self.kind == "catmullrom":
+            return cubic(x, 0.0, 0.5)
+        if self.kind == "lanczos":
+            n = self.filter.lobes
+            return torch.where(x.abs() < n, torch.sinc(x) * torch.sinc(x / n), 0.0)
         scale, radius = 0.5 / self.filter.stddev**2, 4 * self.filter.stddev
         return torch.where(x.abs() < radius, torch.exp(-scale * x * x) - math.exp(-scale * radius * radius), 0.0)
 

@@ -72,7 +72,7 @@ class Triangles(LightShape):
 
 
 class Quadric(LightShape):
-    """Sphere and disk."""
+    """Sphere, disk and cylinder."""
 
     def __init__(self, world: World, index: int) -> None:
         self.matrix = world.surfaces.to_world[index].detach()
@@ -80,10 +80,13 @@ class Quadric(LightShape):
         self.flipped = bool(world.surfaces.flip[index])
         self.sign = -1.0 if self.flipped else 1.0
 
-    def at(self, local: torch.Tensor, sphere: bool) -> LightPoint:
+    def at(self, local: torch.Tensor, sphere: bool, cylinder: bool = False) -> LightPoint:
         axis = local if sphere else local.new_tensor([0.0, 0.0, 1.0]).expand_as(local)
+        if cylinder:
+            axis = local * local.new_tensor([1.0, 1.0, 0.0])
         normal = normalize(transform_normal(self.inverse, axis)) * self.sign
-        uv = curved_coordinates(local, torch.full((len(local),), sphere))
+        everywhere = torch.full((len(local),), True)
+        uv = curved_coordinates(local, everywhere & sphere, everywhere & cylinder)
         return LightPoint(transform_point(self.matrix, local), normal, torch.zeros(len(local)).long(), uv)
 
 
@@ -136,9 +139,21 @@ class Sphere(Quadric):
         return torch.where(outside, in_cone, super().pdf(p, n, d, distance))
 
 
+class Cylinder(Quadric):
+    def __init__(self, world: World, index: int) -> None:
+        super().__init__(world, index)
+        radius, length = (torch.linalg.vector_norm(self.matrix[:3, i]) for i in (0, 2))
+        self.area = 2 * math.pi * radius * length
+
+    def sample(self, p: torch.Tensor, u: torch.Tensor) -> LightPoint:
+        phi = 2 * math.pi * u[:, 1]
+        return self.at(torch.stack([torch.cos(phi), torch.sin(phi), u[:, 2]], 1), False, True)
+
+
 LIGHT_SHAPES: dict[str, type[LightShape]] = {
     "mesh": Triangles,
     "rectangle": Triangles,
     "disk": Disk,
     "sphere": Sphere,
+    "cylinder": Cylinder,
 }

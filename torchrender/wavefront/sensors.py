@@ -49,8 +49,9 @@ def distant(
     world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
 ) -> Rays:
     target = world.tensor("sensor", record, "target") if record.field["target"] >= 0 else None
-    bounds = world.scene.bounding_box().detach().float().to(world.dtype)  # as the ray queries know it
-    return camera_rays.distant_rays(world.tensor("sensor", record, "to_world"), target, bounds, on_lens)
+    to_world = world.tensor("sensor", record, "to_world")
+    bounds = world.scene.bounding_box().detach().float().to(to_world.dtype)  # as the ray queries know it
+    return camera_rays.distant_rays(to_world, target, bounds, on_lens)
 
 
 PLANES = "to_world near_clip far_clip"

@@ -84,7 +84,6 @@ TR_INLINE void sweep_weights(const SceneView<S> &scene, const VertexRecord<F, C>
                    [&](const IntOf<F> &texture, const MaskOf<F> &second, const F &weight, const MaskOf<F> &lanes) {
                        all.texture[all.n] = texture;
                        all.weight[all.n] = select(lanes, weight, F(1));
-                       // clamped weights have no derivative; weights of 0 and 1 have that of the inside
                        all.sign[all.n] = select(second, F(1), F(-1));
                        all.there[all.n++] = lanes;
                    });
@@ -93,9 +92,10 @@ TR_INLINE void sweep_weights(const SceneView<S> &scene, const VertexRecord<F, C>
         for (int j = 0; j < all.n; ++j)
             if (j != i) others = others * all.weight[j];
         Color<F, C> g_i = g * (others * all.sign[i]);
-        if (wanted.bsdf) sink.scalar_texture(scene, all.texture[i], v.at, g_i, all.there[i]);
-        if (wanted.geometry)
-            sweep_lookup<C>(scene, all.texture[i], v.at, luminance_adjoint(g_i), all.there[i], hit.at, sink);
+        auto there = unclamped_weight<C>(scene, all.texture[i], v.at, all.there[i]);
+        if (!any(there)) continue;
+        if (wanted.bsdf) sink.scalar_texture(scene, all.texture[i], v.at, g_i, there);
+        if (wanted.geometry) sweep_lookup<C>(scene, all.texture[i], v.at, luminance_adjoint(g_i), there, hit.at, sink);
     }
 }
 

@@ -64,6 +64,14 @@ TR_INLINE F branch_weight(const SceneView<S> &scene, const IntOf<F> &texture, co
     return max(F(0), min(w, F(1)));
 }
 
+// Where a weight is as it is looked up, and not clamped: what its derivative belongs to.
+template <int C, template <class> class Point, class F, class S>
+TR_INLINE MaskOf<F> unclamped_weight(const SceneView<S> &scene, const IntOf<F> &texture, const Point<F> &at,
+                                     const MaskOf<F> &active) {
+    F w = luminance(eval_texture<C>(scene, scene.values, texture, at, active));
+    return active && mask<F>(w >= F(0)) && mask<F>(w <= F(1));
+}
+
 // Walks down to the leaf. Calls visit(texture, second, weight of the branch, lanes) where branches are chosen.
 // `wanted`: by bsdf, whether a value of it is differentiated; null while rendering.
 template <int C, template <class> class Point, class F, class S, class Visit>

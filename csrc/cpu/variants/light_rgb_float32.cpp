@@ -2,6 +2,13 @@
 
 namespace tr {
 
+// in light_rgb_float32_single.cpp
+extern template RenderStats detail::splat_light<float, 3, false>(const RenderCall<float> &,
+                                                                 const DerivativeCall<float> *, float *);
+extern template RenderStats detail::splat_light<float, 3, true>(const RenderCall<float> &,
+                                                                const DerivativeCall<float> *, float *);
+extern template RenderStats detail::reverse_light<float, 3>(const RenderCall<float> &, DerivativeCall<float> &);
+
 template RenderStats trace_light<float, 3>(const RenderCall<float> &, bool, float *);
 template RenderStats trace_light_reverse<float, 3>(const RenderCall<float> &, bool, DerivativeCall<float> &);
 template RenderStats trace_light_forward<float, 3>(const RenderCall<float> &, bool, const DerivativeCall<float> &,
