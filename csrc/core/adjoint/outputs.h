@@ -66,8 +66,8 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
     Vec3<F> axis[3] = {widen<F>(camera.axis[0]), widen<F>(camera.axis[1]), widen<F>(camera.axis[2])};
     Vec3<F> from = si.p - center, axis_bar[3] = {zero, zero, zero};
     F t = norm(from);
-    Vec3<F> deeper = axis[2] * g.depth, along = from * ((g.distance + g.ray_length) / select(active, t, F(1)));
-    Vec3<F> apart = deeper + along;
+    F by_length = (g.distance + g.ray_length) / select(active, t, F(1));
+    Vec3<F> apart = axis[2] * g.depth + from * by_length;
     axis_bar[2] = (si.p - widen<F>(camera.origin)) * g.depth;
 
     HitAdjoint<F> hit;
@@ -97,9 +97,9 @@ TR_NOINLINE void sweep_outputs(const SceneView<S> &scene, const Record &record, 
         for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + k), rows[i], active);
     }
     if (!is_pinhole(record)) {  // depth is from the frame's origin, distances are from where the ray comes from
-        const F back[3] = {deeper.x, deeper.y, deeper.z};
-        for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + 3), -back[i], active);
-        ray.o = ray.o - along;
+        const F forward[3] = {axis[2].x, axis[2].y, axis[2].z};
+        for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + 3), -(forward[i] * g.depth), active);
+        ray.o = ray.o - from * by_length;
         return sweep_camera(scene, record, sample, width, height, ray, -g.ray_length, active, sink);
     }
     ray.o = ray.o - apart;
