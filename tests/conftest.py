@@ -11,7 +11,9 @@ PYTHON_ONLY = {
     "test_bench_parts",
     "test_bsdf_references",
     "test_cameras",
+    "test_bsdfs",  # one direction at a time, whatever the instruction set
     "test_caustics_mesh",
+    "test_colmap",
     "test_constraints",
     "test_docs",
     "test_endurance",  # takes long, and its subject is what is kept between calls
@@ -21,11 +23,13 @@ PYTHON_ONLY = {
     "test_geometry_files",
     "test_gltf",
     "test_heightfield_surface",
+    "test_instances",
     "test_io",
     "test_layer_autograd",
     "test_layer_display",
     "test_layer_module",
     "test_layer_processes",
+    "test_lens_rays",
     "test_make_caustics",
     "test_make_media",
     "test_media",  # takes long; images of media at every instruction set: test_media_invariants
