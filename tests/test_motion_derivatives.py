@@ -188,6 +188,7 @@ def test_every_declared_parameter_that_moves_something_is_tested():
                 ("texture", "volume", "volume"),
                 ("emitter", "envmap", "data"),
                 ("emitter", "envmap", "scale"),
+                ("emitter", "projector", "scale"),
                 ("attribute", "attribute", "data"),
             }
             assert looks or names & MOVING.get((category, kind), set()), f"{category} {kind}: {field.name}"

@@ -10,6 +10,7 @@ import torch
 
 from ..heightfield import evaluate
 from ..surface import (
+    CYLINDER,
     HEIGHT_FIELD,
     MESH,
     SPHERE,
@@ -147,9 +148,11 @@ def _on_quadrics(surfaces: Surfaces, shape: torch.Tensor, position: torch.Tensor
     matrix = surfaces.to_world[shape]
     inverse = inverse_linear(matrix)
     local = (inverse * (position - matrix[:, :3, 3])[:, None]).sum(2).detach()
-    sphere = (surfaces.kind[shape] == SPHERE)[:, None]
-    local = torch.where(sphere, normalize(local), local * local.new_tensor([1.0, 1.0, 0.0]))
-    up = transform_normal(inverse, torch.where(sphere, local, local.new_tensor([0.0, 0.0, 1.0])))
+    sphere, cylinder = ((surfaces.kind[shape] == kind)[:, None] for kind in (SPHERE, CYLINDER))
+    across = local * local.new_tensor([1.0, 1.0, 0.0])
+    up = torch.where(sphere, normalize(local), torch.where(cylinder, normalize(across), local.new_tensor([0.0, 0, 1])))
+    local = torch.where(sphere, up, torch.where(cylinder, up + (local - across), across))
+    up = transform_normal(inverse, up)
     sign = torch.where(surfaces.flip[shape], -1.0, 1.0).to(local)[:, None]
     normal = normalize(up) * sign
     area = up * torch.linalg.det(matrix[:, :3, :3])[:, None]
