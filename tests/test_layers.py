@@ -434,3 +434,22 @@ def test_texels_are_read_raw():
     texels = smooth_texture(4, 4).float()
     loaded = room({"type": "normalmap", "normalmap": {"type": "bitmap", "data": texels}, "bsdf": PAINT})
     assert torch.equal(loaded.get_parameter("ball.bsdf.normalmap.data"), texels)
+
+
+def test_saved_and_loaded_again(tmp_path):
+    both = {"type": "twosided", "bsdf": layer_scenes.blend(PAINT, layer_scenes.bump_map(BRUSHED, 0.1, scale=0.7))}
+    loaded = room(
+        layer_scenes.mask(both, 0.8),
+        lamp={
+            "type": "sphere",
+            "center": [0, 3, 0],
+            "radius": 0.2,
+            "bsdf": layer_scenes.normal_map(DARK, flip_invalid_normals=False),
+        },
+    )
+    loaded.save(tmp_path / "scene.xml")
+    again = tr.load_file(tmp_path / "scene.xml")
+    assert {n: tuple(p.shape) for n, p in again.named_parameters()} == {
+        n: tuple(p.shape) for n, p in loaded.named_parameters()
+    }
+    assert torch.equal(tr.render(again, spp=4, seed=1), tr.render(loaded, spp=4, seed=1))
