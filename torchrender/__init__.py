@@ -65,6 +65,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
+    from .features import render_features as render_features
     from .image import show as show
     from .image import tonemap as tonemap
     from .queries import ray_intersect as ray_intersect
@@ -152,7 +153,13 @@ __all__ = [
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
 _LAZY_MODULES = ("constraints", "heightfield", "io", "optim", "rotation", "testing", "typing")
-_LAZY_NAMES = {"tonemap": "image", "show": "image", "ray_intersect": "queries", "ray_occluded": "queries"}
+_LAZY_NAMES = {
+    "tonemap": "image",
+    "show": "image",
+    "ray_intersect": "queries",
+    "ray_occluded": "queries",
+    "render_features": "features",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,101 @@
+"""Pictures of many channels: against the native outputs of the same samples, and in their derivatives."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from motion_scenes import above, ball, bitmap, floor, lamp, mesh_ball, scene
+
+import torchrender as tr
+
+SOFT = {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": "gaussian"}}
+
+
+def view(**more) -> dict:
+    return {**above(), "fov": 40, "film": SOFT, **more}
+
+
+def made(camera: dict | None = None, **objects) -> tr.Scene:
+    described = scene(2, camera or view(), floor=floor(), lamp=lamp("rectangle"), **objects)
+    return tr.load_dict(described, dtype=torch.float64)
+
+
+@pytest.mark.parametrize("camera", ["pinhole", "thinlens"])
+@pytest.mark.parametrize("sampler", ["independent", "sobol"])
+def test_a_texture_of_colours_is_the_albedo(camera, sampler):
+    lens = {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.0} if camera == "thinlens" else {}
+    loaded = made(view(sampler={"type": sampler}, **lens))
+    texels = loaded.get_parameter("floor.bsdf.reflectance.data").detach()
+    expected = tr.render(loaded, spp=4, seed=3, outputs=("albedo", "alpha"))
+    seen = tr.render(loaded, spp=4, seed=3, outputs=("albedo",), params={"floor.bsdf.reflectance.data": texels * 0})
+    found = tr.render_features(loaded, {"floor": texels}, spp=4, seed=3)
+    torch.testing.assert_close(found, expected.albedo - seen.albedo, rtol=0, atol=1e-9)
+
+
+def test_rows_of_vertices_are_an_attribute():
+    colours = torch.rand(162, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    loaded = made(ball=mesh_ball({"type": "diffuse"}, {"vertex_mark": colours}))
+    expected = tr.render(loaded, spp=4, seed=1, outputs=("vertex_mark",)).vertex_mark
+    found = tr.render_features(loaded, {"ball": torch.cat([colours, colours], dim=1)}, spp=4, seed=1)
+    torch.testing.assert_close(found[..., :3], expected, rtol=0, atol=1e-9)
+    assert torch.equal(found[..., :3], found[..., 3:])
+
+
+def test_chunks_do_not_matter():
+    loaded = made()
+    texels = torch.rand(4, 5, 7, dtype=torch.float64, requires_grad=True)
+    whole = tr.render_features(loaded, {"floor": texels}, spp=3)
+    parts = tr.render_features(loaded, {"floor": texels}, spp=3, chunk=11)
+    torch.testing.assert_close(parts, whole, rtol=0, atol=1e-12)
+    weight = torch.rand_like(whole)
+    a, b = (torch.autograd.grad((image * weight).sum(), texels)[0] for image in (whole, parts))
+    torch.testing.assert_close(a, b, rtol=0, atol=1e-12)
+
+
+def test_derivatives():
+    """Linear in the features; by what moves, against finite differences of the same samples."""
+    loaded = made()
+    texels = bitmap(6, 6)["data"][..., :2]
+    image = tr.render_features(loaded, {"floor": texels}, spp=4)
+    change = torch.rand(texels.shape, generator=torch.Generator().manual_seed(1), dtype=texels.dtype)
+    _, tangent = torch.func.jvp(lambda x: tr.render_features(loaded, {"floor": x}, spp=4), (texels,), (change,))
+    torch.testing.assert_close(tr.render_features(loaded, {"floor": texels + change}, spp=4) - image, tangent)
+
+    name = "floor.to_world"
+    matrix = loaded.get_parameter(name).detach()
+    shift = torch.zeros(4, 4, dtype=torch.float64)
+    shift[:3, 3] = torch.tensor([0.3, 0.2, 0.1])
+    weight = torch.rand(image.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+
+    def f(m: torch.Tensor) -> torch.Tensor:
+        return (tr.render_features(loaded, {"floor": texels}, spp=64, params={name: m}) * weight).mean()
+
+    moved = matrix.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(f(moved), moved)
+    step = 1e-4
+    difference = float(f(matrix + step * shift) - f(matrix - step * shift)) / (2 * step)
+    assert float((gradient * shift).sum()) == pytest.approx(difference, rel=2e-2)
+
+
+def test_misses_are_zero():
+    loaded = tr.load_dict(scene(2, view(fov=80), ball=ball({"type": "diffuse"})))
+    found = tr.render_features(loaded, {"ball": torch.ones(2, 2, 5)}, spp=2, seed=4)
+    hit = tr.render(loaded, spp=2, seed=4, outputs=("alpha",)).alpha > 0
+    assert found.shape == (10, 12, 5) and bool(hit.any()) and not bool(hit.all())
+    torch.testing.assert_close(found, hit[..., None].float().expand_as(found))
+
+
+def test_errors_name_the_shape():
+    loaded = made(ball=mesh_ball({"type": "diffuse"}))
+    for features, message in [
+        ({}, "expected tensors by the names"),
+        ({"flor": torch.ones(2, 2, 3)}, "no shape 'flor'; did you mean 'floor'"),
+        ({"floor": torch.ones(4, 3)}, r"floor: expected a texture \(H, W, N\)"),
+        ({"ball": torch.ones(5, 3)}, "ball: expected 162 rows"),
+        ({"floor": torch.ones(3)}, "floor: expected a texture"),
+        ({"floor": torch.ones(2, 2, 3), "lamp": torch.ones(2, 2, 4)}, "lamp: expected 3 channels"),
+    ]:
+        with pytest.raises((TypeError, ValueError), match=message):
+            tr.render_features(loaded, features)
+    with pytest.raises(ValueError, match="sensor: expected a number below 1"):
+        tr.render_features(loaded, {"floor": torch.ones(2, 2, 3)}, sensor=1)
