@@ -95,6 +95,9 @@ ANISOTROPIC = {
         "specular_transmittance": rgb(0.7, 0.8, 0.9),
     },
     "roughdielectric_brushed_beckmann": {**_GLASS, "distribution": "beckmann", "alpha_u": 0.4, "alpha_v": 0.2},
+    "principled_brushed": _principled(anisotropic=0.8, metallic=0.7, roughness=0.4),
+    "principled_brushed_everything": _principled(anisotropic=1.0, **_EVERYTHING),
+    "principledthin_brushed": _thin(anisotropic=0.9, **_SHEET),
 }
 DELTA = {
     "conductor": {"type": "conductor", "material": "Cu"},

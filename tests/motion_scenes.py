@@ -178,6 +178,7 @@ LACQUER = {
     "spec_tint": 0.4,
     "clearcoat": 0.5,
 }
+LACQUER_ALONG = {**LACQUER, "base_color": 0.6, "metallic": 0.7, "roughness": 0.7, "anisotropic": bitmap(4, 4, 0.6)}
 HAZE = {"type": "principled", "base_color": 0.8, "roughness": 0.6, "spec_trans": 0.8, "eta": 1.3}
 
 
@@ -349,6 +350,7 @@ SCENES = {
         room=black_room(),
     ),
     "frosted_along": lambda: scene(3, above(), plane=shaded_plane(FROSTED_ALONG), room=black_room(20.0)),
+    "lacquer_along": lambda: scene(2, above(), plane=shaded_plane(LACQUER_ALONG), lamp=lamp("rectangle")),
     "along_dents": lambda: scene(2, above(), floor=floor(normal_map(ALONG)), lamp=lamp("rectangle")),
     "sky": lambda: scene(2, camera([0.3, 0.5, 4], [0.1, 0.1, 0], 50), sky=environment()),
     "floor_under_sky": lambda: scene(2, above(), floor=floor(), sky=environment()),

@@ -112,7 +112,7 @@ CASES = [
     (scene(a={"type": "plastic", "int_ior": "glas"}), "a.int_ior: unknown material 'glas'"),
     (scene(a={"type": "roughplastic", "alpha": {"type": "checkerboard"}}), "a.alpha: .*be a texture"),
     (scene(a={"type": "roughplastic", "sample_visible": False}), "a: sample_visible=False is not supported"),
-    (scene(a={"type": "principled", "anisotropic": 0.5}), "a: anisotropic=0.5 is not supported"),
+    (scene(a={"type": "principled", "anisotropic": 1.5}), r"a.anisotropic.value: 1.5 is outside the range \[0, 1\]"),
     (scene(a={"type": "principled", "eta": 1.5, "specular": 0.5}), "a: .*give eta or specular"),
     (scene(a={"type": "principled", "metallic": 2.0}), r"a.metallic.value: 2 is outside the range \[0, 1\]"),
     (

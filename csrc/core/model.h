@@ -48,11 +48,11 @@ struct Model {
 // A model in a scene: its index in the registry's list and one number a field (an index, an offset into the block of
 // small parameters, or the number itself). What the host adds to a model of few fields begins at `Extra`.
 struct Record {
-    static constexpr int Fields = 15, Extra = 12;
+    static constexpr int Fields = 31, Extra = 12, Stride = Fields + 1;
     int32_t kind;
-    int32_t field[15];
+    int32_t field[Fields];
 };
 constexpr int MaxLayers = 8;  // BSDFs around a BSDF
-static_assert(sizeof(Record) == 64, "records are gathered with a stride of 16 integers");
+static_assert(sizeof(Record) == Record::Stride * sizeof(int32_t), "records are gathered with this stride");
 
 }  // namespace tr

@@ -108,7 +108,7 @@ struct SceneView {
 template <class F>
 TR_INLINE IntOf<F> record_field(const Record *table, int field, const IntOf<F> &index, const MaskOf<F> &active) {
     IntOf<F> r[1];
-    gather_few_rows<F>(&table->kind + 1 + field, UIntOf<F>(index * 16), active, r);
+    gather_few_rows<F>(&table->kind + 1 + field, UIntOf<F>(index * Record::Stride), active, r);
     return r[0];
 }
 template <class F>
@@ -121,7 +121,7 @@ template <class F>
 struct RecordLanes {
     IntOf<F> number[4];
     TR_INLINE RecordLanes(const Record *table, const IntOf<F> &index, const MaskOf<F> &active) {
-        gather_few_rows<F>(&table->kind, UIntOf<F>(index * 16), active, number);
+        gather_few_rows<F>(&table->kind, UIntOf<F>(index * Record::Stride), active, number);
     }
     TR_INLINE const IntOf<F> &kind() const { return number[0]; }
     TR_INLINE const IntOf<F> &field(int i) const { return number[1 + i]; }

@@ -64,6 +64,7 @@ private:
     const std::vector<std::vector<int64_t>> &shapes_;
     const std::vector<IndexArray> &arrays_;
     SceneLayout out_;
+    std::set<int64_t> normals_, colours_;  // textures that are looked up as vectors, and those that are as colours
 
     const std::vector<SceneObject> &list(const std::string &category) const {
         static const std::vector<SceneObject> none;
@@ -131,6 +132,7 @@ private:
         switch (f.kind) {
             case Kind::Texture:
             case Kind::Scalar:
+                (&f == &NormalMap::fields[NormalMap::Map] ? normals_ : colours_).insert(given);
                 return given == -1 && !std::isnan(f.fallback) ? default_texture(f)
                                                               : reference("texture", given, false, at);
             case Kind::Bsdf:
@@ -185,6 +187,7 @@ private:
         Record record{};
         record.kind = find_model("texture", "constant")->kind;
         record.field[ConstantTexture::Value] = int32_t(out_.constants.size());
+        record.field[Record::Extra] = 1;
         out_.constants.insert(out_.constants.end(), size_t(out_.channels), f.fallback);
         out_.records["texture"].push_back(record);
         return int32_t(out_.records["texture"].size()) - 1;
@@ -262,11 +265,24 @@ private:
 
     void check_image(const std::string &category, int index, int f) {
         const auto &s = shapes_[size_t(value(category, index, f))];
-        if (s.size() != 3 || (s[2] != 1 && s[2] != out_.channels))
+        bool normals = category == "texture" && normals_.count(index) > 0;
+        if (s.size() != 3 || (s[2] != 1 && s[2] != out_.channels && !(s[2] == 3 && normals)))
             fail(where(category, index, field(category, index, f).name),
                  out_.channels == 1 ? "a tensor of shape (rows, columns, 1)"
                                     : "a tensor of shape (rows, columns, 1 or 3)",
                  text(s));
+    }
+
+    // Without colours a normal map alone has three channels.
+    void check_normals(int bsdf) {
+        if (out_.channels == 3) return;
+        int32_t image = value("bsdf", bsdf, NormalMap::Map);
+        const std::string at = where("bsdf", bsdf, "normalmap");
+        const std::string &type = list("texture")[size_t(image)].type;
+        if (type != Bitmap::model.type) fail(at, "a bitmap, in a scene without colours", "a " + type);
+        const auto &s = shapes_[size_t(value("texture", image, Bitmap::Data))];
+        if (colours_.count(image)) fail(at, "an image of its own, in a scene without colours", "one that others show");
+        if (s[2] != 3) fail(at, "a bitmap of shape (rows, columns, 3)", text(s));
     }
 
     // Also finds BSDFs that contain themselves.
@@ -277,8 +293,7 @@ private:
             if (type == TwoSided::model.type) {
                 for_nested(int(i), [&](int nested, const std::string &at) { check_reflects(nested, at); });
             } else if (type == NormalMap::model.type || type == BumpMap::model.type) {
-                if (out_.channels != 3)
-                    fail(path("bsdf", int(i)), "a scene in colours, which a " + type + " needs", "one in grey");
+                if (type == NormalMap::model.type) check_normals(int(i));
                 for_nested(int(i), [&](int nested, const std::string &at) { check_turned(nested, at); });
             }
         }

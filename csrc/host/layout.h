@@ -36,6 +36,9 @@ struct ParameterUse {
     std::string where;
 };
 
+// A texture that stands in where none was given.
+inline bool is_default(const Record &texture) { return texture.field[Record::Extra] == 1; }
+
 struct MeshSource {
     int shape, vertices, normals, texcoords;  // slots or -1; a rectangle has none
     int first_vertex, n_vertices;

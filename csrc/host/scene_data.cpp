@@ -261,9 +261,13 @@ void SceneData<S>::refresh_view() {
                                  [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
     const auto &bsdfs = layout_.records.at("bsdf");
     view_.layered = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
-    view_.oriented = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) {
+    view_.oriented = std::any_of(bsdfs.begin(), bsdfs.end(), [&](const Record &r) {
         bool oriented = false;
-        dispatch(Bsdfs{}, r.kind, [&](auto model) { oriented = IsOriented<decltype(model)>::value; });
+        dispatch(Bsdfs{}, r.kind, [&](auto model) {
+            using Bsdf = decltype(model);
+            constexpr int by = OrientingField<Bsdf>::value;
+            oriented = IsOriented<Bsdf>::value && (by < 0 || !is_default(textures[size_t(r.field[std::max(by, 0)])]));
+        });
         return oriented;
     });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;

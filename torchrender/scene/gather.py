@@ -44,7 +44,7 @@ def gather(
                 raise TypeError(f"{function}: params: {name}: expected a dense tensor, got layout {tensor.layout}")
             if not tensor.is_floating_point():
                 raise TypeError(f"{function}: params: {name}: expected floating-point numbers, got {describe(tensor)}")
-            layout.slots[index].check_shape(tensor, scene.channels, f"{function}: params: {name}")
+            layout.slots[index].check_shape(tensor, f"{function}: params: {name}")
             if index in replaced:
                 raise ValueError(f"{function}: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
             replaced[index] = tensor

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from . import values
@@ -138,6 +139,10 @@ class NormalMap(_Turning):
         if "normalmap" not in properties:
             ctx.error("normalmap: 'normalmap' is missing, the texture that holds the normals")
         return super().prepare(properties, ctx)
+
+    def context_of(self, name: str, ctx: Context) -> Context:
+        """Components of normals are no colour: without colours, too, there are three."""
+        return replace(ctx, color="rgb") if name == "normalmap" and ctx.color == "mono" else ctx
 
 
 @register

@@ -357,13 +357,14 @@ class Principled(Plugin):
         clearcoat, clearcoat_gloss: a second reflection, of index 1.5, and its gloss, 0 being satin (texture).
         diffuse_reflectance_sampling_rate, main_specular_sampling_rate, clearcoat_sampling_rate: how often each part is
             sampled, relative to the others (numbers), default 1.
-        anisotropic: must be 0: facets are the same in all directions.
+        anisotropic: 0, facets as rough along the direction in which u grows as across it, to 1, ten times as rough
+            along it (texture), default 0.
     """
 
     category, type = "bsdf", "principled"
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"anisotropic": (0.0,)}
     optional = frozenset(
-        "metallic spec_trans eta specular spec_tint sheen sheen_tint flatness clearcoat clearcoat_gloss".split()
+        "metallic anisotropic spec_trans eta specular spec_tint sheen sheen_tint flatness clearcoat "
+        "clearcoat_gloss".split()
     )
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
@@ -390,12 +391,12 @@ class PrincipledThin(Plugin):
         flatness: 0, diffuse, to 1, the flatter look of light from below the surface (texture).
         specular_reflectance_sampling_rate, diffuse_reflectance_sampling_rate, specular_transmittance_sampling_rate,
             diffuse_transmittance_sampling_rate: how often each part is sampled, relative to the others (numbers).
-        anisotropic: must be 0: facets are the same in all directions.
+        anisotropic: 0, facets as rough along the direction in which u grows as across it, to 1, ten times as rough
+            along it (texture), default 0.
     """
 
     category, type = "bsdf", "principledthin"
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"anisotropic": (0.0,)}
-    optional = frozenset("spec_trans spec_tint sheen sheen_tint flatness diff_trans".split())
+    optional = frozenset("spec_trans spec_tint sheen sheen_tint flatness diff_trans anisotropic".split())
 
 
 @register

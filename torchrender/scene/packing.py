@@ -47,9 +47,10 @@ class Slot:
         found = self.module._parameters.get(self.attribute)
         return found if found is not None else getattr(self.module, self.attribute)
 
-    def check_shape(self, tensor: torch.Tensor, channels: int, what: str) -> None:
+    def check_shape(self, tensor: torch.Tensor, what: str) -> None:
         """ValueError unless `tensor` can take this parameter's place."""
         shape = tuple(tensor.shape)
+        channels = 1 if self.module._color == "mono" else 3  # a map of normals has three in any scene
         fixed = {"float": [()], "point": [(3,)], "vector": [(3,)], "transform": [(4, 4)], "transform2": [(3, 3)]}
         if self.kind == "spectrum":
             fixed["spectrum"] = [(), (channels,)]

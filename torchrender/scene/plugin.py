@@ -91,6 +91,10 @@ class Plugin(nn.Module):
         """Turn what a scene dict says into values of declared fields. Subclasses override this."""
         return properties
 
+    def context_of(self, name: str, ctx: Context) -> Context:
+        """What the value of this name is built with."""
+        return ctx
+
     def _setup(self, properties: dict[str, Any], ctx: Context) -> None:
         for name, accepted in self.inert.items():
             if name in properties:
@@ -105,7 +109,7 @@ class Plugin(nn.Module):
         self._check_names(properties, ctx)
         for name, field in fields.items():
             if name in properties and properties[name] is not None:
-                self._install(name, field, properties[name], ctx.at(name))
+                self._install(name, field, properties[name], self.context_of(name, ctx.at(name)))
             else:
                 self._install_default(name, field, ctx.at(name))
         for name in [n for n in properties if n not in fields]:
@@ -332,7 +336,7 @@ class Plugin(nn.Module):
             asks = isinstance(value, torch.Tensor) and value.requires_grad and not self._same(field, value, ctx)
             try:
                 with ctx.device:
-                    self._install(name, field, value.detach() if asks else value, ctx)
+                    self._install(name, field, value.detach() if asks else value, self.context_of(name, ctx))
                 self._settle(name, ctx)
                 self.check(Context(path=(type(self).__name__,)))
             except Exception:
@@ -407,9 +411,9 @@ class Plugin(nn.Module):
                     tensor = values.luminance(tensor)
                 self.__dict__[name] = tensor.to(dtype=ctx.dtype, device=ctx.device)
         self.__dict__["_color"] = ctx.color
-        for child in self._modules.values():
+        for name, child in self._modules.items():
             if child is not None:
-                child.adapt(ctx)
+                child.adapt(self.context_of(name, ctx))
 
     def __getattr__(self, name: str) -> Any:
         try:

@@ -100,8 +100,8 @@ TR_INLINE void sweep_weights(const SceneView<S> &scene, const VertexRecord<F, C>
 }
 
 // The normal of `hit`, so far the turned one, handed on to the texture, to the shading normal and to the tangents.
-template <class F, class S, class Sink>
-TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord<F, 3> &v, const LayerSweep<F> &layers,
+template <int C, class F, class S, class Sink>
+TR_INLINE void sweep_turned_normal(const SceneView<S> &scene, const VertexRecord<F, C> &v, const LayerSweep<F> &layers,
                                    const Wanted &wanted, HitAdjoint<F> &hit, Sink &sink) {
     const IntOf<F> &record = layers.leaf.layers.turned;
     NormalTurn<F> turn(scene, v.at, record, layers.factor.turned);
@@ -143,13 +143,11 @@ TR_NOINLINE void finish_layers(const SceneView<S> &scene, const VertexRecord<F, 
                                const Color<F, C> &whole, const Wanted &wanted, const MaskOf<F> &active,
                                HitAdjoint<F> &hit, Sink &sink) {
     if (wanted.bsdf || wanted.geometry) sweep_weights(scene, v, layers, whole, wanted, active, hit, sink);
-    if constexpr (C == 3) {
-        if (wanted.geometry && any(layers.factor.turned)) {
-            F side = select(layers.leaf.layers.mirrored, F(-1), F(1));
-            hit.n = hit.n + layers.n_bar;
-            sweep_turned_normal(scene, v, layers, wanted, hit, sink);
-            hit.n = hit.n + layers.base_bar * side;
-        }
+    if (wanted.geometry && any(layers.factor.turned)) {
+        F side = select(layers.leaf.layers.mirrored, F(-1), F(1));
+        hit.n = hit.n + layers.n_bar;
+        sweep_turned_normal(scene, v, layers, wanted, hit, sink);
+        hit.n = hit.n + layers.base_bar * side;
     }
 }
 

@@ -74,11 +74,16 @@ public:
                                   const MaskOf<F> &active) {
         texture(scene, id, at, luminance_adjoint(g), active);
     }
-    // of a texture whose channels are the components of a vector, by component
+    // of a texture whose channels are the components of a vector, in scenes without colours too: by component
     template <class Point>
-    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, 3> &g,
                                   const MaskOf<F> &active) {
-        texture(scene, id, at, g, active);
+        if constexpr (C == 3) {
+            texture(scene, id, at, g, active);
+        } else {
+            VectorScatter scatter{*this, scene, g};
+            visit_texture<F>(scene, id, at, active, scatter);
+        }
     }
     // a parameter that is one number for all channels
     TR_INLINE void number(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
@@ -86,8 +91,8 @@ public:
         for (int c = 1; c < C; ++c) sum = sum + g[c];
         scalar(offset, sum, active);
     }
-    template <int N>
-    TR_INLINE void footprint(const SceneView<S> &scene, int32_t slot, const Footprint<F, N> &at, const Color<F, C> &g,
+    template <int N, int D>
+    TR_INLINE void footprint(const SceneView<S> &scene, int32_t slot, const Footprint<F, N> &at, const Color<F, D> &g,
                              const MaskOf<F> &active) {
         S *gradient = tensors[slot];
         if (!gradient) return;
@@ -98,7 +103,7 @@ public:
             for (int k = 0; k < N; ++k) {
                 S w = lane(at.weight[k], i);
                 S *texel = gradient + size_t(lane(at.texel[k], i)) * size_t(channels);
-                for (int c = 0; c < C; ++c) texel[channels == 1 ? 0 : c] += w * lane(g[c], i);
+                for (int c = 0; c < D; ++c) texel[channels == 1 ? 0 : c] += w * lane(g[c], i);
             }
         }
     }
@@ -168,7 +173,8 @@ private:
         for (int i = 0; i < Lanes<F>::Width; ++i)
             if (lane_is_set(usable, i)) to[lane(index, i)] += double(lane(g, i));
     }
-    TR_INLINE MaskOf<F> finite(const Color<F, C> &g, const MaskOf<F> &active) {
+    template <int D>
+    TR_INLINE MaskOf<F> finite(const Color<F, D> &g, const MaskOf<F> &active) {
         auto usable = active && is_finite(g);
         non_finite += uint32_t(count(active) - count(usable));
         return usable;
@@ -190,6 +196,18 @@ private:
         }
         TR_NOINLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
             sweep_volume(scene, index, p, g, lanes, sink);
+        }
+    };
+    struct VectorScatter {  // bitmaps alone have three channels in a scene without colours
+        ReverseSink &sink;
+        const SceneView<S> &scene;
+        const Color<F, 3> &g;
+        TR_INLINE void constant(const IntOf<F> &, const MaskOf<F> &) {}
+        TR_INLINE void attribute(const Record &, const AttributeInfo &, const Footprint<F, 3> &, const MaskOf<F> &) {}
+        TR_INLINE void volume(int32_t, const Vec3<F> &, const MaskOf<F> &) {}
+        TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &,
+                              const MaskOf<F> &lanes) {
+            sink.footprint(scene, record.field[Bitmap::Data], at, g, lanes);
         }
     };
 };
@@ -218,12 +236,10 @@ public:
         add(g * luminance(eval_texture<C>(scene, tangent, id, at, active)), active);
     }
     template <class Point>
-    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, C> &g,
+    TR_INLINE void vector_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const Color<F, 3> &g,
                                   const MaskOf<F> &active) {
-        Color<F, C> product = g * eval_texture<C>(scene, tangent, id, at, active);
-        F sum = product[0];
-        for (int c = 1; c < C; ++c) sum = sum + product[c];
-        add(sum, active);
+        Color<F, 3> product = g * eval_texture<3>(scene, tangent, id, at, active);
+        add(product[0] + product[1] + product[2], active);
     }
     TR_INLINE void color(const SceneView<S> &, const IntOf<F> &offset, const Color<F, C> &g, const MaskOf<F> &active) {
         add(g * constant_color<C, F>(tangent, offset, active), active);

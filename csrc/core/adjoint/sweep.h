@@ -108,6 +108,7 @@ struct VertexFrame {
                            const MaskOf<F> &active) const {
         hit.n = hit.n + n_bar * v.mirror;
         if constexpr (Oriented) {
+            if (!scene.oriented) return;
             TangentPart<F> part(v.normal, surface_tangent(scene, v.at, active));
             Vec3<F> u_bar = frame.t * (phi_bar * part.inverse);
             hit.tangent = hit.tangent + u_bar;

@@ -3,6 +3,7 @@
 //   static constexpr Field fields[];  static constexpr Model model;
 //   static constexpr bool Smooth, Delta;      has a part with a density / has delta lobes
 //   static constexpr bool Oriented = true;    x and y count: they are along dp/du and across it
+//   static constexpr int OrientedBy;          the field, a texture, without which they do not after all
 //   static constexpr int Albedo;              the field, a texture, that is the output `albedo`; -1: white
 //   template <class T, int C> struct Params;  the parameters at a point, for a scalar type T (a Float or a dual number)
 //   Params<T, C> params(const T *numbers)     (see ParamList)
@@ -131,6 +132,15 @@ template <class Model, class = void>
 struct IsOriented : std::false_type {};
 template <class Model>
 struct IsOriented<Model, std::enable_if_t<Model::Oriented>> : std::true_type {};
+
+template <class Model, class = void>
+struct OrientingField {
+    static constexpr int value = -1;
+};
+template <class Model>
+struct OrientingField<Model, std::enable_if_t<(Model::OrientedBy >= 0)>> {
+    static constexpr int value = Model::OrientedBy;
+};
 
 template <class Model>
 struct ParamCount {

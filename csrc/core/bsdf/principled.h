@@ -48,6 +48,14 @@ TR_INLINE T principled_diffuse(const T &ni, const T &no, const T &fi, const T &f
     return mix(diffuse, T(1.25) * (flat * (T(1) / sum - T(0.5)) + T(0.5)), flatness);
 }
 
+// Roughness along the tangent and across it (Burley 2012, section 5.4).
+template <class T>
+TR_INLINE Vec2<T> principled_alpha(const T &roughness, const T &anisotropic) {
+    using F = std::decay_t<decltype(value_of(roughness))>;
+    T alpha = roughness * roughness, aspect = sqrt(at_least(T(1) - T(0.9) * anisotropic, F(0.1)));
+    return rendered_alpha(Vec2<T>{alpha / aspect, alpha * aspect});
+}
+
 // The tail of the clear coat, "generalized Trowbridge-Reitz" with exponent 1: Burley 2012, appendix B.2.
 struct CoatFacets {
     static constexpr double MaskingAlpha = 0.25;  // Burley's choice, whatever the gloss
@@ -86,6 +94,7 @@ struct Principled {
         Flatness,
         Coat,
         CoatGloss,
+        Anisotropic,
         DiffuseRate,
         SpecularRate,
         CoatRate,
@@ -107,6 +116,8 @@ struct Principled {
         {"flatness", Kind::Scalar, 0, 0, 1, "interior", "0: diffuse, 1: the flatter look of light from below"},
         {"clearcoat", Kind::Scalar, 0, 0, 1, "interior", "a second reflection, of index 1.5"},
         {"clearcoat_gloss", Kind::Scalar, 0, 0, 1, "interior", "0: satin, 1: gloss"},
+        {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
+         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it"},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often the base is sampled, relative to the other two"},
         {"main_specular_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
@@ -114,15 +125,16 @@ struct Principled {
         {"clearcoat_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often the clear coat is sampled"},
     };
-    static constexpr Model model = {"bsdf", "principled", "Principled BSDF of Burley.", fields, 15};
-    static constexpr bool Smooth = true, Delta = false;
+    static constexpr Model model = {"bsdf", "principled", "Principled BSDF of Burley.", fields, 16};
+    static constexpr bool Smooth = true, Delta = false, Oriented = true;
+    static constexpr int OrientedBy = 12;  // anisotropic
     static constexpr int Albedo = 0;
     static constexpr int LuminanceOf = 0;  // the base colour
     static constexpr bool Asymmetric = true;
 
-    template <class T>
-    TR_INLINE static T alpha(const T &roughness) {
-        return rendered_alpha(roughness * roughness);
+    template <class T, class P>
+    TR_INLINE static Vec2<T> alpha(const P &params) {
+        return principled_alpha(T(params.number[Roughness]), T(params.number[Anisotropic]));
     }
     // Schlick's R0 = ((eta - 1) / (eta + 1))^2 = 0.08 specular (Burley 2012, section 5.5), solved for eta.
     template <class T, class P>
@@ -144,9 +156,10 @@ struct Principled {
         auto front = facet.outside && facet.reflects;
 
         // the interface
-        T facets_alpha = alpha(number(Roughness)), fresnel = facet.fresnel();
-        T facets = ggx_density(facets_alpha, facet.cos2, facet.sin2) * ggx_masking_over_cosine(facets_alpha, wi) *
-                   ggx_masking_over_cosine(facets_alpha, wo) * no;
+        Vec2<T> facets_alpha = alpha<T>(params);
+        T fresnel = facet.fresnel();
+        T facets = ggx_density_along(facets_alpha, facet.h, facet.inverse2) *
+                   ggx_masking_over_cosine(facets_alpha, wi) * ggx_masking_over_cosine(facets_alpha, wo) * no;
         facets = select(facet.possible, facets, T(0));
         T mirrored = facets * T(0.25);
         T transmitted = transparent * (T(1) - fresnel) * facets * facet.stretch;
@@ -215,8 +228,9 @@ struct Principled {
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
         Chances<F> chance(params, wi);
         FacetInterface<F> facet(index<F>(params), wi, wo);
-        F a = alpha(params.number[Roughness]), reflected = chance.reflected(facet.fresnel());
-        F facets = ggx_density(a, facet.cos2, facet.sin2) * ggx_masking_over_cosine(a, wi) * chance.interface;
+        Vec2<F> a = alpha<F>(params);
+        F reflected = chance.reflected(facet.fresnel());
+        F facets = ggx_density_along(a, facet.h, facet.inverse2) * ggx_masking_over_cosine(a, wi) * chance.interface;
         F mirrored = facets * reflected * F(0.25);
         F refracted = facets * (F(1) - reflected) * facet.stretch * facet.eta * facet.eta;
         F coat = CoatFacets::density(params.number[CoatGloss], facet.cos2, facet.sin2) * sqrt(facet.cos2) /
@@ -230,7 +244,7 @@ struct Principled {
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
         Chances<F> chance(params, wi);
         Vec3<F> seen = select(chance.outside, wi, -wi);
-        Vec3<F> m = sample_visible_ggx_normal(alpha(params.number[Roughness]), seen, u1, u2);
+        Vec3<F> m = sample_visible_ggx_normal(alpha<F>(params), seen, u1, u2);
         auto diffuse = mask<F>(!(u0 < chance.interface)) && mask<F>(u0 < chance.interface + chance.base);
         auto coat = mask<F>(!(u0 < chance.interface + chance.base));
         m = select(coat, CoatFacets::sample(params.number[CoatGloss], u1, u2), m);

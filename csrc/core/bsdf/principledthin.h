@@ -18,6 +18,7 @@ struct PrincipledThin {
         SheenTint,
         Flatness,
         DiffTrans,
+        Anisotropic,
         SpecularReflected,  // rates of sampling
         DiffuseReflected,
         SpecularTransmitted,
@@ -38,6 +39,8 @@ struct PrincipledThin {
         {"diff_trans", Kind::Scalar, 0, 0, 2,
          "interior, without the light that would come through where it is 0; zero where it is larger",
          "twice the part of diffuse light that goes through"},
+        {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
+         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it"},
         {"specular_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often reflection off facets is sampled, relative to the others"},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
@@ -47,16 +50,18 @@ struct PrincipledThin {
         {"diffuse_transmittance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often diffuse transmission is sampled"},
     };
-    static constexpr Model model = {"bsdf", "principledthin", "Principled BSDF of a thin sheet.", fields, 13};
-    static constexpr bool Smooth = true, Delta = false;
+    static constexpr Model model = {"bsdf", "principledthin", "Principled BSDF of a thin sheet.", fields, 14};
+    static constexpr bool Smooth = true, Delta = false, Oriented = true;
+    static constexpr int OrientedBy = 9;  // anisotropic
     static constexpr int Albedo = 0;
     static constexpr int LuminanceOf = 0;  // the base colour
 
     // What is seen through facets looks as rough as if they refracted it (2015, section 5.3).
-    template <class T>
-    TR_INLINE static T alpha(const T &roughness, const T &eta, const MaskOf<T> &through) {
+    template <class T, class P>
+    TR_INLINE static Vec2<T> alpha(const P &params, const T &eta, const MaskOf<T> &through) {
+        T roughness(params.number[Roughness]);
         T r = select(through, roughness * (T(0.65) * eta - T(0.35)), roughness);
-        return rendered_alpha(r * r);
+        return principled_alpha(r, T(params.number[Anisotropic]));
     }
     // Both directions above the sheet.
     template <class T>
@@ -78,7 +83,7 @@ struct PrincipledThin {
         auto through = goes_through(wi_, wo_);
         MaskOf<V> all(true);
         T eta = max(number(Eta), T(1e-3));
-        T a = alpha(number(Roughness), eta, through);
+        Vec2<T> a = alpha(params, eta, through);
         FacetReflection<T> facet(all, a, wi, wo);
         T facets = number(SpecTrans) * facet.density * (facet.shadowing(all, a, wo) * T(0.25));
         facets = select(facet.possible, facets, T(0));
@@ -136,8 +141,7 @@ struct PrincipledThin {
         Chances<F> chance(params, wi);
         auto through = goes_through(wi, wo);
         MaskOf<F> all(true);
-        FacetReflection<F> facet(all, alpha(params.number[Roughness], params.number[Eta], through), upper(wi),
-                                 upper(wo));
+        FacetReflection<F> facet(all, alpha(params, params.number[Eta], through), upper(wi), upper(wo));
         F facets = select(through, chance.transmitted, chance.mirrored) * facet.density * F(0.25);
         F diffuse = select(through, chance.through, chance.diffuse) * abs(wo.z) * F(1 / Pi);
         return select(facet.possible, facets + diffuse, F(0));
@@ -150,7 +154,7 @@ struct PrincipledThin {
         auto facets = mask<F>(u0 < before);
         auto through = (facets && mask<F>(!(u0 < chance.mirrored))) || mask<F>(!(u0 < before + chance.diffuse));
         MaskOf<F> all(true);
-        F a = alpha(params.number[Roughness], params.number[Eta], through);
+        Vec2<F> a = alpha(params, params.number[Eta], through);
         Vec3<F> mirrored = sample_facet_reflection(all, a, upper(wi), u1, u2);
         Vec3<F> wo = select(facets, mirrored, square_to_cosine_hemisphere(u1, u2));
         auto above = mask<F>(wo.z > F(0));

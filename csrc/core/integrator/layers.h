@@ -198,13 +198,11 @@ TR_NOINLINE Leaf<F> resolve_layers(const SceneView<S> &scene, Interaction<F> &si
     Leaf<F> r = walk_layers<C>(scene, si.shape.bsdf, back, si.at, choice, wanted, active, nothing);
     r.base = si.frame.n;
     auto turned = active && mask<F>(r.layers.turned >= 0);
-    if constexpr (C == 3) {
-        if (any(turned)) {
-            F side = select(r.layers.mirrored, F(-1), F(1));
-            Vec3<F> n = turned_normal(scene, si.at, si.frame.n * side, side, -d, viewed, r.layers, turned);
-            si.frame = make_frame(select(turned, n, si.frame.n));
-            r.mirrored = r.mirrored && !turned;
-        }
+    if (any(turned)) {
+        F side = select(r.layers.mirrored, F(-1), F(1));
+        Vec3<F> n = turned_normal(scene, si.at, si.frame.n * side, side, -d, viewed, r.layers, turned);
+        si.frame = make_frame(select(turned, n, si.frame.n));
+        r.mirrored = r.mirrored && !turned;
     }
     return r;
 }
