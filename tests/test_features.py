@@ -7,6 +7,8 @@ import torch
 from motion_scenes import above, ball, bitmap, floor, lamp, mesh_ball, scene
 
 import torchrender as tr
+from torchrender.autograd import mix
+from torchrender.render_arguments import GRADIENT_STREAM
 
 SOFT = {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": "gaussian"}}
 
@@ -20,6 +22,10 @@ def made(camera: dict | None = None, **objects) -> tr.Scene:
     return tr.load_dict(described, dtype=torch.float64)
 
 
+def show(loaded: tr.Scene, features: dict, **more) -> torch.Tensor:
+    return tr.render(loaded, outputs=("features",), features=features, **{"seed": 0, **more}).features
+
+
 @pytest.mark.parametrize("camera", ["pinhole", "thinlens"])
 @pytest.mark.parametrize("sampler", ["independent", "sobol"])
 def test_a_texture_of_colours_is_the_albedo(camera, sampler):
@@ -28,7 +34,7 @@ def test_a_texture_of_colours_is_the_albedo(camera, sampler):
     texels = loaded.get_parameter("floor.bsdf.reflectance.data").detach()
     expected = tr.render(loaded, spp=4, seed=3, outputs=("albedo", "alpha"))
     seen = tr.render(loaded, spp=4, seed=3, outputs=("albedo",), params={"floor.bsdf.reflectance.data": texels * 0})
-    found = tr.render_features(loaded, {"floor": texels}, spp=4, seed=3)
+    found = show(loaded, {"floor": texels}, spp=4, seed=3)
     torch.testing.assert_close(found, expected.albedo - seen.albedo, rtol=0, atol=1e-9)
 
 
@@ -36,16 +42,17 @@ def test_rows_of_vertices_are_an_attribute():
     colours = torch.rand(162, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     loaded = made(ball=mesh_ball({"type": "diffuse"}, {"vertex_mark": colours}))
     expected = tr.render(loaded, spp=4, seed=1, outputs=("vertex_mark",)).vertex_mark
-    found = tr.render_features(loaded, {"ball": torch.cat([colours, colours], dim=1)}, spp=4, seed=1)
+    found = show(loaded, {"ball": torch.cat([colours, colours], dim=1)}, spp=4, seed=1)
     torch.testing.assert_close(found[..., :3], expected, rtol=0, atol=1e-9)
     assert torch.equal(found[..., :3], found[..., 3:])
 
 
-def test_chunks_do_not_matter():
+def test_chunks_do_not_matter(monkeypatch):
     loaded = made()
     texels = torch.rand(4, 5, 7, dtype=torch.float64, requires_grad=True)
-    whole = tr.render_features(loaded, {"floor": texels}, spp=3)
-    parts = tr.render_features(loaded, {"floor": texels}, spp=3, chunk=11)
+    whole = show(loaded, {"floor": texels}, spp=3)
+    monkeypatch.setattr("torchrender.features.CHUNK", 11)
+    parts = show(loaded, {"floor": texels}, spp=3)
     torch.testing.assert_close(parts, whole, rtol=0, atol=1e-12)
     weight = torch.rand_like(whole)
     a, b = (torch.autograd.grad((image * weight).sum(), texels)[0] for image in (whole, parts))
@@ -56,10 +63,12 @@ def test_derivatives():
     """Linear in the features; by what moves, against finite differences of the same samples."""
     loaded = made()
     texels = bitmap(6, 6)["data"][..., :2]
-    image = tr.render_features(loaded, {"floor": texels}, spp=4)
+    image = show(loaded, {"floor": texels}, spp=4, seed=mix(0, GRADIENT_STREAM))  # the samples of the derivative
     change = torch.rand(texels.shape, generator=torch.Generator().manual_seed(1), dtype=texels.dtype)
-    _, tangent = torch.func.jvp(lambda x: tr.render_features(loaded, {"floor": x}, spp=4), (texels,), (change,))
-    torch.testing.assert_close(tr.render_features(loaded, {"floor": texels + change}, spp=4) - image, tangent)
+    _, tangent = torch.func.jvp(lambda x: show(loaded, {"floor": x}, spp=4), (texels,), (change,))
+    torch.testing.assert_close(
+        show(loaded, {"floor": texels + change}, spp=4, correlated=True, seed=mix(0, GRADIENT_STREAM)) - image, tangent
+    )
 
     name = "floor.to_world"
     matrix = loaded.get_parameter(name).detach()
@@ -68,7 +77,7 @@ def test_derivatives():
     weight = torch.rand(image.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
 
     def f(m: torch.Tensor) -> torch.Tensor:
-        return (tr.render_features(loaded, {"floor": texels}, spp=64, params={name: m}) * weight).mean()
+        return (show(loaded, {"floor": texels}, spp=64, correlated=True, params={name: m}) * weight).mean()
 
     moved = matrix.clone().requires_grad_()
     (gradient,) = torch.autograd.grad(f(moved), moved)
@@ -79,10 +88,51 @@ def test_derivatives():
 
 def test_misses_are_zero():
     loaded = tr.load_dict(scene(2, view(fov=80), ball=ball({"type": "diffuse"})))
-    found = tr.render_features(loaded, {"ball": torch.ones(2, 2, 5)}, spp=2, seed=4)
+    found = show(loaded, {"ball": torch.ones(2, 2, 5)}, spp=2, seed=4)
     hit = tr.render(loaded, spp=2, seed=4, outputs=("alpha",)).alpha > 0
     assert found.shape == (10, 12, 5) and bool(hit.any()) and not bool(hit.all())
     torch.testing.assert_close(found, hit[..., None].float().expand_as(found))
+
+
+def test_parts_passes_and_several_cameras():
+    """What `render` does with its own outputs: of colours in a texture those are the albedo."""
+    loaded = made()
+    texels = loaded.get_parameter("floor.bsdf.reflectance.data").detach()
+    black = {"floor.bsdf.reflectance.data": texels * 0}
+    for more in ({"passes": 3}, {"crop": (2, 1, 5, 6)}, {"pixels": torch.tensor([[3, 4], [9, 0], [3, 4]])}):
+        settings = {"spp": 3, "seed": 3, "outputs": ("albedo",), **more}
+        expected = tr.render(loaded, **settings).albedo - tr.render(loaded, params=black, **settings).albedo
+        found = show(loaded, {"floor": texels}, spp=3, seed=3, **more)
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+    both = show(loaded, {"floor": texels}, spp=2, sensor=[0, loaded.sensors[0]], layout="bchw")
+    assert both.shape == (2, 3, 10, 12) and torch.equal(both[0], both[1])
+
+
+def test_image_and_derivative_have_samples_of_their_own():
+    """The gradient of a square is unbiased: 2 (J' x of one picture) (x of another), and correlated, of the same."""
+    loaded = made()
+    texels = torch.rand(3, 3, 2, dtype=torch.float64, requires_grad=True)
+    second = mix(5, GRADIENT_STREAM)
+    for more, of in (({}, second), ({"correlated": True}, 5)):
+        image = show(loaded, {"floor": texels}, spp=2, seed=5, **more)
+        assert torch.equal(image.detach(), show(loaded, {"floor": texels.detach()}, spp=2, seed=5))
+        (gradient,) = torch.autograd.grad(image.square().sum(), texels)
+        other = show(loaded, {"floor": texels}, spp=2, seed=of, correlated=True)
+        (expected,) = torch.autograd.grad((2 * image.detach() * other).sum(), texels)
+        torch.testing.assert_close(gradient, expected)
+
+
+def test_moved_cameras_and_hidden_lights():
+    loaded = made()
+    texels = torch.rand(3, 3, 2, dtype=torch.float64)
+    matrix = loaded.sensors[0].to_world.detach() @ tr.Transform.translate([0.2, 0.1, 0]).matrix
+    moved = show(loaded, {"floor": texels}, params={"camera.to_world": matrix})
+    loaded.get_parameter("camera.to_world").data.copy_(matrix)
+    assert torch.equal(moved, show(loaded, {"floor": texels}))
+    lit = tr.load_dict(scene(2, view(), lamp={**lamp("rectangle"), "to_world": floor()["to_world"]}))
+    seen = show(lit, {"lamp": torch.ones(1, 1, 4)})
+    hidden = show(lit, {"lamp": torch.ones(1, 1, 4)}, integrator=tr.PathTracer(hide_emitters=True))
+    assert bool(seen.any()) and not bool(hidden.any())
 
 
 def test_errors_name_the_shape():
@@ -96,6 +146,8 @@ def test_errors_name_the_shape():
         ({"floor": torch.ones(2, 2, 3), "lamp": torch.ones(2, 2, 4)}, "lamp: expected 3 channels"),
     ]:
         with pytest.raises((TypeError, ValueError), match=message):
-            tr.render_features(loaded, features)
-    with pytest.raises(ValueError, match="sensor: expected a number below 1"):
-        tr.render_features(loaded, {"floor": torch.ones(2, 2, 3)}, sensor=1)
+            show(loaded, features)
+    with pytest.raises(ValueError, match=r"features=\{...\} is missing"):
+        tr.render(loaded, outputs=("features",))
+    with pytest.raises(ValueError, match=r"outputs=\(..., 'features'\) is missing"):
+        tr.render(loaded, features={"floor": torch.ones(2, 2, 3)})

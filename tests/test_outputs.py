@@ -460,7 +460,7 @@ def test_aov_integrator_from_xml(tmp_path):
     [
         ({"aovs": "depth"}, "expected pairs 'name:type', got 'depth'"),
         ({"aovs": "a:depth,,b:uv"}, "expected pairs 'name:type', got ''"),
-        ({"aovs": "a:duv_dx"}, "'duv_dx' is not supported by this version"),
+        ({"aovs": "a:boundary_test"}, "'boundary_test' is not supported by this version"),
         ({"aovs": "a:dept"}, "unknown type 'dept'; did you mean 'depth'"),
         ({"aovs": 3}, "expected a string"),
         ({}, "needs the parameter 'aovs'"),

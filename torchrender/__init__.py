@@ -65,7 +65,6 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
-    from .features import render_features as render_features
     from .image import show as show
     from .image import tonemap as tonemap
     from .queries import ray_intersect as ray_intersect
@@ -158,7 +157,6 @@ _LAZY_NAMES = {
     "show": "image",
     "ray_intersect": "queries",
     "ray_occluded": "queries",
-    "render_features": "features",
 }
 
 

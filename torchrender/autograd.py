@@ -18,6 +18,7 @@ from torch.autograd import Function
 from . import backends
 from .errors import NotDifferentiableError, RenderError
 from .scene.derivatives import Wanted, depth_outside
+from .scene.film import Film
 from .scene.native import NativeScene
 
 MASK = (1 << 64) - 1
@@ -59,6 +60,8 @@ class RenderCall:
     variance: bool
     statistics: dict[str, Any]
     wanted: Wanted  # what is said about derivatives that are asked for
+    film: Film
+    features: dict[int, torch.Tensor]  # those of the output of this name, by the number of their shape
     adaptive_grad: bool = False
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on

@@ -249,11 +249,12 @@ class AOV(Integrator):
     The image is (H, W, C + n): that of the nested integrator, if there is one, then the channels of `aovs` in their
     order. As there, and other than with ``render(..., outputs=...)``, they are averages over all samples of a pixel, to
     which those that hit nothing add zeros, and ``depth`` is the length of the ray from the near plane. ``prim_index``
-    and ``shape_index`` are those of the ray through the pixel's centre, -1 where it hits nothing.
+    and ``shape_index`` are those of the ray through the pixel's centre, -1 where it hits nothing; ``duv_dx`` and
+    ``duv_dy`` are those of that ray, for a whole pixel, however many samples there are.
 
     Args:
         aovs: comma-separated pairs ``"name:type"``; types are ``depth``, ``position``, ``uv``, ``geo_normal``,
-            ``sh_normal``, ``dp_du``, ``dp_dv``, ``albedo``, ``prim_index``, ``shape_index``.
+            ``sh_normal``, ``dp_du``, ``dp_dv``, ``duv_dx``, ``duv_dy``, ``albedo``, ``prim_index``, ``shape_index``.
         integrator: the nested one; without it there is no radiance.
     """
 
@@ -267,11 +268,13 @@ class AOV(Integrator):
         "sh_normal": ("shading_normal", "XYZ"),
         "dp_du": ("dp_du", "XYZ"),
         "dp_dv": ("dp_dv", "XYZ"),
+        "duv_dx": ("duv_dx", "UV"),
+        "duv_dy": ("duv_dy", "UV"),
         "albedo": ("albedo", "RGB"),
         "prim_index": ("prim_id", "I"),
         "shape_index": ("shape_id", "I"),
     }
-    UNSUPPORTED: ClassVar[tuple[str, ...]] = ("duv_dx", "duv_dy", "boundary_test")
+    UNSUPPORTED: ClassVar[tuple[str, ...]] = ("boundary_test",)
 
     def __init__(self, aovs: str, integrator: Integrator | None = None) -> None:
         super().__init__()

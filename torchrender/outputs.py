@@ -8,8 +8,9 @@ with an integrator's `hide_emitters` shapes that emit do not. Only primary visib
 triangle, zero where its coordinates do not vary. ``barycentric`` repeats ``uv`` on curved shapes. ``roughness`` is the
 number that the material's own parameter ``alpha`` or ``roughness`` has there; without one it is 1 on diffuse surfaces
 and 0 on smooth ones. ``specular_reflectance`` is the parameter of that name, 0 without one. ``material_id`` is a number
-that surfaces of one BSDF object share. Names that begin with ``vertex_`` or ``face_`` are colours of meshes, 0 on
-shapes that have none of that name.
+that surfaces of one BSDF object share. ``duv_dx`` and ``duv_dy`` are how fast uv changes over the film, per pixel to
+the right and down, at a pixel's centre: see `torchrender.footprints`. Names that begin with ``vertex_`` or ``face_``
+are colours of meshes, 0 on shapes that have none of that name. ``features`` are those that `render` is given.
 
 ``variance`` is that of the image's values, estimated from the samples x of weights w that a value I = sum(w x) / sum(w)
 is made of: sum(w^2 (x - I)^2) / sum(w)^2 * n / (n - 1) with n = sum(w)^2 / sum(w^2), which for the box filter is the
@@ -36,6 +37,7 @@ from .errors import NotDifferentiableError, describe, nearest
 
 if TYPE_CHECKING:
     from .scene.packing import Layout
+    from .scene.scene import Scene
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
 PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
@@ -58,7 +60,10 @@ FIRST_HIT_OUTPUTS = {
     "prim_id": 0,
     "material_id": 0,
 }
-OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS}
+# Found in PyTorch, see footprints.py and features.py.
+FOOTPRINTS = {"duv_dx": 2, "duv_dy": 2}
+OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS, **FOOTPRINTS}
+FEATURES = "features"  # needs the argument of this name
 IDENTIFIERS = ("shape_id", "prim_id", "material_id")
 ATTRIBUTES = ("vertex_", "face_")
 """What names of colours of meshes begin with, which are outputs, too; a colour's numbers a pixel."""
@@ -86,11 +91,11 @@ def check_names(outputs: Any) -> tuple[str, ...]:
     for name in outputs:
         if not isinstance(name, str):
             raise TypeError(f"render: outputs: expected names, got {describe(name)}")
-        if name not in OUTPUTS and not name.startswith(ATTRIBUTES):
-            raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), OUTPUTS)}")
+        if name not in OUTPUTS and name != FEATURES and not name.startswith(ATTRIBUTES):
+            raise ValueError(f"render: outputs: unknown name {name!r}; {nearest(str(name), [*OUTPUTS, FEATURES])}")
     if len(set(outputs)) != len(outputs):
         raise ValueError(f"render: outputs: a name comes twice in {tuple(outputs)!r}")
-    if sum(name not in OUTPUTS for name in outputs) > MAX_ATTRIBUTES:
+    if sum(name.startswith(ATTRIBUTES) for name in outputs) > MAX_ATTRIBUTES:
         raise ValueError(f"render: outputs: at most {MAX_ATTRIBUTES} colours of meshes at once, got {tuple(outputs)!r}")
     return tuple(outputs)
 
@@ -105,7 +110,7 @@ def attributes_of(layout: Layout, names: Sequence[str]) -> dict[str, int]:
     known = {name for row in layout.objects["attribute"] for name in [row[2].rpartition(".")[2]]}
     found = {}
     for name in names:
-        if name in OUTPUTS or name in _CHANNELS:
+        if name in OUTPUTS or name in _CHANNELS or name == FEATURES:
             continue
         if name not in known:
             raise ValueError(f"render: outputs: no mesh has colours {name!r}; {nearest(name, [*known, *OUTPUTS])}")
@@ -234,12 +239,24 @@ class FirstHitVjpFunction(_Derivative):
 
 
 def first_hits(
+    scene: Scene,
     call: RenderCall,
     names: Sequence[str],
     params: list[torch.Tensor],
     zero_at_misses: bool = False,
 ) -> dict[str, torch.Tensor]:
     """Outputs by name, each (H, W) or (H, W, channels), or (N,) and (N, channels) for a list of pixels."""
-    names = tuple(dict.fromkeys(names))
-    first = FirstHitCall(call, names, zero_at_misses, attributes_of(call.wanted.layout, names))
-    return dict(zip(names, FirstHitFunction.apply(first, *params), strict=True))
+    averaged = tuple(n for n in dict.fromkeys(names) if n not in FOOTPRINTS and n != FEATURES)
+    found: dict[str, torch.Tensor] = {}
+    if averaged:
+        first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.wanted.layout, averaged))
+        found.update(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
+    if any(n in FOOTPRINTS for n in names):
+        from .footprints import footprints
+
+        found.update(footprints(scene, call, names, params))
+    if FEATURES in names:
+        from .features import features
+
+        found[FEATURES] = features(scene, call, params)
+    return found

@@ -64,8 +64,7 @@ def ray_intersect(
     scene, origins, directions, limits = _rays("ray_intersect", scene, origins, directions, tmax)
     layout = scene.layout()
     tensors = gather(scene, layout, params, "ray_intersect")
-    found = _Intersect.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
-    hits = Hits(*found, valid=found[6] >= 0)
+    hits = find_hits(scene, layout, tensors, origins, directions, limits)
     geometry = [tensors[i] for i in _geometry(layout)]
     if not any(has_derivative(t) for t in (origins, directions, *geometry)):
         return hits
@@ -125,6 +124,19 @@ class _Intersect(_Query):
         origins, directions, limits, *params = tensors
         native = scene.native(layout, [tuple(p.shape) for p in params])
         return tuple(nearest_hits(native, params, origins, directions, limits))[:-1]
+
+
+def find_hits(
+    scene: Scene,
+    layout: Layout,
+    tensors: Sequence[torch.Tensor],
+    origins: torch.Tensor,
+    directions: torch.Tensor,
+    limits: torch.Tensor,
+) -> Hits:
+    """What rays hit, without derivatives, also within `torch.func`; `tensors` for each of the layout's slots."""
+    found = _Intersect.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
+    return Hits(*found, valid=found[6] >= 0)
 
 
 class _Occluded(_Query):

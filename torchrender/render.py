@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import inspect
-import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -13,25 +12,29 @@ import numpy as np
 import torch
 from torch import nn
 
-from .autograd import MASK, RenderCall, RenderFunction, mix, refuse_batches
+from .autograd import RenderCall, RenderFunction, refuse_batches
 from .compiling import opaque
 from .errors import NotDifferentiableError, describe, nearest
-from .integrators import AOV, Integrator, PathTracer, WavefrontPathTracer
+from .integrators import AOV, Integrator, WavefrontPathTracer
 from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
 from .progress import progress
+from .render_arguments import (
+    as_integrator,
+    check_kinds_of_derivative,
+    check_words,
+    count,
+    film_config,
+    pixels_inside,
+    seeds,
+)
 from .scene.boundaries import check_phases, warn_of_open_boundaries
-from .scene.context import Context
 from .scene.derivatives import Wanted, depth_outside
-from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.gather import gather, substitute
 from .scene.packing import Layout
 from .scene.scene import Scene, default_sampler
 from .scene.sensor import IrradianceMeter, Sensor
 
 PACKETS = True  # false renders a path at a time: slower, for tests
-LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
-# What tells the derivative's seed from the image's.
-GRADIENT_STREAM = 0x67726164
 
 
 @opaque
@@ -47,6 +50,7 @@ def render(
     passes: int = 1,
     params: Mapping[str, torch.Tensor] | None = None,
     outputs: Sequence[str] | None = None,
+    features: Mapping[str, torch.Tensor] | None = None,
     crop: Sequence[int] | None = None,
     pixels: torch.Tensor | None = None,
     layout: str = "hwc",
@@ -82,7 +86,13 @@ def render(
             (H, W, C). These are averages over the samples that hit something, weighted by the filter; where none does,
             depth, distance and position are infinite, the others 0. ``"shape_id"``, ``"prim_id"`` and
             ``"material_id"`` (H, W), int32, belong to the ray through the pixel's centre: position among the scene's
-            shapes, face, and a number that surfaces of one material share, -1 at a miss. See `torchrender.outputs`.
+            shapes, face, and a number that surfaces of one material share, -1 at a miss; so do ``"duv_dx"`` and
+            ``"duv_dy"`` (H, W, 2), derivatives of uv by the place on the film, per pixel to the right and down, 0 at a
+            miss. See `torchrender.outputs`.
+        features: what the output ``"features"`` (H, W, N) shows, for any N: by a shape's name, a texture (H, W, N),
+            bilinear and repeated, row 0 at v = 0, or for a mesh one row a vertex (V, N), interpolated. Other shapes
+            carry zeros. For a decoder that turns features into colours, or for labels; differentiable in the features,
+            in geometry and camera.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N, but light tracing has
@@ -107,21 +117,26 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
-    chosen_integrator = _integrator(scene, integrator)
+    chosen_integrator = as_integrator(scene, integrator)
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
     stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, AOV) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
-    _check_words(layout, nan, sampler)
-    _check_kinds_of_derivative(adaptive_grad, correlated)
-    passes = _count("passes", passes)
+    check_words(layout, nan, sampler)
+    check_kinds_of_derivative(adaptive_grad, correlated)
+    passes = count("passes", passes)
     packed = _layout(scene, sensor)
     attributes_of(packed, [n for n in names if n not in PATH_OUTPUTS])
+    shown: dict[int, torch.Tensor] = {}
+    if features is not None or "features" in names:
+        from .features import check_features
+
+        shown = check_features(scene, packed, features, names)
     cameras, batched = _cameras(packed, sensor)
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
-    first_seed, gradient_seed = _seeds(seed, seed_grad, correlated)
+    first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
     shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
     volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
     light = shows_radiance and integrator_config["integrator"] == "ptracer"
@@ -150,10 +165,10 @@ def render(
                 "render: sensor: ParticleTracer connects light to a perspective camera without distortion, or measures "
                 f"it with an irradiancemeter, but this is {_named(camera)}"
             )
-        samples = own.sample_count if spp is None else _count("spp", spp)
-        window, size, config = _film_config(film, crop)
+        samples = own.sample_count if spp is None else count("spp", spp)
+        window, size, config = film_config(film, crop)
         if pixels is not None:
-            chosen = _pixels(pixels, size)
+            chosen = pixels_inside(pixels, size)
             config["pixels"] = (chosen.ctypes.data, len(chosen))
             size = (len(chosen),)
         used = tensors
@@ -179,7 +194,7 @@ def render(
             size=size,
             spp=samples,
             seed=first_seed,
-            spp_grad=samples if spp_grad is None else _count("spp_grad", spp_grad),
+            spp_grad=samples if spp_grad is None else count("spp_grad", spp_grad),
             seed_grad=gradient_seed,
             passes=passes,
             nan=nan,
@@ -188,6 +203,8 @@ def render(
             variance="variance" in names,
             statistics=scene.statistics,
             wanted=Wanted(packed, scene.warned, alpha, volumetric, light and film.filter.type == "box"),
+            film=film,
+            features=shown,
             adaptive_grad=adaptive_grad,
         )
         call.keep_hits = (
@@ -205,9 +222,9 @@ def render(
             from .wavefront.function import wavefront_call
 
             traced = wavefront_call(scene, call, film, integrator_config, of_torch)
-            views.append(_view(call, names, stack, used, functools.partial(traced.apply, used)))
+            views.append(_view(scene, call, names, stack, used, functools.partial(traced.apply, used)))
         else:
-            views.append(_view(call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
+            views.append(_view(scene, call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
@@ -299,6 +316,7 @@ def _warn_of_beams(scene: Scene, packed: Layout) -> None:
 
 
 def _view(
+    scene: Scene,
     call: RenderCall,
     names: Sequence[str],
     stack: AOV | None,
@@ -308,37 +326,15 @@ def _view(
     """The outputs of one sensor by name; `radiance` renders what paths are traced for."""
     found: dict[str, torch.Tensor] = {}
     if stack is not None:
-        found.update(first_hits(call, stack.outputs(), tensors, zero_at_misses=True))
+        found.update(first_hits(scene, call, stack.outputs(), tensors, zero_at_misses=True))
     if (stack is None and any(n in PATH_OUTPUTS for n in names)) or (stack is not None and stack.integrator):
         result = radiance()
         kinds = ("rgb", *(("alpha",) if call.alpha else ()), *(("variance",) if call.variance else ()))
         found.update(zip(kinds, result if isinstance(result, tuple) else (result,), strict=True))
     others = [n for n in names if n not in PATH_OUTPUTS]
     if others:
-        found.update(first_hits(call, others, tensors))
+        found.update(first_hits(scene, call, others, tensors))
     return found
-
-
-def _check_words(layout: Any, nan: Any, sampler: Any) -> None:
-    if layout not in LAYOUTS:
-        raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
-    if nan not in ("drop", "raise"):
-        raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
-    if sampler is not None:
-        if not isinstance(sampler, str):
-            raise TypeError(f"render: sampler: expected one of {', '.join(SAMPLERS)}, got {describe(sampler)}")
-        check_sampler(sampler, Context(path=("render: sampler",)))
-
-
-def _check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
-    for name, value in (("adaptive_grad", adaptive_grad), ("correlated", correlated)):
-        if not isinstance(value, bool):
-            raise TypeError(f"render: {name}: expected True or False, got {describe(value)}")
-    if adaptive_grad and correlated:
-        raise ValueError(
-            "render: adaptive_grad=True draws samples of its own, and correlated=True uses those of the image; "
-            "leave one of them out"
-        )
 
 
 def _views(cameras: list[Any]) -> Any:
@@ -352,63 +348,6 @@ def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: b
     if channels and layout.endswith("chw"):
         image = image.movedim(-1, 1 if want_batch else 0)
     return image
-
-
-def _integrator(scene: Scene, integrator: Any) -> Integrator:
-    if integrator is None:
-        integrator = scene.integrator or PathTracer()
-    elif isinstance(integrator, (Mapping, str)):
-        from .integrators import DOCUMENTED, TYPES, from_dict
-
-        given = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
-        kind = given.get("type")
-        if kind not in TYPES:
-            if kind in DOCUMENTED:
-                raise ValueError(
-                    f"render: integrator: {kind!r} is not supported by this version; supported are: {', '.join(TYPES)}"
-                )
-            raise ValueError(f"render: integrator: unknown type {kind!r}; {nearest(str(kind), TYPES)}")
-        integrator = from_dict(given, "render: integrator")
-    if not isinstance(integrator, Integrator):
-        raise TypeError(f"render: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
-    return integrator
-
-
-def _count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:
-    if isinstance(value, bool) or not hasattr(value, "__index__"):
-        raise TypeError(f"render: {name}: expected an integer, got {describe(value)}")
-    value = value.__index__()
-    if not minimum <= value <= maximum:
-        raise ValueError(f"render: {name}: expected a number from {minimum} to {maximum}, got {value}")
-    return value
-
-
-def _seed(name: str, value: Any) -> int:
-    if isinstance(value, torch.Generator):
-        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value, device=value.device))
-    if isinstance(value, bool) or not hasattr(value, "__index__"):
-        raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
-    value = value.__index__()
-    if not 0 <= value <= MASK:
-        raise ValueError(f"render: {name}: expected a number from 0 to 2**64 - 1, got {value}")
-    return value
-
-
-def _seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
-    first = int(torch.randint(0, (1 << 63) - 1, (1,), device="cpu")) if seed is None else _seed("seed", seed)
-    if correlated:
-        if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
-            raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")
-        return first, first
-    if seed_grad is None:
-        return first, mix(first, GRADIENT_STREAM)
-    second = _seed("seed_grad", seed_grad)
-    if second == first:
-        raise ValueError(
-            f"render: seed_grad: equal to seed ({first}), which makes gradients of nonlinear losses biased; "
-            "give another one, or correlated=True if that is meant"
-        )
-    return first, second
 
 
 def _named(camera: Sensor) -> str:
@@ -461,56 +400,6 @@ def _cameras(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], boo
     return found, batched
 
 
-def _film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tuple[int, int], dict[str, Any]]:
-    """What is rendered, its size, and the film's settings for the core."""
-    film.check(Context(path=("film",)))
-    y0, x0, height, width = film.window
-    rendered = film.window
-    sampled = film.window
-    if film.sample_border:
-        margin = max(0, math.ceil(film.filter.reach - 0.5))
-        sampled = (y0 - margin, x0 - margin, height + 2 * margin, width + 2 * margin)
-    if crop is not None:
-        top, left, rows, columns = check_crop(crop, (height, width), Context(path=("render",)))
-        rendered = (y0 + top, x0 + left, rows, columns)
-    config = {
-        "film_size": (film.height, film.width),
-        "window": sampled,
-        "border": crop is not None or film.sample_border,
-        "filter": film.filter.type,
-        "filter_param": film.filter.parameters,
-    }
-    return rendered, rendered[2:], config
-
-
-def _pixels(pixels: Any, size: tuple[int, int]) -> np.ndarray:
-    """`pixels` as int64 (N, 2) inside an image of `size`."""
-    if isinstance(pixels, torch.Tensor):
-        if pixels.is_floating_point() or pixels.is_complex() or pixels.dtype == torch.bool:
-            raise TypeError(f"render: pixels: expected integers, rows and columns, got {describe(pixels)}")
-        while torch._C._functorch.is_functorch_wrapped_tensor(pixels):
-            pixels = torch._C._functorch.get_unwrapped(pixels)
-        with torch._C._DisableFuncTorch():  # inside jvp every new tensor would be wrapped and have no memory to read
-            pixels = pixels.detach().cpu().numpy()
-    else:
-        try:
-            pixels = np.asarray(pixels)
-        except ValueError:
-            pixels = np.asarray("ragged")
-        if pixels.dtype.kind not in "iu":
-            raise TypeError(f"render: pixels: expected an integer tensor (N, 2), got {pixels.dtype} {pixels.shape}")
-    if pixels.ndim != 2 or pixels.shape[1] != 2:
-        raise ValueError(f"render: pixels: expected shape (N, 2), rows and columns, got {pixels.shape}")
-    # always a copy: backward() reads it too, whatever the caller does to theirs in the meantime
-    pixels = np.array(pixels, dtype=np.int64, order="C")
-    if len(pixels) and (pixels.min() < 0 or np.any(pixels.max(0) >= size)):
-        wrong = pixels[np.any((pixels < 0) | (pixels >= np.asarray(size)), axis=1)][0]
-        raise ValueError(
-            f"render: pixels: {tuple(wrong.tolist())} is not inside an image of {size[0]} rows and {size[1]} columns"
-        )
-    return pixels
-
-
 def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:
     if torch.is_grad_enabled():
         call.wanted.check(i for i, tensor in enumerate(tensors) if tensor.requires_grad)
@@ -535,12 +424,12 @@ class Renderer(nn.Module):
         self.scene = scene
         self.settings = settings
         if settings.get("integrator") is not None:
-            _integrator(scene, settings["integrator"])
+            as_integrator(scene, settings["integrator"])
         for name in ("spp", "spp_grad", "passes"):
             if settings.get(name) is not None:
-                _count(name, settings[name])
-        _check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"), settings.get("sampler"))
-        _check_kinds_of_derivative(settings.get("adaptive_grad", False), settings.get("correlated", False))
+                count(name, settings[name])
+        check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"), settings.get("sampler"))
+        check_kinds_of_derivative(settings.get("adaptive_grad", False), settings.get("correlated", False))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
 

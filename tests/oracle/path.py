@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import torch
 
 import torchrender as tr
-from torchrender.render import _film_config
+from torchrender.render_arguments import film_config
 from torchrender.scene.camera import Rays
 
 from . import layers, numbers
@@ -387,7 +387,7 @@ def camera_samples(
     """Film positions (N, 2), their rays, and numbers of pixel and sample (N,)."""
     record, film = world.records["sensor"][sensor], world.scene.sensors[sensor].film
     y0, x0, height, width = film.window
-    sampled = _film_config(film, None)[2]["window"]
+    sampled = film_config(film, None)[2]["window"]
     k = reach(film)  # samples that reach no pixel are not drawn
     rows = range(max(sampled[0], y0 - k), min(sampled[0] + sampled[2], y0 + height + k))
     columns = range(max(sampled[1], x0 - k), min(sampled[1] + sampled[3], x0 + width + k))

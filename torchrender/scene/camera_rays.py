@@ -70,14 +70,16 @@ def distort(k: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Te
 
 
 def undistort(k: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """The inverse of `distort` by Newton's method, attached to its arguments by the implicit function theorem.
+    """The inverse of `distort` by Newton's method, attached to its arguments by two more steps of it: the first makes
+    first derivatives right, which is the implicit function theorem, the second those up to the third.
 
     Returns:
         x and y, 0 where there is no such point, and whether there is.
     """
 
-    def jacobian(px: torch.Tensor, py: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        k1, k2, p1, p2, k3, k4, k5, k6 = k.detach()
+    def step(k: torch.Tensor, px: torch.Tensor, py: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """How far (px, py) is from its image (x, y), in either space, and the determinant of the lens' Jacobian."""
+        k1, k2, p1, p2, k3, k4, k5, k6 = k
         rr = px * px + py * py
         above, below = 1 + rr * (k1 + rr * (k2 + rr * k3)), 1 + rr * (k4 + rr * (k5 + rr * k6))
         slope = (k1 + rr * (2 * k2 + 3 * rr * k3)) - above / below * (k4 + rr * (2 * k5 + 3 * rr * k6))
@@ -85,24 +87,28 @@ def undistort(k: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.
         across = px * py * change + 2 * p1 * px + 2 * p2 * py
         a = s + px * px * change + 2 * p1 * py + 6 * p2 * px
         d = s + py * py * change + 6 * p1 * py + 2 * p2 * px
-        return a, across, d, a * d - across * across
+        determinant = a * d - across * across
+        folded = determinant == 0
+        scale = torch.where(folded, 0, 1 / torch.where(folded, 1, determinant))
+        seen_x, seen_y = distort(k, px, py)
+        ex, ey = seen_x - x, seen_y - y
+        return (d * ex - across * ey) * scale, (a * ey - across * ex) * scale, ex, ey, determinant
 
+    given = x, y
     with torch.no_grad():
-        px, py = x.detach().clone(), y.detach().clone()
+        x, y = x.detach(), y.detach()
+        px, py = x.clone(), y.clone()
         for _ in range(20):
-            a, b, d, determinant = jacobian(px, py)
-            ex, ey = (f - g for f, g in zip(distort(k.detach(), px, py), (x.detach(), y.detach()), strict=True))
-            scale = torch.where(determinant == 0, 0, 1 / determinant)
-            px, py = px - (d * ex - b * ey) * scale, py - (a * ey - b * ex) * scale
-        a, b, d, determinant = jacobian(px, py)
-        ex, ey = (f - g for f, g in zip(distort(k.detach(), px, py), (x.detach(), y.detach()), strict=True))
+            dx, dy, *_ = step(k.detach(), px, py)
+            px, py = px - dx, py - dy
+        *_, ex, ey, determinant = step(k.detach(), px, py)
         found = (ex.abs() + ey.abs() < 1e-4 * (1 + x.abs() + y.abs())) & (determinant > 0) & (px * x + py * y >= 0)
-        zero = torch.zeros_like(px)
-        px, py, scale = (torch.where(found, v, zero) for v in (px, py, 1 / determinant))
-        a, b, d = (torch.where(found, v, zero) for v in (a, b, d))
-    seen_x, seen_y = distort(k, px, py)
-    ex, ey = seen_x - x, seen_y - y
-    return px - (d * ex - b * ey) * scale, py - (a * ey - b * ex) * scale, found
+        px, py = (torch.where(found, v, torch.zeros_like(v)) for v in (px, py))
+    x, y = given
+    for _ in range(2):
+        dx, dy, *_ = step(k, px, py)
+        px, py = px - torch.where(found, dx, 0), py - torch.where(found, dy, 0)
+    return px, py, found
 
 
 def to_world_rays(
@@ -236,22 +242,25 @@ def fisheye_rays(
     off_axis = (x != 0) | (y != 0)
     radius = torch.sqrt(torch.where(off_axis, x * x + y * y, torch.ones_like(x)))  # not 0, which has no derivative
     radius = torch.where(off_axis, radius, torch.zeros_like(radius))
-    k, seen, limit = distortion.detach(), radius.detach(), (max_angle * (math.pi / 180)).detach()
+    limit = (max_angle * (math.pi / 180)).detach()
+
+    def slope_at(k: torch.Tensor, theta: torch.Tensor) -> torch.Tensor:
+        square = theta * theta
+        return 1 + square * (3 * k[0] + square * (5 * k[1] + square * (7 * k[2] + square * 9 * k[3])))
+
     with torch.no_grad():
-
-        def slope_at(theta: torch.Tensor) -> torch.Tensor:
-            square = theta * theta
-            return 1 + square * (3 * k[0] + square * (5 * k[1] + square * (7 * k[2] + square * 9 * k[3])))
-
+        k, seen = distortion.detach(), radius.detach()
         theta = torch.minimum(seen, limit)
         for _ in range(20):
-            step = (fisheye_angle(k, theta) - seen) / slope_at(theta).clamp_min(1e-3)
+            step = (fisheye_angle(k, theta) - seen) / slope_at(k, theta).clamp_min(1e-3)
             theta = (theta - step).clamp(0, math.pi)
-        slope = slope_at(theta)
-        found = ((fisheye_angle(k, theta) - seen).abs() < 1e-4 * (1 + seen)) & (slope > 1e-3)
+        found = ((fisheye_angle(k, theta) - seen).abs() < 1e-4 * (1 + seen)) & (slope_at(k, theta) > 1e-3)
         found = found & (theta <= limit * (1 + 4 * torch.finfo(theta.dtype).eps))
-        theta, slope = torch.where(found, theta, 0), torch.where(found, slope, torch.inf)
-    angle = theta - (fisheye_angle(distortion, theta) - radius) / slope
+        theta = torch.where(found, theta, 0)
+    angle = theta
+    for _ in range(2):  # attached, as in `undistort`
+        slope = torch.where(found, slope_at(distortion, angle), torch.inf)
+        angle = angle - (fisheye_angle(distortion, angle) - radius) / slope
     ratio = torch.where(off_axis, torch.sin(angle) / torch.where(off_axis, radius, torch.ones_like(radius)), 1)
     directions = torch.stack([x * ratio, y * ratio, torch.cos(angle)], 1)
     one = torch.ones_like(x)

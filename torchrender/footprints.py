@@ -1,0 +1,63 @@
+"""Texture footprints: how fast texture coordinates change from pixel to pixel, for filters of textures and caches.
+
+The ray through a pixel's centre (of a lens: through the lens' centre) is a function of the place on the film, and so
+are the texture coordinates of the point where it meets the surface it is known to hit, extended beyond its edges. The
+derivatives are those of autograd, which also differentiates them once more, by everything that rays and surfaces
+depend on. They are what ray differentials are (Igehy, "Tracing Ray Differentials", SIGGRAPH 1999) for a whole pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import torch
+
+from .queries import Hits
+from .view import View
+
+if TYPE_CHECKING:
+    from .autograd import RenderCall
+    from .scene.scene import Scene
+
+
+def footprints(
+    scene: Scene, call: RenderCall, names: Sequence[str], params: Sequence[torch.Tensor]
+) -> dict[str, torch.Tensor]:
+    """The outputs ``duv_dx`` and ``duv_dy``, those of `names`, of the sensor of a `call`.
+
+    Args:
+        params: a tensor for each of the layout's slots.
+
+    Returns:
+        (H, W, 2), or (N, 2) for a list of pixels: derivatives of u and v by the place on the film, in pixels to the
+        right and down; 0 where nothing is hit.
+    """
+    view = View(scene, call, params)
+    centre = _centres(call).to(view.world.dtype)
+    hits = view.hits(view.rays(centre, torch.full_like(centre, 0.5)))
+    rows = hits.valid.nonzero()[:, 0]
+    hits = Hits(*(member[rows] for member in hits))
+
+    def coordinates(positions: torch.Tensor) -> torch.Tensor:
+        return view.meet(view.rays(positions, torch.full_like(positions, 0.5)), hits).uv
+
+    # By reverse mode, which may stand inside of either mode; a row depends on its own position alone.
+    uv, pull = torch.func.vjp(coordinates, centre[rows])
+    du, dv = (pull(torch.eye(2, dtype=uv.dtype)[k].expand_as(uv))[0] for k in range(2))
+    found = {}
+    for axis, name in enumerate(("duv_dx", "duv_dy")):
+        if name in names:
+            value = torch.stack([du[:, axis], dv[:, axis]], dim=1)
+            found[name] = value.new_zeros(len(centre), 2).index_put((rows,), value).reshape(*call.size, 2)
+    return found
+
+
+def _centres(call: RenderCall) -> torch.Tensor:
+    """The places on the film (N, 2), x and y, of the centres of the pixels that are wanted."""
+    y0, x0, height, width = call.config["crop"]
+    if call.pixels is not None:
+        pixels = torch.as_tensor(call.pixels, device="cpu")
+    else:
+        pixels = torch.cartesian_prod(torch.arange(height, device="cpu"), torch.arange(width, device="cpu"))
+    return pixels.flip(1) + torch.tensor([x0 + 0.5, y0 + 0.5], dtype=torch.float64, device="cpu")

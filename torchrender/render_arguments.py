@@ -1,0 +1,150 @@
+"""What `render` is called with, read and checked before any work is done."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from .autograd import MASK, mix
+from .errors import describe, nearest
+from .integrators import Integrator, PathTracer
+from .scene.context import Context
+from .scene.film import SAMPLERS, Film, check_crop, check_sampler
+from .scene.scene import Scene
+
+LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
+# What tells the derivative's seed from the image's.
+GRADIENT_STREAM = 0x67726164
+
+
+def check_words(layout: Any, nan: Any, sampler: Any) -> None:
+    if layout not in LAYOUTS:
+        raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
+    if nan not in ("drop", "raise"):
+        raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+    if sampler is not None:
+        if not isinstance(sampler, str):
+            raise TypeError(f"render: sampler: expected one of {', '.join(SAMPLERS)}, got {describe(sampler)}")
+        check_sampler(sampler, Context(path=("render: sampler",)))
+
+
+def check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
+    for name, value in (("adaptive_grad", adaptive_grad), ("correlated", correlated)):
+        if not isinstance(value, bool):
+            raise TypeError(f"render: {name}: expected True or False, got {describe(value)}")
+    if adaptive_grad and correlated:
+        raise ValueError(
+            "render: adaptive_grad=True draws samples of its own, and correlated=True uses those of the image; "
+            "leave one of them out"
+        )
+
+
+def as_integrator(scene: Scene, integrator: Any) -> Integrator:
+    if integrator is None:
+        integrator = scene.integrator or PathTracer()
+    elif isinstance(integrator, (Mapping, str)):
+        from .integrators import DOCUMENTED, TYPES, from_dict
+
+        given = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
+        kind = given.get("type")
+        if kind not in TYPES:
+            if kind in DOCUMENTED:
+                raise ValueError(
+                    f"render: integrator: {kind!r} is not supported by this version; supported are: {', '.join(TYPES)}"
+                )
+            raise ValueError(f"render: integrator: unknown type {kind!r}; {nearest(str(kind), TYPES)}")
+        integrator = from_dict(given, "render: integrator")
+    if not isinstance(integrator, Integrator):
+        raise TypeError(f"render: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
+    return integrator
+
+
+def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"render: {name}: expected an integer, got {describe(value)}")
+    value = value.__index__()
+    if not minimum <= value <= maximum:
+        raise ValueError(f"render: {name}: expected a number from {minimum} to {maximum}, got {value}")
+    return value
+
+
+def _seed(name: str, value: Any) -> int:
+    if isinstance(value, torch.Generator):
+        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value, device=value.device))
+    if isinstance(value, bool) or not hasattr(value, "__index__"):
+        raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
+    value = value.__index__()
+    if not 0 <= value <= MASK:
+        raise ValueError(f"render: {name}: expected a number from 0 to 2**64 - 1, got {value}")
+    return value
+
+
+def seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
+    first = int(torch.randint(0, (1 << 63) - 1, (1,), device="cpu")) if seed is None else _seed("seed", seed)
+    if correlated:
+        if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
+            raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")
+        return first, first
+    if seed_grad is None:
+        return first, mix(first, GRADIENT_STREAM)
+    second = _seed("seed_grad", seed_grad)
+    if second == first:
+        raise ValueError(
+            f"render: seed_grad: equal to seed ({first}), which makes gradients of nonlinear losses biased; "
+            "give another one, or correlated=True if that is meant"
+        )
+    return first, second
+
+
+def film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tuple[int, int], dict[str, Any]]:
+    """What is rendered, its size, and the film's settings for the core."""
+    film.check(Context(path=("film",)))
+    y0, x0, height, width = film.window
+    rendered = film.window
+    sampled = film.window
+    if film.sample_border:
+        margin = max(0, math.ceil(film.filter.reach - 0.5))
+        sampled = (y0 - margin, x0 - margin, height + 2 * margin, width + 2 * margin)
+    if crop is not None:
+        top, left, rows, columns = check_crop(crop, (height, width), Context(path=("render",)))
+        rendered = (y0 + top, x0 + left, rows, columns)
+    config = {
+        "film_size": (film.height, film.width),
+        "window": sampled,
+        "border": crop is not None or film.sample_border,
+        "filter": film.filter.type,
+        "filter_param": film.filter.parameters,
+    }
+    return rendered, rendered[2:], config
+
+
+def pixels_inside(pixels: Any, size: tuple[int, int]) -> np.ndarray:
+    """`pixels` as int64 (N, 2) inside an image of `size`."""
+    if isinstance(pixels, torch.Tensor):
+        if pixels.is_floating_point() or pixels.is_complex() or pixels.dtype == torch.bool:
+            raise TypeError(f"render: pixels: expected integers, rows and columns, got {describe(pixels)}")
+        while torch._C._functorch.is_functorch_wrapped_tensor(pixels):
+            pixels = torch._C._functorch.get_unwrapped(pixels)
+        with torch._C._DisableFuncTorch():  # inside jvp every new tensor would be wrapped and have no memory to read
+            pixels = pixels.detach().cpu().numpy()
+    else:
+        try:
+            pixels = np.asarray(pixels)
+        except ValueError:
+            pixels = np.asarray("ragged")
+        if pixels.dtype.kind not in "iu":
+            raise TypeError(f"render: pixels: expected an integer tensor (N, 2), got {pixels.dtype} {pixels.shape}")
+    if pixels.ndim != 2 or pixels.shape[1] != 2:
+        raise ValueError(f"render: pixels: expected shape (N, 2), rows and columns, got {pixels.shape}")
+    # always a copy: backward() reads it too, whatever the caller does to theirs in the meantime
+    pixels = np.array(pixels, dtype=np.int64, order="C")
+    if len(pixels) and (pixels.min() < 0 or np.any(pixels.max(0) >= size)):
+        wrong = pixels[np.any((pixels < 0) | (pixels >= np.asarray(size)), axis=1)][0]
+        raise ValueError(
+            f"render: pixels: {tuple(wrong.tolist())} is not inside an image of {size[0]} rows and {size[1]} columns"
+        )
+    return pixels
