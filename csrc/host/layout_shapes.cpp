@@ -1,0 +1,140 @@
+// Shapes: what is read of each, faces, colours of meshes.
+#include <limits>
+
+#include "../core/registry.h"
+#include "layout_builder.h"
+
+namespace tr {
+
+void LayoutBuilder::connect_shapes() {
+    out_.shapes.resize(list("shape").size());
+    for (int i = 0; i < int(out_.shapes.size()); ++i) {
+        const std::string &type = list("shape")[size_t(i)].type;
+        ShapeInfo &info = out_.shapes[size_t(i)];
+        info = ShapeInfo{};
+        info.first_attribute = -1;
+        int bsdf, emitter, flip, interior = PlanarFields::Interior;
+        if (type == MeshModel::model.type) {
+            bsdf = MeshModel::BsdfIndex, emitter = MeshModel::EmitterIndex, flip = MeshModel::Flip;
+            interior = MeshModel::Interior;
+            add_mesh(i, info);
+        } else if (type == SphereModel::model.type) {
+            bsdf = SphereModel::BsdfIndex, emitter = SphereModel::EmitterIndex, flip = SphereModel::Flip;
+            interior = SphereModel::Interior;
+            info.flags |= IsSphere;
+        } else if (type == CylinderModel::model.type) {
+            bsdf = CylinderModel::BsdfIndex, emitter = CylinderModel::EmitterIndex, flip = CylinderModel::Flip;
+            interior = CylinderModel::Interior;
+            info.flags |= IsCylinder;
+        } else if (type == HeightFieldModel::model.type) {
+            bsdf = HeightFieldModel::BsdfIndex, emitter = HeightFieldModel::EmitterIndex;
+            flip = HeightFieldModel::Flip, interior = HeightFieldModel::Interior;
+            add_height_field(i, info);
+        } else {
+            bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
+            if (type == RectangleModel::model.type)
+                add_rectangle(i, info);
+            else
+                info.flags |= IsDisk;
+        }
+        info.bsdf = value("shape", i, bsdf);
+        info.emitter = value("shape", i, emitter);
+        info.interior = value("shape", i, interior);
+        info.exterior = value("shape", i, interior + 1);
+        if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
+        if (value("shape", i, flip)) info.flags |= FlipNormals;
+        if (info.emitter >= 0 && !(info.flags & IsCurved)) {
+            info.cdf_offset = out_.n_cdf_faces;
+            out_.n_cdf_faces += info.n_faces;
+        }
+    }
+}
+
+void LayoutBuilder::begin_mesh(ShapeInfo &info, int64_t n_vertices, int64_t n_faces, const std::string &at) {
+    constexpr int64_t limit = std::numeric_limits<int32_t>::max() / 3;
+    if (out_.n_vertices + n_vertices > limit || int64_t(out_.faces.size() / 3) + n_faces > limit)
+        fail(at, "a scene of fewer than 2^31 / 3 vertices and faces", "more");
+    info.face_offset = int32_t(out_.faces.size() / 3);
+    info.n_faces = int32_t(n_faces);
+    info.first_vertex = out_.n_vertices;
+    out_.n_vertices += int(n_vertices);
+}
+
+void LayoutBuilder::add_mesh(int i, ShapeInfo &info) {
+    MeshSource mesh{i,
+                    value("shape", i, MeshModel::Vertices),
+                    value("shape", i, MeshModel::Normals),
+                    value("shape", i, MeshModel::Texcoords),
+                    0,
+                    0};
+    auto rows = [&](int slot, int64_t columns, const char *name, int64_t n) {
+        const auto &s = shapes_[size_t(slot)];
+        if (s.size() != 2 || s[1] != columns || (n >= 0 && s[0] != n))
+            fail(where("shape", i, name),
+                 "a tensor of shape (" + (n >= 0 ? std::to_string(n) : "V") + ", " + std::to_string(columns) + ")",
+                 text(s));
+        return s[0];
+    };
+    int64_t n_vertices = rows(mesh.vertices, 3, "vertices", -1);
+    const IndexArray &array = arrays_[size_t(value("shape", i, MeshModel::Faces))];
+    std::string at = where("shape", i, "faces");
+    if (array.rows < 1 || !array.data) fail(at, "at least one face", "an empty array");
+    if (mesh.normals >= 0 && value("shape", i, MeshModel::FaceNormals)) mesh.normals = -1;
+    if (mesh.normals >= 0) rows(mesh.normals, 3, "normals", n_vertices);
+    if (mesh.texcoords >= 0) rows(mesh.texcoords, 2, "texcoords", n_vertices);
+    begin_mesh(info, n_vertices, array.rows, at);
+    if (mesh.normals >= 0) info.flags |= HasNormals;
+    if (mesh.texcoords >= 0) info.flags |= HasTexcoords;
+    out_.faces.reserve(out_.faces.size() + size_t(array.rows) * 3);
+    for (int64_t k = 0; k < array.rows * 3; ++k) {
+        int32_t index = array.data[k];
+        if (index < 0 || index >= n_vertices)
+            fail(at, "vertex indices from 0 to " + std::to_string(n_vertices - 1),
+                 std::to_string(index) + " in face " + std::to_string(k / 3));
+        out_.faces.push_back(uint32_t(info.first_vertex + index));
+    }
+    mesh.first_vertex = info.first_vertex;
+    mesh.n_vertices = int(n_vertices);
+    out_.meshes.push_back(mesh);
+}
+
+void LayoutBuilder::add_height_field(int i, ShapeInfo &info) {
+    info.flags |= IsHeightField;
+    info.heights = value("shape", i, HeightFieldModel::Heights);
+    info.interpolation = value("shape", i, HeightFieldModel::Interpolation);
+    const auto &s = shapes_[size_t(info.heights)];
+    if (s.size() != 2) fail(where("shape", i, "heights"), "a tensor of shape (H, W)", text(s));
+    if (value("shape", i, HeightFieldModel::EmitterIndex) >= 0)
+        fail(where("shape", i, "emitter"), "none: a height field cannot emit", "an emitter");
+}
+
+void LayoutBuilder::add_rectangle(int i, ShapeInfo &info) {
+    begin_mesh(info, 4, 2, path("shape", i));
+    info.flags |= HasTexcoords;
+    for (uint32_t corner : {0u, 1u, 2u, 0u, 2u, 3u}) out_.faces.push_back(uint32_t(info.first_vertex) + corner);
+    out_.meshes.push_back({i, -1, -1, -1, info.first_vertex, 4});
+}
+
+void LayoutBuilder::connect_attributes() {
+    std::set<std::pair<int, int>> seen;
+    for (int i = 0; i < int(list("attribute").size()); ++i) {
+        int shape = value("attribute", i, AttributeModel::ShapeIndex),
+            name = value("attribute", i, AttributeModel::Name);
+        bool per_face = value("attribute", i, AttributeModel::PerFace) != 0;
+        int slot = value("attribute", i, AttributeModel::Data);
+        if (list("shape")[size_t(shape)].type != MeshModel::model.type)
+            fail(where("attribute", i, "shape"), "a mesh", "'" + list("shape")[size_t(shape)].type + "'");
+        if (!seen.insert({shape, name}).second)
+            fail(where("attribute", i, "name"), "one attribute of a name on a mesh", "a second");
+        ShapeInfo &info = out_.shapes[size_t(shape)];
+        int64_t rows = per_face ? info.n_faces : shapes_[size_t(value("shape", shape, MeshModel::Vertices))][0];
+        const auto &s = shapes_[size_t(slot)];
+        if (s.size() > 2 || s[0] != rows || (s.size() == 2 && s[1] != 1 && s[1] != out_.channels))
+            fail(where("attribute", i, "data"),
+                 "a tensor of shape (" + std::to_string(rows) + ", 1" + (out_.channels == 3 ? " or 3)" : ")"), text(s));
+        out_.attributes.push_back({name, slot, per_face, info.first_attribute});
+        info.first_attribute = i;
+    }
+}
+
+}  // namespace tr
