@@ -58,6 +58,7 @@ from .versions import count_fused_steps
 
 if TYPE_CHECKING:  # what __getattr__ below finds
     from . import constraints as constraints
+    from . import daylight as daylight
     from . import heightfield as heightfield
     from . import io as io
     from . import optim as optim
@@ -65,6 +66,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
+    from .daylight import sky as sky
     from .image import show as show
     from .image import tonemap as tonemap
     from .queries import ray_intersect as ray_intersect
@@ -151,12 +153,13 @@ __all__ = [
 ]
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "heightfield", "io", "optim", "rotation", "testing", "typing")
+_LAZY_MODULES = ("constraints", "daylight", "heightfield", "io", "optim", "rotation", "testing", "typing")
 _LAZY_NAMES = {
     "tonemap": "image",
     "show": "image",
     "ray_intersect": "queries",
     "ray_occluded": "queries",
+    "sky": "daylight",
 }
 
 

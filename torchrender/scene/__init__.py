@@ -9,6 +9,7 @@ from . import (  # noqa: F401  (they register their classes)
     mesh,
     phases,
     shapes,
+    sunsky,
     textures,
     volumes,
 )
