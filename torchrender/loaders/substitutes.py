@@ -262,7 +262,9 @@ def _category(kind: Any) -> str | None:
 
 
 def _is_object(content: Any) -> bool:
-    return (isinstance(content, Mapping) and "type" in content) or hasattr(content, "category")
+    if isinstance(content, Mapping):
+        return "type" in content and not is_spectrum(content)
+    return hasattr(content, "category")
 
 
 def _accepted(kind: str) -> tuple[str, ...]:
