@@ -1,8 +1,9 @@
-"""Cameras from COLMAP's text files: every model against its projection, and files that are damaged or wrong."""
+"""Cameras from COLMAP's files: every model against its projection, and files that are damaged or wrong."""
 
 from __future__ import annotations
 
 import math
+import struct
 import time
 
 import numpy as np
@@ -83,6 +84,73 @@ def test_points_are_seen_where_colmap_projects_them(tmp_path, model):
     torch.testing.assert_close(
         torch.from_numpy(seen[:, :2] / seen[:, 2:]), torch.from_numpy(local[:, :2] / local[:, 2:]), atol=3e-5, rtol=0
     )
+
+
+def write_binary(folder):
+    """The same reconstruction; written out as COLMAP's documentation describes the format."""
+    cameras = struct.pack("<Q", len(MODELS))
+    images = struct.pack("<Q", len(MODELS))
+    for i, (name, v) in enumerate(MODELS.items()):
+        cameras += struct.pack(f"<IiQQ{len(v)}d", i + 1, i, 30, 40, *v)
+        images += struct.pack("<I7dI", i + 1, *QUATERNION, *T, i + 1) + f"{name.lower()} view.jpg\0".encode()
+        images += struct.pack("<Q", i % 2) + struct.pack("<ddQ", 1.5, 2.5, 2**64 - 1) * (i % 2)
+    (folder / "cameras.bin").write_bytes(cameras)
+    (folder / "images.bin").write_bytes(images)
+    return folder
+
+
+def test_binary_files_give_the_same_cameras(tmp_path):
+    """Where both are there, the binary ones are read, as COLMAP does."""
+    text = tr.load_colmap(write(tmp_path))
+    write_binary(tmp_path)
+    (tmp_path / "images.txt").write_text("nothing")
+    binary = tr.load_colmap(tmp_path)
+    assert list(binary) == list(text)
+    for name, camera in text.items():
+        assert type(camera) is type(binary[name]) and camera.film.width == binary[name].film.width == 30
+        ours, theirs = camera.state_dict(), binary[name].state_dict()
+        assert list(ours) == list(theirs) and all(torch.equal(ours[n], theirs[n]) for n in ours)
+    (tmp_path / "images.bin").unlink()
+    with pytest.raises(ValueError, match=r"images\.txt:1: expected IMAGE_ID"):
+        tr.load_colmap(tmp_path)
+
+
+def changed(content: bytes, at: int, new: bytes) -> bytes:
+    return content[:at] + new + content[at + len(new) :]
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("cameras.bin", lambda c: b"", r"cameras\.bin: the file is truncated or damaged: 8 bytes expected, 0 left"),
+        ("cameras.bin", lambda c: c[:-1], r"cameras\.bin: the file is truncated .*: 96 bytes expected, 95 left"),
+        ("cameras.bin", lambda c: c + b"x", r"cameras\.bin: the file is damaged: 1 bytes after its end"),
+        ("cameras.bin", lambda c: b"\xff" * 8 + c[8:], r"claims to hold 18446744073709551615 cameras in \d+ bytes"),
+        ("cameras.bin", lambda c: changed(c, 12, b"\x08"), "camera 1: the camera model SIMPLE_RADIAL_FISHEYE is not"),
+        ("cameras.bin", lambda c: changed(c, 12, b"\xff" * 4), "camera 1: the camera model number -1 is not supported"),
+        (
+            "cameras.bin",
+            lambda c: changed(c, 16, b"\0"),
+            "camera 1: expected a size from 1 to 65536 pixels, got 0 x 40",
+        ),
+        ("cameras.bin", lambda c: changed(c, 32, b"\xff" * 8), "camera 1: f: expected a finite number, got 'nan'"),
+        ("cameras.bin", lambda c: changed(c, 39, b"\xc0"), "camera 1: f: expected a positive focal length, got -50"),
+        ("cameras.bin", lambda c: changed(c, 8, b"\x02"), "camera 2: a second camera 2"),
+        ("images.bin", lambda c: c[:100], r"images\.bin"),
+        ("images.bin", lambda c: changed(c, 12, b"\xff" * 8), r"images\.bin: image 1: QW: expected a finite number"),
+        ("images.bin", lambda c: changed(c, 12, b"\0" * 32), "image 1: expected a quaternion of length 1, got"),
+        ("images.bin", lambda c: changed(c, 68, b"\x63"), "image 1: there is no camera 99 in"),
+        ("images.bin", lambda c: changed(c, 72, b"\xff"), "image 1: its name is not text"),
+        ("images.bin", lambda c: c[:8] + c[8:].replace(b"\0", b"\1"), r"images\.bin: image"),
+        ("images.bin", lambda c: changed(c, 72 + 24, b"\xff" * 8), "truncated or damaged: 442721857769029238760 bytes"),
+    ],
+)
+def test_wrong_binary_files(tmp_path, name, change, message):
+    write_binary(tmp_path)
+    content = (tmp_path / name).read_bytes()
+    (tmp_path / name).write_bytes(change(content))
+    with pytest.raises(ValueError, match=message):
+        tr.load_colmap(tmp_path)
 
 
 def test_they_render(tmp_path):

@@ -62,6 +62,18 @@ def gltf(path):
     box.export(path)
 
 
+def colmap(path):
+    """Both files of a reconstruction, of which one is to be damaged."""
+    cameras = struct.pack("<QIiQQ4d", 1, 1, 1, 30, 40, 50, 45, 14, 18)
+    image = struct.pack("<QI7dI", 1, 1, 1, 0, 0, 0, 0.1, -0.2, 3, 1) + b"a.jpg\0" + struct.pack("<QddQ", 1, 1.5, 2.5, 7)
+    (path.parent / "cameras.bin").write_bytes(cameras)
+    (path.parent / "images.bin").write_bytes(image)
+
+
+def load_folder(path):
+    return tr.load_colmap(path.parent)
+
+
 # kind -> (name of the file, function that writes it, function that reads it)
 KINDS = {
     "exr": ("a.exr", lambda p: write_image(p, picture()), read_image),
@@ -86,6 +98,8 @@ KINDS = {
                  lambda p: tr.load_dict({"type": "diffuse", "reflectance": {"type": "spectrum", "filename": str(p)}})),
     "obj scene": ("a.obj", lambda p: p.write_text(OBJ), load_scene),
     "glb": ("a.glb", gltf, load_scene),
+    "colmap cameras": ("cameras.bin", colmap, load_folder),
+    "colmap images": ("images.bin", colmap, load_folder),
     "stl": ("a.stl", lambda p: trimesh.creation.box().export(p), load_scene),
 }  # fmt: skip
 
