@@ -136,7 +136,7 @@ def load_file(
             raise TypeError(f"load_file: {file.name} takes no parameters, got {', '.join(parameters)}")
         from . import geometry
 
-        description = geometry.load_scene(file)
+        description = geometry.load_scene(file, trusted)
     settings = {"variant": variant, "dtype": dtype, "device": device, "unsupported": unsupported}
     try:
         return load_dict(description, **settings, _folder=file.resolve().parent)

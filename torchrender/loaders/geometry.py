@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 import warnings
@@ -15,6 +16,8 @@ from ..io._files import existing_file, reading
 from ..transform import Transform
 from . import gltf
 from .materials import Materials, identifier, two_sided
+from .mtl import load_obj
+from .neighbours import files_of
 from .obj import read_obj
 from .ply import PlyElement, read_ply
 from .serialized import read_serialized
@@ -184,16 +187,19 @@ def _unit(column: np.ndarray) -> np.ndarray:
     return column / np.float32(np.iinfo(column.dtype).max) if column.dtype.kind in "iu" else column
 
 
-def load_scene(path: str | os.PathLike) -> dict[str, Any]:
+def load_scene(path: str | os.PathLike, trusted: bool = False) -> dict[str, Any]:
     """Read a geometry file as a whole scene that shows it.
 
     Args:
         path: glTF or GLB, OBJ with MTL, PLY, STL, or whatever else trimesh reads.
+        trusted: it may use files outside of its own folder.
 
     Returns:
         A dict as ``load_dict`` takes it: see :func:`from_trimesh`. A PLY file is read by :func:`load_mesh`. A glTF file
         has all its perspective cameras (``sensor``, ``sensor_1`` ..., 512 pixels high) and the lights of
-        KHR_lights_punctual, whose photometric numbers are taken as they are.
+        KHR_lights_punctual, whose photometric numbers are taken as they are; of KHR_materials_ there are ior, specular,
+        transmission, clearcoat, sheen, emissive_strength and unlit, of textures KHR_texture_transform. What else a
+        material asks for is named in a `SubstitutionWarning`.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -214,10 +220,17 @@ def load_scene(path: str | os.PathLike) -> dict[str, Any]:
     import trimesh
 
     with reading(path):  # trimesh's readers raise whatever they stumble over
-        header = gltf.read_header(path) if path.suffix.lower() in (".gltf", ".glb") else None
-        scene = from_trimesh(trimesh.load_scene(path, process=False), name=str(path))
-        if header is not None:
-            _add_cameras_and_lights(scene, *gltf.cameras_and_lights(header, str(path)))
+        if path.suffix.lower() == ".obj":
+            return from_trimesh(load_obj(path, trusted), name=str(path))
+        if path.suffix.lower() not in (".gltf", ".glb"):
+            loaded = trimesh.load_scene(path, resolver=files_of(path, trusted), process=False)
+            return from_trimesh(loaded, name=str(path))
+        files = files_of(path, trusted)
+        header, content = gltf.read_file(path, files)
+        kind = path.suffix.lower()[1:]
+        loaded = trimesh.load_scene(io.BytesIO(content), file_type=kind, resolver=files, process=False)
+        scene = _from_trimesh(loaded, str(path), header)
+        _add_cameras_and_lights(scene, *gltf.cameras_and_lights(header, str(path)))
         return scene
 
 
@@ -253,13 +266,17 @@ def from_trimesh(obj: Any, *, name: str = "trimesh object") -> dict[str, Any]:
         TypeError: if it is neither.
         ValueError: if it holds no triangles.
     """
+    return _from_trimesh(obj, name, None)
+
+
+def _from_trimesh(obj: Any, name: str, header: dict[str, Any] | None) -> dict[str, Any]:
     import trimesh
 
     if isinstance(obj, trimesh.Trimesh):
         obj = trimesh.Scene(obj)
     if not isinstance(obj, trimesh.Scene):
         raise TypeError(f"obj: expected a trimesh.Trimesh or trimesh.Scene, got {type(obj).__name__}")
-    materials = Materials(name)
+    materials = Materials(name, header)
     shapes: dict[str, Any] = {}
     corners, taken = [], {"type", "integrator", "sensor", "light"}
     for node in obj.graph.nodes_geometry:

@@ -17,32 +17,63 @@ import numpy as np
 
 from ..errors import SubstitutionWarning
 from ..io._files import check_size
+from .gltf_arrays import with_floats
 
 HEIGHT = 512  # rows of pixels of a camera: glTF states their proportions only
 _MAX_NODES = 1 << 20
+# Beginnings of names of extensions without which a file looks different, but not wrong, or which are read.
+_SUPPORTED = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_node_", "KHR_xmp")
 # What cameras and lights of glTF look along -z with x to the right is +z with x to the left here.
 _TURN = np.diag([-1.0, 1.0, -1.0, 1.0])
 
 
-def read_header(path: Path) -> dict[str, Any]:
-    """The JSON part of a .gltf or .glb file.
+def read_file(path: Path, files: Any) -> tuple[dict[str, Any], bytes]:
+    """The JSON part of a .gltf or .glb file, and the file as trimesh understands it.
+
+    A material's name is "NUMBER:NAME" there, by which what trimesh makes of it is found in the JSON again.
+
+    Args:
+        path: the file.
+        files: a resolver, which gives the files that it names.
 
     Raises:
-        ValueError: if it has none, or describes arrays that cannot be in the file.
+        ValueError: if it has no JSON, describes arrays that cannot be in the file, or needs what is not supported.
     """
     content = path.read_bytes()
+    rest = None
     if content[:4] == b"glTF":
         length, kind = struct.unpack_from("<I4s", content, 12)
         if kind != b"JSON" or length > len(content) - 20:
             raise ValueError(f"{path}: the file is truncated or damaged: its first part is no JSON of {length} bytes")
-        content = content[20 : 20 + length]
+        content, rest = content[20 : 20 + length], content[20 + length :]
     header = json.loads(content)
     if not isinstance(header, dict):
         raise ValueError(f"{path}: expected a JSON object, got {type(header).__name__}")
+    _check(path, header)
+    binary = None
+    if rest:
+        length, kind = struct.unpack_from("<I4s", rest)
+        binary = rest[8 : 8 + length] if kind == b"BIN\0" else None
+    decoded = with_floats(header, binary, ("POSITION", "NORMAL", "TEXCOORD_0"), files.get)
+    materials = [{**m, "name": f"{i}:{m.get('name', '')}"} for i, m in enumerate(header.get("materials", []))]
+    numbered = json.dumps({**decoded, "materials": materials} if materials else decoded).encode()
+    if rest is not None:
+        numbered += b" " * (-len(numbered) % 4)
+        start = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(numbered) + len(rest), len(numbered), b"JSON")
+        numbered = start + numbered + rest
+    return header, numbered
+
+
+def _check(path: Path, header: dict[str, Any]) -> None:
+    """ValueError for what trimesh would misread."""
+    missing = [name for name in header.get("extensionsRequired", []) if not name.startswith(_SUPPORTED)]
+    if missing:
+        raise ValueError(f"{path}: the file needs the extensions {', '.join(missing)}, which are not supported")
     for accessor in header.get("accessors", []):
         if "bufferView" not in accessor:  # zeros, made from nothing
             check_size(path, 16 * int(accessor["count"]), 4096)
-    return header
+            if "sparse" in accessor:
+                check_size(path, 16 * int(accessor["sparse"]["count"]), 4096)
 
 
 def cameras_and_lights(header: dict[str, Any], name: str) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
