@@ -177,8 +177,8 @@ def test_xml(tmp_path):
       <float name="hour" value="12"/><integer name="month" value="3"/><float name="turbidity" value="2.5"/>
       <boolean name="complex_sun" value="false"/>
       <transform name="to_world"><rotate x="1" angle="-90"/></transform></emitter>
-      <emitter type="sunsky" id="other"><integer name="height" value="64"/><vector name="sun_direction" x="0" y="0.5" z="0.5"/>
-      <rgb name="albedo" value="0.1, 0.2, 0.3"/></emitter></scene>"""
+      <emitter type="sunsky" id="other"><integer name="height" value="64"/>
+      <vector name="sun_direction" x="0" y="1" z="1"/><rgb name="albedo" value="0.1, 0.2, 0.3"/></emitter></scene>"""
     (tmp_path / "a.xml").write_text(text)
     with pytest.raises(ValueError, match="sunsky: 'albedo' is not supported"):
         tr.load_file(tmp_path / "a.xml")
@@ -187,6 +187,47 @@ def test_xml(tmp_path):
     assert scene.sky.data.shape == scene.other.data.shape == (64, 128, 3)
     again = make(hour=12, month=3, turbidity=2.5, to_world=UPRIGHT, height=64)
     torch.testing.assert_close(scene.sky.data, again.sky.data)
+
+
+def test_files_of_mitsuba_0_6(tmp_path):
+    """Their up is +y; sky and sun are types of their own."""
+    emitters = "".join(
+        f"""<emitter type="{kind}" id="{kind}"><float name="turbidity" value="4"/><integer name="height" value="32"/>
+        <vector name="sunDirection" x="0.5" y="0.6" z="-0.4"/>{more}</emitter>"""
+        for kind, more in {
+            "sunsky": '<float name="sunScale" value="0.5"/>',
+            "sky": '<float name="scale" value="3"/>',
+            "sun": '<transform name="toWorld"><rotate y="1" angle="90"/></transform>',
+        }.items()
+    )
+    (tmp_path / "a.xml").write_text(f'<scene version="0.6.0">{emitters}</scene>')
+    scene = tr.load_file(tmp_path / "a.xml")
+    sky = tr.sky(SUN, 4.0, height=32)
+    sun = daylight.sun_disc(SUN, daylight.sun(SUN, 4.0), height=32)
+    near = {"rtol": 1e-3, "atol": 1e-4 * float(sun.max())}
+    torch.testing.assert_close(scene["sunsky"].data, sky + 0.5 * sun, **near)
+    torch.testing.assert_close(scene["sky"].data, 3 * sky, **near)
+    torch.testing.assert_close(scene["sunsky"].to_world[:3, :3], torch.eye(3), rtol=0, atol=1e-6)
+    # The map is turned with its frame, and the sun in it turned back: it stands where it was in the world.
+    turned = scene["sun"].to_world[:3, :3]
+    torch.testing.assert_close(turned, tr.Transform.rotate([0, 1, 0], 90).matrix[:3, :3].float(), rtol=0, atol=1e-6)
+    again = torch.tensor(SUN) @ turned
+    torch.testing.assert_close(scene["sun"].data, daylight.sun_disc(again, daylight.sun(SUN, 4.0), height=32), **near)
+
+
+def test_stand_in_for_a_day_that_passes():
+    day = {"type": "timed_sunsky", "turbidity": 5.0, "window_start_time": 9.0, "start_year": 2025}
+    with pytest.warns(tr.SubstitutionWarning, match="by 'sunsky' without start_year, window_start_time"):
+        scene = tr.load_dict({"type": "scene", "day": day}, unsupported="substitute")
+    assert scene.day.data.shape == (512, 1024, 3)
+
+
+def test_saved_and_loaded_again(tmp_path):
+    scene = make(sun_direction=SUN, to_world=UPRIGHT)
+    scene.save(tmp_path / "a.xml")
+    again = tr.load_file(tmp_path / "a.xml")
+    torch.testing.assert_close(again.sky.data, scene.sky.data)
+    torch.testing.assert_close(again.sky.to_world, scene.sky.to_world)
 
 
 @pytest.mark.parametrize(

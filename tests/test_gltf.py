@@ -150,6 +150,22 @@ def test_cameras_and_lights(tmp_path):
     assert float(built["light_2"].beam_width) == pytest.approx(math.degrees(0.1))
 
 
+def test_orthographic_camera(tmp_path):
+    """It sees xmag to either side and ymag up and down, twice as wide as high here."""
+    document = triangle(
+        nodes=[{"mesh": 0}, {"camera": 0, "translation": [5, 6, 7], "scale": [3, 3, 3]}],
+        scenes=[{"nodes": [0, 1]}],
+        cameras=[{"type": "orthographic", "orthographic": {"xmag": 4.0, "ymag": 2.0, "znear": 0.5, "zfar": 9.0}}],
+    )
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    camera = tr.load_file(tmp_path / "a.gltf").sensors[0]
+    assert isinstance(camera, tr.OrthographicCamera) and (camera.film.width, camera.film.height) == (1024, 512)
+    assert (float(camera.near_clip), float(camera.far_clip)) == (0.5, 9.0)
+    rays = camera.rays(torch.tensor([[0.0, 0.0], [1024.0, 512.0]]))  # the upper left corner, and the other one
+    torch.testing.assert_close(rays.origins[:, :2], torch.tensor([[1.0, 8.0], [9.0, 4.0]]))
+    torch.testing.assert_close(rays.directions, torch.tensor([[0.0, 0.0, -1.0]] * 2))
+
+
 @pytest.mark.parametrize("kind", ["point", "spot", "directional"])
 def test_loads_and_renders(tmp_path, kind):
     extension = "KHR_lights_punctual"

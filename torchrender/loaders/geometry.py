@@ -196,7 +196,7 @@ def load_scene(path: str | os.PathLike, trusted: bool = False) -> dict[str, Any]
 
     Returns:
         A dict as ``load_dict`` takes it: see :func:`from_trimesh`. A PLY file is read by :func:`load_mesh`. A glTF file
-        has all its perspective cameras (``sensor``, ``sensor_1`` ..., 512 pixels high) and the lights of
+        has all its cameras (``sensor``, ``sensor_1`` ..., 512 pixels high) and the lights of
         KHR_lights_punctual, whose photometric numbers are taken as they are; of KHR_materials_ there are ior, specular,
         transmission, clearcoat, sheen, emissive_strength and unlit, of textures KHR_texture_transform. What else a
         material asks for is named in a `SubstitutionWarning`.

@@ -21,6 +21,7 @@ from .gltf_arrays import with_floats
 
 HEIGHT = 512  # rows of pixels of a camera: glTF states their proportions only
 _MAX_NODES = 1 << 20
+_MAX_WIDTH = 1 << 16
 # Beginnings of names of extensions without which a file looks different, but not wrong, or which are read.
 _SUPPORTED = ("KHR_materials_", "KHR_lights_", "KHR_texture_transform", "KHR_mesh_quantization", "KHR_node_", "KHR_xmp")
 # What cameras and lights of glTF look along -z with x to the right is +z with x to the left here.
@@ -136,17 +137,22 @@ def _turned(matrix: np.ndarray) -> np.ndarray:
 
 def _camera(camera: dict[str, Any], matrix: np.ndarray, name: str) -> dict[str, Any] | None:
     kind = camera.get("type")
-    if kind != "perspective":
+    if kind not in ("perspective", "orthographic"):
         _say(f"{name}: the camera {camera.get('name', kind)!r} is {kind} and was left out")
         return None
-    lens = camera["perspective"]
-    sensor = {
-        "type": "perspective",
-        "fov": math.degrees(lens["yfov"]),
-        "fov_axis": "y",
-        "to_world": _turned(matrix),
-        "film": {"type": "hdrfilm", "width": max(1, round(HEIGHT * lens.get("aspectRatio", 1.0))), "height": HEIGHT},
-    }
+    lens = camera[kind]
+    sensor: dict[str, Any] = {"type": kind, "to_world": _turned(matrix)}
+    if kind == "perspective":
+        aspect = lens.get("aspectRatio", 1.0)
+        sensor |= {"fov": math.degrees(lens["yfov"]), "fov_axis": "y"}
+    else:
+        across, up = abs(float(lens["xmag"])), abs(float(lens["ymag"]))  # half of what is seen
+        aspect = across / up
+        sensor["to_world"] = sensor["to_world"] @ np.diag([across, across, 1.0, 1.0])
+    width = max(1, round(HEIGHT * aspect))
+    if width > _MAX_WIDTH:
+        raise ValueError(f"a camera {aspect:g} times as wide as high")
+    sensor["film"] = {"type": "hdrfilm", "width": width, "height": HEIGHT}
     for theirs, ours in (("znear", "near_clip"), ("zfar", "far_clip")):
         if theirs in lens:
             sensor[ours] = float(lens[theirs])

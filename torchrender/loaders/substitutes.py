@@ -190,6 +190,10 @@ def _bsdf(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
 
 def _emitter(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
     kind = value["type"]
+    if kind == "timed_sunsky" and "sunsky" in walker.types:
+        kept = {n: v for n, v in value.items() if n in registry.accepted_names("sunsky")}
+        lost = [n for n in value if n not in (*kept, "type", "id")]
+        return walker.replaced(value, {"type": "sunsky", **kept}, where, " ".join(lost))
     if kind in ("sunsky", "timed_sunsky", "sky", "sun"):
         return walker.replaced(value, {"type": "constant"}, where)
     return walker.omitted(value, where)

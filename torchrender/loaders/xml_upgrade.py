@@ -2,8 +2,8 @@
 
 Facts: Mitsuba 2's documentation, "Scene format": property names changed from camelCase to under_scores, and the
 texture parameters uscale, vscale, uoffset and voffset became a `to_uv` transform. The manual of 0.6: filters of bitmaps
-were "ewa", "trilinear" and "nearest", black bodies had a tag and films of 8 bits a type of their own; in 0.3 sensors
-were called cameras and emitters luminaires.
+were "ewa", "trilinear" and "nearest", black bodies had a tag and films of 8 bits a type of their own, as
+had sky and sun, in whose frame +y was up; in 0.3 sensors were called cameras and emitters luminaires.
 """
 
 from __future__ import annotations
@@ -41,6 +41,25 @@ def upgrade(element: Element) -> None:
         element.tag = "rgb"
     for child in element.children:
         upgrade(child)
+    if element.tag == "emitter" and element.attributes.get("type") in ("sunsky", "sky", "sun"):
+        _upgrade_sky(element)
+
+
+def _upgrade_sky(emitter: Element) -> None:
+    """One type for three, in whose frame +z is up and not +y."""
+    kind, place = emitter.attributes["type"], (emitter.file, emitter.line)
+    emitter.attributes["type"] = "sunsky"
+    if kind != "sunsky":
+        ours, other = ("sky_scale", "sun_scale") if kind == "sky" else ("sun_scale", "sky_scale")
+        for child in emitter.children:
+            if child.attributes.get("name") == "scale":
+                child.attributes["name"] = ours
+        emitter.children.append(Element("float", {"name": other, "value": "0"}, *place))
+    transforms = [c for c in emitter.children if c.attributes.get("name") == "to_world"]
+    if not transforms:
+        transforms = [Element("transform", {"name": "to_world"}, *place)]
+        emitter.children += transforms
+    transforms[0].children.insert(0, Element("rotate", {"x": "1", "angle": "-90"}, *place))
 
 
 def _is_triple(text: str) -> bool:
