@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -73,6 +74,21 @@ def test_fewer_coefficients_are_those_of_opencv():
         short = tr.PerspectiveCamera.from_opencv(K, R, T, (40, 30), BROWN[:n])
         padded = torch.cat([BROWN[:n], torch.zeros(8 - n, dtype=torch.float64)])
         assert torch.equal(short.distortion, padded)
+
+
+@pytest.mark.parametrize("shape", [(1, -1), (-1, 1)])
+def test_coefficients_come_as_cv2_returns_them(shape):
+    for cls, given in ((tr.PerspectiveCamera, BROWN[:5]), (tr.FisheyeCamera, KANNALA)):
+        plain, as_table = (cls.from_opencv(K, R, T, (40, 30), k) for k in (given, given.numpy().reshape(shape)))
+        torch.testing.assert_close(as_table.distortion, plain.distortion)
+    with pytest.raises(ValueError, match=r"distortion: expected 4, 5 or 8 coefficients .* shape \(2, 2\)"):
+        tr.PerspectiveCamera.from_opencv(K, R, T, (40, 30), np.zeros((2, 2)))
+
+
+def test_a_reflection_is_no_rotation():
+    mirrored = torch.as_tensor(R) @ torch.diag(torch.tensor([1.0, 1.0, -1.0], dtype=torch.as_tensor(R).dtype))
+    with pytest.raises(ValueError, match=r"from_opencv\.R: expected a rotation, got a reflection"):
+        tr.PerspectiveCamera.from_opencv(K, mirrored, T, (40, 30))
 
 
 def test_without_distortion_the_rays_are_those_of_a_pinhole():

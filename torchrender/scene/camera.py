@@ -205,7 +205,7 @@ class LensCamera(Camera):
             t: (3,) translation.
             size: of the film (H, W).
             distortion: coefficients of the lens, as OpenCV has them: k1 k2 p1 p2 (k3 (k4 k5 k6)), of a fisheye lens
-                k1 k2 k3 k4.
+                k1 k2 k3 k4; (N,), (1, N) or (N, 1).
             properties: others that the class takes.
 
         Tensors keep their graph: gradients of an image reach K, R, t and the distortion.
@@ -221,8 +221,12 @@ class LensCamera(Camera):
         # Our +x is left and +y up: both are turned around with respect to OpenCV's.
         flip = torch.diag(torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64))
         to_world = _rigid(rotation.T @ flip, -(rotation.T @ offset))
+        if float(torch.linalg.det(rotation.detach())) < 0:
+            ctx.at("R").error("expected a rotation, got a reflection: its determinant is negative")
         if distortion is not None:
-            properties["distortion"] = distortion
+            shape = getattr(distortion, "shape", ())
+            is_row = len(shape) == 2 and 1 in shape  # (1, N) or (N, 1), as cv2 returns it
+            properties["distortion"] = distortion.reshape(-1) if is_row else distortion
         return cls(
             to_world=to_world,
             x_fov=cls.fov_of(fx, width),
