@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from oracle import film as oracle_film
-from oracle.path import camera_samples
+from oracle.film import camera_samples
 from oracle.world import World
 
 import torchrender as tr
+from torchrender.wavefront.film import filter_weight
 
 LOBED = [
     {"type": "mitchell"},
@@ -227,11 +227,10 @@ def test_slopes_of_splatted_light(rfilter):
     torch.testing.assert_close(moved, difference, rtol=1e-5, atol=1e-6 * float(difference.abs().max()))
 
 
-def test_the_oracle_has_the_same_weights():
+def test_the_path_tracer_in_pytorch_has_the_same_weights():
     x = torch.linspace(-3.5, 3.5, 141).double()
     for rfilter in LOBED:
-        film = scene_of(rfilter).sensors[0].film
-        ours = oracle_film.FILTERS[film.filter.type](x, film).numpy()
+        ours = filter_weight(scene_of(rfilter).sensors[0].film.filter, x).numpy()
         np.testing.assert_allclose(ours, weight(rfilter, x.numpy()), atol=1e-14)
 
 

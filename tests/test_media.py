@@ -16,8 +16,8 @@ import pytest
 import torch
 from media_objects import DOUBLE, LAMP, LIGHTS, STACKS, ball, colour, lamp, layers, random_grid, sky
 from media_truth import assert_mean, cameras, lines, pencil, scene, seen
+from oracle.film import camera_samples
 from oracle.media import NOTHING, Media, Tracer
-from oracle.path import camera_samples
 from oracle.world import World
 from slab_truth import h_function, one_thread, vertical_radiance
 

@@ -17,13 +17,13 @@ import torch
 from instruction_sets import assert_equal_means
 from media_objects import DOUBLE, cloud, colour, lamp, random_grid, sky
 from media_truth import assert_mean, difference_of_means, lines, pencil, scene, seen
+from oracle.film import camera_samples
 from oracle.media import MEDIA, NOTHING, Tracer
-from oracle.path import camera_samples
 from oracle.phases import PHASES
-from oracle.volumes import VOLUMES
 from oracle.world import World
 
 import torchrender as tr
+from torchrender.wavefront.volumes import VOLUMES
 
 
 # ---------------------------------------------------------------------------------------- equal media, equal renderings

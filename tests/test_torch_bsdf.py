@@ -95,6 +95,39 @@ def test_diffuse_is_the_native_one(light, depth):
     assert bool(gradients[0].any()) == (depth > 1)
 
 
+def around(bsdf) -> dict[str, dict]:
+    """A BSDF inside of others."""
+    normals = {"type": "bitmap", "data": 0.3 + 0.7 * TEXELS["data"], "raw": True}
+    paint = {"type": "roughconductor", "alpha": 0.4, "distribution": "ggx"}
+    return {
+        "twosided": {"type": "twosided", "a": paint, "b": bsdf},
+        "blendbsdf": {"type": "blendbsdf", "weight": TEXELS, "a": bsdf, "b": paint},
+        "mask": {"type": "mask", "opacity": 0.6, "bsdf": {"type": "twosided", "bsdf": bsdf}},
+        "normalmap": {"type": "normalmap", "normalmap": normals, "bsdf": bsdf},
+        "bumpmap": {"type": "bumpmap", "heights": normals, "scale": 0.1, "bsdf": bsdf},
+    }
+
+
+@pytest.mark.parametrize("layer", around(None))
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+def test_inside_of_other_bsdfs(layer):
+    """Image and derivatives in what it is inside of and in itself are those of the native model there."""
+    gradients, images = [], []
+    for bsdf, integrator in ((Lambert(), wavefront(4)), (NATIVE, tr.PathTracer(4))):
+        back = layer in ("twosided", "mask")
+        ball = {"type": "sphere", "radius": 0.7, "flip_normals": back, "bsdf": around(bsdf)[layer]}
+        scene = scene_with({}, ball=ball)
+        values = {n: p.requires_grad_() for n, p in scene.named_parameters() if n.startswith("ball.bsdf")}
+        images.append(tr.render(scene, integrator=integrator, seed=2, spp=8))
+        found = torch.autograd.grad(images[-1].square().sum(), list(values.values()))
+        gradients.append({n.replace("reflectance.value", "albedo"): g for n, g in zip(values, found, strict=True)})
+    torch.testing.assert_close(*images, rtol=1e-9, atol=1e-12)
+    ours, theirs = gradients
+    for name in theirs:
+        torch.testing.assert_close(ours[name], theirs[name], rtol=1e-9, atol=1e-12, msg=name)
+        assert bool(ours[name].any()) or "brdf_0" in name  # the side that is not seen
+
+
 @pytest.mark.parametrize("light", LIGHTS)
 def test_samples_of_its_own_give_the_same_image(light):
     """z-tests of images of independent seeds; significance 0.01 for all lights together."""

@@ -16,7 +16,7 @@ from .scene.mesh import Mesh
 from .view import View
 from .wavefront.film import Splats
 from .wavefront.numbers import CAMERA_BLOCK, Numbers, pixel_key
-from .wavefront.textures import bilinear, wrap
+from .wavefront.texels import bilinear, wrap
 
 if TYPE_CHECKING:
     from .autograd import RenderCall

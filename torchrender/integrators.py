@@ -151,10 +151,9 @@ class WavefrontPathTracer(_Paths):
     """Path tracer in PyTorch, for scenes with a `TorchBSDF`: slower than `PathTracer`, and of the same samples.
 
     It does what `PathTracer` does, as tensor operations on all paths of a chunk at a time; the native core answers ray
-    queries and gives the random numbers. Where both can render a scene, the images of one seed are equal to rounding.
-    It has the BSDFs that are written in PyTorch, and of the native ones `diffuse`, `conductor`, `roughconductor`,
-    `dielectric`, `thindielectric`, `null` and `twosided`; the emitters `area`, `point`, `constant` and `envmap`; every
-    shape, texture, film and sampler. Another BSDF or emitter is refused with its place in the scene, and so are media.
+    queries and gives the random numbers. Images of one seed are those of `PathTracer` to rounding. It has every native
+    model, and BSDFs that are written in PyTorch, also inside of `twosided`, `blendbsdf`, `mask`, `normalmap` and
+    `bumpmap`. Scenes with media are refused.
 
     The derivative is that of autograd: image and derivative have samples of their own, as with `render` in general.
     What is rendered keeps no graph; `backward()` traces the derivative's samples, `chunk` by `chunk`, so that memory

@@ -15,16 +15,18 @@ import torch
 
 import torchrender as tr
 from torchrender.scene.film import Film
+from torchrender.surface import dot, normalize
+from torchrender.wavefront import layers, numbers
+from torchrender.wavefront.bsdf import fresnel_dielectric
+from torchrender.wavefront.bsdfs import BSDFS, Dielectric
+from torchrender.wavefront.film import filter_weight
+from torchrender.wavefront.geometry import Frame, Glued, glue, reattach
+from torchrender.wavefront.layers import Layers
+from torchrender.wavefront.path import offset_origin
+from torchrender.wavefront.world import At
 
-from . import layers, numbers
-from .bsdf import fresnel_dielectric
-from .bsdfs import BSDFS, Dielectric
-from .film import FILTERS, reach
-from .geometry import Frame, dot, normalize, reattach
-from .glued import Glued, glue
-from .layers import Layers
-from .path import offset_origin
-from .world import At, World
+from .film import splat
+from .world import World
 
 EMISSION_BLOCK = 1
 
@@ -74,29 +76,19 @@ def correction(wi: torch.Tensor, wo: torch.Tensor, ns: torch.Tensor, ng: torch.T
     return (dot(wi, ns) * dot(wo, ng) / (dot(wi, ng) * dot(wo, ns))).abs()
 
 
-def splat(film: Film, x: torch.Tensor, y: torch.Tensor, values: torch.Tensor, measured: bool) -> torch.Tensor:
+def developed(film: Film, x: torch.Tensor, y: torch.Tensor, values: torch.Tensor, measured: bool) -> torch.Tensor:
     """Sums of values (N, C) times filter weights, over the integral of the filter, (H, W, C)."""
-    f, k = FILTERS[film.filter.type], reach(film)
-    image = values.new_zeros(film.height * film.width, values.shape[1])
-    column, row = torch.floor(x.detach()), torch.floor(y.detach())
-    for i in range(-k, k + 1):
-        for j in range(-k, k + 1):
-            weight = f(row + i + 0.5 - y, film) * f(column + j + 0.5 - x, film)
-            r, c = (row + i).long(), (column + j).long()
-            inside = (r >= 0) & (r < film.height) & (c >= 0) & (c < film.width)
-            image = image.index_add(0, (r * film.width + c)[inside], (values * weight[:, None])[inside])
     rows, columns = (_integrals(film, n, measured) for n in (film.height, film.width))
-    return image.reshape(film.height, film.width, -1) / (rows[:, None] * columns)[..., None]
+    return splat(film, x, y, values)[0] / (rows[:, None] * columns)[..., None]
 
 
 def _integrals(film: Film, size: int, measured: bool) -> torch.Tensor:
     """Of the filter of each of `size` pixels over the whole line, or over the film alone; by a fine midpoint rule."""
-    fine, margin = 20000, 0 if measured else reach(film) + 1
+    fine, margin = 20000, 0 if measured else math.ceil(film.filter.reach) + 1
     if film.filter.type == "box":
         return torch.ones(size, dtype=torch.float64)
     x = (torch.arange(fine * (size + 2 * margin), dtype=torch.float64) + 0.5) / fine - margin
-    f = FILTERS[film.filter.type]
-    return torch.stack([f(x - (i + 0.5), film).sum() / fine for i in range(size)])
+    return torch.stack([filter_weight(film.filter, x - (i + 0.5)).sum() / fine for i in range(size)])
 
 
 def render(
@@ -123,7 +115,8 @@ def render(
     pixel = ((row + 32768) << 16) | (column + 32768)
     n = len(pixel)
 
-    u, v = (numbers.random4(seed, 0, pixel, sample, block) for block in (0, EMISSION_BLOCK))
+    random = numbers.Numbers("independent", spp, seed, 0, torch.float64)
+    u, v = (random.block(pixel, sample, block) for block in (numbers.CAMERA_BLOCK, EMISSION_BLOCK))
     a, b = (column + u[:, 0]) / film.width, (row + u[:, 1]) / film.height
     second = b > a  # the second triangle of the rectangle, which (a, b) fills
     barycentric = torch.stack([torch.where(second, a, a - b), torch.where(second, b - a, b)], 1)
@@ -168,7 +161,7 @@ def render(
             places.append((uv[seen, 0] * film.width, uv[seen, 1] * film.height, beta[seen] * texels[:, None]))
         chains = []
         block = numbers.BSDF_BLOCK + numbers.BLOCKS_PER_SCATTERING * depth
-        u = numbers.random4(seed, 0, pixel[lane], sample[lane], block)
+        u = random.block(pixel[lane], sample[lane], block)
         found = layers.find(world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, derivative=derivative)
         for number in found.leaf.unique().tolist():
             chosen = (found.leaf == number).nonzero()[:, 0]
@@ -199,7 +192,7 @@ def render(
     if not places:
         return torch.zeros(film.height, film.width, world.channels, dtype=torch.float64)
     x, y, values = (torch.cat(columns) for columns in zip(*places))
-    return splat(film, x, y, values, measured) / (spp * film.height * film.width)
+    return developed(film, x, y, values, measured) / (spp * film.height * film.width)
 
 
 def _transfer(start: Glued, end: Glued) -> torch.Tensor:

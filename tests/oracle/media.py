@@ -14,12 +14,16 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from . import phases, volumes
-from .bsdfs import BSDFS, resolve
-from .emitters import Lights
-from .geometry import Frame, Rows, dot
-from .path import offset_origin
-from .world import At, World
+from torchrender.surface import dot
+from torchrender.wavefront import layers, volumes
+from torchrender.wavefront.bsdfs import BSDFS
+from torchrender.wavefront.emitters import Lights, Point
+from torchrender.wavefront.geometry import Frame, Rows
+from torchrender.wavefront.path import offset_origin
+from torchrender.wavefront.world import At
+
+from . import phases
+from .world import World
 
 NOTHING = -1  # the medium where there is none
 CROSSINGS = 32  # surfaces that a straight line passes, at most
@@ -172,7 +176,7 @@ class Tracer:
 
     def __init__(self, world: World, max_depth: int, seed: int) -> None:
         self.world, self.media, self.lights = world, Media(world), Lights(world)
-        self.points = [light for light in self.lights.all if type(light).__name__ == "Point"]
+        self.points = [light for light in self.lights.all if isinstance(light, Point)]
         self.emitter = world.shape_field("emitter")
         self.max_depth = max_depth if max_depth >= 0 else 1 << 30
         self.generator = torch.Generator().manual_seed(seed)
@@ -298,8 +302,10 @@ class Tracer:
             rows = ((self.emitter[at.shape] == light.index) & (wi[:, 2] > 0)).nonzero()[:, 0]
             if len(rows):
                 self.add(photons[rows], photons[rows].of(light.radiance(at[rows])).detach())
-        leaf, mirrored = resolve(self.world, self.media.bsdf[at.shape], wi[:, 2] < 0)
-        sign = torch.where(mirrored, -1.0, 1.0).to(wi)
+        u = torch.zeros(len(at), dtype=torch.float64)
+        held = (self.media.bsdf[at.shape], at, position, shading_normal, photons.d, u)
+        found = layers.find(self.world, *held, viewed=True, derivative=False)
+        leaf, sign = found.leaf, torch.where(found.mirrored, -1.0, 1.0).to(wi)
         flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], 1)
         for number in leaf.unique().tolist():
             rows = (leaf == number).nonzero()[:, 0]

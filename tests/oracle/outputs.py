@@ -7,13 +7,24 @@ from collections.abc import Mapping
 import torch
 
 import torchrender as tr
+from torchrender.surface import dot, normalize
+from torchrender.wavefront.layers import share
+from torchrender.wavefront.numbers import Numbers
+from torchrender.wavefront.path import WavefrontTracer
+from torchrender.wavefront.world import At, Record
 
-from .bsdfs import BSDFS
-from .film import develop
-from .geometry import dot, normalize
-from .layers import share
-from .path import PathTracer, camera_samples
-from .world import At, Record, World
+from .film import camera_samples, splat
+from .world import World
+
+# The textures that are the output `albedo` of BSDFs; of others it is white.
+ALBEDO = {
+    "diffuse": "reflectance",
+    **dict.fromkeys(("conductor", "roughconductor", "anisotropicconductor"), "specular_reflectance"),
+    **dict.fromkeys(("dielectric", "thindielectric"), "specular_transmittance"),
+    **dict.fromkeys(("roughdielectric", "anisotropicdielectric"), "specular_transmittance"),
+    **dict.fromkeys(("principled", "principledthin"), "base_color"),
+    **dict.fromkeys(("plastic", "roughplastic", "redner"), "diffuse_reflectance"),
+}
 
 
 def albedo(world: World, hits: tr.queries.Hits, d: torch.Tensor) -> torch.Tensor:
@@ -32,7 +43,7 @@ class Unclipped:
     """A world whose cameras see from where they are, not from their near plane on."""
 
     def __init__(self, world: World) -> None:
-        self.world, self.scene, self.records = world, world.scene, world.records
+        self.world, self.scene, self.records, self.dtype = world, world.scene, world.records, world.dtype
 
     def tensor(self, category: str, record: Record, name: str) -> torch.Tensor:
         found = self.world.tensor(category, record, name)
@@ -55,8 +66,7 @@ def albedo_of(world: World, number: int, at: At, back: bool) -> torch.Tensor:
         w = share(world, record, at)[:, None]
         first, second = ("bsdf_0", "bsdf_1") if record.type == "blendbsdf" else (None, "nested_bsdf")
         return (1 - w) * (inside(first) if first else white) + w * inside(second)
-    name = BSDFS[record.type].albedo
-    return white if name is None else world.color("bsdf", record, name, at)
+    return world.color("bsdf", record, ALBEDO[record.type], at) if record.type in ALBEDO else white
 
 
 def first_hits(
@@ -75,7 +85,8 @@ def first_hits(
     world = World(scene, params)
     positions, rays, _, _ = camera_samples(world, seed, spp, sensor)
     config = (integrator or scene.integrator or tr.PathTracer()).config()
-    hits = PathTracer(world, config, seed, sensor, False).first_hits(rays)
+    random = Numbers("independent", spp, seed, sensor, torch.float64)
+    hits = WavefrontTracer(world, config, random, False).first_hits(rays)
     to_world = world.tensor("sensor", world.records["sensor"][sensor], "to_world")
     axes = normalize(to_world[:3, :3].T)
     rows = hits.valid.nonzero()[:, 0]
@@ -96,11 +107,9 @@ def first_hits(
     }
     images = {}
     for name, value in found.items():
-        columns = torch.cat([value, torch.ones(len(rows), 1, dtype=torch.float64)], 1)
-        columns = torch.zeros(len(positions), columns.shape[1], dtype=torch.float64).index_put((rows,), columns)
-        sums = develop(scene.sensors[sensor].film, positions, columns, magnitude=True)
-        share = sums[..., -1:]
+        x, y = positions[rows].unbind(1)
+        sums, share = splat(scene.sensors[sensor].film, x, y, value, magnitude=True)
         nothing = float("inf") if name in ("depth", "distance", "position") else 0.0
-        image = torch.where(share > 0, sums[..., :-1] / torch.where(share > 0, share, 1.0), nothing)
+        image = torch.where(share > 0, sums / torch.where(share > 0, share, 1.0), nothing)
         images[name] = image[..., 0] if name in ("depth", "distance") else image
     return images

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import torch
 
-from . import volumes
-from .geometry import dot
-from .world import Record, World
+from torchrender.surface import dot
+from torchrender.wavefront import volumes
+from torchrender.wavefront.world import Record, World
 
 
 def isotropic(world: World, record: Record, p: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:

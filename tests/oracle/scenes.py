@@ -405,6 +405,30 @@ def brushed() -> dict:
             "flip_normals": True,
             "bsdf": layer_scenes.blend({"type": "twosided", "bsdf": metal(0.3, 0.6)}, r._diffuse(0.4), 0.3),
         },
+        pot={
+            "type": "sphere",
+            "to_world": r.translate(-0.2, -0.6, 1.1) @ r.rotate("x", 50) @ r.scale(0.35),
+            "bsdf": {
+                "type": "principled",
+                "base_color": r._bitmap(146, 3, 3),
+                "roughness": 0.6,
+                "metallic": 0.4,
+                "spec_trans": 0.3,
+                "clearcoat": 0.5,
+                "anisotropic": r._bitmap(147, 3, 3),
+            },
+        },
+        petal={
+            "type": "rectangle",
+            "to_world": r.translate(1.2, -0.2, 1.0) @ r.rotate("y", -40) @ r.scale(0.4),
+            "bsdf": {
+                "type": "principledthin",
+                "roughness": 0.7,
+                "spec_trans": 0.6,
+                "diff_trans": 0.8,
+                "anisotropic": 0.7,
+            },
+        },
         floor={"type": "rectangle", "to_world": r.FLOOR, "bsdf": metal(0.5, 0.2, specular_reflectance=0.8)},
         lamp=r._lamp(r._bitmap(144, 3, 4, 1.0, 9.0)),
         bulb={"type": "point", "position": [-2.0, 2.0, 1.0], "intensity": r._rgb(4.0, 5.0, 3.0)},
@@ -532,4 +556,3 @@ SCENES: dict[str, Callable[[], dict]] = {
     **SENSORS,
     **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed)},
 }
-ONLY_RGB = ("normals", "turned_brushed")  # a scene in grey refuses normal maps

@@ -3,51 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import torch
 
 from ..surface import dot, inverse_linear, normalize, transform_vector
 from . import numbers
-from .geometry import Rows, glue, reattach
+from .emitter import Emitter, Light, endless
+from .envmap import EnvironmentMap
+from .geometry import glue, reattach, root
 from .lights import LIGHT_SHAPES
-from .textures import bilinear
 from .world import At, Record, World
-
-
-@dataclass
-class Light(Rows):
-    """Sampled light at N points.
-
-    `direction` (N, 3), unit, from the point; `distance` (N,), detached; `pdf` (N,) per solid angle, detached, 0 where
-    nothing arrives; `value` (N, C), emission times the geometry that moves, over what it was when it was sampled;
-    `delta` (N,), no ray can hit the emitter by itself.
-    """
-
-    direction: torch.Tensor
-    distance: torch.Tensor
-    pdf: torch.Tensor
-    value: torch.Tensor
-    delta: torch.Tensor
-
-
-class Emitter:
-    """An emitter of a scene; `index` is its number."""
-
-    environment = False  # seen by rays that leave the scene
-
-    def __init__(self, world: World, index: int) -> None:
-        self.world, self.index, self.record = world, index, world.records["emitter"][index]
-        self.prepare(self.record)
-
-    def prepare(self, record: Record) -> None:
-        """What is needed besides."""
-
-    def color(self, name: str, count: int) -> torch.Tensor:
-        return self.world.tensor("emitter", self.record, name).expand(count, self.world.channels)
-
-    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
-        raise NotImplementedError
 
 
 class Area(Emitter):
@@ -97,97 +62,12 @@ class Constant(Emitter):
 
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
         d = numbers.sphere(u[:, 1], u[:, 2])
-        infinite = torch.full((len(d),), math.inf, dtype=d.dtype)
-        return Light(d, infinite, self.escaped_pdf(d), self.escaped(d), torch.zeros(len(d), dtype=torch.bool))
-
-
-class EnvironmentMap(Emitter):
-    environment = True
-
-    def prepare(self, record: Record) -> None:
-        self.data = self.world.tensor("emitter", record, "data")
-        self.scale = self.world.tensor("emitter", record, "scale")
-        self.matrix = self.world.tensor("emitter", record, "to_world")
-        texels = self.data.detach()
-        height = texels.shape[0]
-        if texels.shape[2] == 3:
-            importance = (texels * texels.new_tensor([0.2126, 0.7152, 0.0722])).sum(2).clamp(min=0.0)
-        else:
-            importance = texels[..., 0].clamp(min=0.0)
-        pairs = importance + importance.roll(-1, 1)
-        rows = max(height - 1, 1)
-        cells = 0.25 * (pairs[:rows] + pairs[-rows:])
-        if not bool(importance.any()):
-            cells = torch.ones_like(cells)
-        self.conditional = numbers.cumulative(cells)
-        sine = torch.sin((torch.arange(rows, dtype=texels.dtype) + 0.5) / rows * math.pi)
-        self.marginal = numbers.cumulative(cells.double().sum(1).to(texels.dtype) * sine)
-        self.rows, self.columns = cells.shape
-
-    def coordinates(self, d: torch.Tensor) -> torch.Tensor:
-        """World directions to (u, v) of the map: (N, 2)."""
-        inverse = inverse_linear(self.matrix)
-        x, y, z = normalize((inverse * d[:, None]).sum(2)).unbind(1)
-        u = torch.atan2(x, -z) / (2 * math.pi)
-        return torch.stack([u - torch.floor(u.detach()), torch.acos(y.clamp(-1.0, 1.0)) / math.pi], 1)
-
-    def at(self, uv: torch.Tensor) -> torch.Tensor:
-        """Radiance (N, C) at coordinates of the map."""
-        height, width = self.data.shape[:2]
-        x, y = uv[:, 0] * width - 0.5, uv[:, 1] * (height - 1)
-        left, top = torch.floor(x.detach()), torch.floor(y.detach()).clamp(0, max(height - 2, 0))
-        columns = (left.long() % width, (left.long() + 1) % width)
-        rows = (top.long(), (top.long() + 1).clamp(max=height - 1))
-        return bilinear(self.data, rows, columns, x - left, y - top, self.world.channels) * self.scale
-
-    def density(self, mass: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
-        sine = torch.sin(v * math.pi)
-        usable = sine > 1e-6
-        per_area = mass * self.rows * self.columns / (2 * math.pi**2 * torch.where(usable, sine, 1.0))
-        return torch.where(usable, per_area, 0.0)
-
-    def escaped(self, d: torch.Tensor) -> torch.Tensor:
-        return self.at(self.coordinates(d))
-
-    def escaped_pdf(self, d: torch.Tensor) -> torch.Tensor:
-        u, v = self.coordinates(d).detach().unbind(1)
-        j = torch.floor(u * self.columns - 0.5).long() % self.columns
-        i = torch.floor(v * self.rows).long().clamp(0, self.rows - 1)
-        row = self.marginal[i] - torch.where(i > 0, self.marginal[(i - 1).clamp(min=0)], 0.0)
-        column = self.conditional[i, j] - torch.where(j > 0, self.conditional[i, (j - 1).clamp(min=0)], 0.0)
-        return self.density(row * column, v)
-
-    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
-        i, row, down = numbers.search(self.marginal, u[:, 1])
-        j, column, across = self._column(i, u[:, 2])
-        azimuth = (j + 0.5 + across.clamp(0.0, 1.0)) / self.columns
-        azimuth = azimuth - torch.floor(azimuth)
-        v = (i + down.clamp(0.0, 1.0)) / self.rows
-        phi, theta = azimuth * (2 * math.pi), v * math.pi
-        sine = torch.sin(theta)
-        local = torch.stack([sine * torch.sin(phi), torch.cos(theta), -sine * torch.cos(phi)], 1)
-        d = normalize(transform_vector(self.matrix.detach(), local))
-        # the direction stays where it is while the map turns
-        uv = torch.stack([azimuth, v], 1)
-        value = self.at(reattach(uv, self.coordinates(d)) if self.world.moving else uv)
-        infinite = torch.full((len(d),), math.inf, dtype=d.dtype)
-        return Light(d, infinite, self.density(row * column, v), value, torch.zeros(len(d), dtype=torch.bool))
-
-    def _column(self, i: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Columns in the rows i, as `numbers.search` finds them: by bisection, since every path has its own row."""
-        low, high = torch.zeros_like(i), torch.full_like(i, self.columns - 1)
-        for _ in range(self.columns.bit_length()):
-            middle = (low + high) // 2
-            right = (self.conditional[i, middle] <= u) & (low < high)
-            low, high = torch.where(right, middle + 1, low), torch.where(right, high, middle)
-        before = torch.where(low > 0, self.conditional[i, (low - 1).clamp(min=0)], 0.0)
-        mass = self.conditional[i, low] - before
-        return low, mass, (u - before) / mass.clamp(min=1e-20)
+        return endless(d, self.escaped_pdf(d), self.escaped(d))
 
 
 class Point(Emitter):
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
-        towards = self.world.tensor("emitter", self.record, "position") - x
+        towards = self.number("position") - x
         square = dot(towards, towards)
         apart = square > 0
         square = torch.where(apart, square, 1.0)
@@ -196,7 +76,80 @@ class Point(Emitter):
         return Light(normalize(towards), torch.sqrt(square).detach(), pdf.detach(), value, apart)
 
 
-EMITTERS: dict[str, type[Emitter]] = {"area": Area, "constant": Constant, "envmap": EnvironmentMap, "point": Point}
+class Directional(Emitter):
+    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
+        d = -normalize(self.number("to_world")[:3, 2]).expand(len(x), 3)
+        return endless(d, torch.ones_like(x[:, 0]).detach(), self.color("irradiance", len(x)), delta=True)
+
+
+class Oriented(Emitter):
+    """A point light with a frame: `pattern` gives what it sends along unit directions of that frame."""
+
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Intensity (N, C), and whether light goes there (N,)."""
+        raise NotImplementedError
+
+    def image(self, name: str, uv: torch.Tensor) -> torch.Tensor:
+        """A texture at coordinates (N, 2)."""
+        none = torch.zeros(len(uv), dtype=torch.int64)
+        return self.world.color("emitter", self.record, name, At(none, none, uv.detach(), uv))
+
+    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
+        matrix = self.number("to_world")
+        towards = matrix[:3, 3] - x
+        square = dot(towards, towards)
+        apart = square > 0
+        square = torch.where(apart, square, 1.0)
+        value, lit = self.pattern(normalize(transform_vector(inverse_linear(matrix), -towards)))
+        pdf = torch.where(apart & lit, 1.0, 0.0).to(square)
+        value = torch.where(lit[:, None], value, 0.0) / square[:, None]
+        return Light(normalize(towards), torch.sqrt(square).detach(), pdf, value, torch.ones_like(lit))
+
+
+class Spot(Oriented):
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        cutoff, beam = torch.deg2rad(self.number("cutoff_angle")), torch.deg2rad(self.number("beam_width"))
+        angle = torch.atan2(root((d[:, :2] * d[:, :2]).sum(1)), d[:, 2])
+        falls = (angle > beam) & (cutoff > beam)
+        fall = torch.where(falls, (cutoff - angle) / torch.where(cutoff > beam, cutoff - beam, 1.0), 1.0)
+        below = d[:, 2:] * torch.sin(cutoff)
+        scale = 0.5 * torch.cos(cutoff) / torch.where(below.abs() > 1e-6, below, 1e-6)
+        value = self.color("intensity", len(d)) * self.image("texture", 0.5 + d[:, :2] * scale) * fall[:, None]
+        return value, angle < cutoff
+
+
+class Projector(Oriented):
+    def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        index, aspect = self.record.field["irradiance"], 1.0
+        if index >= 0 and self.world.records["texture"][index].type == "bitmap":
+            height, width = self.world.tensor("texture", self.world.records["texture"][index], "data").shape[:2]
+            aspect = width / height
+        slope = torch.tan(torch.deg2rad(self.number("x_fov")) / 2)
+        front = d[:, 2] > 1e-6
+        z = torch.where(front, d[:, 2], 1.0)
+        a, b = d[:, 0] / (z * slope), d[:, 1] / (z * slope / aspect)
+        value = self.image("irradiance", torch.stack([0.5 - a / 2, 0.5 - b / 2], 1)) * self.number("scale") * math.pi
+        return value / (z**3)[:, None], front & (a.abs() < 1) & (b.abs() < 1)
+
+
+class Beam(Emitter):
+    """A `directionalarea`: no path from the camera finds it."""
+
+    def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
+        nothing = torch.zeros(len(x), self.world.channels, dtype=x.dtype)
+        return endless(x.new_tensor([0.0, 0.0, 1.0]).expand_as(x), nothing[:, 0], nothing)
+
+
+EMITTERS: dict[str, type[Emitter]] = {
+    "area": Area,
+    "constant": Constant,
+    "envmap": EnvironmentMap,
+    "point": Point,
+    "directional": Directional,
+    "spot": Spot,
+    "projector": Projector,
+    "directionalarea": Beam,
+}
 
 
 class Lights:

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from ..scene.film import Film
+from ..scene.film import Film, ReconstructionFilter
 
 
 def cubic(x: torch.Tensor, b: float, c: float) -> torch.Tensor:
@@ -17,6 +17,24 @@ def cubic(x: torch.Tensor, b: float, c: float) -> torch.Tensor:
     inner = ((12 - 9 * b - 6 * c) * x + (-18 + 12 * b + 6 * c)) * x * x + (6 - 2 * b)
     outer = (((-b - 6 * c) * x + (6 * b + 30 * c)) * x - (12 * b + 48 * c)) * x + (8 * b + 24 * c)
     return torch.where(x < 1, inner, torch.where(x < 2, outer, 0.0)) / 6
+
+
+def filter_weight(rfilter: ReconstructionFilter, x: torch.Tensor) -> torch.Tensor:
+    """The filter at distances from a pixel's centre."""
+    kind = rfilter.type
+    if kind == "box":
+        return torch.ones_like(x)
+    if kind == "tent":
+        return (1 - x.abs() / rfilter.radius).clamp(min=0.0)
+    if kind == "mitchell":
+        return cubic(x, rfilter.B, rfilter.C)
+    if kind == "catmullrom":
+        return cubic(x, 0.0, 0.5)
+    if kind == "lanczos":
+        n = rfilter.lobes
+        return torch.where(x.abs() < n, torch.sinc(x) * torch.sinc(x / n), 0.0)
+    scale, radius = 0.5 / rfilter.stddev**2, 4 * rfilter.stddev
+    return torch.where(x.abs() < radius, torch.exp(-scale * x * x) - math.exp(-scale * radius * radius), 0.0)
 
 
 class Splats:
@@ -30,7 +48,7 @@ class Splats:
     """
 
     def __init__(self, film: Film, rendered: tuple[int, ...], sampled: tuple[int, ...], pixels: Any = None) -> None:
-        self.kind, self.filter = film.filter.type, film.filter
+        self.filter = film.filter
         self.reach = max(0, math.ceil(film.filter.reach - 0.5))
         self.y0, self.x0, height, width = rendered
         whole = {"dtype": torch.int64, "device": "cpu"}
@@ -64,22 +82,6 @@ class Splats:
         numbers = torch.unique((rows[inside] - y0) * wide + columns[inside] - x0)
         return torch.stack([numbers // wide + y0, numbers % wide + x0], 1)
 
-    def weight(self, x: torch.Tensor) -> torch.Tensor:
-        """The filter at distances from a pixel's centre."""
-        if self.kind == "box":
-            return torch.ones_like(x)
-        if self.kind == "tent":
-            return (1 - x.abs() / self.filter.radius).clamp(min=0.0)
-        if self.kind == "mitchell":
-            return cubic(x, self.filter.B, self.filter.C)
-        if self.kind == "catmullrom":
-            return cubic(x, 0.0, 0.5)
-        if self.kind == "lanczos":
-            n = self.filter.lobes
-            return torch.where(x.abs() < n, torch.sinc(x) * torch.sinc(x / n), 0.0)
-        scale, radius = 0.5 / self.filter.stddev**2, 4 * self.filter.stddev
-        return torch.where(x.abs() < radius, torch.exp(-scale * x * x) - math.exp(-scale * radius * radius), 0.0)
-
     def spread(self, pixel: torch.Tensor, offset: torch.Tensor) -> Spread:
         """What the samples of pixels (N, 2), rows and columns in order, at places (N, 2) in them, y and x, reach."""
         keys, lane, counts = torch.unique_consecutive(pixel, dim=0, return_inverse=True, return_counts=True)
@@ -87,7 +89,7 @@ class Splats:
         place = torch.arange(len(pixel)) - starts[lane]
         around = torch.arange(-self.reach, self.reach + 1)
         weights = torch.zeros(len(keys), int(counts.max()), len(around) ** 2, dtype=torch.float64, device="cpu")
-        y, x = (self.weight(around + 0.5 - offset[:, i, None]) for i in (0, 1))
+        y, x = (filter_weight(self.filter, around + 0.5 - offset[:, i, None]) for i in (0, 1))
         weights[lane, place] = (y[:, :, None] * x[:, None]).flatten(1)
         height, width = self.target.shape
         row = (keys[:, 0, None, None] + around[:, None] - self.y0).expand(-1, len(around), len(around)).flatten(1)

@@ -19,16 +19,12 @@ from ..scene.derivatives import Wanted, depth_outside, moves_rays
 from ..scene.film import Film
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
-from .bsdfs import BSDFS
-from .emitters import EMITTERS
 from .film import Splats, Spread
 from .geometry import Rows
-from .lights import LIGHT_SHAPES
 from .numbers import CAMERA_BLOCK, Numbers, pixel_key
 from .path import WavefrontTracer
 from .sensors import SENSORS
-from .textures import TEXTURES
-from .world import World, check_light_shapes, check_supported
+from .world import World
 
 if TYPE_CHECKING:
     from ..scene.scene import Scene
@@ -439,8 +435,6 @@ def check_scene(layout: Layout) -> None:
             "render: integrator: WavefrontPathTracer does not trace through media, which the scene has; "
             "VolumetricPathTracer ('volpath') does"
         )
-    check_supported(layout, {"bsdf": BSDFS, "emitter": EMITTERS, "texture": TEXTURES, "sensor": SENSORS})
-    check_light_shapes(layout, LIGHT_SHAPES)
 
 
 def refuse_torch_bsdfs(layout: Layout, message: str) -> None:

@@ -73,6 +73,13 @@ class Frame(Rows):
         s = torch.stack([1 + sign * x * x * a, sign * b, -sign * x], 1)
         return cls(s, torch.stack([b, sign + y * y * a, -y], 1), n)
 
+    def along(self, tangent: torch.Tensor) -> Frame:
+        """Turned about the normals until s is in the direction of the tangents, where there are such."""
+        part = tangent - self.n * dot(self.n, tangent)[:, None]
+        usable = dot(part, part) > 1e-12 * dot(tangent, tangent)
+        s = torch.where(usable[:, None], normalize(part), self.s)
+        return Frame(s, torch.linalg.cross(self.n, s), self.n)
+
     def to_local(self, v: torch.Tensor) -> torch.Tensor:
         return torch.stack([dot(v, self.s), dot(v, self.t), dot(v, self.n)], 1)
 

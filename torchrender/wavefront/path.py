@@ -20,10 +20,12 @@ from ..queries import Hits
 from ..scene.camera import Rays
 from ..scene.torch_bsdf import SurfaceInteraction
 from ..surface import dot, normalize
-from . import numbers
-from .bsdfs import BSDFS, Bsdf, resolve
+from . import layers, numbers
+from .bsdf import Bsdf
+from .bsdfs import BSDFS
 from .emitters import Lights
 from .geometry import Frame, Rows, glue, reattach
+from .layers import Layers
 from .world import At, World
 
 GLUED = ("position", "normal", "shading_normal", "uv")
@@ -64,11 +66,6 @@ class Paths(Rows):
     def at(self) -> At:
         return At(self.shape, self.primitive, self.barycentric, self.uv)
 
-    @property
-    def interaction(self) -> SurfaceInteraction:
-        geometry = (self.position, self.normal, self.shading_normal)
-        return SurfaceInteraction(*geometry, self.uv, self.barycentric, self.shape, self.primitive)
-
 
 def arrival(hits: Hits) -> dict[str, torch.Tensor]:
     names = ("valid", "position", "normal", "shading_normal", "uv", "barycentric")
@@ -86,6 +83,39 @@ def offset_origin(p: torch.Tensor, n: torch.Tensor, d: torch.Tensor) -> torch.Te
     return p + n * torch.where(dot(n, d) < 0, -amount, amount)[:, None]
 
 
+@dataclass
+class Vertices(Rows):
+    """Paths at surfaces that scatter them: `paths`, the layers `above` their BSDFs, the frames in which these see
+    directions, mirrored where `sign` (N,) is -1, and `wi` (N, 3), where the paths come from."""
+
+    paths: Paths
+    above: Layers
+    frame: Frame
+    sign: torch.Tensor
+    wi: torch.Tensor
+
+    @classmethod
+    def of(cls, world: World, paths: Paths, above: Layers) -> Vertices:
+        frame = layers.frames(world, above, paths.at, paths.position)
+        sign = torch.where(above.mirrored, -1.0, 1.0).to(paths.d)
+        return cls(paths, above, frame, sign, mirror(frame.to_local(-paths.d), sign))
+
+    def to_local(self, v: torch.Tensor) -> torch.Tensor:
+        return mirror(self.frame.to_local(v), self.sign)
+
+    def to_world(self, v: torch.Tensor) -> torch.Tensor:
+        return self.frame.to_world(mirror(v, self.sign))
+
+    def sees(self, w: torch.Tensor) -> torch.Tensor:
+        """Where light from w (N, 3) gets past turned normals on its way to where the paths come from."""
+        return ~self.above.hides(-self.paths.d) & ~self.above.hides(w)
+
+    @property
+    def interaction(self) -> SurfaceInteraction:
+        p = self.paths
+        return SurfaceInteraction(p.position, p.normal, self.above.normal, p.uv, p.barycentric, p.shape, p.primitive)
+
+
 def mirror(v: torch.Tensor, sign: torch.Tensor) -> torch.Tensor:
     """Local directions with z times the sign (N,)."""
     return torch.stack([v[:, 0], v[:, 1], v[:, 2] * sign], 1)
@@ -96,7 +126,8 @@ class WavefrontTracer:
 
     Args:
         world: the scene.
-        config: ``max_depth``, ``rr_depth``, ``hide_emitters``.
+        config: ``max_depth``, ``rr_depth``, ``hide_emitters``; how many ``emitter_samples`` and ``bsdf_samples`` are
+            drawn at the first vertex.
         random: the random numbers.
         derivative: paths are those of a derivative with respect to BSDFs: Russian roulette judges by a throughput that
             never vanishes.
@@ -106,8 +137,11 @@ class WavefrontTracer:
         self.world, self.lights, self.random = world, Lights(world), random
         self.max_depth, self.rr_depth = config["max_depth"], config["rr_depth"]
         self.hide_emitters, self.derivative = config["hide_emitters"], derivative
+        self.emitter_samples, self.bsdf_samples = config["emitter_samples"], config["bsdf_samples"]
         self.shape_bsdf, self.shape_emitter = world.shape_field("bsdf"), world.shape_field("emitter")
-        self.is_null = torch.tensor([r.type == "null" for r in world.records["bsdf"]], dtype=torch.bool)
+        kinds = [r.type for r in world.records["bsdf"]]
+        self.is_null = torch.tensor([k in ("null", "mask") for k in kinds], dtype=torch.bool)
+        self.chooses = any(k in layers.CHOICES for k in kinds)
 
     # ----------------------------------------------------------------------------------------------------- whole paths
     def trace(self, rays: Rays, pixel: torch.Tensor, sample: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -118,7 +152,7 @@ class WavefrontTracer:
         self.alpha = torch.zeros(n, dtype=dtype)
         if self.max_depth != 0:
             one, zero = torch.ones(n, channels, dtype=dtype), torch.zeros(n, dtype=dtype)
-            paths = Paths(
+            first = Paths(
                 lane=torch.arange(n),
                 d=rays.directions,
                 beta=one,
@@ -129,10 +163,13 @@ class WavefrontTracer:
                 seen=zero.bool(),
                 **arrival(self.first_hits(rays)),
             )
-            depth = 0
-            while len(paths) and (self.max_depth < 0 or depth < self.max_depth):
-                paths = self.vertex(paths, depth, self.max_depth < 0 or depth + 1 < self.max_depth)
-                depth += 1
+            scatters = self.max_depth < 0 or self.max_depth > 1
+            for index in range(max(self.emitter_samples, self.bsdf_samples) if scatters else 1):
+                paths, depth = first, 0
+                while len(paths) and (self.max_depth < 0 or depth < self.max_depth):
+                    more = self.max_depth < 0 or depth + 1 < self.max_depth
+                    paths = self.vertex(paths, depth, index if depth == 0 else 0, more)
+                    depth += 1
         radiance = torch.zeros(n, channels, dtype=dtype)
         for lane, value in self.found:
             radiance = radiance.index_add(0, lane, value)
@@ -158,80 +195,101 @@ class WavefrontTracer:
             self.found.append((lane, value))
 
     # -------------------------------------------------------------------------------------------------------- vertices
-    def vertex(self, paths: Paths, depth: int, scatters: bool) -> Paths:
-        """What paths find where they are, and where they go on to."""
-        if self.lights.environment is not None and not (self.hide_emitters and depth == 0):
-            self.escape(paths[~paths.valid])
+    def vertex(self, paths: Paths, depth: int, index: int, scatters: bool) -> Paths:
+        """What paths find where they are, and where they go on to. `index` counts the samples of the first vertex."""
+        if index == 0 and not (self.hide_emitters and depth == 0):
+            self.escape(paths[~paths.valid], depth)
         paths = paths.take(paths.valid.nonzero()[:, 0])
         if not scatters and depth > 0:  # the end: what does not emit is not looked at
             paths = paths[self.shape_emitter[paths.shape] >= 0]
         if not len(paths):
             return paths
-        frame = Frame.about(paths.shading_normal)
-        wi = frame.to_local(-paths.d)
-        self.emission(paths, wi[:, 2] > 0)
-        leaf, mirrored = resolve(self.world, self.shape_bsdf[paths.shape], wi[:, 2] < 0)
-        real = ~self.is_null[leaf]
+        if index == 0:
+            self.emission(paths, dot(paths.shading_normal, paths.d) < 0, depth)
+        ue, ub = self.draw(paths, depth + index, scatters)
+        above = layers.find(
+            self.world,
+            self.shape_bsdf[paths.shape],
+            paths.at,
+            paths.position,
+            paths.shading_normal,
+            paths.d,
+            ub[:, 3],
+            viewed=True,
+            derivative=self.derivative,
+        )
+        real = ~self.is_null[above.leaf]
         self.alpha[paths.lane[~paths.seen & real]] = 1.0
         paths = replace(paths, seen=paths.seen | real)
         if not scatters:
             return paths[:0]
-        sign = torch.where(mirrored, -1.0, 1.0).to(wi)
-        wi = mirror(wi, sign)
+        vertices = Vertices.of(self.world, paths, above)
         pieces = [paths[:0]]
-        for number in leaf.unique().tolist():
-            rows = (leaf == number).nonzero()[:, 0]
-            pieces += self.scatter(paths.take(rows), frame.take(rows), wi[rows], sign[rows], number, depth)
+        for number in above.leaf.unique().tolist():
+            rows = (above.leaf == number).nonzero()[:, 0]
+            pieces += self.scatter(vertices.take(rows), ue[rows], ub[rows], number, depth, index)
         return Paths.cat([p for p in pieces if len(p)] or pieces[:1])
 
-    def bsdf(self, number: int, paths: Paths) -> Bsdf:
-        record = self.world.records["bsdf"][number]
-        return BSDFS[record.type](self.world, record, paths.at, paths.interaction)
+    def draw(self, paths: Paths, scattering: int, scatters: bool) -> tuple[torch.Tensor, torch.Tensor]:
+        """The random numbers (N, 4) of emitter and BSDF sampling, the last of which chooses layers."""
+        if not scatters and not self.chooses:
+            nothing = paths.d.new_zeros(len(paths), 4)
+            return nothing, nothing
+        pixel, sample = self.pixel[paths.lane], self.sample[paths.lane]
+        block = numbers.BLOCKS_PER_SCATTERING * scattering
+        ue = self.random.block(pixel, sample, numbers.EMITTER_BLOCK + block)
+        return ue, self.random.block(pixel, sample, numbers.BSDF_BLOCK + block)
 
-    def weight_of_hit(self, paths: Paths, pdf: torch.Tensor) -> torch.Tensor:
+    def bsdf(self, number: int, vertices: Vertices) -> Bsdf:
+        record = self.world.records["bsdf"][number]
+        return BSDFS[record.type](self.world, record, vertices.paths.at, vertices.interaction)
+
+    def weight_of_hit(self, paths: Paths, pdf: torch.Tensor, depth: int) -> torch.Tensor:
         """Weight of emission that BSDF sampling found, given the density with which emitter sampling would have."""
+        if depth == 1:
+            pdf = pdf * (self.emitter_samples / self.bsdf_samples)
         return torch.where(paths.origin_pdf > 0, power_heuristic(paths.origin_pdf, pdf.detach()), 1.0)
 
-    def escape(self, paths: Paths) -> None:
+    def escape(self, paths: Paths, depth: int) -> None:
         light = self.lights.environment
         if light is None or not len(paths):
             return
         pdf = light.escaped_pdf(paths.d.detach()) * self.lights.pmf[light.index]
-        self.add(paths.lane, paths.beta * light.escaped(paths.d) * self.weight_of_hit(paths, pdf)[:, None])
+        self.add(paths.lane, paths.beta * light.escaped(paths.d) * self.weight_of_hit(paths, pdf, depth)[:, None])
 
-    def emission(self, paths: Paths, facing: torch.Tensor) -> None:
+    def emission(self, paths: Paths, facing: torch.Tensor, depth: int) -> None:
         for light in self.lights.areas:
             rows = (facing & (self.shape_emitter[paths.shape] == light.index)).nonzero()[:, 0]
             if len(rows):
                 lit = paths[rows]
                 pdf = light.hit_pdf(lit.origin, lit.position.detach(), lit.normal.detach())
-                weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index])
+                weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index], depth)
                 self.add(lit.lane, lit.beta * light.radiance(lit.at) * weight[:, None])
 
     def scatter(
-        self, paths: Paths, frame: Frame, wi: torch.Tensor, sign: torch.Tensor, number: int, depth: int
+        self, vertices: Vertices, ue: torch.Tensor, ub: torch.Tensor, number: int, depth: int, index: int
     ) -> list[Paths]:
         """Emitter and BSDF sampling at vertices that share a BSDF; returns the paths that go on."""
-        bsdf = self.bsdf(number, paths)
-        block = numbers.BLOCKS_PER_SCATTERING * depth
-        pixel, sample = self.pixel[paths.lane], self.sample[paths.lane]
-        ue = self.random.block(pixel, sample, numbers.EMITTER_BLOCK + block)
-        ub = self.random.block(pixel, sample, numbers.BSDF_BLOCK + block)
-        if not bsdf.delta and self.lights.all:
-            self.sample_lights(paths, frame, wi, sign, number, bsdf, ue)
+        kind = BSDFS[self.world.records["bsdf"][number].type]
+        n_emitter, n_bsdf = (self.emitter_samples, self.bsdf_samples) if depth == 0 else (1, 1)
+        if kind.smooth and self.lights.all and index < n_emitter:
+            self.sample_lights(vertices, number, ue, n_emitter, n_bsdf)
 
-        if depth + 2 == self.max_depth and not bsdf.delta and not self.lights.seen:
+        if index >= n_bsdf or (depth + 2 == self.max_depth and not kind.delta and not self.lights.seen):
             return []  # no ray finds light, and none would be looked for at what it hits
-        with torch.set_grad_enabled(torch.is_grad_enabled() and bsdf.delta):
-            s = bsdf.sample(wi, ub)
-        rows = (~(s.pdf <= 0)).nonzero()[:, 0]  # a density that is not a number is kept, to be found in the result
+        with torch.set_grad_enabled(torch.is_grad_enabled() and kind.delta):
+            s = self.bsdf(number, vertices).sample(vertices.wi, ub)
+        pdf = s.pdf.detach()
+        # a density that is not a number is kept, to be found in the result
+        rows = (~(pdf <= 0) & vertices.sees(vertices.to_world(s.wo))).nonzero()[:, 0]
         if not len(rows):
             return []
-        paths, frame, wi, sign = paths.take(rows), frame.take(rows), wi[rows], sign[rows]
-        wo, pdf, eta, lobe = s.wo[rows], s.pdf[rows], s.eta[rows], s.lobe[rows]
-        bsdf = self.bsdf(number, paths)
-        value = bsdf.eval(wi, wo, lobe)
-        weight = value.detach() / pdf[:, None]
+        vertices, wo, eta, lobe = vertices.take(rows), s.wo[rows], s.eta[rows].detach(), s.lobe[rows]
+        above, paths = vertices.above, vertices.paths
+        inverse = above.inverse / (n_bsdf * pdf[rows])
+        value = self.bsdf(number, vertices).eval(vertices.wi, wo, lobe)
+        passes = above.weight * above.dimmed(vertices.to_world(wo))
+        weight = value.detach() * (passes.detach() * inverse)[:, None]
         if self.derivative:  # a path that an albedo of zero would end goes on, since that has a derivative
             weight = weight.abs().clamp(min=LEAST_SURVIVAL)
         survival, eta = paths.survival * weight, paths.eta * eta
@@ -241,35 +299,34 @@ class WavefrontTracer:
             q = (largest * eta * eta).clamp(max=MOST_SURVIVAL)
             alive = alive & ~(ue[rows, 3] >= q)
             keep = torch.where(alive, 1 / torch.where(alive, q, 1.0), 1.0)
-        rows = alive.nonzero()[:, 0]
-        if not len(rows):
-            return []
-        paths, factor = paths.take(rows), (keep / pdf)[rows]
-        went_on = {
-            "beta": paths.beta,
-            "survival": (survival * keep[:, None])[rows],
-            "eta": eta[rows],
-            "origin_pdf": torch.zeros_like(factor) if bsdf.delta else pdf[rows],
-        }
-        local = (frame.take(rows), wi[rows], sign[rows], wo[rows], lobe[rows], value[rows], factor)
-        return [self.go_on(number, paths, *local, not bsdf.delta, went_on)]
+        origin_pdf = torch.where(lobe == 0, pdf[rows], 0.0) if kind.smooth else torch.zeros_like(keep)
+        went_on = {"survival": survival * keep[:, None], "eta": eta, "origin_pdf": origin_pdf}
+        lobes = [(alive, kind.smooth)]
+        if kind.smooth and kind.delta:
+            lobes = [(alive & (lobe == 0), True), (alive & (lobe != 0), False)]
+        pieces = []
+        for chosen, smooth in lobes:
+            on = chosen.nonzero()[:, 0]
+            if len(on):
+                local = (wo[on], lobe[on], value[on] * passes[on, None], (inverse * keep)[on])
+                pieces.append(self.go_on(number, vertices.take(on), *local, smooth, went_on, on))
+        return pieces
 
     def go_on(
         self,
         number: int,
-        paths: Paths,
-        frame: Frame,
-        wi: torch.Tensor,
-        sign: torch.Tensor,
+        vertices: Vertices,
         wo: torch.Tensor,
         lobe: torch.Tensor,
         value: torch.Tensor,
         factor: torch.Tensor,
         smooth: bool,
         went_on: dict[str, torch.Tensor],
+        rows: torch.Tensor,
     ) -> Paths:
         """The paths along wo: glued to what they meet if the lobe is `smooth`, else attached."""
-        d = frame.to_world(mirror(wo, sign))
+        paths, above = vertices.paths, vertices.above
+        d = vertices.to_world(wo)
         d = reattach(normalize(d), d) if self.world.moving else normalize(d.detach())
         position = paths.position.detach()
         o = offset_origin(position, paths.normal.detach(), d.detach())
@@ -282,15 +339,15 @@ class WavefrontTracer:
             hits, ratio, towards = self.glued(hits, paths.position)
             d = torch.where(hits.valid[:, None], reattach(d, towards), d)
             # The direction has changed its derivative, and in the last digits its value.
-            value = self.bsdf(number, paths).eval(wi, mirror(frame.to_local(d), sign), lobe)
-            factor = factor * ratio
+            value = self.bsdf(number, vertices).eval(vertices.wi, vertices.to_local(d), lobe)
+            value = value * (above.weight * above.dimmed(d) * ratio)[:, None]
         return Paths(
             lane=paths.lane,
             d=d,
-            beta=went_on.pop("beta") * value * factor[:, None],
+            beta=paths.beta * value * factor[:, None],
             origin=position,
             seen=paths.seen,
-            **went_on,
+            **{name: column[rows] for name, column in went_on.items()},
             **arrival(hits),
         )
 
@@ -309,27 +366,18 @@ class WavefrontTracer:
         towards = torch.zeros_like(x).index_put((rows,), normalize(at.position - x[rows]))
         return hits, ratio, towards
 
-    def sample_lights(
-        self,
-        paths: Paths,
-        frame: Frame,
-        wi: torch.Tensor,
-        sign: torch.Tensor,
-        number: int,
-        bsdf: Bsdf,
-        u: torch.Tensor,
-    ) -> None:
+    def sample_lights(self, vertices: Vertices, number: int, u: torch.Tensor, n_emitter: int, n_bsdf: int) -> None:
         """Light from a point on an emitter, where nothing is in between."""
-        light = self.lights.sample(paths.position, u)
-        wo = mirror(frame.to_local(light.direction), sign)
-        pdf = bsdf.pdf(wi, wo).detach()
-        possible = (light.pdf > 0) & ~(pdf <= 0)
-        mis = torch.where(light.delta, 1.0, power_heuristic(light.pdf, pdf))
+        light = self.lights.sample(vertices.paths.position, u)
+        with torch.no_grad():
+            pdf = self.bsdf(number, vertices).pdf(vertices.wi, vertices.to_local(light.direction))
+        possible = (light.pdf > 0) & ~(pdf <= 0) & vertices.sees(light.direction)
+        mis = torch.where(light.delta, 1.0, power_heuristic(n_emitter * light.pdf, n_bsdf * pdf))
         mis = torch.where(torch.isnan(pdf), pdf, mis)
-        factor = torch.where(possible, mis / torch.where(possible, light.pdf, 1.0), 0.0)
+        factor = torch.where(possible, mis / torch.where(possible, n_emitter * light.pdf, 1.0), 0.0)
 
         rows = possible.nonzero()[:, 0]
-        p, n, d = (x[rows].detach() for x in (paths.position, paths.normal, light.direction))
+        p, n, d = (x[rows].detach() for x in (vertices.paths.position, vertices.paths.normal, light.direction))
         distance = light.distance[rows]
         o = offset_origin(p, n, d)
         near = distance < FAR
@@ -340,7 +388,8 @@ class WavefrontTracer:
         rows = rows[~self.world.occluded(o, direction, limit)]
         if not len(rows):
             return
-        lit = paths.take(rows)
-        lobe = torch.zeros_like(lit.lane)
-        value = self.bsdf(number, lit).eval(wi[rows], wo[rows], lobe)
-        self.add(lit.lane, lit.beta * value * light.value[rows] * factor[rows][:, None])
+        lit, above = vertices.take(rows), vertices.above.take(rows)
+        d = light.direction[rows]
+        value = self.bsdf(number, lit).eval(lit.wi, lit.to_local(d), torch.zeros_like(lit.paths.lane))
+        factor = factor[rows] * above.inverse * above.weight * above.dimmed(d)
+        self.add(lit.paths.lane, lit.paths.beta * value * light.value[rows] * factor[:, None])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +71,7 @@ class World:
         self.scene = scene
         self.records = {category: records(layout, category) for category in layout.objects}
         self.torch_bsdfs = layout.torch_bsdfs
+        self.kept: dict[Any, Any] = {}  # what is computed once, without a graph
         self.nonfinite_where = ""  # the first place where a number was not finite
         self.begin()
 
@@ -90,13 +91,17 @@ class World:
         shape = (3,) if field.kind in ("point", "vector") else ()
         return torch.full(shape, 0.0 if field.default is None else field.default, dtype=self.dtype)
 
-    def color(self, category: str, record: Record, name: str, at: At) -> torch.Tensor:
-        """A textured field at surface points: (N, C)."""
+    def color(self, category: str, record: Record, name: str, at: At, channels: int = 0) -> torch.Tensor:
+        """A textured field at surface points: (N, C), of the scene's channels if nothing is said."""
+        return self.look_up(category, record, name, at).expand(len(at), channels or self.channels)
+
+    def look_up(self, category: str, record: Record, name: str, at: At) -> torch.Tensor:
+        """The same with the channels that the texture has."""
         index = record.field[name]
         if index < 0:
             field = next(f for f in models()[category, record.type].fields if f.name == name)
             default = 0.0 if field.default is None else field.default
-            return torch.full((len(at), self.channels), default, dtype=self.dtype)
+            return torch.full((len(at), 1), default, dtype=self.dtype)
         texture = self.records["texture"][index]
         return TEXTURES[texture.type](self, texture, at)
 
@@ -124,24 +129,3 @@ class World:
 
     def note_nonfinite(self, where: str) -> None:
         self.nonfinite_where = self.nonfinite_where or where
-
-
-def check_light_shapes(layout: Layout, shapes: Mapping[str, Any]) -> None:
-    """ValueError for the first shape, by its path, that emits and is none of these."""
-    for record in records(layout, "shape"):
-        if record.field.get("emitter", -1) >= 0 and record.type not in shapes:
-            raise ValueError(
-                f"render: integrator: {record.path}: WavefrontPathTracer has no light on a {record.type}; "
-                f"it has {', '.join(shapes)}"
-            )
-
-
-def check_supported(layout: Layout, tables: dict[str, Any]) -> None:
-    """ValueError for the first object, by its path, of a type that has no entry in the `tables` by category."""
-    for category, table in tables.items():
-        for record in records(layout, category):
-            if record.type not in table:
-                raise ValueError(
-                    f"render: integrator: {record.path}: WavefrontPathTracer has no {category} of type "
-                    f"{record.type!r}; it has {', '.join(table)}"
-                )

@@ -8,19 +8,20 @@ function leaves of light, and one of the direction of light besides.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
 
-from torchrender.surface import CYLINDER, MESH, SPHERE, inverse_linear, transform_vector
-
+from ..surface import dot, normalize
 from .bsdf import luminance
-from .bsdfs import BSDFS, LAYERS, resolve
-from .geometry import Frame, Rows, dot, normalize
+from .bsdfs import BSDFS
+from .geometry import Frame, Rows
+from .partials import partials
 from .textures import slopes
 from .world import At, Record, World
 
+LAYERS = ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap")
+CHOICES = ("blendbsdf", "mask")  # of which a random number takes a branch
 LEAST_SQUARED_COSINE = 1e-6
 
 
@@ -45,10 +46,14 @@ class Layers(Rows):
 
     def hides(self, w: torch.Tensor) -> torch.Tensor:
         """Where one of the two normals sees `w` (N, 3) from the other side."""
+        if not bool((self.turned >= 0).any()):
+            return torch.zeros_like(self.shadowed)
         return (self.turned >= 0) & (dot(self.base, w) * dot(self.normal, w) <= 0).detach()
 
     def dimmed(self, light: torch.Tensor) -> torch.Tensor:
         """What is left of light from `light` (N, 3): Estevez, Lecocq and Stein 2019, chapter 12."""
+        if not bool(self.shadowed.any()):
+            return torch.ones_like(self.weight)
 
         def tangent2(cosine: torch.Tensor) -> torch.Tensor:
             squared = (cosine * cosine).clamp(min=LEAST_SQUARED_COSINE)
@@ -84,15 +89,16 @@ def find(
     behind = (dot(normal, d) > 0).detach()
     leaf, turned = bsdf.clone(), torch.full_like(bsdf, -1)
     mirrored, hole = torch.zeros_like(behind), torch.zeros_like(behind)
-    weight = inverse = torch.ones_like(u)
-    u = u.clone()
-    is_layer = torch.tensor([r.type in LAYERS for r in world.records["bsdf"]])
+    weight = inverse = torch.ones_like(d[:, 0]).detach()
+    is_layer = torch.tensor([r.type in LAYERS for r in world.records["bsdf"]], dtype=torch.bool)
     while bool((waiting := is_layer[leaf] & ~hole).any()):
         number = int(leaf[waiting][0])
         record = world.records["bsdf"][number]
         rows = (waiting & (leaf == number)).nonzero()[:, 0]
         if record.type == "twosided":
-            leaf[rows], mirrored[rows] = resolve(world, leaf[rows], behind[rows])
+            front, back = record.field["brdf_0"], record.field["brdf_1"]
+            mirrored[rows] = behind[rows]
+            leaf[rows] = torch.where(behind[rows], front if back < 0 else back, front)
         elif record.type in ("normalmap", "bumpmap"):
             turned[rows], leaf[rows] = number, record.field["nested_bsdf"]
         else:
@@ -100,7 +106,7 @@ def find(
             q = 0.1 + 0.8 * w.detach() if derivative else w.detach()
             second = u[rows] < q
             chance = torch.where(second, q, 1 - q).clamp(min=1e-12)
-            u[rows] = (torch.where(second, u[rows], u[rows] - q) / chance).clamp(max=1 - 1e-7)
+            u = u.index_put((rows,), (torch.where(second, u[rows], u[rows] - q) / chance).clamp(max=1 - 1e-7))
             weight = weight.index_put((rows,), weight[rows] * torch.where(second, w, 1 - w))
             inverse = inverse.index_put((rows,), inverse[rows] / chance)
             if record.type == "blendbsdf":
@@ -108,6 +114,9 @@ def find(
             else:
                 leaf[rows] = torch.where(second, record.field["nested_bsdf"], number)
                 hole[rows] = ~second
+    for row, written in world.torch_bsdfs.items():
+        if written.two_sided:
+            mirrored |= (leaf == row) & behind
     side = torch.where(mirrored & (turned >= 0), -1.0, 1.0).to(normal)
     base = normal * side[:, None]
     normal, shadowed = base, torch.zeros_like(behind)
@@ -124,9 +133,11 @@ def find(
 def frames(world: World, found: Layers, at: At, position: torch.Tensor) -> Frame:
     """The frames of the BSDFs that were found, which those follow that are oriented by texture coordinates."""
     frame = Frame.about(found.normal)
-    oriented = torch.tensor([getattr(BSDFS[r.type], "oriented", False) for r in world.records["bsdf"]])
+    oriented = torch.tensor([BSDFS[r.type].oriented(r) for r in world.records["bsdf"]], dtype=torch.bool)
     rows = oriented[found.leaf].nonzero()[:, 0]
-    along = Frame.along(found.normal[rows], partials(world, at[rows], position[rows])[0])
+    if not len(rows):
+        return frame
+    along = frame[rows].along(partials(world, at[rows], position[rows])[0])
     return Frame(*(getattr(frame, axis).index_put((rows,), getattr(along, axis)) for axis in "stn"))
 
 
@@ -145,7 +156,7 @@ def turn(
     if record.type == "normalmap":
         s = normalize(du - z * dot(z, du)[:, None])
         t = torch.linalg.cross(z, s) * side[:, None]
-        x, y, up = (2 * world.color("bsdf", record, "normalmap", at) - 1)[..., None].unbind(1)
+        x, y, up = (2 * world.color("bsdf", record, "normalmap", at, 3) - 1)[..., None].unbind(1)
         leaning, upwards = s * x + t * y, z * up
     else:
         n, scale = z * side[:, None], world.tensor("bsdf", record, "scale")
@@ -154,51 +165,9 @@ def turn(
         b = dv + n * (hv * scale - dot(n, dv))[:, None]
         m = normalize(torch.linalg.cross(a, b))
         up = dot(m, n)[:, None]
-        leaning, upwards = (m - n * up) * torch.where(up.detach() < 0, -1.0, 1.0), z * up.abs()
+        leaning, upwards = (m - n * up) * torch.where(up.detach() < 0, -1.0, 1.0).to(up), z * up.abs()
     n = normalize(leaning + upwards)
     if not viewed or record.field["flip_invalid_normals"] == 0:
         return n
     hides = (dot(n, wi) * dot(z, wi) < 0).detach()
     return torch.where(hides[:, None], normalize(upwards - leaning), n)
-
-
-def partials(world: World, at: At, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """dp/du and dp/dv (N, 3) at points p (N, 3)."""
-    flat = (world.surfaces.kind[at.shape] == MESH).nonzero()[:, 0]
-    curved = (world.surfaces.kind[at.shape] != MESH).nonzero()[:, 0]
-    on_triangles = _along_triangles(world, at[flat])
-    on_quadrics = _along_quadrics(world, at.shape[curved], p[curved])
-    du, dv = (
-        torch.zeros_like(p).index_put((flat,), a).index_put((curved,), b)
-        for a, b in zip(on_triangles, on_quadrics, strict=True)
-    )
-    return du, dv
-
-
-def _along_triangles(world: World, at: At) -> tuple[torch.Tensor, torch.Tensor]:
-    """Along the edges where there are no texture coordinates."""
-    surfaces = world.surfaces
-    corner = surfaces.faces[surfaces.first_face[at.shape] + at.primitive]
-    p, uv = surfaces.positions[corner], surfaces.texcoords[corner]
-    e1, e2 = p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]
-    u1, v1 = (uv[:, 1] - uv[:, 0]).unbind(1)
-    u2, v2 = (uv[:, 2] - uv[:, 0]).unbind(1)
-    determinant = u1 * v2 - u2 * v1
-    usable = surfaces.textured[at.shape] & (determinant != 0)
-    inverse = 1 / torch.where(usable, determinant, 1.0)[:, None]
-    du, dv = (e1 * v2[:, None] - e2 * v1[:, None]) * inverse, (e2 * u1[:, None] - e1 * u2[:, None]) * inverse
-    return torch.where(usable[:, None], du, e1), torch.where(usable[:, None], dv, e2)
-
-
-def _along_quadrics(world: World, shape: torch.Tensor, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Azimuth and polar angle of a sphere, radius and azimuth of a disk, azimuth and height of a cylinder."""
-    matrix, kind = world.surfaces.to_world[shape], world.surfaces.kind[shape][:, None]
-    x, y, z = transform_vector(inverse_linear(matrix), p - matrix[:, :3, 3]).unbind(1)
-    zero, r = torch.zeros_like(x), torch.sqrt(x * x + y * y)
-    around = 2 * math.pi * torch.stack([-y, x, zero], 1)
-    out = torch.stack([x / r, y / r, zero], 1)
-    down = math.pi * torch.stack([z * x / r, z * y / r, -r], 1)
-    axis = torch.stack([zero, zero, zero + 1], 1)
-    du = torch.where((kind == SPHERE) | (kind == CYLINDER), around, out)
-    dv = torch.where(kind == SPHERE, down, torch.where(kind == CYLINDER, axis, around))
-    return transform_vector(matrix, du), transform_vector(matrix, dv)

@@ -1,0 +1,99 @@
+"""Diffuse bases under an interface."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from .bsdf import Bsdf, BsdfSample, Color, above, fresnel_dielectric, mirrored, one_lobe
+from .coat_table import COSINES, coat_table
+from .numbers import cosine_hemisphere
+from .rough import FacetReflection, Facets, reflect
+
+
+def diffuse_fresnel(eta: torch.Tensor) -> torch.Tensor:
+    """What an interface reflects of diffuse light: Egan and Hilgeman 1973 below 1, d'Eon and Irving 2011 above."""
+    below = 0.0636 / eta + 0.6681 + 0.7099 * eta - 1.4399 * eta.square()
+    c = (0.919317, -3.4793, 6.75335, -7.80989, 4.98554, -1.36881)
+    beyond = torch.stack([x * eta**-i for i, x in enumerate(c)]).sum(0)
+    return torch.where(eta < 1, below, beyond)
+
+
+def chance_of_coat(reflected: torch.Tensor | float, specular: torch.Tensor, diffuse: torch.Tensor) -> torch.Tensor:
+    """How often the coating is sampled (N,), of which light this much is `reflected`, instead of the base."""
+    coat, base = reflected * specular.abs().amax(1), (1 - reflected) * diffuse.abs().amax(1)
+    some = coat + base > 0
+    return torch.where(some, coat / torch.where(some, coat + base, 1.0), 0.5).clamp(0.1, 0.9).detach()
+
+
+class Coated(Bsdf):
+    def read(self, color: Color, number: Color) -> None:
+        self.eta, self.nonlinear = number("eta"), self.record.field["nonlinear"] == 1
+        self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
+
+    def base(self, internal: torch.Tensor) -> torch.Tensor:
+        """What leaves the base (N, C) of light that enters it, by the share that is reflected inside."""
+        return self.diffuse / (1 - (self.diffuse * internal if self.nonlinear else internal))
+
+
+class Plastic(Coated):
+    """Lobe 0 is the diffuse base, lobe 1 the mirror reflection."""
+
+    delta = True
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        reflected = fresnel_dielectric(wi[:, 2], self.eta)[0]
+        through = (1 - reflected) * (1 - fresnel_dielectric(wo[:, 2], self.eta)[0])
+        base = self.base(diffuse_fresnel(1 / self.eta))
+        base = base * (through * wo[:, 2] / (math.pi * self.eta.square()))[:, None]
+        mirror = torch.where(wi[:, 2:] > 0, self.specular * reflected[:, None], 0.0)
+        return torch.where((lobe != 0)[:, None], mirror, torch.where(above(wi, wo)[:, None], base, 0.0))
+
+    def chance(self, wi: torch.Tensor) -> torch.Tensor:
+        """Of the mirror reflection."""
+        return chance_of_coat(fresnel_dielectric(wi[:, 2], self.eta)[0], self.specular, self.diffuse)
+
+    def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
+        return torch.where(above(wi, wo), (1 - self.chance(wi)) * wo[:, 2] / math.pi, 0.0)
+
+    def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
+        p = self.chance(wi)
+        mirrors = u[:, 0] < p
+        cosine = cosine_hemisphere(u[:, 1], u[:, 2])
+        pdf = torch.where(mirrors, p, (1 - p) * cosine[:, 2] / math.pi)
+        wo = torch.where(mirrors[:, None], mirrored(wi), cosine)
+        return BsdfSample(wo, torch.where(wi[:, 2] > 0, pdf, 0.0), torch.ones_like(p), mirrors.long())
+
+
+class RoughPlastic(Coated):
+    def read(self, color: Color, number: Color) -> None:
+        super().read(color, number)
+        ggx, alpha = self.record.field["distribution"] == 1, number("alpha")
+        self.facets = Facets(alpha, ggx)
+        self.internal, self.table = coat_table(self.world, self.record, self.eta, self.facets.alpha, ggx)
+
+    def transmittance(self, cosine: torch.Tensor) -> torch.Tensor:
+        x = cosine.clamp(0, 1) * (COSINES - 1)
+        cell = x.detach().floor().clamp(max=COSINES - 2).long()
+        low, high = self.table.index_select(0, cell), self.table.index_select(0, cell + 1)
+        return low + (x - cell) * (high - low)
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        r = FacetReflection(self.facets, wi, wo)
+        coat = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
+        through = self.transmittance(wi[:, 2]) * self.transmittance(wo[:, 2]) * wo[:, 2] / math.pi / self.eta.square()
+        return torch.where(r.possible[:, None], coat + self.base(self.internal) * through[:, None], 0.0)
+
+    def chance(self, wi: torch.Tensor) -> torch.Tensor:
+        """Of the coating."""
+        return chance_of_coat(1 - self.transmittance(wi[:, 2]), self.specular, self.diffuse)
+
+    def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
+        p, r = self.chance(wi), FacetReflection(self.facets, wi, wo)
+        return torch.where(r.possible, p * r.pdf + (1 - p) * wo[:, 2] / math.pi, 0.0)
+
+    def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
+        coat = (u[:, 0] < self.chance(wi))[:, None]
+        wo = torch.where(coat, reflect(self.facets, wi, u), cosine_hemisphere(u[:, 1], u[:, 2]))
+        return one_lobe(wo, self.pdf(wi, wo))
