@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import pytest
 import torch
+from oracle.scenes import SCENES
 from small_scene import COLOUR, TEXELS, ball_and_wall
-from test_oracle import assert_equal, differentiable, render
+from test_oracle import InTorch, assert_equal, differentiable, render
 
 import torchrender as tr
 
@@ -127,6 +128,32 @@ def test_the_default_device_does_not_matter():
     with torch.device("meta"):
         found = gradient()
     assert torch.equal(found, expected)
+
+
+@pytest.mark.filterwarnings("ignore:the scene has a directionalarea")
+def test_what_only_light_tracing_finds():
+    """Beams take their share of the samples and are black; an irradiance meter beside the camera is a surface."""
+    beam = {"type": "rectangle", "to_world": tr.Transform.translate([0.0, 0.0, 3.0]), "flip_normals": True}
+    meter = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
+    scene = small(
+        lamp={**beam, "emitter": {"type": "directionalarea", "radiance": 5.0}},
+        bulb={"type": "point", "position": [1.0, 2.0, 2.0], "intensity": 3.0},
+        screen={"type": "rectangle", "to_world": tr.Transform.translate([0.0, 0.0, -1.0]), "sensor": meter},
+    )
+    native, found = (tr.render(scene, integrator=i, seed=3) for i in (scene.integrator, WAVEFRONT))
+    assert_equal(found, native, "image")
+
+
+@pytest.mark.parametrize("name", ["glossy", "layers", "normals", "brushed", "rough"])
+def test_single_precision_of_all_models(name):
+    """Nothing is lost or not a number in single precision, and derivatives neither."""
+    scene = tr.load_dict(SCENES[name]())
+    integrators = (scene.integrator, InTorch(scene.integrator))
+    native, found = (tr.render(scene, integrator=i, seed=2, spp=16, nan="raise") for i in integrators)
+    assert float(((found - native).abs() > 1e-3).double().mean()) < 0.02
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
+    image = render(scene, values, integrator=integrators[1], nan="raise")
+    assert all(bool(torch.isfinite(g).all()) for g in torch.autograd.grad(image.mean(), list(values.values())))
 
 
 # ---------------------------------------------------------------------------------------------------------- refusals

@@ -135,6 +135,7 @@ def render(
     lane, depth = torch.arange(n), 0
     glued = not beam  # whether the next hit is
     bsdf_of = world.shape_field("bsdf")
+    wanted = torch.full((len(world.records["bsdf"]),), derivative)
     while len(lane) and depth + 2 <= max_depth:
         o = offset_origin(p.detach(), normal.detach(), d.detach())
         hits = world.intersect(o if glued else reattach(o, p), d.detach() if glued else d)
@@ -162,7 +163,7 @@ def render(
         chains = []
         block = numbers.BSDF_BLOCK + numbers.BLOCKS_PER_SCATTERING * depth
         u = random.block(pixel[lane], sample[lane], block)
-        found = layers.find(world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, derivative=derivative)
+        found = layers.find(world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, wanted=wanted)
         for number in found.leaf.unique().tolist():
             chosen = (found.leaf == number).nonzero()[:, 0]
             record = world.records["bsdf"][number]

@@ -449,6 +449,11 @@ def turned_brushed() -> dict:
             "to_world": r.translate(-0.9, -0.1, 0.2) @ r.rotate("x", 70) @ r.scale(0.7),
             "bsdf": layer_scenes.normal_map(glass),
         },
+        hills=_hills(
+            154,
+            to_world=r.translate(-0.3, 0.9, 0.3) @ r.rotate("x", 30) @ r.scale(0.6, 0.5, 0.4),
+            bsdf=dented,
+        ),
         tube=_tube(to_world=r.translate(0.7, -0.1, 0.8) @ r.scale(0.6), bsdf={"type": "twosided", "bsdf": dented}),
         floor={"type": "rectangle", "to_world": r.FLOOR, "bsdf": layer_scenes.normal_map(metal)},
         lamp=r._lamp(r._bitmap(152, 3, 4, 1.0, 9.0)),

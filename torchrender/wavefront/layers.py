@@ -32,7 +32,8 @@ class Layers(Rows):
     `leaf` (N,) is the number of the BSDF that scatters, that of the mask in its holes; `mirrored` (N,) whether it sees
     directions mirrored; `weight` (N,) the product of the weights of the branches, `inverse` (N,) that of 1 / chance;
     `turned` (N,) the number of a normal map, -1 where there is none, and `shadowed` (N,) whether it dims light; `base`
-    and `normal` (N, 3) what it turned and what became of it, on the side that is shaded.
+    and `normal` (N, 3) what it turned and what became of it, on the side that is shaded; `wanted` (N,) whether a
+    branch was chosen that a derivative is wanted of.
     """
 
     leaf: torch.Tensor
@@ -43,6 +44,7 @@ class Layers(Rows):
     shadowed: torch.Tensor
     base: torch.Tensor
     normal: torch.Tensor
+    wanted: torch.Tensor
 
     def hides(self, w: torch.Tensor) -> torch.Tensor:
         """Where one of the two normals sees `w` (N, 3) from the other side."""
@@ -80,15 +82,15 @@ def find(
     u: torch.Tensor,
     *,
     viewed: bool,
-    derivative: bool,
+    wanted: torch.Tensor,
 ) -> Layers:
     """The layers of hits with these BSDFs (N,) and normals (N, 3), found along d (N, 3) with the numbers u (N,).
 
-    `viewed`: paths come from the camera. `derivative`: either branch has a chance, whatever its weight is.
+    `viewed`: paths come from the camera. `wanted`, by BSDF: either branch has a chance, whatever its weight is.
     """
     behind = (dot(normal, d) > 0).detach()
     leaf, turned = bsdf.clone(), torch.full_like(bsdf, -1)
-    mirrored, hole = torch.zeros_like(behind), torch.zeros_like(behind)
+    mirrored, hole, chosen = (torch.zeros_like(behind) for _ in range(3))
     weight = inverse = torch.ones_like(d[:, 0]).detach()
     is_layer = torch.tensor([r.type in LAYERS for r in world.records["bsdf"]], dtype=torch.bool)
     while bool((waiting := is_layer[leaf] & ~hole).any()):
@@ -103,7 +105,8 @@ def find(
             turned[rows], leaf[rows] = number, record.field["nested_bsdf"]
         else:
             w = share(world, record, at[rows])
-            q = 0.1 + 0.8 * w.detach() if derivative else w.detach()
+            q = 0.1 + 0.8 * w.detach() if bool(wanted[number]) else w.detach()
+            chosen[rows] |= wanted[number]
             second = u[rows] < q
             chance = torch.where(second, q, 1 - q).clamp(min=1e-12)
             u = u.index_put((rows,), (torch.where(second, u[rows], u[rows] - q) / chance).clamp(max=1 - 1e-7))
@@ -127,7 +130,7 @@ def find(
         n = turn(world, record, at[rows], base[rows], side[rows], *along, -d[rows], viewed)
         normal = normal.index_put((rows,), n)
         shadowed[rows] = record.field["use_shadowing_function"] == 1
-    return Layers(leaf, mirrored & (turned < 0), weight, inverse, turned, shadowed, base, normal)
+    return Layers(leaf, mirrored & (turned < 0), weight, inverse, turned, shadowed, base, normal, chosen)
 
 
 def frames(world: World, found: Layers, at: At, position: torch.Tensor) -> Frame:

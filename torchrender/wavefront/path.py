@@ -129,18 +129,20 @@ class WavefrontTracer:
         config: ``max_depth``, ``rr_depth``, ``hide_emitters``; how many ``emitter_samples`` and ``bsdf_samples`` are
             drawn at the first vertex.
         random: the random numbers.
-        derivative: paths are those of a derivative with respect to BSDFs: Russian roulette judges by a throughput that
-            never vanishes.
+        derivative: paths are those of a derivative: at BSDFs that it is wanted of Russian roulette judges by a
+            throughput that never vanishes, and every layer is met.
     """
 
     def __init__(self, world: World, config: Mapping[str, Any], random: numbers.Numbers, derivative: bool) -> None:
         self.world, self.lights, self.random = world, Lights(world), random
         self.max_depth, self.rr_depth = config["max_depth"], config["rr_depth"]
-        self.hide_emitters, self.derivative = config["hide_emitters"], derivative
+        self.hide_emitters = config["hide_emitters"]
         self.emitter_samples, self.bsdf_samples = config["emitter_samples"], config["bsdf_samples"]
         self.shape_bsdf, self.shape_emitter = world.shape_field("bsdf"), world.shape_field("emitter")
         kinds = [r.type for r in world.records["bsdf"]]
         self.is_null = torch.tensor([k in ("null", "mask") for k in kinds], dtype=torch.bool)
+        wanted = [derivative and world.wants("bsdf", i) for i in range(len(kinds))]
+        self.wanted = torch.tensor(wanted, dtype=torch.bool)
         self.chooses = any(k in layers.CHOICES for k in kinds)
 
     # ----------------------------------------------------------------------------------------------------- whole paths
@@ -216,7 +218,7 @@ class WavefrontTracer:
             paths.d,
             ub[:, 3],
             viewed=True,
-            derivative=self.derivative,
+            wanted=self.wanted,
         )
         real = ~self.is_null[above.leaf]
         self.alpha[paths.lane[~paths.seen & real]] = 1.0
@@ -290,8 +292,9 @@ class WavefrontTracer:
         value = self.bsdf(number, vertices).eval(vertices.wi, wo, lobe)
         passes = above.weight * above.dimmed(vertices.to_world(wo))
         weight = value.detach() * (passes.detach() * inverse)[:, None]
-        if self.derivative:  # a path that an albedo of zero would end goes on, since that has a derivative
-            weight = weight.abs().clamp(min=LEAST_SURVIVAL)
+        # a path that an albedo of zero would end goes on where that has a derivative
+        wanted = (self.wanted[number] | above.wanted)[:, None]
+        weight = torch.where(wanted, weight.abs().clamp(min=LEAST_SURVIVAL), weight)
         survival, eta = paths.survival * weight, paths.eta * eta
         largest = survival.abs().amax(1)
         alive, keep = ~(largest <= 0), torch.ones_like(largest)

@@ -20,6 +20,8 @@ from .textures import TEXTURES
 if TYPE_CHECKING:
     from ..scene.scene import Scene
 
+VALUES = ("spectrum", "float", "point", "tensor")  # kinds of fields that are tensors and place nothing
+
 
 @dataclass
 class At(Rows):
@@ -104,6 +106,24 @@ class World:
             return torch.full((len(at), 1), default, dtype=self.dtype)
         texture = self.records["texture"][index]
         return TEXTURES[texture.type](self, texture, at)
+
+    def wants(self, category: str, index: int) -> bool:
+        """Whether a value of an object, or of its textures, requires gradients."""
+        record = self.records[category][index]
+        if record.type == "torch":
+            return True
+        numbers = []
+        for f in models()[category, record.type].fields:
+            number = record.field[f.name]
+            if f.kind in VALUES and number >= 0:
+                numbers.append(number)
+            if f.kind in ("texture", "scalar", "volume") and number >= 0:
+                if self.wants("volume" if f.kind == "volume" else "texture", number):
+                    return True
+        if record.type == "mesh_attribute":
+            same = (a for a in self.records["attribute"] if a.field["name"] == record.field["name"])
+            numbers += [a.field["data"] for a in same]
+        return any(self.tensors[n].requires_grad for n in numbers)
 
     def intersect(self, o: torch.Tensor, d: torch.Tensor, tmax: torch.Tensor | None = None) -> Hits:
         """What rays (N, 3) hit; attached to rays and surfaces if those are."""
