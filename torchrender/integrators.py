@@ -181,6 +181,11 @@ class WavefrontPathTracer(_Paths):
 
     def config(self) -> dict[str, Any]:
         chunk = _integer(type(self).__name__, "chunk", self.chunk, 1)
+        if self.emitter_sampling != "weight":
+            raise ValueError(
+                f"{type(self).__name__}: emitter_sampling: expected 'weight', got {self.emitter_sampling!r}; "
+                "PathTracer has 'power'"
+            )
         return {**super().config(), "integrator": "wavefront", "chunk": chunk}
 
     def extra_repr(self) -> str:

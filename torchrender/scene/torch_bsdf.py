@@ -17,7 +17,8 @@ from .plugin import Plugin
 class SurfaceInteraction(NamedTuple):
     """N points of surfaces, as a `TorchBSDF` sees them.
 
-    `position`, `normal` (geometric), `shading_normal` (N, 3) in world space; `uv`, `barycentric` (N, 2); `shape_id`
+    `position`, `normal` (geometric), `shading_normal` (N, 3) in world space, the latter as a normal or bump map around
+    the BSDF has turned it; `uv`, `barycentric` (N, 2); `shape_id`
     (position among the scene's shapes) and `prim_id` (N,) int64.
     """
 
