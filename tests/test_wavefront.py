@@ -175,6 +175,10 @@ def test_arguments_that_it_does_not_take():
         tr.render(scene, integrator=WAVEFRONT, outputs=("rgb", "variance"))
     with pytest.raises(ValueError, match="adaptive_grad: WavefrontPathTracer has no such choice"):
         tr.render(scene, integrator=WAVEFRONT, adaptive_grad=True)
+    powers = tr.WavefrontPathTracer()
+    powers.emitter_sampling = "power"
+    with pytest.raises(ValueError, match="emitter_sampling: expected 'weight', got 'power'; PathTracer has 'power'"):
+        tr.render(scene, integrator=powers)
     with pytest.raises(ValueError, match="WavefrontPathTracer: chunk: expected at least 1, got 0"):
         tr.WavefrontPathTracer(chunk=0)
     with pytest.raises(TypeError, match="chunk: expected an integer, got 'many'"):
