@@ -9,9 +9,9 @@ import torch
 
 from ..surface import dot, normalize
 from .bsdf import Bsdf, BsdfSample, Color, at_least, fresnel_dielectric, luminance, one_lobe, upper
-from .geometry import root
+from .geometry import reattach, root
 from .numbers import cosine_hemisphere
-from .rough import FacetInterface, FacetReflection, Facets, reflect, usable_index
+from .rough import LEAST_ALPHA, FacetInterface, FacetReflection, Facets, reflect, usable_index
 from .world import Record
 
 COAT_ALPHA = 0.25
@@ -65,6 +65,7 @@ class OfBurley(Bsdf):
         if self.anisotropic is None:
             return Facets(alpha, True)
         aspect = torch.sqrt(at_least(1 - 0.9 * self.anisotropic, 0.1))
+        alpha = reattach(torch.maximum(alpha, LEAST_ALPHA / aspect).detach(), alpha)
         return Facets(alpha / aspect, True, alpha * aspect)
 
 

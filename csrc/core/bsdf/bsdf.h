@@ -156,7 +156,8 @@ struct ParamCount {
     static constexpr int Fields = count_differentiable(Model::fields, All);
     static constexpr int Variables = Fields + Luminance;  // of derivatives
     // More of them are taken a block at a time: that many numbers in flight no longer fit into registers.
-    static constexpr int Block = Variables > 6 ? 5 : Variables;
+    static constexpr int Blocks = (Variables + 5) / 6;
+    static constexpr int Block = Blocks > 0 ? (Variables + Blocks - 1) / Blocks : 0;
     static constexpr bool is_scalar(int i) { return (ScalarFields >> i) & 1; }
     static constexpr bool is_number(int i) { return (NumberFields >> i) & 1; }
     static_assert(switches_are_last(Model::fields, Model::model.n_fields), "continuous parameters are counted first");

@@ -54,18 +54,17 @@ template <class T, class M>
 TR_INLINE T density_along(const M &ggx, const T &alpha, const Vec3<T> &h, const T &inverse2) {
     return microfacet_density(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2);
 }
-template <class T>
-TR_INLINE T ggx_density_along(const Vec2<T> &alpha, const Vec3<T> &h, const T &inverse2) {
-    T x = h.x / alpha.x, y = h.y / alpha.y, d = (x * x + y * y + h.z * h.z) * inverse2;
-    return T(1) / (alpha.x * alpha.y * T(Pi) * d * d);
-}
 template <class T, class M>
 TR_INLINE T density_along(const M &ggx, const Vec2<T> &alpha, const Vec3<T> &h, const T &inverse2) {
-    T r(0);
-    if (any(ggx)) r = ggx_density_along(alpha, h, inverse2);
+    T x = h.x / alpha.x, y = h.y / alpha.y;
+    T cos2 = h.z * h.z * inverse2, stretched2 = (x * x + y * y) * inverse2, area = alpha.x * alpha.y * T(Pi), r(0);
+    if (any(ggx)) {
+        T d = cos2 + stretched2;
+        r = T(1) / (area * d * d);
+    }
     if (!all(ggx)) {
-        T x = h.x / alpha.x, y = h.y / alpha.y, c = max(h.z * h.z * inverse2, T(1e-8));
-        r = select(ggx, r, exp(-((x * x + y * y) * inverse2 / c)) / (alpha.x * alpha.y * T(Pi) * c * c));
+        T c = max(cos2, T(1e-8));
+        r = select(ggx, r, exp(-(stretched2 / c)) / (area * c * c));
     }
     return r;
 }

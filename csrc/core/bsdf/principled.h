@@ -48,12 +48,45 @@ TR_INLINE T principled_diffuse(const T &ni, const T &no, const T &fi, const T &f
     return mix(diffuse, T(1.25) * (flat * (T(1) / sum - T(0.5)) + T(0.5)), flatness);
 }
 
-// Roughness along the tangent and across it (Burley 2012, section 5.4).
+// GGX facets that are rougher along the tangent than across it: alpha / aspect and alpha aspect (Burley 2012, section
+// 5.4). By their squares, so that neither roots nor more than one division have derivatives.
 template <class T>
-TR_INLINE Vec2<T> principled_alpha(const T &roughness, const T &anisotropic) {
-    using F = std::decay_t<decltype(value_of(roughness))>;
-    T alpha = roughness * roughness, aspect = sqrt(at_least(T(1) - T(0.9) * anisotropic, F(0.1)));
-    return rendered_alpha(Vec2<T>{alpha / aspect, alpha * aspect});
+struct PrincipledAlpha {
+    T square, narrow, wide;  // alpha^2, aspect^2 and its inverse
+
+    TR_INLINE PrincipledAlpha(const T &roughness, const T &anisotropic) {
+        using F = std::decay_t<decltype(value_of(roughness))>;
+        narrow = at_least(T(1) - T(0.9) * anisotropic, F(0.1));
+        wide = T(1) / narrow;
+        T alpha = at_least(roughness * roughness, F(MinAlpha) * sqrt(value_of(wide)));
+        square = alpha * alpha;
+    }
+};
+template <class T>
+TR_INLINE T ggx_density_along(const PrincipledAlpha<T> &alpha, const Vec3<T> &h, const T &inverse2) {
+    T d = (alpha.narrow * (h.x * h.x) + alpha.wide * (h.y * h.y) + alpha.square * (h.z * h.z)) * inverse2;
+    return alpha.square / (d * d * T(Pi));
+}
+template <class T>
+TR_INLINE T spread2(const PrincipledAlpha<T> &alpha, const Vec3<T> &v) {
+    return alpha.square * (alpha.wide * (v.x * v.x) + alpha.narrow * (v.y * v.y));
+}
+template <class F>
+TR_INLINE Vec3<F> scaled_along(const PrincipledAlpha<F> &alpha, const Vec3<F> &v) {
+    return {sqrt(alpha.square * alpha.wide) * v.x, sqrt(alpha.square * alpha.narrow) * v.y, v.z};
+}
+template <class T, class M>
+TR_INLINE T density_along(const M &, const PrincipledAlpha<T> &alpha, const Vec3<T> &h, const T &inverse2) {
+    return ggx_density_along(alpha, h, inverse2);
+}
+template <class T, class M>
+TR_INLINE T masking_over_cosine(const M &, const PrincipledAlpha<T> &alpha, const Vec3<T> &v) {
+    return ggx_masking_over_cosine(alpha, v);
+}
+template <class F, class M>
+TR_INLINE Vec3<F> sample_visible_normal(const M &, const PrincipledAlpha<F> &alpha, const Vec3<F> &wi, const F &u1,
+                                        const F &u2) {
+    return sample_visible_ggx_normal(alpha, wi, u1, u2);
 }
 
 // The tail of the clear coat, "generalized Trowbridge-Reitz" with exponent 1: Burley 2012, appendix B.2.
@@ -133,8 +166,8 @@ struct Principled {
     static constexpr bool Asymmetric = true;
 
     template <class T, class P>
-    TR_INLINE static Vec2<T> alpha(const P &params) {
-        return principled_alpha(T(params.number[Roughness]), T(params.number[Anisotropic]));
+    TR_INLINE static PrincipledAlpha<T> alpha(const P &params) {
+        return {T(params.number[Roughness]), T(params.number[Anisotropic])};
     }
     // Schlick's R0 = ((eta - 1) / (eta + 1))^2 = 0.08 specular (Burley 2012, section 5.5), solved for eta.
     template <class T, class P>
@@ -156,7 +189,7 @@ struct Principled {
         auto front = facet.outside && facet.reflects;
 
         // the interface
-        Vec2<T> facets_alpha = alpha<T>(params);
+        PrincipledAlpha<T> facets_alpha = alpha<T>(params);
         T fresnel = facet.fresnel();
         T facets = ggx_density_along(facets_alpha, facet.h, facet.inverse2) *
                    ggx_masking_over_cosine(facets_alpha, wi) * ggx_masking_over_cosine(facets_alpha, wo) * no;
@@ -228,7 +261,7 @@ struct Principled {
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
         Chances<F> chance(params, wi);
         FacetInterface<F> facet(index<F>(params), wi, wo);
-        Vec2<F> a = alpha<F>(params);
+        PrincipledAlpha<F> a = alpha<F>(params);
         F reflected = chance.reflected(facet.fresnel());
         F facets = ggx_density_along(a, facet.h, facet.inverse2) * ggx_masking_over_cosine(a, wi) * chance.interface;
         F mirrored = facets * reflected * F(0.25);

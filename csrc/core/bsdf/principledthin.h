@@ -58,10 +58,10 @@ struct PrincipledThin {
 
     // What is seen through facets looks as rough as if they refracted it (2015, section 5.3).
     template <class T, class P>
-    TR_INLINE static Vec2<T> alpha(const P &params, const T &eta, const MaskOf<T> &through) {
+    TR_INLINE static PrincipledAlpha<T> alpha(const P &params, const T &eta, const MaskOf<T> &through) {
         T roughness(params.number[Roughness]);
         T r = select(through, roughness * (T(0.65) * eta - T(0.35)), roughness);
-        return principled_alpha(r, T(params.number[Anisotropic]));
+        return {r, T(params.number[Anisotropic])};
     }
     // Both directions above the sheet.
     template <class T>
@@ -83,7 +83,7 @@ struct PrincipledThin {
         auto through = goes_through(wi_, wo_);
         MaskOf<V> all(true);
         T eta = max(number(Eta), T(1e-3));
-        Vec2<T> a = alpha(params, eta, through);
+        PrincipledAlpha<T> a = alpha(params, eta, through);
         FacetReflection<T> facet(all, a, wi, wo);
         T facets = number(SpecTrans) * facet.density * (facet.shadowing(all, a, wo) * T(0.25));
         facets = select(facet.possible, facets, T(0));
@@ -154,7 +154,7 @@ struct PrincipledThin {
         auto facets = mask<F>(u0 < before);
         auto through = (facets && mask<F>(!(u0 < chance.mirrored))) || mask<F>(!(u0 < before + chance.diffuse));
         MaskOf<F> all(true);
-        Vec2<F> a = alpha(params, params.number[Eta], through);
+        PrincipledAlpha<F> a = alpha(params, params.number[Eta], through);
         Vec3<F> mirrored = sample_facet_reflection(all, a, upper(wi), u1, u2);
         Vec3<F> wo = select(facets, mirrored, square_to_cosine_hemisphere(u1, u2));
         auto above = mask<F>(wo.z > F(0));
