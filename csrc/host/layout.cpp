@@ -95,7 +95,8 @@ int32_t LayoutBuilder::resolve(const Field &f, int64_t given, const std::string 
         case Kind::Texture:
         case Kind::Scalar:
             (&f == &NormalMap::fields[NormalMap::Map] ? normals_ : colours_).insert(given);
-            return given == -1 && !std::isnan(f.fallback) ? default_texture(f) : reference("texture", given, false, at);
+            return given == -1 && !std::isnan(f.fallback) ? default_constant("texture", ConstantTexture::model.type, f)
+                                                          : reference("texture", given, false, at);
         case Kind::Bsdf:
             return reference("bsdf", given, f.fallback == -1, at);
         case Kind::Emitter:
@@ -103,7 +104,7 @@ int32_t LayoutBuilder::resolve(const Field &f, int64_t given, const std::string 
         case Kind::Shape:
             return reference("shape", given, f.fallback == -1, at);
         case Kind::Volume:
-            return given == -1 && f.fallback != -1 ? default_volume(f)
+            return given == -1 && f.fallback != -1 ? default_constant("volume", ConstantVolume::model.type, f)
                                                    : reference("volume", given, f.fallback == -1, at);
         case Kind::Phase:
             return given == -1 && f.fallback == -1 ? default_phase() : reference("phase", given, false, at);
@@ -143,24 +144,15 @@ int32_t LayoutBuilder::reference(const std::string &category, int64_t given, boo
          std::to_string(given));
 }
 
-int32_t LayoutBuilder::default_texture(const Field &f) {
+int32_t LayoutBuilder::default_constant(const char *category, const std::string &type, const Field &f) {
+    static_assert(int(ConstantTexture::Value) == int(ConstantVolume::Value), "both are filled in as one");
     Record record{};
-    record.kind = find_model("texture", "constant")->kind;
+    record.kind = find_model(category, type)->kind;
     record.field[ConstantTexture::Value] = int32_t(out_.constants.size());
     record.field[Record::Extra] = 1;
     out_.constants.insert(out_.constants.end(), size_t(out_.channels), f.fallback);
-    out_.records["texture"].push_back(record);
-    return int32_t(out_.records["texture"].size()) - 1;
-}
-
-int32_t LayoutBuilder::default_volume(const Field &f) {
-    Record record{};
-    record.kind = find_model("volume", "constvolume")->kind;
-    record.field[ConstantVolume::Value] = int32_t(out_.constants.size());
-    record.field[Record::Extra] = 1;
-    out_.constants.insert(out_.constants.end(), size_t(out_.channels), f.fallback);
-    out_.records["volume"].push_back(record);
-    return int32_t(out_.records["volume"].size()) - 1;
+    out_.records[category].push_back(record);
+    return int32_t(out_.records[category].size()) - 1;
 }
 
 int32_t LayoutBuilder::default_phase() {

@@ -67,8 +67,7 @@ private:
     int32_t resolve(const Field &f, int64_t given, const std::string &at);
     static std::string number(double x);
     int32_t reference(const std::string &category, int64_t given, bool optional, const std::string &at);
-    int32_t default_texture(const Field &f);
-    int32_t default_volume(const Field &f);
+    int32_t default_constant(const char *category, const std::string &type, const Field &f);
     int32_t default_phase();
     int32_t constant(const Field &f, int64_t given, const std::string &at);
 
