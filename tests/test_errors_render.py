@@ -50,6 +50,7 @@ CASES = [
     ({"sensor": torch.tensor([0, 2])}, ValueError, "sensor: index 2, but the scene has 2 cameras"),
     ({"sensor": torch.zeros(2)}, TypeError, "sensor: expected an index or a camera, got 0.0"),
     ({"sensor": []}, ValueError, "sensor: an empty list"),
+    ({"sensor": torch.zeros(2, 2, dtype=torch.int64)}, TypeError, r"sensor: expected .* of shape \(2, 2\)"),
     ({"sensor": [0, 1]}, ValueError, "films of one size"),
     ({"integrator": 3}, TypeError, "integrator: expected an integrator"),
     ({"integrator": "pth"}, ValueError, "integrator: unknown type 'pth'; did you mean 'path'"),
@@ -81,6 +82,7 @@ CASES = [
         "red.reflectance.value: .*finite",
     ),
     ({"params": [torch.zeros(3)]}, TypeError, "params: expected a mapping"),
+    ({"params": {3: torch.zeros(3)}}, TypeError, r"params: expected names of parameters, got 3 \(int\)"),
 ]
 
 

@@ -299,3 +299,9 @@ def test_two_objects_with_one_id():
 def test_constructors(call, message):
     with pytest.raises((ValueError, TypeError), match=message):
         call()
+
+
+def test_parameters_without_names_are_refused_in_words():
+    for make, name in ((tr.Diffuse, "Diffuse"), (tr.Bitmap, "Bitmap"), (tr.NormalMap, "NormalMap")):
+        with pytest.raises(TypeError, match=f"{name}: parameters are given by name, but 0.5"):
+            make(0.5)

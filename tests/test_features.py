@@ -135,6 +135,57 @@ def test_moved_cameras_and_hidden_lights():
     assert bool(seen.any()) and not bool(hidden.any())
 
 
+def test_gradients_of_what_is_not_seen_are_zero():
+    """And of no pixels: every leaf that requires a gradient gets one, as from radiance."""
+    loaded = made(ball=mesh_ball({"type": "diffuse"}))
+    texels, rows = torch.ones(2, 2, 3, requires_grad=True), torch.ones(162, 3, requires_grad=True)
+    matrix = loaded.get_parameter("floor.to_world").detach().clone().requires_grad_()
+    none = torch.zeros(0, 2, dtype=torch.int64)
+    beside = loaded.sensors[0].to_world.detach() @ tr.Transform.rotate([0, 1, 0], 180).matrix
+    for more, params in (({"pixels": none}, {}), ({}, {"camera.to_world": beside})):
+        found = show(loaded, {"floor": texels, "ball": rows}, params={"floor.to_world": matrix, **params}, **more)
+        assert not bool(found.any())
+        gradients = torch.autograd.grad(found.sum(), (texels, rows, matrix))
+        assert [g.shape for g in gradients] == [(2, 2, 3), (162, 3), (4, 4)]
+        assert not any(bool(g.any()) for g in gradients)
+
+
+def test_batches_are_refused_in_words():
+    loaded = made()
+    x = torch.rand(2, 2, 2, 1, dtype=torch.float64)
+    with pytest.raises(tr.NotDifferentiableError, match="loop over the inputs"):
+        torch.func.vmap(lambda t: show(loaded, {"floor": t}))(x)
+
+
+def test_second_derivatives_by_features():
+    """An image is linear in its features: the Hessian of a square is 2 J' J."""
+    loaded = made()
+    texels = torch.rand(2, 2, 1, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+
+    def image(t: torch.Tensor) -> torch.Tensor:
+        return show(loaded, {"floor": t}, spp=2, correlated=True).flatten()
+
+    hessian = torch.func.jacfwd(torch.func.grad(lambda t: image(t).square().sum()))(texels).reshape(4, 4)
+    rows = [torch.func.jvp(image, (texels,), (t.reshape(2, 2, 1),))[1] for t in torch.eye(4, dtype=torch.float64)]
+    jacobian = torch.stack(rows)
+    assert bool(jacobian.any())
+    torch.testing.assert_close(hessian, 2 * jacobian @ jacobian.T, rtol=1e-10, atol=1e-10)
+
+
+def test_the_default_device_does_not_matter():
+    loaded = made()
+    texels = torch.rand(2, 2, 3, dtype=torch.float64, requires_grad=True)
+    matrix = loaded.get_parameter("floor.to_world").detach().clone().requires_grad_()
+    settings = {"outputs": ("features", "duv_dx"), "features": {"floor": texels}, "params": {"floor.to_world": matrix}}
+    found = []
+    for device in ("cpu", "meta"):
+        with torch.device(device):
+            seen = tr.render(loaded, spp=2, seed=0, **settings)
+            found.append(torch.autograd.grad(seen.features.sum() + seen.duv_dx.square().sum(), (texels, matrix)))
+    assert bool(found[0][0].any()) and bool(found[0][1].any())
+    assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
+
+
 def test_errors_name_the_shape():
     loaded = made(ball=mesh_ball({"type": "diffuse"}))
     for features, message in [
@@ -143,6 +194,12 @@ def test_errors_name_the_shape():
         ({"floor": torch.ones(4, 3)}, r"floor: expected a texture \(H, W, N\)"),
         ({"ball": torch.ones(5, 3)}, "ball: expected 162 rows"),
         ({"floor": torch.ones(3)}, "floor: expected a texture"),
+        ({"floor": None}, "floor: expected numbers, got None"),
+        ({"floor": {"type": "bitmap"}}, "floor: expected numbers"),
+        ({"floor": [[1.0, 2.0], [3.0]]}, "floor: expected numbers"),
+        ({"floor": torch.ones(2, 2, 3).to_sparse()}, "floor: expected a dense tensor"),
+        ({"floor": torch.ones(2, 2, 3, device="meta")}, "floor: lies on meta"),
+        ({3: torch.ones(2, 2, 3)}, r"no shape 3 \(int\)"),
         ({"floor": torch.ones(2, 2, 3), "lamp": torch.ones(2, 2, 4)}, "lamp: expected 3 channels"),
     ]:
         with pytest.raises((TypeError, ValueError), match=message):

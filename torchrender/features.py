@@ -8,11 +8,15 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.utils.checkpoint import checkpoint
 
+from .autograd import refuse_batches
 from .errors import describe, nearest
 from .queries import Hits, has_derivative
+from .scene.context import Context
 from .scene.declaration import models
 from .scene.derivatives import moves_rays
 from .scene.mesh import Mesh
+from .scene.values import floating
+from .transform import on_cpu
 from .view import View
 from .wavefront.film import Splats
 from .wavefront.numbers import CAMERA_BLOCK, Numbers, pixel_key
@@ -29,6 +33,7 @@ CHUNK = 1 << 18  # samples that are looked up at a time; in reverse mode they ar
 plain = torch._C._DisableFuncTorch
 
 
+@on_cpu
 def features(scene: Scene, call: RenderCall, params: Sequence[torch.Tensor]) -> torch.Tensor:
     """What the first surfaces carry of ``call.features``: averages over the samples of a pixel that hit a shape.
 
@@ -61,6 +66,23 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
         splats = Splats(call.film, call.config["crop"], call.config["window"], call.pixels)
     total, chunk = len(splats.sources) * spp, CHUNK
 
+    def covered(positions: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
+        """The features (S, N) seen through places on the film, and in a last column whether anything is."""
+        rays = view.rays(positions.to(world.dtype), lens.to(world.dtype))
+        hits = view.hits(rays)
+        rows = hits.valid.nonzero()[:, 0]
+        result = torch.zeros(len(positions), channels + 1, dtype=world.dtype)
+        if not derivative and not len(rows):
+            return result
+        hits = Hits(*(member[rows] for member in hits))
+        if derivative:  # the core's numbers with the derivatives of what autograd sees, zeros where nothing is hit
+            points = view.meet(type(rays)(*(member[rows] for member in rays)), hits)
+            uv, b = ((v - v.detach()) for v in (points.uv, points.barycentric))
+            hits = hits._replace(uv=hits.uv + uv, barycentric=hits.barycentric + b)
+        values = _at_hits(world.layout, hits, given, channels)
+        return result.index_put((rows,), torch.cat([values, torch.ones_like(values[:, :1])], dim=1))
+
+    @on_cpu  # reverse mode calls it once more, by itself
     def look_up(start: int, random: Numbers) -> torch.Tensor:
         with plain():
             index = torch.arange(start, min(start + chunk, total))
@@ -68,24 +90,16 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
             drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
             offset = drawn[:, :2].flip(1).double()
             spread = splats.spread(pixel, offset)
-        rays = view.rays((pixel.double() + offset).flip(1).to(world.dtype), drawn[:, 2:].to(world.dtype))
-        hits = view.hits(rays)
-        rows = hits.valid.nonzero()[:, 0]
-        covered = torch.zeros(len(index), channels + 1, dtype=world.dtype)
-        if len(rows):
-            hits = Hits(*(member[rows] for member in hits))
-            if derivative:  # the core's numbers with the derivatives of what autograd sees
-                points = view.meet(type(rays)(*(member[rows] for member in rays)), hits)
-                uv, b = ((v - v.detach()) for v in (points.uv, points.barycentric))
-                hits = hits._replace(uv=hits.uv + uv, barycentric=hits.barycentric + b)
-            values = _at_hits(world.layout, hits, given, channels)
-            covered = covered.index_put((rows,), torch.cat([values, torch.ones_like(values[:, :1])], dim=1))
-        columns = covered.new_zeros(*spread.weights.shape[:2], channels + 1).double()
-        totals = spread.weights.abs().transpose(1, 2) @ columns.index_put((spread.lane, spread.place), covered.double())
+        seen = covered((pixel.double() + offset).flip(1), drawn[:, 2:])
+        columns = seen.new_zeros(*spread.weights.shape[:2], channels + 1).double()
+        totals = spread.weights.abs().transpose(1, 2) @ columns.index_put((spread.lane, spread.place), seen.double())
         wanted = spread.target >= 0
         empty = torch.zeros(splats.count, channels + 1, dtype=torch.float64)
         return empty.index_add(0, spread.target[wanted], totals[wanted])
 
+    if total == 0:  # no pixels: the gradient of nothing is zero
+        nowhere = torch.zeros(0, 2)
+        return covered(nowhere, nowhere)[:, :channels].reshape(*call.size, channels)
     again = derivative and torch.is_grad_enabled() and not torch._C._functorch.maybe_current_level()
     sums = torch.zeros(splats.count, channels + 1, dtype=torch.float64)
     for config in configs:
@@ -111,9 +125,13 @@ def check_features(scene: Scene, layout: Layout, given: Any, names: Sequence[str
     for name, value in given.items():
         what = f"render: features: {name}"
         if name not in numbers:
-            raise ValueError(f"render: features: there is no shape {name!r}; {nearest(str(name), numbers)}")
-        tensor = value if isinstance(value, torch.Tensor) else torch.as_tensor(value)
-        if tensor.is_complex() or tensor.ndim not in (2, 3) or 0 in tensor.shape:
+            said = repr(name) if isinstance(name, str) else describe(name)
+            raise ValueError(f"render: features: there is no shape {said}; {nearest(str(name), numbers)}")
+        refuse_batches(value)
+        if isinstance(value, torch.Tensor) and value.device.type != "cpu":
+            raise ValueError(f"{what}: lies on {value.device}; this version renders on the CPU: use .to('cpu')")
+        tensor = floating(value, Context(dtype=scene.dtype, path=(what,)))
+        if tensor.ndim not in (2, 3) or 0 in tensor.shape:
             raise ValueError(f"{what}: expected a texture (H, W, N) or rows of vertices (V, N), got {describe(value)}")
         shape = scene.get_submodule(name)
         if tensor.ndim == 2 and (not isinstance(shape, Mesh) or len(tensor) != len(shape.vertex_positions)):
@@ -122,7 +140,7 @@ def check_features(scene: Scene, layout: Layout, given: Any, names: Sequence[str
         if channels not in (None, tensor.shape[-1]):
             raise ValueError(f"{what}: expected {channels} channels as the others have, got {tensor.shape[-1]}")
         channels = tensor.shape[-1]
-        found[numbers[name]] = tensor.to(dtype=scene.dtype)
+        found[numbers[name]] = tensor
     return found
 
 
@@ -131,8 +149,6 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
     result = hits.position.new_zeros(len(hits.valid), channels)
     for number, tensor in given.items():
         rows = (hits.shape_id == number).nonzero()[:, 0]
-        if not len(rows):
-            continue
         if tensor.ndim == 2:
             kind, fields, _ = layout.objects["shape"][number]
             faces = layout.index_tensors[fields[[f.name for f in models()["shape", kind].fields].index("faces")]].long()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from .queries import Hits
+from .transform import on_cpu
 from .view import View
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
     from .scene.scene import Scene
 
 
+@on_cpu
 def footprints(
     scene: Scene, call: RenderCall, names: Sequence[str], params: Sequence[torch.Tensor]
 ) -> dict[str, torch.Tensor]:
@@ -57,7 +59,7 @@ def _centres(call: RenderCall) -> torch.Tensor:
     """The places on the film (N, 2), x and y, of the centres of the pixels that are wanted."""
     y0, x0, height, width = call.config["crop"]
     if call.pixels is not None:
-        pixels = torch.as_tensor(call.pixels, device="cpu")
+        pixels = torch.as_tensor(call.pixels)
     else:
-        pixels = torch.cartesian_prod(torch.arange(height, device="cpu"), torch.arange(width, device="cpu"))
-    return pixels.flip(1) + torch.tensor([x0 + 0.5, y0 + 0.5], dtype=torch.float64, device="cpu")
+        pixels = torch.cartesian_prod(torch.arange(height), torch.arange(width))
+    return pixels.flip(1) + torch.tensor([x0 + 0.5, y0 + 0.5], dtype=torch.float64)

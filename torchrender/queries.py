@@ -9,8 +9,9 @@ from typing import Any
 import torch
 from torch.autograd import Function
 
+from .autograd import BATCHED
 from .compiling import opaque
-from .errors import describe
+from .errors import NotDifferentiableError, describe
 from .scene.gather import gather, has_derivative
 from .scene.native import NativeScene
 from .scene.packing import Layout
@@ -116,6 +117,10 @@ class _Query(Function):
     @staticmethod
     def jvp(ctx: Any, *_: Any) -> Any:
         return (None,) * ctx.outputs if ctx.outputs else None
+
+    @staticmethod
+    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(BATCHED)
 
 
 class _Intersect(_Query):

@@ -351,7 +351,8 @@ def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: b
 
 
 def _named(camera: Sensor) -> str:
-    return f"a {camera.type}" + (" with distortion" if getattr(camera, "distortion", None) is not None else "")
+    distorted = camera.type == "perspective" and getattr(camera, "distortion", None) is not None
+    return f"a sensor of type {camera.type!r}" + (" with distortion" if distorted else "")
 
 
 def _layout(scene: Scene, sensor: Any) -> Layout:
@@ -384,7 +385,7 @@ def _cameras(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], boo
                     index += 1
             found.append((index, item))
             continue
-        if isinstance(item, bool) or not hasattr(item, "__index__"):
+        if isinstance(item, bool) or not hasattr(item, "__index__") or getattr(item, "ndim", 0):
             raise TypeError(f"render: sensor: expected an index or a camera, got {describe(item)}")
         index = item.__index__()
         if not own:

@@ -33,6 +33,8 @@ def gather(
         if not isinstance(params, Mapping):
             raise TypeError(f"{function}: params: expected a mapping from names to tensors, got {describe(params)}")
         for name, tensor in params.items():
+            if not isinstance(name, str):
+                raise TypeError(f"{function}: params: expected names of parameters, got {describe(name)}")
             index = layout.index_of(name)
             if index is None:
                 raise ValueError(

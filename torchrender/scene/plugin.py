@@ -55,7 +55,9 @@ class Plugin(nn.Module):
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
 
-    def __init__(self, **properties: Any) -> None:
+    def __init__(self, *unnamed: Any, **properties: Any) -> None:
+        if unnamed:
+            raise TypeError(f"{type(self).__name__}: parameters are given by name, but {describe(unnamed[0])} has none")
         context = properties.pop("_context", None) or Context(path=(type(self).__name__,))
         super().__init__()
         self.__dict__["_references"] = []

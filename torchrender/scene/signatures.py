@@ -73,7 +73,7 @@ def signature_of(cls: type[Plugin]) -> inspect.Signature:
         return inspect.Signature([inspect.Parameter("properties", inspect.Parameter.VAR_KEYWORD, annotation="Any")])
     found = {}
     for parameter in list(inspect.signature(cls.__init__).parameters.values())[1:]:
-        if parameter.kind is not parameter.VAR_KEYWORD:
+        if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
             found[parameter.name] = parameter
     fields = cls.fields()
     for name in cls.parameter_names():
