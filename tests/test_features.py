@@ -186,6 +186,20 @@ def test_the_default_device_does_not_matter():
     assert all(torch.equal(a, b) for a, b in zip(*found, strict=True))
 
 
+def test_edits_before_backward_are_refused():
+    """What is looked up again in reverse mode has to be what was looked up."""
+    for name in ("ball.vertex_positions", "floor.to_world", "features"):
+        loaded = made(ball=mesh_ball({"type": "diffuse"}))
+        texels = torch.rand(3, 3, 2, dtype=torch.float64, requires_grad=True)
+        image = show(loaded, {"floor": texels}, spp=2)
+        with torch.no_grad():
+            (texels if name == "features" else loaded.get_parameter(name)).mul_(1.0)
+        with pytest.raises(RuntimeError, match=f"{name}.* modified by an inplace operation"):
+            image.sum().backward()
+    show(loaded, {"floor": texels}, spp=2).sum().backward()
+    assert bool(texels.grad.any())
+
+
 def test_errors_name_the_shape():
     loaded = made(ball=mesh_ball({"type": "diffuse"}))
     for features, message in [

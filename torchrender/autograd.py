@@ -23,8 +23,9 @@ from .scene.native import NativeScene
 
 MASK = (1 << 64) - 1
 BATCHED = (
-    "vmap does not reach into a rendering: loop over the inputs (jacfwd and jacrev do so with chunk_size=1, "
-    "torch.autograd.functional.jacobian with vectorize=False); several cameras are one call, sensor=[...]"
+    "vmap does not reach into a rendering: loop over the inputs (jacrev does so with chunk_size=1, "
+    "torch.autograd.functional.jacobian with vectorize=False, and in place of jacfwd a loop over jvp); "
+    "several cameras are one call, sensor=[...]"
 )
 STORED_HITS_LIMIT = 1 << 30
 """Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again.

@@ -84,6 +84,8 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
 
     @on_cpu  # reverse mode calls it once more, by itself
     def look_up(start: int, random: Numbers) -> torch.Tensor:
+        if again:
+            _check_versions(view, given, versions)
         with plain():
             index = torch.arange(start, min(start + chunk, total))
             pixel, sample = splats.sources[index // spp], index % spp
@@ -101,6 +103,7 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
         nowhere = torch.zeros(0, 2)
         return covered(nowhere, nowhere)[:, :channels].reshape(*call.size, channels)
     again = derivative and torch.is_grad_enabled() and not torch._C._functorch.maybe_current_level()
+    versions = _versions(view, given) if again else {}
     sums = torch.zeros(splats.count, channels + 1, dtype=torch.float64)
     for config in configs:
         random = Numbers(config["sampler"], spp, config["seed"], config["sensor"], world.dtype)
@@ -110,6 +113,24 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
     weight = sums[:, channels:].detach()
     image = sums[:, :channels] / torch.where(weight > 0, weight, 1.0)
     return image[splats.where].reshape(*call.size, channels).to(world.dtype)
+
+
+def _versions(view: View, given: Mapping[int, torch.Tensor]) -> dict[str, int]:
+    """How often everything that is looked up was edited in place, by what it is called."""
+    layout = view.world.layout
+    tensors = {slot.name: tensor for slot, tensor in zip(layout.slots, view.world.plain, strict=True)}
+    tensors.update({f"features[{layout.objects['shape'][number][2]!r}]": tensor for number, tensor in given.items()})
+    tensors.update({f"the faces of mesh {i}": tensor for i, tensor in enumerate(layout.index_tensors)})
+    return {name: 0 if tensor.is_inference() else tensor._version for name, tensor in tensors.items()}
+
+
+def _check_versions(view: View, given: Mapping[int, torch.Tensor], versions: Mapping[str, int]) -> None:
+    """As autograd does with what it saves: what was edited would be looked up again as it was not."""
+    for name, version in _versions(view, given).items():
+        if version != versions[name]:
+            raise RuntimeError(
+                f"features: {name} has been modified by an inplace operation between rendering and backward()"
+            )
 
 
 def check_features(scene: Scene, layout: Layout, given: Any, names: Sequence[str]) -> dict[int, torch.Tensor]:

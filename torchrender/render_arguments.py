@@ -72,9 +72,15 @@ def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> in
     return value
 
 
+def _drawn(generator: torch.Generator | None) -> int:
+    device = "cpu" if generator is None else generator.device
+    with torch._C._DisableFuncTorch():  # vmap, also that of jacfwd, refuses to draw
+        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=generator, device=device))
+
+
 def _seed(name: str, value: Any) -> int:
     if isinstance(value, torch.Generator):
-        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=value, device=value.device))
+        return _drawn(value)
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
     value = value.__index__()
@@ -84,7 +90,7 @@ def _seed(name: str, value: Any) -> int:
 
 
 def seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
-    first = int(torch.randint(0, (1 << 63) - 1, (1,), device="cpu")) if seed is None else _seed("seed", seed)
+    first = _drawn(None) if seed is None else _seed("seed", seed)
     if correlated:
         if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
             raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")
