@@ -157,6 +157,17 @@ def test_batches_are_refused_in_words():
         torch.func.vmap(lambda t: show(loaded, {"floor": t}))(x)
 
 
+def test_forward_jacobian_without_a_seed():
+    """`jacfwd` works by vmap, in which torch refuses to draw; other outputs are refused in words."""
+    loaded = made()
+    texels = torch.rand(2, 2, 1, dtype=torch.float64)
+    jacobian = torch.func.jacfwd(lambda t: show(loaded, {"floor": t}, seed=None))(texels)
+    assert jacobian.shape == (10, 12, 1, 2, 2, 1) and bool(jacobian.any())
+    name = "floor.bsdf.reflectance.data"
+    with pytest.raises(tr.NotDifferentiableError, match="in place of jacfwd a loop over jvp"):
+        torch.func.jacfwd(lambda t: tr.render(loaded, spp=1, params={name: t}))(loaded.get_parameter(name).detach())
+
+
 def test_second_derivatives_by_features():
     """An image is linear in its features: the Hessian of a square is 2 J' J."""
     loaded = made()

@@ -216,10 +216,13 @@ class Conductor(Plugin):
             if "eta" in properties or "k" in properties:
                 ctx.error(f"{self.type}: give material, or eta and k, but not both")
             if not isinstance(material, str) or material not in CONDUCTORS:
-                near = nearest(material, CONDUCTORS) if isinstance(material, str) else f"got {describe(material)}"
+                near = (
+                    nearest(material, ["none", *CONDUCTORS])
+                    if isinstance(material, str)
+                    else f"got {describe(material)}"
+                )
                 ctx.at("material").error(
-                    f"the conductor {material!r} is not known by name here; give eta and k, or one of: none, "
-                    f"{', '.join(CONDUCTORS)} ({near})"
+                    f"the conductor {material!r} is not known by name here, and eta and k are not given; {near}"
                 )
             properties["eta"], properties["k"] = CONDUCTORS[material]
         # Without eta and k this is a perfect mirror: eta 0, k 1.
