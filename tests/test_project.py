@@ -53,7 +53,8 @@ def checked(code: str, **environment: str) -> str:
 
 
 def test_import_adds_at_most_half_a_second() -> None:
-    code = "import torch, time; t = time.perf_counter(); import torchrender; print(time.perf_counter() - t)"
+    # of the processor, so that other programs do not count
+    code = "import torch, time; t = time.process_time(); import torchrender; print(time.process_time() - t)"
     seconds = min(float(checked(code)) for _ in range(3))
     assert seconds <= 0.5
 
