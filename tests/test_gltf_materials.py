@@ -115,6 +115,27 @@ def test_ior_specular_coat_and_sheen(tmp_path):
     assert inner[4]["sheen"] == pytest.approx(0.4)
 
 
+def test_anisotropy(tmp_path):
+    """The two alphas of the extension: that across u is the square of the roughness."""
+    scene, said = load(
+        tmp_path,
+        material({"roughnessFactor": 0.6, "metallicFactor": 0}, anisotropy={"anisotropyStrength": 0.5}),
+        material(
+            {"roughnessFactor": 0.6, "metallicFactor": 0},
+            anisotropy={"anisotropyStrength": 0.5},
+            transmission={"transmissionFactor": 1},
+        ),
+        material({"metallicRoughnessTexture": {"index": 1}}, anisotropy={"anisotropyStrength": 0.5}),
+    )
+    inner = [bsdf_of(scene, 0)["bsdf"], bsdf_of(scene, 1)]
+    for bsdf in inner:
+        aspect = math.sqrt(1 - 0.9 * bsdf["anisotropic"])
+        assert bsdf["roughness"] ** 2 * aspect == pytest.approx(0.36)
+        assert bsdf["roughness"] ** 2 / aspect == pytest.approx(0.36 + 0.64 * 0.25)
+    assert "anisotropic" not in bsdf_of(scene, 2)["bsdf"]
+    assert len(said) == 1 and said[0].endswith("not used: anisotropy beside a texture of roughness")
+
+
 def test_transmission(tmp_path):
     """Through a sheet, or through a body if the material has a thickness."""
     clear = {"transmissionFactor": 0.9}
@@ -152,7 +173,8 @@ def test_what_is_not_used_is_said(tmp_path):
     _, said = load(
         tmp_path,
         material(
-            anisotropy={"anisotropyStrength": 0.5},
+            iridescence={"iridescenceFactor": 0.5},
+            anisotropy={"anisotropyStrength": 0.5, "anisotropyRotation": 0.3, "anisotropyTexture": {"index": 0}},
             clearcoat={"clearcoatFactor": 1, "clearcoatTexture": {"index": 0}, "clearcoatNormalTexture": {"index": 0}},
             sheen={"sheenColorFactor": [1, 0, 0], "sheenRoughnessFactor": 0.3},
             specular={"specularColorFactor": [1, 0, 0]},
@@ -161,7 +183,7 @@ def test_what_is_not_used_is_said(tmp_path):
     assert len(said) == 1 and said[0].endswith(
         "a.gltf: 'thing' becomes twosided; not used: specular.specularColor, clearcoat.clearcoatTexture, "
         "clearcoat.clearcoatNormalTexture, sheen.sheenColorFactor (hue), sheen.sheenRoughnessFactor, "
-        "KHR_materials_anisotropy"
+        "anisotropy.anisotropyRotation, anisotropy.anisotropyTexture, KHR_materials_iridescence"
     )
 
 

@@ -16,7 +16,9 @@ import numpy as np
 _WRAP = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 _NEAREST = 9728
 # Known by Entry, by trimesh, or of no account for pictures.
-_KNOWN = "emissive_strength unlit ior specular transmission volume clearcoat sheen pbrSpecularGlossiness".split()
+_KNOWN = (
+    "emissive_strength unlit ior specular transmission volume clearcoat sheen anisotropy pbrSpecularGlossiness".split()
+)
 
 
 @dataclass
@@ -103,7 +105,7 @@ class Entry:
 
         Transmission through what has no thickness is that of ``principledthin``.
         """
-        bsdf = {**bsdf, **self._eta(), **self._coat()}
+        bsdf = {**bsdf, **self._eta(), **self._coat(), **self._anisotropy(bsdf.get("roughness"))}
         transmission = self.number("transmission", "transmissionFactor", 0.0)
         volume = self.extension("volume") or {}
         if transmission > 0 and volume.get("thicknessFactor", 0.0) > 0:
@@ -157,6 +159,21 @@ class Entry:
             self.lost += ["sheen.sheenColorFactor (hue)"] if min(colour) < max(colour) else []
             self.lost += [f"sheen.{name}" for name in sheen if name != "sheenColorFactor"]
         return found
+
+    def _anisotropy(self, roughness: Any) -> dict[str, float]:
+        """KHR_materials_anisotropy, whose alpha along u is nearer to 1 by the square of the strength; Burley's is as
+        much larger along u as it is smaller across it."""
+        strength = self.number("anisotropy", "anisotropyStrength", 0.0)
+        if strength <= 0:
+            return {}
+        if not isinstance(roughness, float):
+            self.lost.append("anisotropy beside a texture of roughness")
+            return {}
+        given = self.extension("anisotropy") or {}
+        self.lost += [f"anisotropy.{name}" for name in ("anisotropyRotation", "anisotropyTexture") if given.get(name)]
+        across = max(roughness * roughness, 1e-3)
+        along = across + (1 - across) * min(strength, 1.0) ** 2
+        return {"roughness": (along * across) ** 0.25, "anisotropic": min(1.0, (1 - across / along) / 0.9)}
 
 
 def _zero(value: Any) -> bool:
