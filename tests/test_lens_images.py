@@ -266,8 +266,8 @@ def test_samplers_choose_points_on_the_lens(sampler):
 @pytest.mark.parametrize("name", LENS)
 def test_light_tracing_refuses_them_by_name(name):
     scene = scene_of(camera=sensor(name))
-    kind = "a perspective with distortion" if name == "distorted" else f"a {LENS[name]['type']}"
-    with pytest.raises(ValueError, match=rf"sensor: ParticleTracer connects light to a perspective.*this is {kind}"):
+    kind = "'perspective' with distortion" if name == "distorted" else f"'{LENS[name]['type']}'$"
+    with pytest.raises(ValueError, match=rf"sensor: ParticleTracer connects light to a perspective.*of type {kind}"):
         image(scene, integrator="ptracer")
 
 
