@@ -55,12 +55,12 @@ struct TriangleMap {
     F inverse{1};  // 0: the coordinates do not vary
     MaskOf<F> mapped;
 
-    static Triangle<F, S> load(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &mesh,
-                               const MaskOf<F> &mapped, Corners<F> &corners) {
+    TR_INLINE static Triangle<F, S> load(const SceneView<S> &scene, const UIntOf<F> &face, const MaskOf<F> &mesh,
+                                         const MaskOf<F> &mapped, Corners<F> &corners) {
         return Triangle<F, S>(scene, face, mesh, mapped, corners);
     }
-    TriangleMap(const SceneView<S> &scene, const ShapeLanes<F> &shape, const UIntOf<F> &primitive,
-                const MaskOf<F> &mesh, Corners<F> corners = {})
+    TR_INLINE TriangleMap(const SceneView<S> &scene, const ShapeLanes<F> &shape, const UIntOf<F> &primitive,
+                          const MaskOf<F> &mesh, Corners<F> corners = {})
         : tri(load(scene, UIntOf<F>(shape.face_offset) + primitive, mesh, mesh && shape.has(HasTexcoords), corners)),
           mapped(mesh && shape.has(HasTexcoords)) {
         if (!any(mapped)) return;
@@ -73,7 +73,7 @@ struct TriangleMap {
         auto usable = mask<F>(determinant != F(0));
         inverse = select(usable, F(1) / select(usable, determinant, F(1)), F(0));
     }
-    PositionPartials<F> partials() const {
+    TR_INLINE PositionPartials<F> partials() const {
         return {(tri.e1 * d1.y - tri.e2 * d0.y) * inverse, (tri.e2 * d0.x - tri.e1 * d1.x) * inverse};
     }
 };
