@@ -12,7 +12,7 @@
 #   PIP_OPTIONS   further options of `pip install` for torch and everything else, for example
 #                 PIP_OPTIONS="--extra-index-url https://download.pytorch.org/whl/cpu" TORCH="torch==2.13.0+cpu"
 #   CONSTRAINTS   the file of pinned versions; empty takes the newest (constraints.txt)
-#   PYTEST_ARGS   what `make test` hands to pytest                (-q tests)
+#   PYTEST_ARGS   what `make test` hands to pytest                (-q and all tests, on all processors)
 #   TORCHRENDER_BUILD_ISA  the instruction sets to compile for: this processor's best one, or a list such as
 #                 v2,avx2,avx512, which is what wheels have           (native)
 
@@ -20,7 +20,8 @@ PYTHON ?= python3
 TORCH ?= torch==2.13.0
 PIP_OPTIONS ?=
 CONSTRAINTS ?= constraints.txt
-PYTEST_ARGS ?= -q tests
+# Work is stolen, so that tests of a file mostly stay in one process, with what they keep for each other.
+PYTEST_ARGS ?= -q -n auto --maxprocesses 8 --dist worksteal tests
 VENV ?= .venv
 export TORCHRENDER_BUILD_ISA ?= native
 
@@ -28,10 +29,17 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
 
-.PHONY: demo test build notebook lint format sanitize native-test cuda clean distclean
+.PHONY: demo test build packages notebook lint format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
-$(VENV)/.created:
+# What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
+STEPS := $(if $(filter demo test notebook,$(MAKECMDGOALS)),3,$(if $(filter build,$(or $(MAKECMDGOALS),build)),2))
+say = $(if $(STEPS),echo "torchrender $(1)/$(STEPS): $(2)",:)
+
+packages:
+	@$(call say,1,virtual environment and packages)
+
+$(VENV)/.created: | packages
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 10))' || \
 	  { echo "torchrender: $(PYTHON) is not a Python of version 3.10 or newer; name one with: make PYTHON=/path/to/python3"; exit 1; }
 	@test -x $(PY) || $(PYTHON) -m venv $(VENV) || { rm -rf $(VENV); \
@@ -52,16 +60,20 @@ $(VENV)/.installed: $(VENV)/.tools pyproject.toml $(CONSTRAINTS)
 
 # Ninja decides what is to be compiled; with nothing to do this takes a fraction of a second.
 build: $(VENV)/.installed
+	@$(call say,2,native modules)
 	@$(PY) setup.py -q build_ext --inplace
 
 demo: build
-	$(PY) tutorials/cornell_box.py --demo
-	$(PY) tutorials/textured_monkey.py --demo
+	@$(call say,3,two tutorials)
+	@$(PY) tutorials/cornell_box.py --demo
+	@$(PY) tutorials/textured_monkey.py --demo
 
 test: build
-	$(PY) -m pytest $(PYTEST_ARGS)
+	@$(call say,3,tests)
+	@$(PY) -m pytest $(PYTEST_ARGS)
 
 notebook: build
+	@$(call say,3,tutorials/quick_start.ipynb)
 	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[notebook]"
 	$(PY) tutorials/make_notebook.py
 
@@ -70,6 +82,7 @@ CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -n
 lint: $(VENV)/.installed
 	$(PY) -m ruff check .
 	$(PY) -m ruff format --check .
+	$(PY) -m pyright --pythonpath $(PY)
 	@$(VENV)/bin/clang-format --dry-run -Werror $(CXX_FILES)
 
 format: $(VENV)/.installed

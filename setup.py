@@ -1,8 +1,9 @@
 """Builds the native modules of torchrender: the same C++ sources once per instruction set.
 
-Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``, ``_core_avx512``;
-``_core_scalar`` on processors other than x86-64), with its own objects and hidden symbols, because templates compiled
-with different flags into one library would be merged by the linker, and AVX-512 code could end up in the baseline.
+Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``, ``_core_avx512``),
+which computes in packets of single precision, with its own objects and hidden symbols, because templates compiled with
+different flags into one library would be merged by the linker, and AVX-512 code could end up in the baseline. One more,
+``_core_scalar``, computes a number at a time: in double precision, and on processors other than x86-64 in single, too.
 ``torchrender.backends`` imports the best module that the processor can run.
 
 Ninja drives the compiler: only what changed is compiled again, in parallel. Nothing of torch is needed here.
@@ -17,8 +18,8 @@ Environment
     CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++") and further flags
     MAX_JOBS                   number of compilers at once (default: number of processors)
     TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less: "native" is the best one of
-                               this machine's processor, which is what the Makefile asks for (scalar is what
-                               processors other than x86-64 get, and can be built anywhere)
+                               this machine's processor, which is what the Makefile asks for (scalar, which has
+                               double precision, is built always)
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
 
@@ -34,6 +35,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import ClassVar
@@ -53,11 +55,13 @@ AVX512_FLAGS = [
 ]
 IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
 ISA_FLAGS = {"scalar": []} | ({"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {})
-DEFAULT_ISAS = ["v2", "avx2", "avx512"] if IS_X86 else ["scalar"]
+PACKET_ISAS = ["v2", "avx2", "avx512"] if IS_X86 else []
 # What Linux calls the flags that tell a processor which can run them.
 CPU_FLAGS = {"avx2": frozenset("avx2 fma f16c bmi1 bmi2 abm movbe".split())}
 CPU_FLAGS["avx512"] = CPU_FLAGS["avx2"] | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
+
+STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
 
@@ -72,21 +76,21 @@ def native_isas() -> list[str]:
     try:
         text = Path("/proc/cpuinfo").read_text()
     except OSError:
-        return DEFAULT_ISAS
+        return PACKET_ISAS
     line = next((line for line in text.splitlines() if line.startswith("flags")), "")
     flags = set(line.partition(":")[2].split())
-    best = [isa for isa in DEFAULT_ISAS if CPU_FLAGS.get(isa, frozenset()) <= flags]
+    best = [isa for isa in PACKET_ISAS if CPU_FLAGS.get(isa, frozenset()) <= flags]
     return best[-1:]
 
 
 def selected_isas() -> list[str]:
-    """The instruction sets to build, best last: DEFAULT_ISAS unless TORCHRENDER_BUILD_ISA says otherwise."""
+    """The instruction sets to build, best last: all of this processor unless TORCHRENDER_BUILD_ISA says otherwise."""
     wanted = [name.strip() for name in os.environ.get("TORCHRENDER_BUILD_ISA", "").split(",") if name.strip()]
     wanted = [name for word in wanted for name in (native_isas() if word == "native" else [word])]
     unknown = [name for name in wanted if name not in ISA_FLAGS]
     if unknown:
         fail(f"TORCHRENDER_BUILD_ISA names {unknown[0]!r}; this processor has {', '.join(ISA_FLAGS)}.")
-    return [name for name in ISA_FLAGS if name in (wanted or DEFAULT_ISAS)]
+    return [name for name in ISA_FLAGS if name == "scalar" or name in (wanted or PACKET_ISAS)]
 
 
 # --- tools -----------------------------------------------------------------------------------------------------------
@@ -167,7 +171,9 @@ def compile_flags(isa: str, sanitize: bool) -> list[str]:
     flags += ["-fno-strict-aliasing"]
     # -isystem: warnings of other people's headers are not ours to fix.
     flags += ["-isystem", package_include("drjit")]
-    flags += ["-O1", *SANITIZE_FLAGS] if sanitize else ["-O3", "-DNDEBUG", "-g0"]
+    # Beside packets, plain numbers are there for checking: the compiler need not take long over them.
+    optimized = "-O2" if isa == "scalar" and IS_X86 else "-O3"
+    flags += ["-O1", *SANITIZE_FLAGS] if sanitize else [optimized, "-DNDEBUG", "-g0"]
     flags += [*ISA_FLAGS[isa], f"-DTR_ISA={isa}", f'-DTR_ISA_NAME="{isa}"', f"-DTR_PACKET_WIDTH={PACKET_WIDTH[isa]}"]
     if isa == "avx512":
         # GCC 12 warns about its own intrinsics' deliberately undefined registers (GCC bug 105593).
@@ -209,12 +215,9 @@ class Ninja:
     def objects(self, sources: list[Path], folder: str, flags: list[str]) -> list[Path]:
         """Compile ``sources`` with ``flags`` into objects under ``folder``; returns the objects' paths."""
         made = []
-        packets = "-DTR_PACKET_WIDTH=1" not in flags
         for source in sources:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
-            # Beside packets, numbers are there for tests alone: the compiler need not take long over them.
-            own = [*flags, "-O1"] if packets and source.stem.endswith("_single") else flags
-            self._edge("compile", target, [source], own, [])
+            self._edge("compile", target, [source], flags, [])
             made.append(target)
         return made
 
@@ -231,9 +234,32 @@ class Ninja:
                 script.write_text(text)
             jobs = os.environ.get("MAX_JOBS", "") or str(os.cpu_count() or 1)
             command = [*find_ninja(), "-f", script.name, "-j", jobs]
-            # Progress goes to the error stream: standard output is for what a command is asked to print.
-            if subprocess.run(command, cwd=self.directory, stdout=sys.stderr).returncode != 0:
+            if self.say_what_comes(command, jobs) and self.build(command) != 0:
                 fail("the native modules could not be compiled; the compiler's messages stand above.")
+
+    def say_what_comes(self, command: list[str], jobs: str) -> bool:
+        """Say how much is to be compiled; whether there is anything to be done."""
+        dry = subprocess.run([*command, "-n"], cwd=self.directory, capture_output=True, text=True)
+        if dry.returncode == 0 and "no work to do" in dry.stdout:
+            return False
+        count = sum("] compile " in line for line in dry.stdout.splitlines())
+        if count:
+            files = "1 file" if count == 1 else f"{count} files, {min(int(jobs), count)} at a time"
+            minutes = "; that takes some minutes" if count > 10 else ""
+            print(f"torchrender: compiling {files}{minutes}", file=sys.stderr, flush=True)
+        return True
+
+    def build(self, command: list[str]) -> int:
+        """Run Ninja, and where its progress is written line by line, in a pipe, say that a long file is going on."""
+        # Progress goes to the error stream: standard output is for what a command is asked to print.
+        with subprocess.Popen(command, cwd=self.directory, stdout=sys.stderr) as process:
+            started, pause = time.monotonic(), None if sys.stderr.isatty() else STILL
+            while True:
+                try:
+                    return process.wait(pause)
+                except subprocess.TimeoutExpired:
+                    passed = time.monotonic() - started
+                    print(f"torchrender: still compiling, {passed:.0f} s so far", file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
@@ -284,8 +310,8 @@ def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
     if not sources:
         fail(f"there are no native tests under {CSRC / 'tests'}.")
     ninja = Ninja(directory)
-    # Variants that they do not call would take half of the time.
-    library = [p for p in library_sources() if not p.name.startswith(("aov_", "light_mono_"))]
+    # What they do not call would take a good part of the time.
+    library = [p for p in library_sources() if not p.name == "render_outputs.cpp"]
     # Sanitized code is compiled in half the time without optimising; nothing is timed here.
     flags = compile_flags(isa, sanitize) + (["-O0", "-Wno-maybe-uninitialized"] if sanitize else [])
     objects = ninja.objects(library + sources, isa, flags)

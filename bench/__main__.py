@@ -6,7 +6,7 @@ import argparse
 import importlib
 import sys
 
-from .arguments import common_arguments
+from .arguments import common_arguments, output_arguments
 from .peers import PeerError
 
 # Each is a module of this folder with `add_arguments(parser)` and `run(options) -> Result`.
@@ -24,14 +24,18 @@ BENCHMARKS = {
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
     "caustics": "one iteration of a refractive height field that throws a picture",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
+    "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",
 }
-COMPARE = "compare A.json B.json: which figures became slower by more than their spread"
+# Others, which have a result of their own: `main(arguments) -> status`.
+COMMANDS = {
+    "compare": "which figures became slower by more than their spread (compare A.json B.json)",
+    "same": "whether another state of torchrender renders and differentiates everything alike",
+}
 
 
 def listing() -> str:
     """The list of benchmarks."""
-    lines = [f"  {name:<18}{text}" for name, text in BENCHMARKS.items()]
-    lines.append(f"  {'compare':<18}{COMPARE.partition(': ')[2]} ({COMPARE.partition(':')[0]})")
+    lines = [f"  {name:<18}{text}" for name, text in {**BENCHMARKS, **COMMANDS}.items()]
     return "\n".join(["python -m bench NAME [options], where NAME is one of", *lines])
 
 
@@ -42,10 +46,8 @@ def main(argv: list[str] | None = None) -> int:
         print(f"{__doc__}\n\n{listing()}")
         return 0
     name = argv[0]
-    if name == "compare":
-        from . import compare
-
-        return compare.main(argv[1:])
+    if name in COMMANDS:
+        return importlib.import_module(f".{name}", __package__).main(argv[1:])
     if name not in BENCHMARKS:
         print(f"error: there is no benchmark {name!r}\n{listing()}", file=sys.stderr)
         return 2
@@ -55,7 +57,9 @@ def main(argv: list[str] | None = None) -> int:
         description=module.__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    common_arguments(parser)
+    if getattr(module, "RENDERS", True):
+        common_arguments(parser)
+    output_arguments(parser)
     module.add_arguments(parser)
     options = parser.parse_args(argv[1:])
     if options.plot:
@@ -73,7 +77,7 @@ def main(argv: list[str] | None = None) -> int:
     except PeerError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    settings = {key: value for key, value in vars(options).items() if key not in ("json", "plot", "peer")}
+    settings = {key: value for key, value in vars(options).items() if key not in ("json", "plot", "peer", "directory")}
     document = report.to_json(name, result, settings, where)
     if options.json:
         report.save(options.json, document)

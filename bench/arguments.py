@@ -69,7 +69,7 @@ def _peer(text: str) -> tuple[str, str]:
 
 
 def common_arguments(parser: argparse.ArgumentParser) -> None:
-    """The options that all benchmarks have."""
+    """The options of the benchmarks that render."""
     parser.add_argument("--threads", type=positive, default=2, help="threads of every program (default %(default)s)")
     parser.add_argument("--resolution", type=positive, default=256, help="pixels along a side (default %(default)s)")
     parser.add_argument(
@@ -87,6 +87,10 @@ def common_arguments(parser: argparse.ArgumentParser) -> None:
         help="a setting of torchrender.Renderer, such as correlated=True; several may be given",
     )
     parser.add_argument("--only", default="", help="only scenes whose name contains this")
+
+
+def output_arguments(parser: argparse.ArgumentParser) -> None:
+    """The options that all benchmarks have."""
     parser.add_argument("--json", type=_output, metavar="FILE", help="also write the result to this file")
     parser.add_argument(
         "--plot", type=_picture, metavar="FILE", help="also draw it, as PNG, PDF or SVG (by matplotlib)"
@@ -107,5 +111,6 @@ def peer_argument(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME=PYTHON",
-        help="also measure mitsuba or redner, by the interpreter of an environment that has it; several may be given",
+        help="also measure mitsuba, redner or another state of torchrender, by the interpreter of an environment that "
+        "has it; several may be given",
     )

@@ -76,11 +76,11 @@ class Plate:
         """The distance from the target that does not know how bright a picture is; its mean is not differentiated."""
         return (image / (image.detach().mean() if mean is None else mean) - self.target).square().mean()
 
-    def iteration(self, seed: int) -> dict[str, float]:
+    def iteration(self, seed: int, **settings: Any) -> dict[str, float]:
         """Seconds of picture and derivative, and what was not finite."""
         self.heights.grad = None
         start = time.perf_counter()
-        image = self.renderer(seed=seed)
+        image = self.renderer(seed=seed, **settings)
         loss = self.loss(image)
         middle = time.perf_counter()
         loss.backward()
@@ -127,12 +127,14 @@ class Scene:
         """Let a peer load it."""
         if KNOWN[peer.name].reads_arrays:
             raise PeerError(f"{peer.title} has no particle tracer")
-        if self.options.passes != 1:
+        if self.options.passes != 1 and not peer.ourselves:
             raise PeerError(f"{peer.title} is measured in one pass, got --passes {self.options.passes}")
         peer.ask("load_caustics", folder=self.folder.name, front=make_caustics.FACING_DOWN)
 
-    def counts(self) -> dict[str, int]:
-        return {"spp": self.options.spp, "spp_grad": self.options.spp_grad}
+    def counts(self, peer: Peer) -> dict[str, int]:
+        """Samples of an iteration, in as many passes as the peer knows."""
+        passes = {"passes": self.options.passes} if peer.ourselves else {}
+        return {"spp": self.options.spp, "spp_grad": self.options.spp_grad, **passes}
 
 
 def time_table(scene: Scene, peers: list[Peer], options: argparse.Namespace) -> Table:
@@ -141,13 +143,14 @@ def time_table(scene: Scene, peers: list[Peer], options: argparse.Namespace) -> 
     programs = {"ours": plate.iteration}
     for peer in peers:
         scene.load(peer)
-        programs[peer.title] = lambda seed, peer=peer: peer.ask("caustics", seed=seed, **scene.counts())
+        programs[peer.title] = lambda seed, peer=peer: peer.ask("caustics", seed=seed, **scene.counts(peer))
     rows: list[dict[str, Any]] = []
     for who, values in rounds(programs, options).items():
         values["sum"] = [a + b for a, b in zip(values["forward"], values["backward"], strict=True)]
         row: dict[str, Any] = {"program": who}
         row |= {f"{name} s": Measured.of(values[name]) for name in ("forward", "backward", "sum")}
-        row["sum / ours"] = row["sum s"].median / rows[0]["sum s"].median if rows else 1.0
+        for name in ("forward", "sum"):
+            row[f"{name} / ours"] = row[f"{name} s"].median / rows[0][f"{name} s"].median if rows else 1.0
         row["distance after"] = values["loss"][-1]
         row |= {f"not finite, {name}": int(sum(values[f"bad {name}"])) for name in ("image", "gradient")}
         rows.append(row)
@@ -166,12 +169,12 @@ def memory_table(scene: Scene, options: argparse.Namespace) -> Table:
     shared = {"threads": options.threads, "resolution": options.resolution, "spp": options.spp, "steps": STEPS}
     found = {"ours": measure("caustics_memory", size=options.size, renderer=settings_of(options), **shared)}
     for asked in options.peer:
-        peer = Peer(*asked, options.threads)
+        peer = Peer(*asked, options.threads, settings=dict(options.renderer))
         try:
             scene.load(peer)
             before = peer.ask("settle")["memory"]
             for seed in range(STEPS):
-                peer.ask("caustics", seed=seed, **scene.counts())
+                peer.ask("caustics", seed=seed, **scene.counts(peer))
             peak = peer.ask("memory")["peak"]
             found[peer.title] = {"peak": peak, "added": max(0.0, peak - before)}
         finally:
@@ -233,8 +236,8 @@ def check_table(options: argparse.Namespace) -> Table:
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
     tables = []
-    with Peers(options.peer, options.threads) as peers, Scene(options) as scene:
-        versions = {peer.name: peer.version for peer in peers}
+    with Peers(options.peer, options.threads, options.renderer) as peers, Scene(options) as scene:
+        versions = {peer.key: peer.version for peer in peers}
         if "time" in options.part:
             tables.append(time_table(scene, peers, options))
         if "memory" in options.part:

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def peer_start(chosen_peer: tuple[str, str], row: Row, home: str, options: argparse.Namespace) -> tuple[Peer, float]:
     """A peer that has made its first gradient, and the seconds from importing it until then."""
-    peer = Peer(*chosen_peer, options.threads, {"HOME": home})
+    peer = Peer(*chosen_peer, options.threads, {"HOME": home}, dict(options.renderer))
     try:
         start = time.perf_counter()
         load_peer(peer, row, options.resolution, options.spp)
@@ -48,7 +48,7 @@ def measure_row(row: Row, options: argparse.Namespace, versions: dict[str, str])
         def start(_: int, asked: tuple[str, str] = asked) -> dict[str, float]:
             with tempfile.TemporaryDirectory() as home:
                 peer, first = peer_start(asked, row, home, options)
-                versions[peer.name] = peer.version
+                versions[peer.key] = peer.version
                 if not KNOWN[peer.name].keeps_kernels:
                     return {"total": first}
                 return {"total": first, "total, kernels kept": peer_start(asked, row, home, options)[1]}

@@ -67,9 +67,9 @@ def gradient_rows(row: Row, peers: list[Peer], options: argparse.Namespace) -> l
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    with Peers(options.peer, options.threads) as peers:
+    with Peers(options.peer, options.threads, options.renderer) as peers:
         rows = [entry for row in chosen(options) for entry in gradient_rows(row, peers, options)]
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
         who = [""] + [f"{peer.title} " for peer in peers]
     title = f"Gradients at {options.resolution}x{options.resolution}, {options.spp} spp, {options.rounds} runs of each"
     notes = [

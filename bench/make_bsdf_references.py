@@ -1,4 +1,4 @@
-"""Evaluate the BSDFs of `tests/bsdf_cases.py` with Mitsuba 3.9.1 into the files of `tests/data` that it names.
+"""Evaluate the BSDFs of `tests/helpers/bsdf_cases.py` with Mitsuba 3.9.1 into the files of `tests/data` that it names.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
 import bsdf_cases as cases  # noqa: E402
 

@@ -1,5 +1,7 @@
-"""Render scenes of the tests with Mitsuba 3.9.1: those of `tests/reference_scenes.py` into `tests/data/references.npz`
-and `camera_references.npz`, those of `tests/{layer,brushed,media}_scenes.py` into files of their own.
+"""Render scenes of the tests with Mitsuba 3.9.1 into files of `tests/data`.
+
+Those of `tests/helpers/reference_scenes.py` go into `references.npz` and `camera_references.npz`, those of
+`tests/helpers/{layer,brushed,media}_scenes.py` into files of their own.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -20,7 +22,7 @@ import mitsuba as mi
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
+sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
 import brushed_scenes  # noqa: E402
 import layer_scenes  # noqa: E402

@@ -193,7 +193,8 @@ class Loaded:
 
     def __init__(self, case: Case, peers: list[Peer], options: argparse.Namespace) -> None:
         self.case, self.options = case, options
-        self.peers = [] if case.ours else peers
+        self.notes: list[str] = []  # which peer did not know it
+        self.peers = [peer for peer in peers if peer.ourselves or not case.ours]
         scene = tr.load_dict(case.scene)
         path = tr.PathTracer(max_depth=make_materials.MAX_DEPTH, rr_depth=100)
         self.ours = Ours(scene, case.parameters, options.spp, **{"integrator": path, **dict(options.renderer)})
@@ -204,17 +205,23 @@ class Loaded:
         integrator = {"type": "prb", "max_depth": make_materials.MAX_DEPTH, "rr_depth": 100}
         if self.peers:
             self.ours.scene.save(path)
-        for peer in self.peers:
-            peer.ask(
-                "load",
-                path=str(path),
-                arguments={},
-                parameters=list(self.case.parameters),
-                resolution=None,  # the file says it
-                spp=self.options.spp,
-                arrays=None,
-                integrator=integrator,
-            )
+        for peer in list(self.peers):
+            try:
+                peer.ask(
+                    "load",
+                    path=str(path),
+                    arguments={},
+                    parameters=list(self.case.parameters),
+                    resolution=None,  # the file says it
+                    spp=self.options.spp,
+                    arrays=None,
+                    integrator=integrator,
+                )
+            except PeerError as error:
+                if not peer.ourselves:
+                    raise
+                self.peers.remove(peer)  # the material is new
+                self.notes.append(f"{self.case.name}: {error}")
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -337,23 +344,25 @@ def run(options: argparse.Namespace) -> Result:
     # Of light that would come through where nothing does; here something does, and the derivative lacks nothing.
     warnings.filterwarnings("ignore", category=tr.MissingTermWarning)
     chosen = cases(options)
-    images, gradients, times = [], [], []
-    with Peers(options.peer, options.threads) as peers:
+    images, gradients, times, unknown = [], [], [], []
+    with Peers(options.peer, options.threads, options.renderer) as peers:
         for peer in peers:
             if KNOWN[peer.name].reads_arrays:
                 raise PeerError(f"{peer.title} has one material only")
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
         for case in chosen:
             with Loaded(case, peers, options) as loaded:
                 if options.seeds and loaded.peers:
                     images.append(image_rows(loaded, loaded.peers))
                     gradients += gradient_rows(loaded, loaded.peers)
                 times.append(time_row(loaded))
+                unknown += loaded.notes
         who = [""] + [f"{peer.title} " for peer in peers]
     size = f"{options.resolution}x{options.resolution}"
     notes = [
         "Image: without derivatives (torch.no_grad). Sum: forward and backward. Ratios are medians of those of the "
-        "rounds."
+        "rounds.",
+        *unknown,
     ]
     plot = {"kind": "bars", "columns": [f"{name}sum s" for name in who], "y": "forward and backward, s"}
     title = (

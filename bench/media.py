@@ -111,7 +111,8 @@ def iteration_table(found: dict[str, dict[str, list[float]]], label: str, title:
         row: dict[str, Any] = {"scene": label, "program": who}
         for name in ("forward", "backward", "sum"):
             row[f"{name} s"] = Measured.of(values[name])
-        row["sum / ours"] = row["sum s"].median / rows[0]["sum s"].median if rows else 1.0
+        for name in ("forward", "sum"):
+            row[f"{name} / ours"] = row[f"{name} s"].median / rows[0][f"{name} s"].median if rows else 1.0
         for name in ("image", "gradient"):
             row[f"not finite, {name}"] = int(sum(values[f"bad {name}"]))
         rows.append(row)

@@ -25,9 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def peer_memory(asked: tuple[str, str], row: Row, spp: int, options: argparse.Namespace, versions: dict) -> float:
     """MiB that the steps of a peer add, at their peak, to its process with the scene loaded."""
-    peer = Peer(*asked, options.threads)
+    peer = Peer(*asked, options.threads, settings=dict(options.renderer))
     try:
-        versions[peer.name] = peer.version
+        versions[peer.key] = peer.version
         load_peer(peer, row, options.resolution, spp)
         before = peer.ask("settle")["memory"]
         for seed in range(STEPS):

@@ -1,4 +1,7 @@
-"""Other renderers, each a process in an environment of its own that is talked to by lines of JSON (`serving.py`)."""
+"""Other renderers, each a process in an environment of its own that is talked to by lines of JSON (`serving.py`).
+
+One of them may be torchrender itself, in the state before a change.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,10 @@ import json
 import os
 import subprocess
 import tempfile
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 FOLDER = Path(__file__).resolve().parent
 
@@ -19,8 +24,10 @@ class Known:
     title: str
     server: str
     needs: str  # how an environment that has it is made
+    python: str = ""  # where that environment's interpreter then is
     reads_arrays: bool = False  # cannot read the scenes' files
     keeps_kernels: bool = False  # compiles when it first renders, and keeps that for the next process
+    ourselves: bool = False  # another state of this renderer, which is asked for the same work with the same settings
 
 
 KNOWN = {
@@ -29,6 +36,7 @@ KNOWN = {
         "mitsuba_server.py",
         """    python3 -m venv mitsuba-env && mitsuba-env/bin/pip install mitsuba==3.9.1 numpy
     apt install libllvm19        # older ones crash; set DRJIT_LIBLLVM_PATH to its libLLVM.so.19.1""",
+        python="mitsuba-env/bin/python",
         keeps_kernels=True,
     ),
     "redner": Known(
@@ -36,7 +44,15 @@ KNOWN = {
         "redner_server.py",
         """    python3.7 -m venv redner-env         # the last Python that its wheels are for
     redner-env/bin/pip install torch==1.10.2 "numpy<1.22" imageio scikit-image redner==0.4.28""",
+        python="redner-env/bin/python",
         reads_arrays=True,
+    ),
+    "torchrender": Known(
+        "torchrender before",
+        "torchrender_server.py",
+        """    git worktree add ../before COMMIT && make -C ../before build""",
+        python="../before/.venv/bin/python",
+        ourselves=True,
     ),
 }
 
@@ -62,23 +78,38 @@ def parse(text: str) -> tuple[str, str]:
 
 def help_of(name: str) -> str:
     """How an environment with a peer is made."""
-    return f"{KNOWN[name].needs}\n    python -m bench table2 --peer {name}={name}-env/bin/python"
+    return f"{KNOWN[name].needs}\n    python -m bench table2 --peer {name}={KNOWN[name].python}"
 
 
 class Peer:
-    """A running peer, limited to `threads` threads. PeerError says what is missing if it does not start."""
+    """A running peer, limited to `threads` threads. PeerError says what is missing if it does not start.
 
-    def __init__(self, name: str, python: str, threads: int, environment: dict[str, str] | None = None) -> None:
-        self.name, self.title = name, KNOWN[name].title
+    `settings` of `torchrender.Renderer` reach a peer that is torchrender itself.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        python: str,
+        threads: int,
+        environment: dict[str, str] | None = None,
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.name, self.title, self.ourselves = name, KNOWN[name].title, KNOWN[name].ourselves
+        variables = {**os.environ, **(environment or {})}
+        command = [python, str(FOLDER / KNOWN[name].server), str(threads)]
+        if self.ourselves:
+            command.append(json.dumps(dict(settings or {})))
+            variables.pop("PYTHONPATH", None)  # which would lead to the torchrender that is running here
         self.said = tempfile.TemporaryFile()
         try:
             self.process = subprocess.Popen(
-                [python, str(FOLDER / KNOWN[name].server), str(threads)],
+                command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=self.said,
                 text=True,
-                env={**os.environ, **(environment or {})},
+                env=variables,
             )
         except OSError as error:
             raise PeerError(f"{self.title}: {python}: {error.strerror}; it is made by\n{help_of(name)}") from error
@@ -89,6 +120,11 @@ class Peer:
             self.process.wait()
             raise PeerError(f"{error}; is it installed with {python}?\n{help_of(name)}") from error
         self.version, self.import_seconds = greeting["version"], greeting["import_seconds"]
+
+    @property
+    def key(self) -> str:
+        """What its version goes by, beside that of this torchrender."""
+        return self.title if self.ourselves else self.name
 
     def _read(self) -> dict:
         line = self.process.stdout.readline()
@@ -129,18 +165,18 @@ class Peer:
 class Peers:
     """The peers that were asked for, running, in a ``with`` block."""
 
-    def __init__(self, chosen: list[tuple[str, str]], threads: int) -> None:
+    def __init__(self, chosen: list[tuple[str, str]], threads: int, settings: Iterable[tuple[str, Any]] = ()) -> None:
         names = [name for name, _ in chosen]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise PeerError(f"--peer: {twice[0]} is given twice")
-        self.chosen, self.threads = chosen, threads
+        self.chosen, self.threads, self.settings = chosen, threads, dict(settings)
         self.running: list[Peer] = []
 
     def __enter__(self) -> list[Peer]:
         try:
             for name, python in self.chosen:
-                self.running.append(Peer(name, python, self.threads))
+                self.running.append(Peer(name, python, self.threads, settings=self.settings))
         except BaseException:
             self.__exit__()
             raise

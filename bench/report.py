@@ -82,24 +82,34 @@ def versions(peers: Iterable[Peer] = ()) -> dict[str, str]:
 
     found = {
         "torchrender": torchrender.__version__,
-        "commit": _commit(),
+        "commit": commit_of(ROOT / "torchrender"),
         "instruction set": backends.isa(),
         "embree": str(backends.embree()["version"]),
         "python": platform.python_version(),
         "torch": torch.__version__,
         "numpy": numpy.__version__,
     }
-    return {**found, **{peer.name: peer.version for peer in peers}}
+    return {**found, **{peer.key: peer.version for peer in peers}}
 
 
-def _commit() -> str:
-    """Which commit of a checkout is measured, "-dirty" with changes; "" elsewhere."""
-    command = ["git", "describe", "--always", "--dirty", "--exclude=*"]
+def commit_of(package: Path) -> str:
+    """Which commit of a checkout a package's folder is from, "-dirty" with changes; "" for an installed copy."""
+    tracked = ["git", "ls-files", "--error-unmatch", "__init__.py"]  # not by a repository that it only lies in
+    described = ["git", "describe", "--always", "--dirty", "--exclude=*"]
     try:
-        found = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+        found = [subprocess.run(c, cwd=package, capture_output=True, text=True) for c in (tracked, described)]
     except OSError:
         return ""
-    return found.stdout.strip() if found.returncode == 0 else ""
+    return found[1].stdout.strip() if not any(done.returncode for done in found) else ""
+
+
+def version_of(package: Any) -> str:
+    """Version and commit of a torchrender that has been imported, and whether it is this very checkout's."""
+    folder = Path(package.__file__).resolve().parent
+    commit = commit_of(folder)
+    same = "this checkout" if folder == ROOT / "torchrender" else ""
+    more = ", ".join([*[f"commit {commit}"] * bool(commit), *[same] * bool(same)])
+    return f"{package.__version__} ({more})" if more else package.__version__
 
 
 def to_json(name: str, result: Result, settings: dict[str, Any], where: dict[str, Any]) -> dict[str, Any]:
@@ -127,6 +137,9 @@ def show(document: dict[str, Any], result: Result) -> None:
     for table in result.tables:
         print(f"\n{table.title}\n\n{markdown(table)}")
     threads = document["settings"].get("threads")
-    print(f"\n{where['cpu']}, {where['cores']} cores, {threads} threads; load at the start {where['load']:.2f}")
+    used = "" if threads is None else f", {threads} threads"
+    print(f"\n{where['cpu']}, {where['cores']} cores{used}; load at the start {where['load']:.2f}")
     print(", ".join(f"{name} {version}" for name, version in document["versions"].items() if version))
-    print("± is half the distance between the quartiles of the rounds, relative to their median")
+    cells = [value for table in result.tables for row in table.rows for value in row.values()]
+    if any(isinstance(value, Measured) and value.n > 1 for value in cells):
+        print("± is half the distance between the quartiles of the rounds, relative to their median")

@@ -225,11 +225,11 @@ def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
     makers = {"threads": thread_table, "triangles": triangle_table, "texture": texture_table}
     tables = []
-    with Peers(options.peer, options.threads) as peers:
+    with Peers(options.peer, options.threads, options.renderer) as peers:
         for part in PARTS:
             if not options.part or part in options.part:
                 tables.append(makers[part](options) if part in makers else sample_table(part, peers, options))
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
     tables = [table for table in tables if table.rows]
     if not tables:
         raise SystemExit(f"--only: no scene whose name contains {options.only!r} has a texture, which --part asks for")

@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    with Peers(options.peer, options.threads) as peers, Loaded(SLAB, *options.size) as loaded:
+    with Peers(options.peer, options.threads, options.renderer) as peers, Loaded(SLAB, *options.size) as loaded:
         ours = loaded.ours(options, options.spp, spp_grad=options.spp_grad, passes=options.passes)
 
         def run_ours(seed: int) -> dict[str, float]:
@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> Result:
                 "iteration", seed=seed, views=[0], **counts
             )
         found = rounds(programs, options)
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
     size = " x ".join(map(str, options.size))
     title = (
         f"One iteration, {options.resolution}x{options.resolution}, {options.passes} passes of {options.spp} + "

@@ -1,9 +1,10 @@
 """Smoke: seconds of one full-size iteration, and what a reconstruction finds in a given time.
 
 Full size: 128^3 densities, nine pictures of 128 x 128 pixels, 8 passes of 64 + 16 samples a pixel. `--spp` is the
-number of the pictures' samples in a pass. A peer's iteration is measured in one pass and multiplied. The
-reconstruction is the same optimisation for all programs (`reconstruction.py`), each with its own gradients, for
-`--seconds` of its own time; this renderer renders its result from a place that no picture was taken from.
+number of the pictures' samples in a pass. A peer's iteration is measured in one pass and multiplied, but that of
+another state of torchrender in all of them. The reconstruction is the same optimisation for all programs
+(`reconstruction.py`), each with its own gradients, for `--seconds` of its own time; this renderer renders its result
+from a place that no picture was taken from.
 """
 
 from __future__ import annotations
@@ -43,13 +44,14 @@ def iterations(loaded: Loaded, peers: list[Peer], options: argparse.Namespace) -
     """Seconds of one iteration of all programs."""
     ours = loaded.ours(options, options.spp, spp_grad=options.spp_grad, passes=options.passes)
     programs = {"ours": lambda seed: iteration(ours, seed, sensor=VIEWS)}
-    counts = {"views": VIEWS, "spp": options.spp, "spp_grad": options.spp_grad, "passes": 1}
+    counts = {"views": VIEWS, "spp": options.spp, "spp_grad": options.spp_grad}
     for peer in peers:
         loaded.load_peer(peer, options, options.spp)
 
         def run(seed: int, peer: Peer = peer) -> dict[str, float]:
-            found = peer.ask("iteration", seed=seed, **counts)
-            return {name: value * options.passes for name, value in found.items()}
+            passes = options.passes if peer.ourselves else 1
+            found = peer.ask("iteration", seed=seed, passes=passes, **counts)
+            return {name: value * options.passes / passes for name, value in found.items()}
 
         programs[peer.title] = run
     found = rounds(programs, options)
@@ -57,7 +59,8 @@ def iterations(loaded: Loaded, peers: list[Peer], options: argparse.Namespace) -
         f"One iteration, {len(VIEWS)} views of {options.resolution}x{options.resolution}, {options.passes} passes of "
         f"{options.spp} + {options.spp_grad} spp, {options.threads} threads, medians of {options.rounds} rounds"
     )
-    notes = [f"Peers: one pass, times {options.passes}."] if peers and options.passes > 1 else []
+    others = [peer.title for peer in peers if not peer.ourselves]
+    notes = [f"{', '.join(others)}: one pass, times {options.passes}."] if others and options.passes > 1 else []
     return iteration_table(found, f"smoke, {options.size}^3 densities", title, notes)
 
 
@@ -106,9 +109,9 @@ def reconstructions(loaded: Loaded, peers: list[Peer], options: argparse.Namespa
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    with Peers(options.peer, options.threads) as peers, Loaded(SMOKE, options.size) as loaded:
+    with Peers(options.peer, options.threads, options.renderer) as peers, Loaded(SMOKE, options.size) as loaded:
         tables = [iterations(loaded, peers, options)]
         if options.seconds:
             tables.append(reconstructions(loaded, peers, options))
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
     return Result(tables, versions)

@@ -68,9 +68,9 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    with Peers(options.peer, options.threads) as peers:
+    with Peers(options.peer, options.threads, options.renderer) as peers:
         measured = [measure_row(row, peers, options) for row in chosen(options)]
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
         who = [""] + [f"{peer.title} " for peer in peers]
     title = (
         f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, {options.threads} threads, "

@@ -185,9 +185,9 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
-    with Peers(options.peer, options.threads) as peers:
+    with Peers(options.peer, options.threads, options.renderer) as peers:
         rows = [entry for row in chosen(options) for entry in measure_row(row, peers, options)]
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
     title = (
         f"Relative error at equal time, {options.resolution}x{options.resolution}, {options.threads} threads, "
         f"{options.rounds} rounds, reference with {options.reference} spp"

@@ -64,7 +64,8 @@ def time_table(loaded: Loaded, peers: list[Peer], options: argparse.Namespace) -
         seconds["sum"] = [a + b for a, b in zip(seconds["forward"], seconds["backward"], strict=True)]
         row: dict[str, Any] = {"program": who}
         row |= {f"{name} s": Measured.of(seconds[name]) for name in ("forward", "backward", "sum")}
-        row["sum / ours"] = row["sum s"].median / rows[0]["sum s"].median if rows else 1.0
+        for name in ("forward", "sum"):
+            row[f"{name} / ours"] = row[f"{name} s"].median / rows[0][f"{name} s"].median if rows else 1.0
         rows.append(row)
     title = (
         f"Image and gradient of {options.size}^3 densities, {options.resolution}x{options.resolution}, "
@@ -214,7 +215,7 @@ def memory_table(options: argparse.Namespace) -> Table:
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
     tables = []
-    with Peers(options.peer, options.threads) as peers, Loaded(CLOUD, options.size) as loaded:
+    with Peers(options.peer, options.threads, options.renderer) as peers, Loaded(CLOUD, options.size) as loaded:
         if "time" in options.part:
             tables.append(time_table(loaded, peers, options))
         if {"variance", "bias"} & set(options.part):
@@ -224,7 +225,7 @@ def run(options: argparse.Namespace) -> Result:
                 tables.append(variance_table(loaded, found, options))
             if "bias" in options.part:
                 tables.append(bias_table(loaded, found, groups, options))
-        versions = {peer.name: peer.version for peer in peers}
+        versions = {peer.key: peer.version for peer in peers}
     if "memory" in options.part:
         tables.append(memory_table(options))
     return Result(tables, versions)

@@ -9,6 +9,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 from . import backends, integrators
+from ._version import __version__ as __version__
 from .autograd import reattach
 from .backends import show_config
 from .errors import MissingTermWarning, NotDifferentiableError, RenderError, SubstitutionWarning
@@ -46,8 +47,8 @@ from .scene.materials import (
 )
 from .scene.media import HeterogeneousMedium, HomogeneousMedium
 from .scene.mesh import Cube, Mesh
-from .scene.meters import DistantSensor, RadianceMeter
 from .scene.phases import BlendPhase, TabulatedPhase
+from .scene.point_sensors import DistantSensor, RadianceMeter
 from .scene.sensor import IrradianceMeter
 from .scene.shapes import Disk, Rectangle, Sphere
 from .scene.textures import Bitmap, Checkerboard, MeshAttribute
@@ -71,8 +72,6 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from .image import tonemap as tonemap
     from .queries import ray_intersect as ray_intersect
     from .queries import ray_occluded as ray_occluded
-
-__version__ = "0.1.0"
 
 count_fused_steps()
 

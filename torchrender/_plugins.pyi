@@ -1,5 +1,5 @@
 # Types of the classes that are generated from the native declaration, made by:
-#     python -c "from torchrender.scene import signatures; signatures.main()"
+#     python -c "from torchrender.scene import stubs; stubs.main()"
 
 from typing import Any
 

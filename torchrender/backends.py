@@ -1,12 +1,14 @@
 """Which compiled cores exist, which one runs, and where Embree comes from.
 
-The same C++ sources are compiled once per instruction set into modules of their own; the best one that this
-processor supports is imported when it is first needed. Environment variables: ``TORCHRENDER_ISA`` forces one of
+The same C++ sources are compiled once per instruction set into modules of their own, which compute in packets of single
+precision; the best one that this processor supports is imported when it is first needed. One more, ``scalar``, computes
+a number at a time, in double precision too. Environment variables: ``TORCHRENDER_ISA`` forces one of
 ``scalar``, ``v2``, ``avx2``, ``avx512``; ``TORCHRENDER_EMBREE`` is the path of another Embree 4 library.
 """
 
 from __future__ import annotations
 
+import contextlib
 import glob
 import importlib
 import importlib.machinery
@@ -19,14 +21,20 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from ._version import __version__
+
 PREFERENCE = ("avx512", "avx2", "v2", "scalar")
 """Instruction sets, best first."""
+
+PACKETS = True
+"""Whether single precision is computed in packets. False computes it a number at a time, too: slower, for tests."""
 
 _lock = threading.RLock()
 _core: ModuleType | None = None
 _core_isa = ""
 _embree: dict[str, Any] | None = None
 _embree_path: str | None = None
+_with_embree: set[str] = set()  # names of the native modules that have loaded it
 
 
 def compiled() -> list[str]:
@@ -60,10 +68,8 @@ def status() -> dict[str, str]:
     """
     present = compiled()
     supported = _supported(present) if present else {}
-    try:
+    with contextlib.suppress(ImportError):
         core()
-    except ImportError:
-        pass
     report = {}
     for isa in PREFERENCE:
         if isa == _core_isa:
@@ -100,9 +106,14 @@ def _choose() -> str:
     raise ImportError(f"none of the compiled cores ({', '.join(present)}) runs on this processor: rebuild torchrender")
 
 
-def core() -> ModuleType:
-    """The native module in use, without Embree loaded; ImportError says in one sentence what is missing."""
+def core(dtype: Any = None) -> ModuleType:
+    """The native module that computes in `dtype` (single precision if None), without Embree loaded.
+
+    ImportError says in one sentence what is missing.
+    """
     global _core, _core_isa
+    if str(dtype) == "torch.float64" or not PACKETS:
+        return _scalar()
     if _core is None:
         with _lock:
             if _core is None:
@@ -112,13 +123,22 @@ def core() -> ModuleType:
     return _core
 
 
-def ready() -> ModuleType:
-    """The native module in use with Embree loaded and tested: what building a scene needs."""
-    module = core()
-    if _embree is None:
+def _scalar() -> ModuleType:
+    if "scalar" not in compiled():
+        raise ImportError(
+            "torchrender has no compiled core for double precision: build it with 'pip install .' (or 'make build') in "
+            "its source folder"
+        )
+    return importlib.import_module("torchrender._core_scalar")
+
+
+def ready(dtype: Any = None) -> ModuleType:
+    """The native module that computes in `dtype` with Embree loaded and tested: what building a scene needs."""
+    module = core(dtype)
+    if module.__name__ not in _with_embree:
         with _lock:
-            if _embree is None:
-                _load_embree(find_embree())
+            if module.__name__ not in _with_embree:
+                _load_embree(module, find_embree() if _embree is None else _embree["path"])
     return module
 
 
@@ -161,14 +181,16 @@ def use_embree(path: str | os.PathLike[str]) -> None:
             if os.path.realpath(_embree["path"]) == os.path.realpath(path):
                 return
             raise RuntimeError(f"use_embree: {_embree['path']} is already loaded; call this before the first scene")
-        _load_embree(path)
+        _load_embree(core(), path)
         _embree_path = path
 
 
-def _load_embree(path: str) -> None:
+def _load_embree(module: ModuleType, path: str) -> None:
     global _embree
     try:
-        _embree = dict(core().load_embree(path))
+        found = dict(module.load_embree(path))
+        _embree = _embree or found
+        _with_embree.add(module.__name__)
     except RuntimeError as error:
         raise ImportError(f"Embree at {path} cannot be used: {error}") from error
 
@@ -183,8 +205,6 @@ def embree() -> dict[str, Any]:
 def show_config() -> str:
     """Print, and return, what a bug report needs: versions, processor, threads, cores and Embree."""
     import torch
-
-    from . import __version__
 
     lines = [
         f"torchrender {__version__}",

@@ -17,6 +17,7 @@ import functools
 import math
 from typing import Any
 
+import numpy as np
 import torch
 
 from .scene import cie, values
@@ -224,6 +225,7 @@ def checked(direction: Any, turbidity: Any, ctx: Context) -> tuple[torch.Tensor,
 
 
 def map_height(height: Any, ctx: Context) -> int:
+    """The number of rows of the sky's map, checked."""
     rows = values.integer(height, ctx.at("height"), minimum=2)
     if rows > _MAX_HEIGHT:
         ctx.at("height").error(f"expected at most {_MAX_HEIGHT} rows, got {rows}")
@@ -281,8 +283,6 @@ def _zenith_chromaticity(table: Any, theta: torch.Tensor, turbidity: torch.Tenso
 @functools.lru_cache(maxsize=1)
 def _tables() -> tuple[Any, ...]:
     """Wavelengths (K,) in nm; there the sun's radiance, the absorption of ozone and of water; weights (3, K) of RGB."""
-    import numpy as np
-
     known = np.arange(380.0, 751.0, 10.0)
     grid = np.arange(380.0, 751.0, 5.0)
     radiance = np.interp(grid, known, 100 * np.array(_SUN.split(), np.float64))

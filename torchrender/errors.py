@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import sys
 from collections.abc import Iterable
 
 
@@ -21,7 +22,7 @@ class MissingTermWarning(UserWarning):
 
 
 class SubstitutionWarning(UserWarning):
-    """A part of a scene is not supported and something else stands in for it, as ``unsupported="substitute"`` asks.
+    """A part of a scene is not supported and a fallback takes its place, as ``unsupported="substitute"`` asks.
 
     The message names the place in the scene, what was there, and what is there now.
     """
@@ -44,10 +45,18 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 def describe(value: object) -> str:
     """What came, for an error message: type, and shape and dtype where there are any."""
-    shape = getattr(value, "shape", None)
-    if shape is not None and hasattr(value, "dtype"):
-        return f"a {type(value).__name__} of shape {tuple(shape)} and dtype {value.dtype}"
+    shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
+    if shape is not None and dtype is not None:
+        return f"a {type(value).__name__} of shape {tuple(shape)} and dtype {dtype}"
     text = repr(value)
     if len(text) > 60:
         text = text[:57] + "..."
     return f"{text} ({type(value).__name__})"
+
+
+def depth_outside() -> int:
+    """The `stacklevel` that makes a warning of the caller point at the first line outside of this package."""
+    frame, depth = sys._getframe(1), 1
+    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("torchrender.", "torch.")):
+        frame, depth = frame.f_back, depth + 1
+    return depth

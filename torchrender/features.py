@@ -3,29 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch.utils.checkpoint import checkpoint
 
-from .autograd import refuse_batches
 from .errors import describe, nearest
-from .queries import Hits, has_derivative
+from .functions import functorch, refuse_batches
+from .queries import Hits
+from .render_call import RenderCall
 from .scene.context import Context
 from .scene.declaration import models
 from .scene.derivatives import moves_rays
+from .scene.gather import check_device, has_derivative
 from .scene.mesh import Mesh
+from .scene.packing import Layout
+from .scene.scene import Scene
 from .scene.values import floating
 from .transform import on_cpu
-from .view import View
 from .wavefront.film import Splats
-from .wavefront.numbers import CAMERA_BLOCK, Numbers, pixel_key
+from .wavefront.numbers import Numbers
 from .wavefront.texels import bilinear, wrap
-
-if TYPE_CHECKING:
-    from .autograd import RenderCall
-    from .scene.packing import Layout
-    from .scene.scene import Scene
+from .wavefront.world import World
 
 CHUNK = 1 << 18  # samples that are looked up at a time; in reverse mode they are looked up again
 
@@ -46,21 +45,22 @@ def features(scene: Scene, call: RenderCall, params: Sequence[torch.Tensor]) -> 
     Returns:
         (H, W, N), or (P, N) for a list of pixels, in the scene's precision; 0 where nothing is hit.
     """
-    view = View(scene, call, params)
-    moving = [p for p, slot in zip(params, call.wanted.layout.slots, strict=True) if moves_rays(slot)]
-    if not any(has_derivative(t) for t in (*call.features.values(), *moving)):
-        return _average(view, call, call.features, False)
-    attached = _average(view, call, call.features, True)
+    layout = call.layout
+    moving = any(has_derivative(p) for p, slot in zip(params, layout.slots, strict=True) if moves_rays(slot))
+    if not moving and not any(has_derivative(t) for t in call.features.values()):
+        return _average(World(scene, layout, call.native, params), call, call.features, False)
+    attached = _average(World(scene, layout, call.native, params, moving=True), call, call.features, True)
     if (call.seed, call.spp) == (call.seed_grad, call.spp_grad):
         return attached
     with torch.no_grad():
-        image = _average(view, call, {k: t.detach() for k, t in call.features.items()}, False).detach()
+        given = {k: t.detach() for k, t in call.features.items()}
+        image = _average(World(scene, layout, call.native, params), call, given, False).detach()
     return image + (attached - attached.detach())
 
 
-def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], derivative: bool) -> torch.Tensor:
+def _average(world: World, call: RenderCall, given: Mapping[int, torch.Tensor], derivative: bool) -> torch.Tensor:
     """The weighted mean over the samples of all passes, of the image or of its `derivative`, which is attached."""
-    world, configs = view.world, call.configs(derivative)
+    configs = call.configs(derivative)
     spp, channels = configs[0]["spp"], next(iter(given.values())).shape[-1]
     with plain():
         splats = Splats(call.film, call.config["crop"], call.config["window"], call.pixels)
@@ -68,31 +68,21 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
 
     def covered(positions: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
         """The features (S, N) seen through places on the film, and in a last column whether anything is."""
-        rays = view.rays(positions.to(world.dtype), lens.to(world.dtype))
-        hits = view.hits(rays)
+        rays = world.camera_rays(call.config["sensor"], call.config["film_size"], positions, lens)
+        hits = world.first_hits(rays, call.config["hide_emitters"])
         rows = hits.valid.nonzero()[:, 0]
+        values = _at_hits(world.layout, Hits(*(member[rows] for member in hits)), given, channels)
         result = torch.zeros(len(positions), channels + 1, dtype=world.dtype)
-        if not derivative and not len(rows):
-            return result
-        hits = Hits(*(member[rows] for member in hits))
-        if derivative:  # the core's numbers with the derivatives of what autograd sees, zeros where nothing is hit
-            points = view.meet(type(rays)(*(member[rows] for member in rays)), hits)
-            uv, b = ((v - v.detach()) for v in (points.uv, points.barycentric))
-            hits = hits._replace(uv=hits.uv + uv, barycentric=hits.barycentric + b)
-        values = _at_hits(world.layout, hits, given, channels)
         return result.index_put((rows,), torch.cat([values, torch.ones_like(values[:, :1])], dim=1))
 
     @on_cpu  # reverse mode calls it once more, by itself
     def look_up(start: int, random: Numbers) -> torch.Tensor:
         if again:
-            _check_versions(view, given, versions)
+            _check_versions(world, given, versions)
         with plain():
-            index = torch.arange(start, min(start + chunk, total))
-            pixel, sample = splats.sources[index // spp], index % spp
-            drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
-            offset = drawn[:, :2].flip(1).double()
-            spread = splats.spread(pixel, offset)
-        seen = covered((pixel.double() + offset).flip(1), drawn[:, 2:])
+            samples = splats.samples(torch.arange(start, min(start + chunk, total)), spp, random)
+            spread = splats.spread(samples.pixel, samples.offset)
+        seen = covered(samples.positions, samples.lens)
         columns = seen.new_zeros(*spread.weights.shape[:2], channels + 1).double()
         totals = spread.weights.abs().transpose(1, 2) @ columns.index_put((spread.lane, spread.place), seen.double())
         wanted = spread.target >= 0
@@ -102,8 +92,8 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
     if total == 0:  # no pixels: the gradient of nothing is zero
         nowhere = torch.zeros(0, 2)
         return covered(nowhere, nowhere)[:, :channels].reshape(*call.size, channels)
-    again = derivative and torch.is_grad_enabled() and not torch._C._functorch.maybe_current_level()
-    versions = _versions(view, given) if again else {}
+    again = derivative and torch.is_grad_enabled() and not functorch.maybe_current_level()
+    versions = _versions(world, given) if again else {}
     sums = torch.zeros(splats.count, channels + 1, dtype=torch.float64)
     for config in configs:
         random = Numbers(config["sampler"], spp, config["seed"], config["sensor"], world.dtype)
@@ -115,18 +105,18 @@ def _average(view: View, call: RenderCall, given: Mapping[int, torch.Tensor], de
     return image[splats.where].reshape(*call.size, channels).to(world.dtype)
 
 
-def _versions(view: View, given: Mapping[int, torch.Tensor]) -> dict[str, int]:
-    """How often everything that is looked up was edited in place, by what it is called."""
-    layout = view.world.layout
-    tensors = {slot.name: tensor for slot, tensor in zip(layout.slots, view.world.plain, strict=True)}
+def _versions(world: World, given: Mapping[int, torch.Tensor]) -> dict[str, int]:
+    """Version counters of all tensors that are looked up, by their names in error messages."""
+    layout = world.layout
+    tensors = {slot.name: tensor for slot, tensor in zip(layout.slots, world.plain, strict=True)}
     tensors.update({f"features[{layout.objects['shape'][number][2]!r}]": tensor for number, tensor in given.items()})
     tensors.update({f"the faces of mesh {i}": tensor for i, tensor in enumerate(layout.index_tensors)})
     return {name: 0 if tensor.is_inference() else tensor._version for name, tensor in tensors.items()}
 
 
-def _check_versions(view: View, given: Mapping[int, torch.Tensor], versions: Mapping[str, int]) -> None:
-    """As autograd does with what it saves: what was edited would be looked up again as it was not."""
-    for name, version in _versions(view, given).items():
+def _check_versions(world: World, given: Mapping[int, torch.Tensor], versions: Mapping[str, int]) -> None:
+    """RuntimeError if a tensor was edited since the image was rendered: its old values cannot be looked up again."""
+    for name, version in _versions(world, given).items():
         if version != versions[name]:
             raise RuntimeError(
                 f"features: {name} has been modified by an inplace operation between rendering and backward()"
@@ -149,8 +139,8 @@ def check_features(scene: Scene, layout: Layout, given: Any, names: Sequence[str
             said = repr(name) if isinstance(name, str) else describe(name)
             raise ValueError(f"render: features: there is no shape {said}; {nearest(str(name), numbers)}")
         refuse_batches(value)
-        if isinstance(value, torch.Tensor) and value.device.type != "cpu":
-            raise ValueError(f"{what}: lies on {value.device}; this version renders on the CPU: use .to('cpu')")
+        if isinstance(value, torch.Tensor):
+            check_device(scene, what, value)
         tensor = floating(value, Context(dtype=scene.dtype, path=(what,)))
         if tensor.ndim not in (2, 3) or 0 in tensor.shape:
             raise ValueError(f"{what}: expected a texture (H, W, N) or rows of vertices (V, N), got {describe(value)}")
@@ -181,8 +171,8 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
             u, v = hits.uv[rows].unbind(1)
             x, y = u * width - 0.5, v * height - 0.5
             left, top = torch.floor(x.detach()), torch.floor(y.detach())
-            columns = tuple(wrap(left.long() + k, width, 0) for k in (0, 1))
-            lines = tuple(wrap(top.long() + k, height, 0) for k in (0, 1))
+            columns = wrap(left.long(), width, 0), wrap(left.long() + 1, width, 0)
+            lines = wrap(top.long(), height, 0), wrap(top.long() + 1, height, 0)
             value = bilinear(tensor, lines, columns, x - left, y - top, channels)
         result = result.index_put((rows,), value)
     return result

@@ -9,17 +9,13 @@ depend on. They are what ray differentials are (Igehy, "Tracing Ray Differential
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import torch
 
-from .queries import Hits
+from .render_call import RenderCall
+from .scene.scene import Scene
 from .transform import on_cpu
-from .view import View
-
-if TYPE_CHECKING:
-    from .autograd import RenderCall
-    from .scene.scene import Scene
+from .wavefront.world import World
 
 
 @on_cpu
@@ -35,24 +31,20 @@ def footprints(
         (H, W, 2), or (N, 2) for a list of pixels: derivatives of u and v by the place on the film, in pixels to the
         right and down; 0 where nothing is hit.
     """
-    view = View(scene, call, params)
-    centre = _centres(call).to(view.world.dtype)
-    hits = view.hits(view.rays(centre, torch.full_like(centre, 0.5)))
-    rows = hits.valid.nonzero()[:, 0]
-    hits = Hits(*(member[rows] for member in hits))
+    world = World(scene, call.layout, call.native, params, moving=True)
+    centre = _centres(call).to(world.dtype)
 
     def coordinates(positions: torch.Tensor) -> torch.Tensor:
-        return view.meet(view.rays(positions, torch.full_like(positions, 0.5)), hits).uv
+        """Constant where nothing is hit."""
+        middle = torch.full_like(positions, 0.5)
+        rays = world.camera_rays(call.config["sensor"], call.config["film_size"], positions, middle)
+        return world.first_hits(rays, call.config["hide_emitters"]).uv
 
     # By reverse mode, which may stand inside of either mode; a row depends on its own position alone.
-    uv, pull = torch.func.vjp(coordinates, centre[rows])
+    uv, pull, *_ = torch.func.vjp(coordinates, centre)
     du, dv = (pull(torch.eye(2, dtype=uv.dtype)[k].expand_as(uv))[0] for k in range(2))
-    found = {}
-    for axis, name in enumerate(("duv_dx", "duv_dy")):
-        if name in names:
-            value = torch.stack([du[:, axis], dv[:, axis]], dim=1)
-            found[name] = value.new_zeros(len(centre), 2).index_put((rows,), value).reshape(*call.size, 2)
-    return found
+    found = {"duv_dx": (du[:, 0], dv[:, 0]), "duv_dy": (du[:, 1], dv[:, 1])}
+    return {n: torch.stack(both, dim=1).reshape(*call.size, 2) for n, both in found.items() if n in names}
 
 
 def _centres(call: RenderCall) -> torch.Tensor:

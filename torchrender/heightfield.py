@@ -8,6 +8,7 @@ through them) or the values between which the surface is bilinear ("bilinear").
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import torch
@@ -65,10 +66,10 @@ def grid(
     columns, x, dx = _weights(axes[1], heights.shape[1], interpolation)
 
     def over_columns(weight: torch.Tensor) -> torch.Tensor:
-        return sum(heights[:, columns[:, k]] * weight[:, k] for k in range(weight.shape[1]))
+        return functools.reduce(torch.add, (heights[:, columns[:, k]] * weight[:, k] for k in range(weight.shape[1])))
 
     def over_rows(table: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-        return sum(table[rows[:, k]] * weight[:, k, None] for k in range(weight.shape[1]))
+        return functools.reduce(torch.add, (table[rows[:, k]] * weight[:, k, None] for k in range(weight.shape[1])))
 
     along = over_columns(x)
     return over_rows(along, y), over_rows(over_columns(dx), y), over_rows(along, dy)

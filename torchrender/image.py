@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -94,7 +95,7 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
         raise ValueError(f"image: expected images of one height, got heights {[tile.shape[0] for tile in tiles]}")
     picture = PILImage.fromarray(torch.cat(tiles, dim=1).contiguous().numpy())
     if in_notebook():
-        from IPython.display import display
+        from IPython.display import display  # pyright: ignore[reportMissingImports] (a notebook has it)
 
         display(picture)
         return None
@@ -103,8 +104,6 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
 
 def in_notebook() -> bool:
     """Whether the code runs in a Jupyter kernel."""
-    import sys
-
     if "IPython" not in sys.modules:
         return False
     shell = sys.modules["IPython"].get_ipython()

@@ -15,9 +15,9 @@ from .errors import describe, nearest
 
 
 def _integer(owner: str, name: str, value: Any, minimum: int) -> int:
-    if isinstance(value, bool) or not hasattr(value, "__index__"):
-        if not (isinstance(value, float) and value.is_integer()):
-            raise TypeError(f"{owner}: {name}: expected an integer, got {describe(value)}")
+    whole = hasattr(value, "__index__") or (isinstance(value, float) and value.is_integer())
+    if isinstance(value, bool) or not whole:
+        raise TypeError(f"{owner}: {name}: expected an integer, got {describe(value)}")
     value = int(value)
     if value < minimum:
         raise ValueError(f"{owner}: {name}: expected at least {minimum}, got {value}")

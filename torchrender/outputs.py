@@ -27,17 +27,16 @@ import functools
 from collections import namedtuple
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
-from torch.autograd import Function
 
-from .autograd import BATCHED, RenderCall, _Derivative, refuse_batches, zero_gradient
-from .errors import NotDifferentiableError, describe, nearest
-
-if TYPE_CHECKING:
-    from .scene.packing import Layout
-    from .scene.scene import Scene
+from .autograd import dense_tangents, zero_gradient
+from .errors import describe, nearest
+from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
+from .render_call import RenderCall
+from .scene.packing import Layout
+from .scene.scene import Scene
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
 PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
@@ -155,7 +154,7 @@ class FirstHitCall:
         return torch.empty(shape, dtype=dtype, device="cpu")
 
 
-class FirstHitFunction(Function):
+class FirstHitFunction(UnbatchedFunction):
     """``outputs = FirstHitFunction.apply(call, *parameters)``, a tuple in the order of ``call.names``."""
 
     @staticmethod
@@ -184,27 +183,20 @@ class FirstHitFunction(Function):
 
     @staticmethod
     def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
-        ctx.call.render.wanted.check(i for i, given in enumerate(tangents) if given is not None)
+        ctx.call.render.requirements.check(i for i, given in enumerate(tangents) if given is not None)
         found = FirstHitJvpFunction.apply(ctx.call, *ctx.saved_tensors, *tangents)
         real = iter(found if isinstance(found, tuple) else (found,))
         return tuple(None if name in IDENTIFIERS else next(real) for name in ctx.call.names)
 
-    @staticmethod
-    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
-        raise NotDifferentiableError(BATCHED)
 
-
-class FirstHitJvpFunction(_Derivative):
+class FirstHitJvpFunction(DerivativeFunction):
     """``tangents = FirstHitJvpFunction.apply(call, *parameters, *tangents)``, of all outputs but identifiers."""
 
     @staticmethod
     def forward(call: FirstHitCall, *tensors: torch.Tensor | None) -> Any:
         count = len(tensors) // 2
-        params, tangents = list(tensors[:count]), tensors[count:]
-        dense = [
-            None if t is None else t.detach().to(dtype=call.render.native.dtype).expand(p.shape).contiguous()
-            for t, p in zip(tangents, params, strict=True)
-        ]
+        params, tangents = [t for t in tensors[:count] if t is not None], tensors[count:]
+        dense = dense_tangents(params, tangents, call.render.native.dtype)
         out = {name: call.empty(name) for name in call.names if name not in IDENTIFIERS}
         if out:
             given = [0 if t is None else t.data_ptr() for t in dense]
@@ -213,12 +205,13 @@ class FirstHitJvpFunction(_Derivative):
         return tuple(out.values())
 
 
-class FirstHitVjpFunction(_Derivative):
+class FirstHitVjpFunction(DerivativeFunction):
     """``gradients = FirstHitVjpFunction.apply(call, needed, *adjoints, *parameters)``."""
 
     @staticmethod
     def forward(call: FirstHitCall, needed: tuple[bool, ...], *tensors: torch.Tensor | None) -> Any:
-        adjoints, params = tensors[: len(call.names)], list(tensors[len(call.names) :])
+        adjoints = tensors[: len(call.names)]
+        params = [t for t in tensors[len(call.names) :] if t is not None]
         for adjoint in adjoints:
             if adjoint is not None:
                 refuse_batches(adjoint)
@@ -249,7 +242,7 @@ def first_hits(
     averaged = tuple(n for n in dict.fromkeys(names) if n not in FOOTPRINTS and n != FEATURES)
     found: dict[str, torch.Tensor] = {}
     if averaged:
-        first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.wanted.layout, averaged))
+        first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.layout, averaged))
         found.update(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
     if any(n in FOOTPRINTS for n in names):
         from .footprints import footprints

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .image import in_notebook
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
+
+T = TypeVar("T")
 
 
 def watched() -> bool:
@@ -15,7 +20,9 @@ def watched() -> bool:
     return in_notebook() or bool(stream is not None and hasattr(stream, "isatty") and stream.isatty())
 
 
-def progress(iterable: Iterable | None = None, *, total: int | None = None, desc: str | None = None, **kwargs: Any):
+def progress(
+    iterable: Iterable[T] | None = None, *, total: int | None = None, desc: str | None = None, **kwargs: Any
+) -> tqdm[T]:
     """Wrap an iterable in a tqdm bar where a terminal or notebook is watching, and in a silent one elsewhere.
 
     Args:
@@ -32,4 +39,10 @@ def progress(iterable: Iterable | None = None, *, total: int | None = None, desc
     else:
         from tqdm import tqdm
     kwargs.setdefault("disable", not watched())
-    return tqdm(iterable, total=total, desc=desc, **kwargs)
+    bar: Any = tqdm(iterable, total=total, desc=desc, **kwargs)
+    return bar
+
+
+def steps(items: Sequence[T], desc: str) -> Iterable[T]:
+    """`items`, in a bar that appears where there are several of them and they take longer than a second."""
+    return items if len(items) < 2 else progress(items, desc=desc, leave=False, delay=1.0)

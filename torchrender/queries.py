@@ -2,27 +2,41 @@
 
 from __future__ import annotations
 
-from collections import namedtuple
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
-from torch.autograd import Function
 
-from .autograd import BATCHED
 from .compiling import opaque
-from .errors import NotDifferentiableError, describe
+from .errors import describe
+from .functions import UnbatchedFunction
 from .scene.gather import gather, has_derivative
 from .scene.native import NativeScene
 from .scene.packing import Layout
 from .scene.scene import Scene
 from .surface import Surfaces
 
-Hits = namedtuple("Hits", "t position normal shading_normal uv barycentric shape_id prim_id valid")
-Hits.__doc__ = """What rays hit: `t` (N,) distance in units of the direction's length, infinite at a miss; `position`
-(infinite at a miss), `normal` (geometric), `shading_normal` (N, 3), unit vectors in world space; `uv`, `barycentric`
-(N, 2), where curved shapes repeat their texture coordinates; `shape_id` (position among the scene's shapes) and
-`prim_id` (N,) int32, the triangle, -1 at a miss; `valid` (N,) bool. What is not said to be otherwise is 0 at a miss."""
+
+class Hits(NamedTuple):
+    """What rays hit; values are 0 at a miss where nothing else is stated. On curved shapes `barycentric` repeats `uv`.
+
+    `t` (N,) is the distance in units of the direction's length, infinite at a miss; `position` (infinite at a miss),
+    `normal` (geometric) and `shading_normal` are (N, 3), unit vectors in world space; `uv` and `barycentric` (N, 2);
+    `shape_id` (position among the scene's shapes) and `prim_id`, the triangle, (N,) int32, -1 at a miss; `valid` (N,)
+    bool.
+    """
+
+    t: torch.Tensor
+    position: torch.Tensor
+    normal: torch.Tensor
+    shading_normal: torch.Tensor
+    uv: torch.Tensor
+    barycentric: torch.Tensor
+    shape_id: torch.Tensor
+    prim_id: torch.Tensor
+    valid: torch.Tensor
+
+
 CONTINUOUS = Hits._fields[:6]
 
 
@@ -65,20 +79,12 @@ def ray_intersect(
     scene, origins, directions, limits = _rays("ray_intersect", scene, origins, directions, tmax)
     layout = scene.layout()
     tensors = gather(scene, layout, params, "ray_intersect")
-    hits = find_hits(scene, layout, tensors, origins, directions, limits)
+    native = scene.native(layout, [tuple(t.shape) for t in tensors])
+    hits = find_hits(native, tensors, origins, directions, limits)
     geometry = [tensors[i] for i in _geometry(layout)]
     if not any(has_derivative(t) for t in (origins, directions, *geometry)):
         return hits
-    rows = hits.valid.nonzero()[:, 0]
-    points = Surfaces.of(scene, layout, tensors).meet(
-        hits.shape_id[rows], hits.prim_id[rows], origins[rows], directions[rows], hits.t[rows]
-    )
-    # The core's numbers with these derivatives: values do not depend on whether derivatives are asked for.
-    attached = {}
-    for name in CONTINUOUS:
-        value, point = getattr(hits, name), getattr(points, name)
-        attached[name] = value.index_put((rows,), value[rows] + (point - point.detach()))
-    return hits._replace(**attached)
+    return attached(hits, Surfaces.of(scene, layout, tensors), origins, directions)
 
 
 @opaque
@@ -101,8 +107,8 @@ def ray_occluded(
     return _Occluded.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
 
 
-class _Query(Function):
-    """A call of the core as a function that `torch.func` sees plain tensors in; nothing of it has derivatives."""
+class _Query(UnbatchedFunction):
+    """A call of the core that is given plain tensors inside of `torch.func`, too. Its results have no derivatives."""
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
@@ -118,30 +124,35 @@ class _Query(Function):
     def jvp(ctx: Any, *_: Any) -> Any:
         return (None,) * ctx.outputs if ctx.outputs else None
 
-    @staticmethod
-    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
-        raise NotDifferentiableError(BATCHED)
-
 
 class _Intersect(_Query):
     @staticmethod
-    def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> Any:
+    def forward(native: NativeScene, *tensors: torch.Tensor) -> Any:
         origins, directions, limits, *params = tensors
-        native = scene.native(layout, [tuple(p.shape) for p in params])
         return tuple(nearest_hits(native, params, origins, directions, limits))[:-1]
 
 
 def find_hits(
-    scene: Scene,
-    layout: Layout,
+    native: NativeScene,
     tensors: Sequence[torch.Tensor],
     origins: torch.Tensor,
     directions: torch.Tensor,
     limits: torch.Tensor,
 ) -> Hits:
     """What rays hit, without derivatives, also within `torch.func`; `tensors` for each of the layout's slots."""
-    found = _Intersect.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
+    found = _Intersect.apply(native, *_detached([origins, directions, limits, *tensors]))
     return Hits(*found, valid=found[6] >= 0)
+
+
+def attached(hits: Hits, surfaces: Surfaces, origins: torch.Tensor, directions: torch.Tensor) -> Hits:
+    """The core's numbers with derivatives by rays and surfaces: values do not depend on whether those are asked for."""
+    rows = hits.valid.nonzero()[:, 0]
+    points = surfaces.meet(hits.shape_id[rows], hits.prim_id[rows], origins[rows], directions[rows], hits.t[rows])
+    found = {}
+    for name in CONTINUOUS:
+        value, point = getattr(hits, name), getattr(points, name)
+        found[name] = value.index_put((rows,), value[rows] + (point - point.detach()))
+    return hits._replace(**found)
 
 
 class _Occluded(_Query):
@@ -200,7 +211,7 @@ def _detached(tensors: Sequence[torch.Tensor]) -> list[torch.Tensor]:
 
 def _geometry(layout: Layout) -> list[int]:
     """Slots of the parameters that say where surfaces are."""
-    return [i for i, slot in enumerate(layout.slots) if getattr(slot.module, "category", "") == "shape"]
+    return [i for i, slot in enumerate(layout.slots) if slot.module.category == "shape"]
 
 
 def _on_cpu(name: str, value: Any, dtype: torch.dtype | None = None) -> torch.Tensor:

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import functools
 import inspect
-import warnings
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, overload
 
 import numpy as np
 import torch
 from torch import nn
 
-from .autograd import RenderCall, RenderFunction, refuse_batches
+from .autograd import RenderFunction
 from .compiling import opaque
-from .errors import NotDifferentiableError, describe, nearest
-from .integrators import AOV, Integrator, WavefrontPathTracer
+from .errors import describe, nearest
+from .functions import refuse_batches
+from .integrators import AOV, WavefrontPathTracer
 from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
-from .progress import progress
+from .progress import steps
 from .render_arguments import (
     as_integrator,
     check_kinds_of_derivative,
@@ -25,40 +25,60 @@ from .render_arguments import (
     count,
     film_config,
     pixels_inside,
-    seeds,
 )
-from .scene.boundaries import check_phases, warn_of_open_boundaries
-from .scene.derivatives import Wanted, depth_outside
-from .scene.gather import gather, substitute
+from .render_call import RenderCall
+from .render_checks import (
+    check_light,
+    check_media,
+    check_sensor,
+    check_torch_bsdfs,
+    check_wavefront,
+    warn_of_beams,
+)
+from .render_sensors import chosen_sensors, layout_with_room
+from .render_types import IntegratorLike, LayoutName, Outputs, PixelsLike, RenderSettings, SamplerName, SensorLike
+from .scene.gather import gather, replace_placeholder
+from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
-from .scene.scene import Scene, default_sampler
-from .scene.sensor import IrradianceMeter, Sensor
+from .scene.scene import Scene, operation
+from .scene.sensor import default_sampler
+from .seeds import seeds
 
-PACKETS = True  # false renders a path at a time: slower, for tests
+if TYPE_CHECKING:
+    from typing_extensions import Unpack
 
 
+@overload
+def render(scene: Scene, *, outputs: None = None, **settings: Unpack[RenderSettings]) -> torch.Tensor: ...
+
+
+@overload
+def render(scene: Scene, *, outputs: Sequence[str], **settings: Unpack[RenderSettings]) -> Outputs: ...
+
+
+@operation("render")
 @opaque
 def render(
     scene: Scene,
     *,
-    sensor: int | Sensor | Sequence[int | Sensor] = 0,
-    integrator: Integrator | None = None,
+    sensor: SensorLike = 0,
+    integrator: IntegratorLike | None = None,
     spp: int | None = None,
     seed: int | torch.Generator | None = None,
     spp_grad: int | None = None,
-    seed_grad: int | None = None,
+    seed_grad: int | torch.Generator | None = None,
     passes: int = 1,
     params: Mapping[str, torch.Tensor] | None = None,
     outputs: Sequence[str] | None = None,
     features: Mapping[str, torch.Tensor] | None = None,
     crop: Sequence[int] | None = None,
-    pixels: torch.Tensor | None = None,
-    layout: str = "hwc",
+    pixels: PixelsLike | None = None,
+    layout: LayoutName = "hwc",
     correlated: bool = False,
     adaptive_grad: bool = False,
-    nan: str = "drop",
-    sampler: str | None = None,
-) -> Any:
+    nan: Literal["drop", "raise"] = "drop",
+    sampler: SamplerName | None = None,
+) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
 
     Args:
@@ -126,14 +146,14 @@ def render(
     check_words(layout, nan, sampler)
     check_kinds_of_derivative(adaptive_grad, correlated)
     passes = count("passes", passes)
-    packed = _layout(scene, sensor)
+    packed = layout_with_room(scene, sensor)
     attributes_of(packed, [n for n in names if n not in PATH_OUTPUTS])
     shown: dict[int, torch.Tensor] = {}
     if features is not None or "features" in names:
         from .features import check_features
 
         shown = check_features(scene, packed, features, names)
-    cameras, batched = _cameras(packed, sensor)
+    cameras, batched = chosen_sensors(packed, sensor)
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
@@ -144,27 +164,21 @@ def render(
     wavefront = shows_radiance and isinstance(traces, WavefrontPathTracer)
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
-        params, of_torch = _check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
+        params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
     tensors = gather(scene, packed, params)
     if wavefront:
-        _check_wavefront(packed, names, adaptive_grad)
+        check_wavefront(packed, names, adaptive_grad)
     if light:
-        _check_light(packed, names, adaptive_grad)
+        check_light(packed, names, adaptive_grad)
     elif shows_radiance:
-        _warn_of_beams(scene, packed)
+        warn_of_beams(scene, packed)
     if shows_radiance and packed.media:
-        _check_media(scene, packed, tensors, volumetric)
+        check_media(scene, packed, tensors, volumetric)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
-    for index, camera in _views(cameras):
+    for index, camera in steps(cameras, "views"):
         film, own = camera.film, default_sampler(camera)
-        if isinstance(camera, IrradianceMeter):
-            _check_meter(camera, light, names, stack, tensors, packed)
-        elif light and camera.kind() != ("perspective",):
-            raise ValueError(
-                "render: sensor: ParticleTracer connects light to a perspective camera without distortion, or measures "
-                f"it with an irradiancemeter, but this is {_named(camera)}"
-            )
+        check_sensor(camera, light, names, stack, tensors, packed)
         samples = own.sample_count if spp is None else count("spp", spp)
         window, size, config = film_config(film, crop)
         if pixels is not None:
@@ -173,7 +187,7 @@ def render(
             size = (len(chosen),)
         used = tensors
         if index >= packed.own_sensors:
-            used = substitute(scene, packed, tensors, camera, packed.sensors[index])
+            used = replace_placeholder(scene, packed, tensors, packed.sensors[index], camera)
             if volumetric and getattr(camera, "medium", None) is not None:
                 raise ValueError(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
@@ -187,7 +201,6 @@ def render(
                 **config,
                 "sensor": index,
                 "crop": window,
-                "packet": PACKETS,
                 "sampler": own.type if sampler is None else sampler,
                 "sample_offset": 0,
             },
@@ -202,7 +215,9 @@ def render(
             alpha=alpha,
             variance="variance" in names,
             statistics=scene.statistics,
-            wanted=Wanted(packed, scene.warned, alpha, volumetric, light and film.filter.type == "box"),
+            requirements=GradientRequirements(
+                packed, scene.warned, alpha, volumetric, steady=light and film.filter.type == "box"
+            ),
             film=film,
             features=shown,
             adaptive_grad=adaptive_grad,
@@ -221,7 +236,7 @@ def render(
         if wavefront:
             from .wavefront.function import wavefront_call
 
-            traced = wavefront_call(scene, call, film, integrator_config, of_torch)
+            traced = wavefront_call(scene, call, integrator_config, of_torch)
             views.append(_view(scene, call, names, stack, used, functools.partial(traced.apply, used)))
         else:
             views.append(_view(scene, call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
@@ -234,85 +249,6 @@ def render(
 def _mixes(packed: Layout) -> bool:
     """Whether there are blends or masks: paths of the derivative may choose other branches, and hit other things."""
     return any(kind in ("blendbsdf", "mask") for kind, _, _ in packed.objects["bsdf"])
-
-
-def _check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volumetric: bool) -> None:
-    """Media that are in the scene: whether they are rendered, in their range, and within closed boundaries."""
-    if volumetric:
-        check_phases(packed, tensors)
-        warn_of_open_boundaries(scene, packed)
-    elif "media" not in scene.warned:
-        scene.warned.add("media")
-        text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
-        warnings.warn(text, UserWarning, stacklevel=depth_outside())
-
-
-def _check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
-    """What light tracing does not have."""
-    if packed.media:
-        raise ValueError(
-            "render: integrator: ParticleTracer does not trace through media, which the scene has; "
-            "VolumetricPathTracer ('volpath') does"
-        )
-    for name in ("alpha", "variance"):
-        if name in names:
-            raise ValueError(f"render: outputs: ParticleTracer has no {name!r}; a path tracer has it")
-    if adaptive_grad:
-        raise ValueError(
-            "render: adaptive_grad: light paths belong to no pixel, so that ParticleTracer has no such choice"
-        )
-
-
-def _check_torch_bsdfs(
-    packed: Layout, params: Any, names: Sequence[str], stack: AOV | None, integrator: Any, shows_radiance: bool
-) -> tuple[Any, dict[str, torch.Tensor]]:
-    """Refuses what BSDFs written in PyTorch are no part of; else `params` without theirs, and theirs."""
-    from .wavefront.function import refuse_torch_bsdfs, split_params
-
-    if shows_radiance and not isinstance(integrator, WavefrontPathTracer):
-        does_not = f"which {type(integrator).__name__} does not evaluate; WavefrontPathTracer(...) does"
-        refuse_torch_bsdfs(packed, f"render: integrator: {{}}, {does_not}")
-    if "albedo" in names or (stack is not None and "albedo" in stack.outputs()):
-        refuse_torch_bsdfs(packed, "render: outputs: {}, which has no 'albedo'")
-    return split_params(packed, params)
-
-
-def _check_wavefront(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
-    """What the path tracer in PyTorch does not have."""
-    from .wavefront.function import check_scene
-
-    check_scene(packed)
-    if "variance" in names:
-        raise ValueError("render: outputs: WavefrontPathTracer has no 'variance'; PathTracer has it")
-    if adaptive_grad:
-        raise ValueError("render: adaptive_grad: WavefrontPathTracer has no such choice; PathTracer has it")
-
-
-def _check_meter(
-    meter: IrradianceMeter, light: bool, names: Sequence[str], stack: Any, tensors: list[torch.Tensor], packed: Layout
-) -> None:
-    """What can be measured, and differentiated, on a surface."""
-    others = [name for name in names if name != "rgb"] or (["aovs"] if stack is not None else [])
-    if others:
-        raise ValueError(f"render: outputs: an irradiancemeter has no {others[0]!r}, but 'rgb'")
-    if not light:
-        raise ValueError("render: sensor: an irradiancemeter is measured by ParticleTracer ('ptracer')")
-    slot = packed.slot_of.get((id(meter.shape), "vertex_texcoords"))
-    if slot is not None and tensors[slot].requires_grad and torch.is_grad_enabled():
-        raise NotDifferentiableError(
-            f"{packed.slots[slot].name}: an irradiancemeter has no derivative with respect to the texture coordinates "
-            "of its surface; switch their requires_grad off"
-        )
-
-
-def _warn_of_beams(scene: Scene, packed: Layout) -> None:
-    if "directionalarea" in scene.warned or not any(
-        getattr(module, "type", "") == "directionalarea" and id(module) in packed.used for module in scene.modules()
-    ):
-        return
-    scene.warned.add("directionalarea")
-    text = "the scene has a directionalarea light, whose beams only ParticleTracer ('ptracer') finds"
-    warnings.warn(text, UserWarning, stacklevel=depth_outside())
 
 
 def _view(
@@ -337,11 +273,6 @@ def _view(
     return found
 
 
-def _views(cameras: list[Any]) -> Any:
-    """The views, with a progress bar if there are several and they take long."""
-    return cameras if len(cameras) < 2 else progress(cameras, desc="views", leave=False, delay=1.0)
-
-
 def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:
     want_batch = batched or layout.startswith("b")
     image = torch.stack(images) if want_batch else images[0]
@@ -350,69 +281,31 @@ def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: b
     return image
 
 
-def _named(camera: Sensor) -> str:
-    distorted = camera.type == "perspective" and getattr(camera, "distortion", None) is not None
-    return f"a sensor of type {camera.type!r}" + (" with distortion" if distorted else "")
-
-
-def _layout(scene: Scene, sensor: Any) -> Layout:
-    """The scene's layout, with room for cameras that are no part of it."""
-    for item in sensor if isinstance(sensor, Sequence) and not isinstance(sensor, str) else [sensor]:
-        if isinstance(item, Sensor) and not isinstance(item, IrradianceMeter):
-            scene.admit(item)
-    return scene.layout()
-
-
-def _cameras(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], bool]:
-    """Pairs of index and camera; further indices of the packed sensors stand for cameras outside of the scene."""
-    if isinstance(sensor, (torch.Tensor, np.ndarray)) and sensor.ndim == 1:
-        sensor = sensor.tolist()
-    batched = isinstance(sensor, Sequence) and not isinstance(sensor, str)
-    chosen = list(sensor) if batched else [sensor]
-    if not chosen:
-        raise ValueError("render: sensor: an empty list")
-    own = packed.sensors[: packed.own_sensors]
-    found: list[tuple[int, Sensor]] = []
-    for item in chosen:
-        if isinstance(item, Sensor):
-            index = next((i for i, camera in enumerate(own) if camera is item), len(own))
-            if index == len(own):
-                if isinstance(item, IrradianceMeter):
-                    raise ValueError(
-                        f"render: sensor: {describe(item)} has to be one of the scene's: scene['meter'] = ..."
-                    )
-                while packed.sensors[index].kind() != item.kind():
-                    index += 1
-            found.append((index, item))
-            continue
-        if isinstance(item, bool) or not hasattr(item, "__index__") or getattr(item, "ndim", 0):
-            raise TypeError(f"render: sensor: expected an index or a camera, got {describe(item)}")
-        index = item.__index__()
-        if not own:
-            raise ValueError(
-                "render: sensor: the scene has no camera; pass one, such as PerspectiveCamera.look_at(...)"
-            )
-        if not -len(own) <= index < len(own):
-            raise ValueError(f"render: sensor: index {index}, but the scene has {len(own)} cameras")
-        found.append((index % len(own), own[index]))
-    sizes = {camera.film.window[2:] for _, camera in found}
-    if len(sizes) > 1:
-        raise ValueError(f"render: sensor: films of one size are needed in a list, got {sorted(sizes)} (rows, columns)")
-    return found, batched
-
-
 def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:
     if torch.is_grad_enabled():
-        call.wanted.check(i for i, tensor in enumerate(tensors) if tensor.requires_grad)
+        call.requirements.check(i for i, tensor in enumerate(tensors) if tensor.requires_grad)
 
 
-class Renderer(nn.Module):
+Result = TypeVar("Result")
+
+
+class Renderer(nn.Module, Generic[Result]):
     """A scene and how to render it, as a layer: calling it is `render` with these settings as defaults.
 
     Args:
         scene: a `Scene`; its parameters are this module's.
         settings: keyword arguments of `render`, each of which a call may override.
     """
+
+    @overload
+    def __init__(
+        self: Renderer[torch.Tensor], scene: Scene, *, outputs: None = None, **settings: Unpack[RenderSettings]
+    ) -> None: ...
+
+    @overload
+    def __init__(
+        self: Renderer[Outputs], scene: Scene, *, outputs: Sequence[str], **settings: Unpack[RenderSettings]
+    ) -> None: ...
 
     def __init__(self, scene: Scene, **settings: Any) -> None:
         super().__init__()
@@ -434,9 +327,22 @@ class Renderer(nn.Module):
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
 
-    def forward(self, **overrides: Any) -> Any:
+    def forward(self, **overrides: Any) -> torch.Tensor | Outputs:
         """Render; keyword arguments are those of `render`."""
         return render(self.scene, **{**self.settings, **overrides})
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __call__(self, **overrides: Unpack[RenderSettings]) -> Result: ...
+
+        @overload
+        def __call__(self, *, outputs: None, **overrides: Unpack[RenderSettings]) -> torch.Tensor: ...
+
+        @overload
+        def __call__(self, *, outputs: Sequence[str], **overrides: Unpack[RenderSettings]) -> Outputs: ...
+
+        def __call__(self, **overrides: Any) -> Any: ...
 
     def extra_repr(self) -> str:
         return ", ".join(f"{k}={v!r}" for k, v in self.settings.items())

@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 import torch
 
-from .autograd import MASK, mix
 from .errors import describe, nearest
-from .integrators import Integrator, PathTracer
+from .functions import functorch
+from .integrators import DOCUMENTED, TYPES, Integrator, PathTracer, from_dict
 from .scene.context import Context
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.scene import Scene
 
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
-# What tells the derivative's seed from the image's.
-GRADIENT_STREAM = 0x67726164
 
 
 def check_words(layout: Any, nan: Any, sampler: Any) -> None:
+    """Check `layout`, `nan` and `sampler` of `render`."""
     if layout not in LAYOUTS:
         raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
     if nan not in ("drop", "raise"):
@@ -33,6 +32,7 @@ def check_words(layout: Any, nan: Any, sampler: Any) -> None:
 
 
 def check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
+    """Check `adaptive_grad` and `correlated` of `render`."""
     for name, value in (("adaptive_grad", adaptive_grad), ("correlated", correlated)):
         if not isinstance(value, bool):
             raise TypeError(f"render: {name}: expected True or False, got {describe(value)}")
@@ -44,11 +44,10 @@ def check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
 
 
 def as_integrator(scene: Scene, integrator: Any) -> Integrator:
+    """The integrator that is given, described or named; the scene's own, else a path tracer, if it is None."""
     if integrator is None:
         integrator = scene.integrator or PathTracer()
     elif isinstance(integrator, (Mapping, str)):
-        from .integrators import DOCUMENTED, TYPES, from_dict
-
         given = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
         kind = given.get("type")
         if kind not in TYPES:
@@ -64,46 +63,13 @@ def as_integrator(scene: Scene, integrator: Any) -> Integrator:
 
 
 def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:
+    """`value` as an integer from `minimum` to `maximum`; errors name the argument of `render`."""
     if isinstance(value, bool) or not hasattr(value, "__index__"):
         raise TypeError(f"render: {name}: expected an integer, got {describe(value)}")
     value = value.__index__()
     if not minimum <= value <= maximum:
         raise ValueError(f"render: {name}: expected a number from {minimum} to {maximum}, got {value}")
     return value
-
-
-def _drawn(generator: torch.Generator | None) -> int:
-    device = "cpu" if generator is None else generator.device
-    with torch._C._DisableFuncTorch():  # vmap, also that of jacfwd, refuses to draw
-        return int(torch.randint(0, (1 << 63) - 1, (1,), generator=generator, device=device))
-
-
-def _seed(name: str, value: Any) -> int:
-    if isinstance(value, torch.Generator):
-        return _drawn(value)
-    if isinstance(value, bool) or not hasattr(value, "__index__"):
-        raise TypeError(f"render: {name}: expected an integer, a torch.Generator or None, got {describe(value)}")
-    value = value.__index__()
-    if not 0 <= value <= MASK:
-        raise ValueError(f"render: {name}: expected a number from 0 to 2**64 - 1, got {value}")
-    return value
-
-
-def seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
-    first = _drawn(None) if seed is None else _seed("seed", seed)
-    if correlated:
-        if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
-            raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")
-        return first, first
-    if seed_grad is None:
-        return first, mix(first, GRADIENT_STREAM)
-    second = _seed("seed_grad", seed_grad)
-    if second == first:
-        raise ValueError(
-            f"render: seed_grad: equal to seed ({first}), which makes gradients of nonlinear losses biased; "
-            "give another one, or correlated=True if that is meant"
-        )
-    return first, second
 
 
 def film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tuple[int, int], dict[str, Any]]:
@@ -133,8 +99,8 @@ def pixels_inside(pixels: Any, size: tuple[int, int]) -> np.ndarray:
     if isinstance(pixels, torch.Tensor):
         if pixels.is_floating_point() or pixels.is_complex() or pixels.dtype == torch.bool:
             raise TypeError(f"render: pixels: expected integers, rows and columns, got {describe(pixels)}")
-        while torch._C._functorch.is_functorch_wrapped_tensor(pixels):
-            pixels = torch._C._functorch.get_unwrapped(pixels)
+        while functorch.is_functorch_wrapped_tensor(pixels):
+            pixels = functorch.get_unwrapped(pixels)
         with torch._C._DisableFuncTorch():  # inside jvp every new tensor would be wrapped and have no memory to read
             pixels = pixels.detach().cpu().numpy()
     else:

@@ -9,16 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 
 from . import heightfield
 from .scene.declaration import models
 from .scene.packing import Layout
-
-if TYPE_CHECKING:
-    from .scene.scene import Scene
+from .scene.scene import Scene
 
 MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER = 0, 1, 2, 3, 4
 CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER}
@@ -85,6 +82,7 @@ class Surfaces:
             first_face.append(n_faces)
             first_vertex.append(n_vertices)
             has_normals = has_texcoords = False
+            corners = indices = None
             if kind == "mesh":
                 corners = tensors[value["vertices"]]
                 indices = layout.index_tensors[value["faces"]].long()
@@ -96,7 +94,7 @@ class Surfaces:
                 if kind == "sphere":
                     matrix = _placed(matrix, tensors[value["center"]], tensors[value["radius"]])
                 if kind == "cylinder":
-                    matrix = _along(matrix, *(tensors[value[name]] for name in ("p0", "p1", "radius")))
+                    matrix = _along(matrix, tensors[value["p0"]], tensors[value["p1"]], tensors[value["radius"]])
             if kind == "rectangle":
                 square = torch.tensor(CORNERS, **real)
                 corners = transform_point(matrix, torch.nn.functional.pad(square, (0, 1)))
@@ -107,7 +105,7 @@ class Surfaces:
             if kind in ("sphere", "rectangle"):
                 # mirroring turns a sphere inside out, and the faces of a rectangle, but not its normal
                 flip ^= bool(torch.linalg.det(matrix.detach()[:3, :3]) < 0)
-            if kind in ("mesh", "rectangle"):
+            if corners is not None and indices is not None:
                 faces.append(indices + n_vertices)
                 positions.append(corners)
                 n_vertices, n_faces = n_vertices + len(corners), n_faces + len(indices)
@@ -273,9 +271,11 @@ def _along(matrix: torch.Tensor, p0: torch.Tensor, p1: torch.Tensor, radius: tor
 
 
 def curved_coordinates(local: torch.Tensor, sphere: torch.Tensor, cylinder: torch.Tensor | None = None) -> torch.Tensor:
-    """Texture coordinates (N, 2) of points (N, 3) of the unit sphere (azimuth, polar angle) or of a cylinder (azimuth,
-    height), else of the unit disk (radius, azimuth). At the poles and the centre, where azimuths jump, derivatives are
-    zero."""
+    """Texture coordinates (N, 2) of points (N, 3) of the unit sphere, cylinder or disk.
+
+    Those are azimuth and polar angle, azimuth and height, radius and azimuth. At the poles and the centre, where
+    azimuths jump, derivatives are zero.
+    """
     x, y, z = local.unbind(-1)
     square = x * x + y * y
     pole = square == 0
@@ -308,6 +308,7 @@ def transform_point(matrix: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
 
 
 def transform_vector(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+    """Vectors (..., 3) under the linear part of affine matrices (..., 4, 4)."""
     return (matrix[..., :3, :3] * v[..., None, :]).sum(-1)
 
 

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
 import torch
 
 from .errors import describe
@@ -48,7 +49,7 @@ class _Chainable:
 
 
 def _vector(value: Any, name: str, broadcast: bool = False) -> torch.Tensor:
-    tensor = torch.as_tensor(_plain(value), dtype=torch.float64)
+    tensor = torch.as_tensor(plain(value), dtype=torch.float64)
     if broadcast and tensor.ndim == 0:
         tensor = tensor.expand(3)
     if tensor.shape != (3,):
@@ -165,7 +166,7 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
         inner = getattr(value, "matrix", value)  # objects of other libraries that wrap a matrix
         try:
             with torch.device("cpu"):
-                matrix = torch.as_tensor(_plain(inner), dtype=torch.float64)
+                matrix = torch.as_tensor(plain(inner), dtype=torch.float64)
         except (TypeError, ValueError, RuntimeError):
             raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}") from None
     if matrix.ndim == 1 and matrix.numel() in (9, 16):
@@ -180,16 +181,15 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
     return matrix
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """What `torch.as_tensor` takes without a warning, of nested sequences in which tensors may stand."""
     if isinstance(value, torch.Tensor):
         return value
     if isinstance(value, Sequence) and not isinstance(value, str):
-        parts = [_plain(v) for v in value]
+        parts = [plain(v) for v in value]
         if any(isinstance(p, torch.Tensor) for p in parts):  # numbers among which some may carry gradients
             return torch.stack([torch.as_tensor(p, dtype=torch.float64) for p in parts])
         return parts
     if hasattr(value, "__array__"):
-        import numpy
-
-        return numpy.array(value, dtype="float64")  # a copy: torch warns about read-only arrays
+        return np.array(value, dtype="float64")  # a copy: torch warns about read-only arrays
     return value

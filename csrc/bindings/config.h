@@ -22,7 +22,7 @@ struct Config {
     int height, width, threads;
     Rect crop, window;
     int64_t spp, sample_offset;
-    bool packets, light;  // light: paths begin at emitters
+    bool light;  // paths begin at emitters
     std::optional<std::vector<Pixel>> pixels;
     std::vector<int32_t> attributes;  // numbers of the names of meshes' colours that are put out
     std::vector<uint64_t> seeds;      // of the passes of other outputs than radiance
@@ -67,7 +67,6 @@ inline Config read_config(const py::dict &d) {
     c.spp = d["spp"].cast<int64_t>();
     c.sample_offset = d["sample_offset"].cast<int64_t>();
     c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), c.sample_offset, c.spp);
-    c.packets = d["packet"].cast<bool>();
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
     c.light = d["integrator"].cast<std::string>() == "ptracer";
     if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();

@@ -87,10 +87,10 @@ py::list variants() {
     py::list all;
     for (const char *color : {"mono", "rgb"}) {
         for (const char *dtype : {"float32", "float64"}) {
+            if (TR_HAS_PACKETS && std::string(dtype) == "float64") continue;
             py::dict d;
             d["color"] = color;
             d["dtype"] = dtype;
-            d["packet"] = TR_HAS_PACKETS && std::string(dtype) == "float32";
             all.append(d);
         }
     }
@@ -148,16 +148,16 @@ PYBIND11_MODULE(TR_MODULE_NAME, m) {
         Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
         return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};
     });
-    // Numbers (n, 4), float64, of n samples of some pixels (both uint32). In packets, in single or in double precision.
+    // Numbers (n, 4), float64, of n samples of some pixels (both uint32), in a precision of this module.
     m.def("draw",
           [](const std::string &sampler, int64_t first, int64_t count, uint64_t seed, uint32_t sensor, uint32_t block,
              int wanted, const std::string &arithmetic, size_t n, uintptr_t pixels, uintptr_t samples, uintptr_t out) {
               PathConfig config{};
               config.seed = seed, config.sensor = sensor;
               config.sampler = make_sampler(sampler_kind(sampler), first, count);
-              auto draw = arithmetic == "double" ? &draw_numbers<double> : &draw_numbers<float>;
-#if TR_HAS_PACKETS
-              if (arithmetic == "packet") draw = &draw_numbers<FloatPacket>;
+              auto draw = &draw_numbers<PacketOf<float>>;
+#if !TR_HAS_PACKETS
+              if (arithmetic == "float64") draw = &draw_numbers<double>;
 #endif
               draw(config, block, wanted, n, reinterpret_cast<const uint32_t *>(pixels),
                    reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));

@@ -4,8 +4,8 @@
 #include <stdexcept>
 #include <string>
 
-#include "core/integrator/path.h"
-#include "cpu/columns.h"
+#include "core/integrator/config.h"
+#include "cpu/arena.h"
 
 namespace tr {
 
@@ -18,19 +18,19 @@ inline SamplerKind sampler_kind(const std::string &name) {
 
 // Four numbers of each of n samples, (n, 4), as the renderer draws them.
 template <class F>
-void draw_numbers(const PathConfig &config, uint32_t block, int wanted, size_t n, const uint32_t *pixels,
+void draw_numbers(const PathConfig &config, uint32_t block, int numbers, size_t n, const uint32_t *pixels,
                   const uint32_t *samples, double *out) {
     constexpr size_t W = size_t(Lanes<F>::Width);
     Arena arena;
     uint32_t *pixel, *sample;
-    arena.allocate([&](Arena &a) {
-        a.column(pixel, n + W);
-        a.column(sample, n + W);
+    arena.declare([&](Arena &a) {
+        a.array(pixel, n + W);
+        a.array(sample, n + W);
     });
     std::copy_n(pixels, n, pixel);
     std::copy_n(samples, n, sample);
     for (size_t i = 0; i < n; i += W) {
-        Random4<F> r = draw4<F>(config, load_uint<F>(pixel + i), load_uint<F>(sample + i), block, wanted);
+        Random4<F> r = draw4<F>(config, load_uint<F>(pixel + i), load_uint<F>(sample + i), block, numbers);
         for (size_t k = 0; k < std::min(W, n - i); ++k)
             for (size_t c = 0; c < 4; ++c) out[4 * (i + k) + c] = double(lane(r.u[c], int(k)));
     }

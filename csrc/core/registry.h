@@ -1,24 +1,13 @@
-// The models of this build, one line each. The position in a list is the model's kind.
+// The models of this build, one line each. The position in a list is the model's kind. BSDFs, emitters and phase
+// functions are known by their names alone: whoever uses one goes by its table (bsdf/bsdf.h, emitter/emitter.h,
+// phase/phase.h).
 #pragma once
 
-#include "bsdf/anisotropicconductor.h"
-#include "bsdf/anisotropicdielectric.h"
 #include "bsdf/blendbsdf.h"
+#include "bsdf/bsdf.h"
 #include "bsdf/bumpmap.h"
-#include "bsdf/conductor.h"
-#include "bsdf/dielectric.h"
-#include "bsdf/diffuse.h"
 #include "bsdf/mask.h"
 #include "bsdf/normalmap.h"
-#include "bsdf/null.h"
-#include "bsdf/plastic.h"
-#include "bsdf/principled.h"
-#include "bsdf/principledthin.h"
-#include "bsdf/redner.h"
-#include "bsdf/roughconductor.h"
-#include "bsdf/roughdielectric.h"
-#include "bsdf/roughplastic.h"
-#include "bsdf/thindielectric.h"
 #include "bsdf/twosided.h"
 #include "emitter/emitter.h"
 #include "medium/medium.h"
@@ -33,37 +22,59 @@
 #include "shape/models.h"
 #include "texture/texture.h"
 
+// Those that scatter; each is a file in bsdf/.
+#define TR_BSDFS(X)         \
+    X(Diffuse)              \
+    X(NullBsdf)             \
+    X(Dielectric)           \
+    X(Conductor)            \
+    X(RoughDielectric)      \
+    X(RoughConductor)       \
+    X(Plastic)              \
+    X(ThinDielectric)       \
+    X(Principled)           \
+    X(RoughPlastic)         \
+    X(PrincipledThin)       \
+    X(RednerMaterial)       \
+    X(AnisotropicConductor) \
+    X(AnisotropicDielectric)
+
 namespace tr {
 
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute, VolumeTexture>;
-// The ones that scatter, and those that are resolved to one of them at a hit.
-using Bsdfs =
-    TypeList<Diffuse, NullBsdf, Dielectric, Conductor, RoughDielectric, RoughConductor, Plastic, ThinDielectric,
-             Principled, RoughPlastic, PrincipledThin, RednerMaterial, AnisotropicConductor, AnisotropicDielectric>;
-using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
-// (Emitters: emitter/emitter.h, which chooses among them.)
+// (Emitters: emitter/emitter.h, phase functions: phase/phase.h.)
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel, CylinderModel>;
 using Sensors =
     TypeList<Perspective, IrradianceMeter, ThinLens, Orthographic, Fisheye, Panorama, RadianceMeter, Distant>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
-using Phases = TypeList<Isotropic, HenyeyGreenstein, Rayleigh, TabulatedPhase, BlendPhase>;
 using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
 using Attributes = TypeList<AttributeModel>;
 
-// Records of wrappers have these kinds.
-constexpr int TwoSidedKind = Bsdfs::Size + kind_of_model<TwoSided>(BsdfWrappers{});
-constexpr int BlendKind = Bsdfs::Size + kind_of_model<BlendBsdf>(BsdfWrappers{});
-constexpr int MaskKind = Bsdfs::Size + kind_of_model<MaskBsdf>(BsdfWrappers{});
-constexpr int NormalMapKind = Bsdfs::Size + kind_of_model<NormalMap>(BsdfWrappers{});
-constexpr int BumpMapKind = Bsdfs::Size + kind_of_model<BumpMap>(BsdfWrappers{});
-constexpr bool turns_normals(int kind) { return kind == NormalMapKind || kind == BumpMapKind; }
+// BSDFs that are resolved to one of those they contain, where a path meets them (integrator/bsdf_stack.h).
+using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>;
+
+#define TR_NAME(M) struct M;
+TR_BSDFS(TR_NAME)
+#undef TR_NAME
+struct MaskHole;
 
 // What a path can meet: the BSDFs, and the holes of masks.
-template <class... Ts>
-constexpr auto with_openings(TypeList<Ts...>) {
-    return TypeList<Ts..., Opening>{};
-}
-using LeafBsdfs = decltype(with_openings(Bsdfs{}));
-constexpr int OpeningKind = kind_of_model<Opening>(LeafBsdfs{});
+#define TR_NAME(M) M,
+using Bsdfs = TypeList<TR_BSDFS(TR_NAME) MaskHole>;
+#undef TR_NAME
+
+constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{}), MaskHoleKind = kind_of_model<MaskHole>(Bsdfs{});
+// Records of wrappers have these kinds.
+constexpr int FirstWrapper = MaskHoleKind + 1;
+constexpr int TwoSidedKind = FirstWrapper + kind_of_model<TwoSided>(BsdfWrappers{});
+constexpr int BlendKind = FirstWrapper + kind_of_model<BlendBsdf>(BsdfWrappers{});
+constexpr int MaskKind = FirstWrapper + kind_of_model<MaskBsdf>(BsdfWrappers{});
+constexpr int NormalMapKind = FirstWrapper + kind_of_model<NormalMap>(BsdfWrappers{});
+constexpr int BumpMapKind = FirstWrapper + kind_of_model<BumpMap>(BsdfWrappers{});
+constexpr bool perturbs_normals(int kind) { return kind == NormalMapKind || kind == BumpMapKind; }
+
+// The table of a BSDF, by its kind.
+template <class F>
+const BsdfKernels<F> &bsdf_kernels(int kind);
 
 }  // namespace tr

@@ -2,7 +2,7 @@
 // device copy is a copy. Filled by csrc/host.
 #pragma once
 
-#include "color/color.h"
+#include "color/spectrum.h"
 #include "math/rows.h"
 #include "model.h"
 
@@ -18,7 +18,7 @@ struct TensorView {
 // Parameter values. The tangent of a forward-mode derivative has the same layout.
 template <class S>
 struct Values {
-    const S *constants;            // the small parameters, colours expanded to C numbers
+    const S *constants;            // the small parameters, colours expanded to SpectrumSize numbers
     const TensorView<S> *tensors;  // by slot in the flat parameter list
 };
 
@@ -75,9 +75,9 @@ struct SceneView {
     const AttributeInfo *attributes;
     int32_t n_shapes;
     bool textured;  // there is a texture that is not constant
-    bool layered;   // there is a BSDF that chooses by chance, or turns normals
-    bool oriented;  // there is a BSDF whose frame follows the texture coordinates
-    TR_INLINE bool has_tangents() const { return layered || oriented; }
+    bool has_stacks;       // there is a BSDF that chooses by chance, or perturbs normals
+    bool follows_tangent;  // there is a BSDF whose frame follows the texture coordinates
+    TR_INLINE bool has_tangents() const { return has_stacks || follows_tangent; }
 
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;
@@ -94,7 +94,7 @@ struct SceneView {
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;
 
-    const S *bsdf_tables;  // see bsdf/coat_table.h
+    const S *bsdf_tables;  // see bsdf/rough_transmittance.h
 
     // media: see medium/medium.h
     const MediumInfo *media;
@@ -103,6 +103,9 @@ struct SceneView {
     const S *majorants;
     const S *phase_tables;  // see phase/tabulated.h
 };
+
+template <class F>
+using SceneOf = SceneView<ScalarOf<F>>;
 
 // ------------------------------------------------------------------------------------------------- reading records
 template <class F>
@@ -141,9 +144,11 @@ struct ShapeLanes {
     TR_INLINE MaskOf<F> has(int32_t some) const { return mask<F>((flags & some) != 0); }
 };
 
-template <int C, class F, class S>
-TR_INLINE Color<F, C> constant_color(const Values<S> &values, const IntOf<F> &offset, const MaskOf<F> &active) {
-    Color<F, C> r;
+// A colour in the block of small parameters.
+template <class F, class S>
+TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &, const IntOf<F> &offset,
+                                        const MaskOf<F> &active) {
+    Spectrum<F> r;
     gather_few_rows<F>(values.constants, UIntOf<F>(offset), active, r.c);
     return r;
 }

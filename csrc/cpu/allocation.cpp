@@ -53,16 +53,16 @@ std::vector<uint32_t> allocate_counts(const std::vector<double> &importance, dou
     return equal ? std::vector<uint32_t>() : counts;
 }
 
-std::vector<double> seen_adjoint(const Plan &plan, const Filter &filter, const Film &adjoint) {
+std::vector<double> seen_adjoint(const TileSchedule &schedule, const Filter &filter, const Film &adjoint) {
     const std::vector<double> weight = pixel_weights(filter);
     const double least = std::numeric_limits<double>::min();
     const int reach = filter.reach();
     std::vector<double> seen;
     FilmBlock block;
-    for (size_t t = 0; t < plan.n_tiles(); ++t) {
-        Tile tile = plan.tile(t);
+    for (size_t t = 0; t < schedule.n_tiles(); ++t) {
+        Tile tile = schedule.tile(t);
         block.reset(tile.reached, 0);
-        plan.for_targets(tile, [&](size_t target, int y, int x) { *block.at(y, x) = *adjoint.at(target); });
+        schedule.for_targets(tile, [&](size_t target, int y, int x) { *block.at(y, x) = *adjoint.at(target); });
         for (size_t p = 0; p < tile.n; ++p) {
             Pixel at = tile.pixel(p);
             Rect around = intersect({at.y - reach, at.x - reach, at.y + reach + 1, at.x + reach + 1}, tile.reached);

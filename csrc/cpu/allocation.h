@@ -9,7 +9,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "plan.h"
+#include "tile_schedule.h"
 
 namespace tr {
 
@@ -20,23 +20,23 @@ constexpr double AllocationFloor = 0.25;
 // at least 1 where it is positive, 0 elsewhere. Deterministic. Empty if all are equal, or if one is not finite.
 std::vector<uint32_t> allocate_counts(const std::vector<double> &importance, double total);
 
-// What samples can see, for every sampled pixel in the order of Plan::allocate: the sum of `adjoint`, one number a
+// What samples can see, for every sampled pixel in the order of TileSchedule::allocate: the sum of `adjoint`, one number a
 // wanted pixel, weighted by the filter's mean over the sampled pixel. Positive wherever a filter may reach a positive
 // one.
-std::vector<double> seen_adjoint(const Plan &plan, const Filter &filter, const Film &adjoint);
+std::vector<double> seen_adjoint(const TileSchedule &schedule, const Filter &filter, const Film &adjoint);
 
-// Allocates the plan's spp times the number of its sampled pixels by d loss / d image, (results, channels).
+// Allocates the schedule's spp times the number of its sampled pixels by d loss / d image, (results, channels).
 template <class S>
-void allocate(Plan &plan, const Filter &filter, const S *adjoint, int channels) {
-    Film sum(plan, channels), size(plan, 1);
-    for (size_t i = 0; i < plan.n_results(); ++i)
+void allocate(TileSchedule &schedule, const Filter &filter, const S *adjoint, int channels) {
+    Film sum(schedule, channels), size(schedule, 1);
+    for (size_t i = 0; i < schedule.n_results(); ++i)
         for (int c = 0; c < channels; ++c)
-            sum.at(plan.target_of(i))[c] += double(adjoint[i * size_t(channels) + size_t(c)]);
-    for (size_t i = 0; i < plan.n_targets(); ++i)
+            sum.at(schedule.target_of(i))[c] += double(adjoint[i * size_t(channels) + size_t(c)]);
+    for (size_t i = 0; i < schedule.n_targets(); ++i)
         for (int c = 0; c < channels; ++c) *size.at(i) += std::fabs(sum.at(i)[c]);
-    std::vector<double> seen = seen_adjoint(plan, filter, size);
-    std::vector<uint32_t> counts = allocate_counts(seen, double(plan.spp()) * double(seen.size()));
-    if (!counts.empty()) plan.allocate(std::move(counts));
+    std::vector<double> seen = seen_adjoint(schedule, filter, size);
+    std::vector<uint32_t> counts = allocate_counts(seen, double(schedule.spp()) * double(seen.size()));
+    if (!counts.empty()) schedule.allocate(std::move(counts));
 }
 
 }  // namespace tr

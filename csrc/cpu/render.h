@@ -1,15 +1,18 @@
 // What the bindings call: one render, one derivative.
 #pragma once
 
+#include <algorithm>
 #include <functional>
 #include <string>
 #include <vector>
 
 #include "accel/ray_record.h"
-#include "core/adjoint/sweep.h"
+#include "core/adjoint/gradient_sink.h"
+#include "core/adjoint/needs.h"
+#include "core/integrator/config.h"
 #include "film.h"
 #include "host/gradient.h"
-#include "plan.h"
+#include "tile_schedule.h"
 #include "stored_hits.h"
 
 namespace tr {
@@ -24,6 +27,7 @@ struct RenderCall {
     Rect crop;                                   // the pixels that are wanted
     const std::vector<Pixel> *pixels = nullptr;  // not null: these are wanted, in this order, in place of the crop
     Rect samples;                                // samples are drawn nowhere else
+    int values;  // numbers of a pixel: red, green and blue, or the first component of the spectrum
     int64_t spp, sample_offset;
     int threads;
     RayRecord *ray_record = nullptr;        // not null: keeps the rays that are queried
@@ -35,7 +39,7 @@ struct RenderCall {
 // What a derivative needs besides.
 template <class S>
 struct DerivativeCall {
-    const S *adjoint = nullptr;  // reverse: d loss / d image, (h, w, C)
+    const S *adjoint = nullptr;  // reverse: d loss / d image, (h, w, values)
     std::vector<S *> gradients;  // reverse: by slot, null where not wanted; added to
     GradientSums sums;           // reverse: filled by the call
     size_t n_constants = 0;      // with the matrices of curved shapes
@@ -43,11 +47,28 @@ struct DerivativeCall {
     uint32_t matrices = 0;                // where those begin
     std::vector<int64_t> sizes;           // numbers in each slot's tensor
     Values<S> tangent{nullptr, nullptr};  // forward
-    GeometryTables<const S> geometry_tangent;
-    Wanted wanted{true, true, true, true, true, {1, 1, 1, 1}};
-    std::vector<int32_t> bsdf_wanted;   // by bsdf: a parameter of it is differentiated
-    bool adaptive = false;              // reverse: more samples where the adjoint is larger, see allocation.h
-    std::vector<int32_t> shape_wanted;  // by shape: it moves, or its normals or coordinates do
+    const S *vertex_tangent[VertexArrays] = {};
+    GradientNeeds needs{true, true, true, true, true, {1, 1, 1, 1}};
+    std::vector<int32_t> bsdfs;   // by bsdf: a parameter of it is differentiated
+    std::vector<int32_t> shapes;  // by shape: it moves, or its normals or coordinates do
+    bool adaptive = false;        // reverse: more samples where the adjoint is larger, see allocation.h
+
+    GradientNeeds gradient_needs() const {
+        GradientNeeds r = needs;
+        r.bsdfs = r.bsdf ? bsdfs.data() : nullptr;
+        return r;
+    }
+    // Of a forward sweep; those of reverse mode have buffers of their own (items.h).
+    template <class F>
+    GradientSink<F> forward_sink() const {
+        GradientSink<F> sink;
+        sink.forward = true;
+        sink.matrices = matrices;
+        sink.shape_wanted = shapes.data();
+        sink.tangent = tangent;
+        std::copy_n(vertex_tangent, VertexArrays, sink.vertex_tangent);
+        return sink;
+    }
 };
 
 struct RenderStats {
@@ -56,28 +77,40 @@ struct RenderStats {
     std::string non_finite_where;
     double seconds = 0, seconds_trace = 0;
     bool interrupted = false;
+
+    void count_non_finite(uint64_t n, const std::string &where) {
+        non_finite += n;
+        if (n && non_finite_where.empty()) non_finite_where = where;
+    }
+    void add(const RenderStats &other) {
+        count_non_finite(other.non_finite, other.non_finite_where);
+        closest_rays += other.closest_rays, shadow_rays += other.shadow_rays;
+        lanes += other.lanes, lane_slots += other.lane_slots;
+        collisions += other.collisions, majorants_exceeded += other.majorants_exceeded;
+        seconds_trace += other.seconds_trace;
+    }
 };
 
-// Results for every wanted pixel, in rows or in the order of the list: `image` (n, C) and, if not null, `alpha` (n) and
-// `variance` (n, C), the variance of the image's values.
+// Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha` (n) and
+// `variance` (n, values), the variance of the image's values.
 template <class S>
 struct RenderOutput {
     S *image, *alpha = nullptr, *variance = nullptr;
 };
 
-template <class S, int C>
-RenderStats render_primal(const RenderCall<S> &call, bool packets, const RenderOutput<S> &out);
-template <class S, int C>
-RenderStats render_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative);
-template <class S, int C>
-RenderStats render_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image);
+template <class S>
+RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out);
+template <class S>
+RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative);
+template <class S>
+RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
 // The same by light tracing, without alpha and variance.
-template <class S, int C>
-RenderStats trace_light(const RenderCall<S> &call, bool packets, S *image);
-template <class S, int C>
-RenderStats trace_light_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative);
-template <class S, int C>
-RenderStats trace_light_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image);
+template <class S>
+RenderStats trace_light(const RenderCall<S> &call, S *image);
+template <class S>
+RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative);
+template <class S>
+RenderStats trace_light_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
 }  // namespace tr

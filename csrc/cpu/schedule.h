@@ -11,15 +11,15 @@ namespace tr {
 namespace detail {
 
 // Primal and forward mode: every path has a value, which is splatted.
-template <class F, int C, bool Forward>
+template <class F, bool Forward>
 RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
                         const RenderOutput<ScalarOf<F>> &out) {
     using S = ScalarOf<F>;
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
     Plan plan = make_plan(call);
-    constexpr int values = C + 1;  // radiance, alpha
-    const int moments = out.variance ? C : 0;
+    const int pixel = call.values, values = pixel + 1;  // radiance, alpha
+    const int moments = out.variance ? pixel : 0;
     Film film(plan, FilmBlock::channels(values, moments));
     OrderedMerge merge(plan, film, call.threads);
     std::mutex mutex;
@@ -27,7 +27,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     StoredHits *record = Forward ? nullptr : call.keep_hits;
     if (record) record->prepare(plan.n_items(), capacity);
     run_items(plan.n_items(), call.threads, Schedule::Dynamic, call.interrupted, stats.interrupted, [&](int) {
-        auto tile = std::make_shared<PathTile<F, C>>(call, capacity, derivative);
+        auto tile = std::make_shared<PathTile<F>>(call, capacity, derivative);
         return [&, tile](size_t item, auto &&stop) {
             std::vector<FilmBlock> blocks = blocks_of(plan, item, values, moments);
             for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -36,16 +36,16 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 tile->template run<Forward>(stop);
                 if (record) record->keep(item, tile->recorder.finish());
                 if constexpr (Forward) {
-                    ForwardSink<F, C> sink;
+                    ForwardSink<F> sink;
                     sink.tangent = derivative->tangent;
                     sink.geometry = derivative->geometry_tangent;
                     tile->sweep(sink, true);
                 }
-                S *columns[values];
-                for (int c = 0; c < C; ++c) columns[c] = tile->radiance[c];
-                columns[C] = tile->alpha;
+                S *columns[SpectrumSize + 1];
+                for (int c = 0; c < pixel; ++c) columns[c] = tile->radiance[c];
+                columns[pixel] = tile->alpha;
                 for (const Span &span : spans)
-                    splat_span(blocks[span.unit], call.filter, *tile, span.begin, span.end, columns);
+                    splat_span(blocks[span.unit], call.filter, *tile, span.begin, span.end, columns, values);
             });
             merge.push(item, std::move(blocks), stop);
             std::lock_guard<std::mutex> lock(mutex);
@@ -56,27 +56,29 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     for (size_t i = 0; i < plan.n_results(); ++i) {
         const double *p = film.at(plan.target_of(i)), *q = p + values + 1;
         double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
-        for (int c = 0; c < C; ++c) out.image[i * C + size_t(c)] = S(p[c] * inverse);
-        if (out.alpha) out.alpha[i] = S(p[C] * inverse);
+        for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
+        if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
         if (!out.variance) continue;
-        for (int c = 0; c < C; ++c)
-            out.variance[i * C + size_t(c)] = S(variance_of_mean(p[c], weight, q[c], q[C + c], q[2 * C]));
+        for (int c = 0; c < pixel; ++c)
+            out.variance[i * size_t(pixel) + size_t(c)] =
+                S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[2 * pixel]));
     }
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     return stats;
 }
 
-template <class F, int C>
+template <class F>
 RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
     using S = ScalarOf<F>;
     RenderStats stats;
     auto begin = std::chrono::steady_clock::now();
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     Plan plan = make_plan(call);
-    if (derivative.adaptive) allocate(plan, call.filter, derivative.adjoint, C);
+    const int values = call.values;
+    if (derivative.adaptive) allocate(plan, call.filter, derivative.adjoint, values);
     const size_t capacity = 512;
     // d loss / d (sum of weighted radiances) of every wanted pixel
-    Film adjoint(plan, C);
+    Film adjoint(plan, values);
     {
         std::unique_ptr<Film> weights = sum_weights<F>(call, plan, stats);
         if (stats.interrupted) return stats;
@@ -84,7 +86,8 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             size_t target = plan.target_of(i);
             double total = *weights->at(target);
             if (total == 0) continue;
-            for (int c = 0; c < C; ++c) adjoint.at(target)[c] += double(derivative.adjoint[i * C + size_t(c)]) / total;
+            for (int c = 0; c < values; ++c)
+                adjoint.at(target)[c] += double(derivative.adjoint[i * size_t(values) + size_t(c)]) / total;
         }
     }
     std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
@@ -93,9 +96,9 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
         plan.n_items(), call.threads, Schedule::Interleaved, call.interrupted, stats.interrupted, [&](int thread) {
             GradientBuffers<S> &local = locals[size_t(thread)];
             local.allocate(derivative, thread);
-            auto tile = std::make_shared<PathTile<F, C>>(call, capacity, &derivative);
+            auto tile = std::make_shared<PathTile<F>>(call, capacity, &derivative);
             return [&, tile](size_t item, auto &&stop) {
-                std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, C);
+                std::vector<FilmBlock> blocks = adjoint_blocks(plan, item, adjoint, values);
                 size_t done = 0;  // paths of the item
                 for_batches(*tile, call, plan, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     // the box filter asks for pixels only, whose samples follow each other
@@ -104,19 +107,19 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                     for (const Span &span : spans)
                         for (size_t k = span.begin; k < span.end; ++k) {
                             if (box && k > span.begin && tile->pixel[k] == tile->pixel[k - 1]) {
-                                for (int c = 0; c < C; ++c) tile->delta[c][k] = tile->delta[c][k - 1];
+                                for (int c = 0; c < SpectrumSize; ++c) tile->delta[c][k] = tile->delta[c][k - 1];
                                 continue;
                             }
-                            double d[C];
+                            double d[SpectrumSize] = {};
                             blocks[span.unit].collect(call.filter, int32_t(tile->row[k]), int32_t(tile->column[k]),
                                                       double(tile->film_y[k]), double(tile->film_x[k]), d);
-                            for (int c = 0; c < C; ++c) tile->delta[c][k] = S(d[c] * span.weight);
+                            for (int c = 0; c < SpectrumSize; ++c) tile->delta[c][k] = S(d[c] * span.weight);
                         }
                     tile->start(n, true);
                     tile->replay.begin(call.kept_hits, item, done, n, size_t(tile->splits(call.config)));
                     done += n;
                     tile->template run<true>(stop);
-                    ReverseSink<F, C> sink;
+                    ReverseSink<F> sink;
                     local.connect(derivative, sink);
                     tile->sweep(sink, false);
                 });
@@ -132,21 +135,18 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
 
 }  // namespace detail
 
-template <class S, int C>
-RenderStats render_primal(const RenderCall<S> &call, bool packets, const RenderOutput<S> &out) {
-    if (packets) return detail::splat_paths<typename detail::PacketOf<S>::type, C, false>(call, nullptr, out);
-    return detail::splat_paths<S, C, false>(call, nullptr, out);
+template <class S>
+RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out) {
+    return detail::splat_paths<PacketOf<S>, false>(call, nullptr, out);
 }
-template <class S, int C>
-RenderStats render_forward(const RenderCall<S> &call, bool packets, const DerivativeCall<S> &derivative, S *image) {
+template <class S>
+RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image) {
     RenderOutput<S> out{image, nullptr, nullptr};
-    if (packets) return detail::splat_paths<typename detail::PacketOf<S>::type, C, true>(call, &derivative, out);
-    return detail::splat_paths<S, C, true>(call, &derivative, out);
+    return detail::splat_paths<PacketOf<S>, true>(call, &derivative, out);
 }
-template <class S, int C>
-RenderStats render_reverse(const RenderCall<S> &call, bool packets, DerivativeCall<S> &derivative) {
-    if (packets) return detail::reverse_paths<typename detail::PacketOf<S>::type, C>(call, derivative);
-    return detail::reverse_paths<S, C>(call, derivative);
+template <class S>
+RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
+    return detail::reverse_paths<PacketOf<S>>(call, derivative);
 }
 
 }  // namespace tr

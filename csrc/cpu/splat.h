@@ -56,12 +56,12 @@ struct SplatAxes {
     }
 };
 
-// Numbers of type T, C a pixel, of a rectangle of the film. They are kept in vectors, of which a splat needs many and
+// Numbers of type T, those of a spectrum a pixel, of a rectangle of the film. They are kept in vectors, of which a splat needs many and
 // the compiler finds none by itself.
-template <class T, int C>
+template <class T>
 class SplatFilm {
 public:
-    static constexpr int Stride = C == 3 ? 4 : 2;  // a power of two
+    static constexpr int Stride = 4;  // a power of two; at least the components of a spectrum
     typedef T Vector __attribute__((vector_size(Stride * sizeof(T))));
 
     explicit SplatFilm(const Rect &rect)
@@ -70,9 +70,9 @@ public:
     Vector &at(int y, int x) { return sum_[offset(y, x)].v; }
     const Vector &at(int y, int x) const { return sum_[offset(y, x)].v; }
     template <class Other>
-    void add(const SplatFilm<Other, C> &other) {
+    void add(const SplatFilm<Other> &other) {
         for (size_t i = 0; i < sum_.size(); ++i)
-            for (int c = 0; c < C; ++c) sum_[i].v[c] += T(other.number(i)[c]);
+            for (int c = 0; c < SpectrumSize; ++c) sum_[i].v[c] += T(other.number(i)[c]);
     }
     const Vector &number(size_t i) const { return sum_[i].v; }
 

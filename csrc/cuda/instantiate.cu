@@ -38,29 +38,29 @@ __global__ void start_paths(SceneView<S> scene, PathConfig config, uint32_t n, u
     paths[i] = {ray.o, ray.d, {center, 0.f}, pixel, sample, 0};
 }
 
-template <int C>
+template <>
 __global__ void emission(SceneView<S> scene, PathConfig config, uint32_t n, const PathState *paths, const Hit *hits,
                          S *radiance) {
     uint32_t i = thread_index();
     if (i >= n) return;
     const PathState &path = paths[i];
-    Emission<float, C> found;
-    found.radiance = uniform_color<C>(0.f);
+    Emission<float> found;
+    found.radiance = uniform_spectrum(0.f);
     if (hits[i].t < 0) {
         if (scene.environment >= 0)
-            found = environment_emission<C>(scene, config, path.direction, path.from, true, path.depth == 1);
+            found = environment_emission(scene, config, path.direction, path.from, true, path.depth == 1);
     } else {
         Ray<float> ray{path.origin, path.direction};
         Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
         float cos_i = -dot(ray.d, si.frame.n);
-        found = surface_emission<C>(scene, config, si, cos_i, path.from, true, path.depth == 1);
+        found = surface_emission(scene, config, si, cos_i, path.from, true, path.depth == 1);
     }
-    for (int c = 0; c < C; ++c) radiance[i * C + c] = found.radiance[c];
+    for (int c = 0; c < SpectrumSize; ++c) radiance[i * C + c] = found.radiance[c];
 }
 
-template <int C>
+template <>
 __global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n, PathState *paths, const Hit *hits,
-                              Scattering<float, C> *out) {
+                              Scattering<float> *out) {
     uint32_t i = thread_index();
     if (i >= n || hits[i].t < 0) return;
     PathState &path = paths[i];
@@ -85,9 +85,9 @@ __global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n,
 }
 
 // Delta tracking to the next collision in a gridded medium, and scattering there.
-template <int C>
+template <>
 __global__ void scatter_in_media(SceneView<S> scene, PathConfig config, uint32_t n, int32_t medium, PathState *paths,
-                                 const S *length, MediumScattering<float, C> *out) {
+                                 const S *length, MediumScattering<float> *out) {
     uint32_t i = thread_index();
     if (i >= n) return;
     PathState &path = paths[i];
@@ -106,13 +106,13 @@ __global__ void scatter_in_media(SceneView<S> scene, PathConfig config, uint32_t
         depth = optical_depth(random.next(true));
         walking = true, stopped = false;
     }
-    out[i] = no_medium_scattering<C, float>();
+    out[i] = no_medium_scattering<float>();
     if (!stopped) return;
     Vec3<float> p = path.origin + path.direction * (walk.enter + walk.t);
     block = BlocksPerScattering * uint32_t(path.depth);
     Random4<float> ue = draw4<float>(config, path.pixel, path.sample, EmitterBlock + block, 4);
     Random4<float> ub = draw4<float>(config, path.pixel, path.sample, BsdfBlock + block, 3);
-    scatter_in_medium<C>(scene, medium, p, path.direction, ue, ub, true, out[i]);
+    scatter_in_medium(scene, medium, p, path.direction, ue, ub, true, out[i]);
     path.origin = p;
     path.direction = out[i].wo;
     path.from = {p, out[i].pdf};
@@ -120,32 +120,32 @@ __global__ void scatter_in_media(SceneView<S> scene, PathConfig config, uint32_t
 }
 
 // The derivative of a BSDF's value in each of its parameters, by dual numbers.
-template <class Model, int C>
+template <class Model>
 __device__ void differentiate(const SceneView<S> &scene, int32_t bsdf, const SurfacePoint<float> &at,
                               const Vec3<float> &wi, const Vec3<float> &wo, S *out) {
     if constexpr (ParamCount<Model>::All > 0) {
-        auto params = seed_params<Model, C, float>(load_params<Model, C>(scene, bsdf, at, true));
-        auto value = Model::template eval<C>(params, wi, wo, 0);
-        for (int c = 0; c < C; ++c)
+        auto params = seed_params<Model, float>(load_params<Model>(scene, bsdf, at, true));
+        auto value = Model::eval(params, wi, wo, 0);
+        for (int c = 0; c < SpectrumSize; ++c)
             for (int k = 0; k < ParamCount<Model>::All; ++k) out[c * ParamCount<Model>::All + k] = value[c].d[k];
     }
 }
 
-template <int C>
+template <>
 __global__ void differentiate_bsdfs(SceneView<S> scene, uint32_t n, const int32_t *bsdfs, const SurfacePoint<float> *at,
                                     const Vec3<float> *wi, const Vec3<float> *wo, S *out, uint32_t stride) {
     uint32_t i = thread_index();
     if (i >= n) return;
     dispatch(Bsdfs{}, scene.bsdfs[bsdfs[i]].kind, [&](auto model) {
-        differentiate<decltype(model), C>(scene, bsdfs[i], at[i], wi[i], wo[i], out + i * stride);
+        differentiate<decltype(model)>(scene, bsdfs[i], at[i], wi[i], wo[i], out + i * stride);
     });
 }
 
 // Forward-mode derivative of where camera rays hit, for adjoints of position, normal and coordinates.
-template <int C>
+template <>
 __global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uint32_t width, uint32_t height,
                           const Hit *hits, const HitAdjoint<float> *adjoints, const float *x, const float *y,
-                          ForwardSink<float, C> *sinks) {
+                          ForwardSink<float> *sinks) {
     uint32_t i = thread_index();
     if (i >= n || hits[i].t < 0) return;
     const Record &camera = scene.sensors[config.sensor];
@@ -160,30 +160,30 @@ __global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uin
 }
 
 // Scattering in a medium: a new direction, and the forward-mode derivative of its density.
-template <int C>
+template <>
 __global__ void scatter_by_phase(SceneView<S> scene, uint32_t n, const int32_t *phases, const Vec3<float> *u,
-                                 PathState *paths, ForwardSink<float, C> *sinks, S *density) {
+                                 PathState *paths, ForwardSink<float> *sinks, S *density) {
     uint32_t i = thread_index();
     if (i >= n) return;
     const Vec3<float> p = paths[i].origin, d = paths[i].direction;
     Vec3<float> wo = sample_phase(scene, phases[i], p, d, u[i].x, u[i].y, u[i].z, true);
     density[i] = eval_phase(scene, phases[i], p, d, wo, true);
-    sweep_phase(scene, phases[i], p, d, wo, uniform_color<C>(1.f), true, sinks[i]);
+    sweep_phase(scene, phases[i], p, d, wo, uniform_spectrum(1.f), true, sinks[i]);
     paths[i].direction = wo;
 }
 
 #define TR_INSTANTIATE(C)                                                                                             \
-    template __global__ void emission<C>(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);    \
-    template __global__ void scatter_paths<C>(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,           \
-                                              Scattering<float, C> *);                                                \
-    template __global__ void scatter_in_media<C>(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *, \
-                                                 MediumScattering<float, C> *);                                       \
-    template __global__ void scatter_by_phase<C>(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,        \
-                                                 PathState *, ForwardSink<float, C> *, S *);                          \
-    template __global__ void move_hits<C>(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,        \
+    template __global__ void emission(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);    \
+    template __global__ void scatter_paths(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,           \
+                                              Scattering<float> *);                                                \
+    template __global__ void scatter_in_media(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *, \
+                                                 MediumScattering<float> *);                                       \
+    template __global__ void scatter_by_phase(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,        \
+                                                 PathState *, ForwardSink<float> *, S *);                          \
+    template __global__ void move_hits(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,        \
                                           const HitAdjoint<float> *, const float *, const float *,                    \
-                                          ForwardSink<float, C> *);                                                   \
-    template __global__ void differentiate_bsdfs<C>(SceneView<S>, uint32_t, const int32_t *,                          \
+                                          ForwardSink<float> *);                                                   \
+    template __global__ void differentiate_bsdfs(SceneView<S>, uint32_t, const int32_t *,                          \
                                                     const SurfacePoint<float> *, const Vec3<float> *,                 \
                                                     const Vec3<float> *, S *, uint32_t);
 TR_INSTANTIATE(1)

@@ -48,7 +48,9 @@ void EnvironmentTables<S>::build(const TensorView<S> &data) {
 
 template double build_cdf(const double *, size_t, float *);
 template double build_cdf(const double *, size_t, double *);
-template struct EnvironmentTables<float>;
-template struct EnvironmentTables<double>;
+#define TR_INSTANTIATE(S) \
+    template struct EnvironmentTables<S>;
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

@@ -77,8 +77,9 @@ private:
     void check_normals(int bsdf);
     void check_bsdfs();
     void bsdf_depth(int bsdf, int depth);
+    bool is_bsdf(int bsdf, uint32_t flag) const;
     void check_reflects(int bsdf, const std::string &at);
-    void check_turned(int bsdf, const std::string &at);
+    void check_perturbed(int bsdf, const std::string &at);
 
     // layout_shapes.cpp
     void connect_shapes();
@@ -96,6 +97,7 @@ private:
 
     // layout_links.cpp
     void connect_emitters();
+    void connect_emitter(int emitter, int shape);
     void check_pattern(const std::string &at, int32_t texture) const;
     void check_sensors();
     void check_table(int sensor, const std::string &type, int f, int64_t size);

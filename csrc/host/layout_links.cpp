@@ -1,6 +1,7 @@
 // Emitters and what they belong to; sensors.
 #include "../core/registry.h"
 #include "layout_builder.h"
+#include "models.h"
 
 namespace tr {
 
@@ -11,44 +12,46 @@ void LayoutBuilder::connect_emitters() {
         int e = out_.shapes[s].emitter;
         if (e < 0) continue;
         std::string at = where("shape", int(s), "emitter");
-        if (!is_surface_emitter(records[size_t(e)].kind))
-            fail(at, "an area or directionalarea emitter", "'" + list("emitter")[size_t(e)].type + "'");
+        const Model &model = model_of("emitter", records[size_t(e)]);
+        if (!model.is(IsOnShape)) fail(at, "an area or directionalarea emitter", std::string("'") + model.type + "'");
         if (shape_of[size_t(e)] >= 0)
             fail(at, "an area emitter of its own",
                  path("emitter", e) + ", which belongs to " + path("shape", shape_of[size_t(e)]));
         shape_of[size_t(e)] = int(s);
         // its normal would turn with the vertex normals, but light leaves along the face's
-        if (records[size_t(e)].kind == int32_t(EmitterKind::DirectionalArea) && (out_.shapes[s].flags & HasNormals))
+        if (model.is(IsBeam) && (out_.shapes[s].flags & HasNormals))
             fail(at, "a flat shape, or a mesh without vertex normals (face_normals)", "a mesh with vertex normals");
     }
-    for (size_t e = 0; e < records.size(); ++e) {
-        const std::string &type = list("emitter")[e].type;
-        if (is_surface_emitter(records[e].kind)) {
-            if (shape_of[e] < 0)
-                fail(path("emitter", int(e)), "to belong to a shape", "an emitter of surfaces without one");
-            records[e].field[AreaEmitter::ShapeIndex] = shape_of[e];
-        } else if (type == ConstantEmitter::model.type || type == EnvironmentMap::model.type) {
-            if (out_.environment >= 0)
-                fail(path("emitter", int(e)), "one environment emitter in a scene",
-                     "a second besides " + path("emitter", out_.environment));
-            out_.environment = int(e);
-            if (type == EnvironmentMap::model.type) check_image("emitter", int(e), EnvironmentMap::Data);
+    for (size_t e = 0; e < records.size(); ++e) connect_emitter(int(e), shape_of[e]);
+}
+
+void LayoutBuilder::connect_emitter(int emitter, int shape) {
+    Record &record = out_.records["emitter"][size_t(emitter)];
+    const Model &model = model_of("emitter", record);
+    if (model.is(IsOnShape)) {
+        if (shape < 0) fail(path("emitter", emitter), "to belong to a shape", "an emitter of surfaces without one");
+        record.field[EmitterShape] = shape;
+    }
+    if (model.is(IsEnvironment)) {
+        if (out_.environment >= 0)
+            fail(path("emitter", emitter), "one environment emitter in a scene",
+                 "a second besides " + path("emitter", out_.environment));
+        out_.environment = emitter;
+    }
+    for (int f = 0; f < model.n_fields; ++f) {
+        const Field &field = model.fields[f];
+        if (field.kind == Kind::Tensor) check_image("emitter", emitter, f);
+        if (field.kind != Kind::Texture || model.is(IsOnShape)) continue;
+        check_pattern(where("emitter", emitter, field.name), record.field[f]);
+        if (!model.is(HasImageAspect)) continue;
+        const Record &image = out_.records["texture"][size_t(record.field[f])];
+        double aspect = 1;
+        if (image.kind == int32_t(TextureKind::Bitmap)) {
+            const auto &size = out_.tensor_shapes[size_t(image.field[Bitmap::Data])];
+            aspect = double(size[1]) / double(size[0]);
         }
-        for_each_point_light<float>(records[e].kind, true, [&](auto model, bool) {
-            constexpr int image = decltype(model)::TextureField;
-            if constexpr (image >= 0)
-                check_pattern(where("emitter", int(e), model.model.fields[image].name), records[e].field[image]);
-        });
-        if (type == ProjectorEmitter::model.type) {
-            const Record &image = out_.records["texture"][size_t(records[e].field[ProjectorEmitter::Irradiance])];
-            double aspect = 1;
-            if (image.kind == int32_t(TextureKind::Bitmap)) {
-                const auto &size = out_.tensor_shapes[size_t(image.field[Bitmap::Data])];
-                aspect = double(size[1]) / double(size[0]);
-            }
-            records[e].field[ProjectorEmitter::AspectOffset] = int32_t(out_.constants.size());
-            out_.constants.push_back(aspect);
-        }
+        record.field[ImageAspect] = int32_t(out_.constants.size());
+        out_.constants.push_back(aspect);
     }
 }
 

@@ -2,6 +2,7 @@
 #include "../core/registry.h"
 #include "../core/sensor/camera.h"
 #include "layout_builder.h"
+#include "models.h"
 
 namespace tr {
 
@@ -52,12 +53,12 @@ int LayoutBuilder::majorant_cell(const int (&n)[3]) {
 
 bool LayoutBuilder::lets_through(int32_t bsdf) const {
     const Record &record = out_.records.at("bsdf")[size_t(bsdf)];
-    return record.kind == kind_of_model<NullBsdf>(Bsdfs{});
+    return record.kind == NullKind;
 }
 
 void LayoutBuilder::find_enclosed_media() {
     for (const Record &emitter : out_.records["emitter"])
-        if (!is_parallel<float>(emitter.kind)) return;
+        if (!model_of("emitter", emitter).is(IsInfinite)) return;
     for (size_t m = 0; m < out_.media.size(); ++m) {
         bool bounded = false, open = false;
         for (const Record &sensor : out_.records["sensor"]) open |= camera_medium(sensor) == int32_t(m);

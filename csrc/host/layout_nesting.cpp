@@ -1,6 +1,7 @@
 // Textures in textures and BSDFs in BSDFs: how deep, and what may stand in what.
 #include "../core/registry.h"
 #include "layout_builder.h"
+#include "models.h"
 
 namespace tr {
 
@@ -53,35 +54,46 @@ void LayoutBuilder::check_bsdfs() {
         const std::string &type = list("bsdf")[i].type;
         if (type == TwoSided::model.type) {
             for_nested(int(i), [&](int nested, const std::string &at) { check_reflects(nested, at); });
-        } else if (type == NormalMap::model.type || type == BumpMap::model.type) {
+        } else if (is_bsdf(int(i), PerturbsNormals)) {
             if (type == NormalMap::model.type) check_normals(int(i));
-            for_nested(int(i), [&](int nested, const std::string &at) { check_turned(nested, at); });
+            for_nested(int(i), [&](int nested, const std::string &at) { check_perturbed(nested, at); });
         }
     }
 }
 
 void LayoutBuilder::bsdf_depth(int bsdf, int depth) {
-    if (depth > MaxLayers)
-        fail(path("bsdf", bsdf), "BSDFs nested at most " + std::to_string(MaxLayers) + " deep",
+    if (depth > MaxBsdfDepth)
+        fail(path("bsdf", bsdf), "BSDFs nested at most " + std::to_string(MaxBsdfDepth) + " deep",
              "a deeper or circular nesting");
     for_nested(bsdf, [&](int nested, const std::string &) { bsdf_depth(nested, depth + 1); });
 }
 
+// What holds only where a field is given counts where it is.
+bool LayoutBuilder::is_bsdf(int bsdf, uint32_t flag) const {
+    const Model &model = model_of("bsdf", out_.records.at("bsdf")[size_t(bsdf)]);
+    if (!model.is(flag)) return false;
+    bool depends = false, given = false;
+    for (int f = 0; f < model.n_fields; ++f) {
+        if (!(model.fields[f].traits & flag)) continue;
+        depends = true;
+        given |= value("bsdf", bsdf, f) != -1;
+    }
+    return given || !depends;
+}
+
 void LayoutBuilder::check_reflects(int bsdf, const std::string &at) {
     const std::string &type = list("bsdf")[size_t(bsdf)].type;
-    for (const Model *model : {&TwoSided::model, &Dielectric::model, &NullBsdf::model, &RoughDielectric::model,
-                               &ThinDielectric::model, &AnisotropicDielectric::model, &MaskBsdf::model})
-        if (type == model->type) fail(at, "a bsdf that only reflects", "'" + type + "'");
+    if (type == TwoSided::model.type || is_bsdf(bsdf, Transmits))
+        fail(at, "a bsdf that only reflects", "'" + type + "'");
     for_nested(bsdf, [&](int nested, const std::string &) { check_reflects(nested, at); });
 }
 
-// Sides are told apart, and normals turned, from the surface's own normal.
-void LayoutBuilder::check_turned(int bsdf, const std::string &at) {
+// Sides are told apart, and normals perturbed, from the surface's own normal.
+void LayoutBuilder::check_perturbed(int bsdf, const std::string &at) {
     const std::string &type = list("bsdf")[size_t(bsdf)].type;
-    for (const Model *model : {&TwoSided::model, &NormalMap::model, &BumpMap::model})
-        if (type == model->type)
-            fail(at, "a bsdf other than " + type + ", which may stand around it", "'" + type + "'");
-    for_nested(bsdf, [&](int nested, const std::string &) { check_turned(nested, at); });
+    if (type == TwoSided::model.type || is_bsdf(bsdf, PerturbsNormals))
+        fail(at, "a bsdf other than " + type + ", which may stand around it", "'" + type + "'");
+    for_nested(bsdf, [&](int nested, const std::string &) { check_perturbed(nested, at); });
 }
 
 }  // namespace tr

@@ -8,11 +8,12 @@ namespace tr {
 
 namespace {
 
-template <int MaxFields, class... Ts>
+using F = PacketOf<float>;  // of any arithmetic: models are the same in all
+
+template <class... Ts>
 void append(std::vector<ModelEntry> &all, TypeList<Ts...>, int first_kind = 0) {
     int kind = first_kind;
     (all.push_back({&Ts::model, kind++}), ...);
-    static_assert(((Ts::model.n_fields <= MaxFields) && ...), "a record has room for this many fields");
 }
 
 }  // namespace
@@ -20,16 +21,19 @@ void append(std::vector<ModelEntry> &all, TypeList<Ts...>, int first_kind = 0) {
 const std::vector<ModelEntry> &all_models() {
     static const std::vector<ModelEntry> all = [] {
         std::vector<ModelEntry> r;
-        append<Record::Extra>(r, Textures{});
-        append<Record::Fields>(r, Bsdfs{});  // to which the host adds nothing
-        append<Record::Extra>(r, BsdfWrappers{}, TwoSidedKind);
-        append<Record::Extra>(r, Emitters{});
-        append<Record::Extra>(r, Shapes{});
-        append<Record::Extra>(r, Sensors{});
-        append<Record::Extra>(r, Volumes{});
-        append<Record::Extra>(r, Phases{});
-        append<Record::Extra>(r, Media{});
-        append<Record::Extra>(r, Attributes{});
+        append(r, Textures{});
+        for (int kind = 0; kind < MaskHoleKind; ++kind) r.push_back({bsdf_kernels<F>(kind).model, kind});
+        append(r, BsdfWrappers{}, FirstWrapper);
+        for (int kind = 0; kind < EmitterKinds; ++kind) r.push_back({emitter_kernels<F>(kind).model, kind});
+        append(r, Shapes{});
+        append(r, Sensors{});
+        append(r, Volumes{});
+        for (int kind = 0; kind < PhaseKinds; ++kind) r.push_back({phase_kernels<F>(kind).model, kind});
+        append(r, Media{});
+        append(r, Attributes{});
+        for (const ModelEntry &entry : r)  // what the host adds to a record stands behind its fields
+            if (entry.model->n_fields > (entry.model->category == std::string("bsdf") ? Record::Fields : Record::Extra))
+                throw std::logic_error(std::string(entry.model->type) + ": more fields than a record has room for");
         return r;
     }();
     return all;

@@ -1,50 +1,66 @@
 // BSDFs on the host: the tables of rough coatings.
 #include <algorithm>
 
+#include "../core/bsdf/microfacet.h"
 #include "../core/registry.h"
+#include "models.h"
 #include "scene_data.h"
 
 namespace tr {
 
 namespace {
 
-constexpr int Coated = kind_of_model<RoughPlastic>(Bsdfs{});
-constexpr int EtaField = 0, AlphaField = 1, DistributionField = 4;
+bool is_tabulated(const Record &record) {
+    return record.kind < FirstWrapper && bsdf_kernels<PacketOf<float>>(record.kind).tabulated;
+}
+
+// The coating of a record, found by the names of the fields that all tabulated models have.
+struct CoatingFields {
+    int eta, alpha, distribution;
+
+    explicit CoatingFields(const Model &model)
+        : eta(field_named(model, "eta")),
+          alpha(field_named(model, "alpha")),
+          distribution(field_named(model, "distribution")) {}
+};
 
 }  // namespace
 
 void lay_out_bsdfs(SceneLayout &layout) {
     for (Record &record : layout.records.at("bsdf")) {
-        if (record.kind != Coated) continue;
+        if (!is_tabulated(record)) continue;
         record.field[Record::Extra] = layout.n_bsdf_numbers;
-        layout.n_bsdf_numbers += CoatTableSize::Numbers;
+        layout.n_bsdf_numbers += RoughTransmittanceSize::Numbers;
     }
 }
 
 template <class S>
 void SceneData<S>::update_bsdfs() {
-    std::vector<Coat> coats;
+    std::vector<Coating> coatings;
     std::vector<int32_t> begins;
     for (const Record &record : layout_.records.at("bsdf")) {
-        if (record.kind != Coated) continue;
-        double eta = double(constants_[size_t(record.field[EtaField])]);
-        double alpha = double(constants_[size_t(record.field[AlphaField])]);
-        bool ggx = record.field[DistributionField] == int32_t(Microfacets::Ggx);
-        coats.push_back({std::max(eta, 1e-3), rendered_alpha(alpha), ggx});
+        if (!is_tabulated(record)) continue;
+        const CoatingFields fields(model_of("bsdf", record));
+        double eta = double(constants_[size_t(record.field[fields.eta])]);
+        double alpha = double(constants_[size_t(record.field[fields.alpha])]);
+        bool ggx = record.field[fields.distribution] == int32_t(Microfacets::Ggx);
+        coatings.push_back({std::max(eta, 1e-3), clamp_alpha(alpha), ggx});
         begins.push_back(record.field[Record::Extra]);
     }
-    const bool fresh = bsdf_tables_.size() != size_t(layout_.n_bsdf_numbers) || coats.size() != coats_.size();
+    const bool fresh = bsdf_tables_.size() != size_t(layout_.n_bsdf_numbers) || coatings.size() != coatings_.size();
     bsdf_tables_.resize(size_t(layout_.n_bsdf_numbers));
-    double numbers[CoatTableSize::Numbers];
-    for (size_t i = 0; i < coats.size(); ++i) {
-        if (!fresh && coats[i] == coats_[i]) continue;
-        fill_coat_table(coats[i], numbers);
-        std::copy_n(numbers, CoatTableSize::Numbers, &bsdf_tables_[size_t(begins[i])]);
+    double numbers[RoughTransmittanceSize::Numbers];
+    for (size_t i = 0; i < coatings.size(); ++i) {
+        if (!fresh && coatings[i] == coatings_[i]) continue;
+        fill_rough_transmittance(coatings[i], numbers);
+        std::copy_n(numbers, RoughTransmittanceSize::Numbers, &bsdf_tables_[size_t(begins[i])]);
     }
-    coats_ = std::move(coats);
+    coatings_ = std::move(coatings);
 }
 
-template void SceneData<float>::update_bsdfs();
-template void SceneData<double>::update_bsdfs();
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::update_bsdfs();
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

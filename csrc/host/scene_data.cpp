@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "../core/emitter/envmap.h"
 #include "../core/registry.h"
 #include "models.h"
 
@@ -203,7 +204,7 @@ void SceneData<S>::update_environment(const std::vector<const S *> &params, cons
     if (layout_.environment < 0) return;
     const Record &record = layout_.records.at("emitter")[size_t(layout_.environment)];
     Affine to_world{{1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0}};
-    if (record.kind == int32_t(EmitterKind::EnvironmentMap)) {
+    if (record.kind == kind_of_model<EnvironmentMap>(Emitters{})) {
         std::copy_n(&constants_[size_t(record.field[EnvironmentMap::ToWorld])], 12, to_world.m);
         int slot = record.field[EnvironmentMap::Data];
         if (dirty[size_t(slot)]) {
@@ -260,15 +261,11 @@ void SceneData<S>::refresh_view() {
     view_.textured = std::any_of(textures.begin(), textures.end(),
                                  [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
     const auto &bsdfs = layout_.records.at("bsdf");
-    view_.layered = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
-    view_.oriented = std::any_of(bsdfs.begin(), bsdfs.end(), [&](const Record &r) {
-        bool oriented = false;
-        dispatch(Bsdfs{}, r.kind, [&](auto model) {
-            using Bsdf = decltype(model);
-            constexpr int by = OrientingField<Bsdf>::value;
-            oriented = IsOriented<Bsdf>::value && (by < 0 || !is_default(textures[size_t(r.field[std::max(by, 0)])]));
-        });
-        return oriented;
+    view_.has_stacks = std::any_of(bsdfs.begin(), bsdfs.end(), [](const Record &r) { return r.kind > TwoSidedKind; });
+    view_.follows_tangent = std::any_of(bsdfs.begin(), bsdfs.end(), [&](const Record &r) {
+        if (!model_of("bsdf", r).is(FollowsTangent)) return false;
+        const int by = bsdf_kernels<PacketOf<S>>(r.kind).tangent_of;
+        return by < 0 || !is_default(textures[size_t(r.field[by])]);
     });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
     choose_emitters(false);
@@ -291,7 +288,9 @@ void SceneData<S>::refresh_view() {
     view_.bsdf_tables = bsdf_tables_.data();
 }
 
-template class SceneData<float>;
-template class SceneData<double>;
+#define TR_INSTANTIATE(S) \
+    template class SceneData<S>;
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

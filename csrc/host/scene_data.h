@@ -8,7 +8,7 @@
 
 #include "../accel/accel.h"
 #include "../core/scene.h"
-#include "coat_table.h"
+#include "rough_transmittance.h"
 #include "distribution.h"
 #include "gradient.h"
 #include "layout.h"
@@ -113,7 +113,7 @@ private:
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
     std::vector<S> volume_to_local_, majorants_, phase_tables_, bsdf_tables_;
-    std::vector<Coat> coats_;  // of which bsdf_tables_ was made
+    std::vector<Coating> coatings_;  // of which bsdf_tables_ was made
 
     void allocate_geometry();
     void take_over(SceneData &previous);

@@ -11,7 +11,7 @@ namespace tr {
 namespace {
 
 double luminance_of(const double *c, int channels) {
-    return channels == 3 ? 0.2126 * c[0] + 0.7152 * c[1] + 0.0722 * c[2] : c[0];
+    return channels == 3 ? luminance(Spectrum<double>{{c[0], c[1], c[2]}}) : c[0];
 }
 
 }  // namespace
@@ -29,9 +29,7 @@ void SceneData<S>::update_emitters() {
     std::vector<double> weights;
     for (size_t i = 0; i < records.size(); ++i) {
         const Model &model = model_of("emitter", records[i]);
-        for (int f = 0; f < model.n_fields; ++f)
-            if (std::string("sampling_weight") == model.fields[f].name)
-                weights.push_back(double(constants_[size_t(records[i].field[f])]));
+        weights.push_back(double(constants_[size_t(records[i].field[field_named(model, "sampling_weight")])]));
         if (!(weights.back() >= 0))
             bad_value(path("emitter", int(i)) + ": field 'sampling_weight'", "a number that is not negative",
                       std::to_string(weights.back()));
@@ -47,7 +45,7 @@ void SceneData<S>::update_emitters() {
     // lights that have shrunk to nothing are not chosen while there are others
     std::vector<double> seen = weights;
     for (size_t i = 0; i < records.size(); ++i)
-        if (is_surface_emitter(records[i].kind) && dark_[size_t(records[i].field[AreaEmitter::ShapeIndex])])
+        if (model_of("emitter", records[i]).is(IsOnShape) && dark_[size_t(records[i].field[EmitterShape])])
             seen[i] = 0;
     double total_seen = build_cdf(seen.data(), seen.size(), by_weight_.cdf.data());
     by_weight_ = EmitterTable(total_seen > 0 ? seen : weights);
@@ -140,33 +138,16 @@ double SceneData<S>::mean_of_environment(int32_t slot) {
 // Power (luminance) that an emitter sends into the scene.
 template <class S>
 double SceneData<S>::power_of(const Record &record) {
-    auto number = [&](int field) { return double(constants_[size_t(record.field[field])]); };
-    const double disk = Pi * double(view_.radius) * double(view_.radius);
-    if (is_surface_emitter(record.kind)) {
-        int32_t shape = record.field[AreaEmitter::ShapeIndex];
-        double spread = record.kind == int32_t(EmitterKind::Area) ? Pi : 1;
-        return spread * mean_of_texture(record.field[AreaEmitter::Radiance], shape) * double(areas_[size_t(shape)]);
-    }
-    if (record.kind == int32_t(EmitterKind::Constant))
-        return 4 * Pi * disk * mean_color(record.field[ConstantEmitter::Radiance]);
-    if (record.kind == int32_t(EmitterKind::Directional))
-        return disk * mean_color(record.field[DirectionalEmitter::Irradiance]);
-    if (record.kind == int32_t(EmitterKind::EnvironmentMap)) {
-        return 4 * Pi * disk * number(EnvironmentMap::Scale) * mean_of_environment(record.field[EnvironmentMap::Data]);
-    }
-    double power = 0;
-    for_each_point_light<float>(record.kind, true, [&](auto model, bool) {
-        using Model = decltype(model);
-        double factor = 4 * Pi;
-        if constexpr (Model::Oriented) {
-            double numbers[Model::Numbers + 1] = {};
-            for (int i = 0; i < Model::Numbers; ++i) numbers[i] = number(Model::number_field(i));
-            factor = Model::flux(numbers) * mean_of_texture(record.field[Model::TextureField], -1);
-        }
-        if constexpr (Model::ColorField >= 0) factor *= mean_color(record.field[Model::ColorField]);
-        power = factor;
-    });
-    return power;
+    struct Means : EmitterMeans {
+        SceneData &data;
+        explicit Means(SceneData &of) : data(of) { disk = Pi * double(of.view_.radius) * double(of.view_.radius); }
+        double number(int32_t offset) const override { return double(data.constants_[size_t(offset)]); }
+        double color(int32_t offset) const override { return data.mean_color(offset); }
+        double texture(int32_t index, int32_t shape) override { return data.mean_of_texture(index, shape); }
+        double environment(int32_t slot) override { return data.mean_of_environment(slot); }
+        double area(int32_t shape) const override { return double(data.areas_[size_t(shape)]); }
+    } means(*this);
+    return emitter_kernels<PacketOf<S>>(record.kind).power(means, record);
 }
 
 // Black lights keep a tenth of the mean: they have a derivative.
@@ -192,9 +173,10 @@ void SceneData<S>::choose_emitters(bool by_power) {
 }
 
 // the other functions of this file are called from these only
-template void SceneData<float>::update_emitters();
-template void SceneData<double>::update_emitters();
-template void SceneData<float>::choose_emitters(bool);
-template void SceneData<double>::choose_emitters(bool);
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::update_emitters(); \
+    template void SceneData<S>::choose_emitters(bool);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

@@ -91,11 +91,10 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
     }
 }
 
-template void SceneData<float>::fill_geometry(const std::vector<const float *> &, const GeometrySizes &,
-                                              GeometryArrays<float> &) const;
-template void SceneData<double>::fill_geometry(const std::vector<const double *> &, const GeometrySizes &,
-                                               GeometryArrays<double> &) const;
-template void SceneData<float>::spread_geometry(GradientSums &, const std::vector<float *> &) const;
-template void SceneData<double>::spread_geometry(GradientSums &, const std::vector<double *> &) const;
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::fill_geometry(const std::vector<const S *> &, const GeometrySizes &, GeometryArrays<S> &) const; \
+    template void SceneData<S>::spread_geometry(GradientSums &, const std::vector<S *> &) const;
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

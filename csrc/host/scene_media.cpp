@@ -116,7 +116,9 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
     }
 }
 
-template void SceneData<float>::update_media(const std::vector<uint8_t> &);
-template void SceneData<double>::update_media(const std::vector<uint8_t> &);
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::update_media(const std::vector<uint8_t> &);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

@@ -2,12 +2,17 @@
 #include <cmath>
 #include <limits>
 
+#include "../core/phase/blend.h"
+#include "../core/phase/tabulated.h"
 #include "../core/registry.h"
 #include "scene_data.h"
 
 namespace tr {
 
 namespace {
+
+constexpr int BlendedKind = kind_of_model<BlendPhase>(Phases{});
+constexpr int TabulatedKind = kind_of_model<TabulatedPhase>(Phases{});
 
 // One number stands for all channels: a blend is a density, which has no colour.
 bool is_grey(const SceneLayout &layout, const Record &volume) {
@@ -18,7 +23,7 @@ bool is_grey(const SceneLayout &layout, const Record &volume) {
 
 void check_blend(const SceneLayout &layout, const Record &record, const std::string &at) {
     for (int f : {BlendPhase::First, BlendPhase::Second})
-        if (layout.records.at("phase")[size_t(record.field[f])].kind == int32_t(PhaseKind::Blend))
+        if (layout.records.at("phase")[size_t(record.field[f])].kind == BlendedKind)
             bad_value(at + ": field '" + BlendPhase::fields[f].name + "'", "a phase function that is no blend itself",
                       std::string("'") + BlendPhase::model.type + "'");
     if (!is_grey(layout, layout.records.at("volume")[size_t(record.field[BlendPhase::Weight])]))
@@ -31,8 +36,8 @@ void lay_out_phases(SceneLayout &layout, const std::vector<std::vector<int64_t>>
     std::vector<Record> &phases = layout.records.at("phase");
     for (size_t i = 0; i < phases.size(); ++i) {
         Record &record = phases[i];
-        if (record.kind == int32_t(PhaseKind::Blend)) check_blend(layout, record, layout.paths.at("phase")[i]);
-        if (record.kind != int32_t(PhaseKind::Tabulated)) continue;
+        if (record.kind == BlendedKind) check_blend(layout, record, layout.paths.at("phase")[i]);
+        if (record.kind != TabulatedKind) continue;
         const std::vector<int64_t> &shape = param_shapes[size_t(record.field[TabulatedPhase::Data])];
         if (shape.size() != 1 || shape[0] < 2)
             bad_value(layout.paths.at("phase")[i] + ": field 'values'",
@@ -51,7 +56,7 @@ void SceneData<S>::update_phases(const std::vector<uint8_t> &dirty) {
     for (size_t i = 0; i < phases.size(); ++i) {
         const Record &record = phases[i];
         auto where = [&](const char *field) { return path("phase", int(i)) + ": field '" + field + "'"; };
-        if (record.kind == int32_t(PhaseKind::Blend)) {
+        if (record.kind == BlendedKind) {
             const Record &weight = layout_.records.at("volume")[size_t(record.field[BlendPhase::Weight])];
             const S *numbers = &constants_[0];
             int64_t n = 1;
@@ -65,7 +70,7 @@ void SceneData<S>::update_phases(const std::vector<uint8_t> &dirty) {
                 if (!(numbers[k] >= 0 && numbers[k] <= 1))
                     bad_value(where("weight"), "numbers from 0 to 1", std::to_string(numbers[k]));
         }
-        if (record.kind != int32_t(PhaseKind::Tabulated)) continue;
+        if (record.kind != TabulatedKind) continue;
         const TensorView<S> &values = tensors_[size_t(record.field[TabulatedPhase::Data])];
         const int32_t n = values.shape[0];
         S *scale = &phase_tables_[size_t(record.field[Record::Extra])], *density = scale + 1, *below = density + n;
@@ -90,7 +95,9 @@ void SceneData<S>::update_phases(const std::vector<uint8_t> &dirty) {
     }
 }
 
-template void SceneData<float>::update_phases(const std::vector<uint8_t> &);
-template void SceneData<double>::update_phases(const std::vector<uint8_t> &);
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::update_phases(const std::vector<uint8_t> &);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

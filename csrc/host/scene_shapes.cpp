@@ -280,13 +280,11 @@ void SceneData<S>::update_light_boxes() {
     n_light_boxes_ = int(light_boxes_.size() / 6);
 }
 
-template void SceneData<float>::update_light_boxes();
-template void SceneData<double>::update_light_boxes();
+#define TR_INSTANTIATE(S) \
+    template void SceneData<S>::update_light_boxes(); \
+    template void SceneData<S>::update_shapes(const std::vector<const S *> &, const std::vector<uint8_t> &, const std::vector<S> &, bool);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
 
-// the other functions of this file are called from it only
-template void SceneData<float>::update_shapes(const std::vector<const float *> &, const std::vector<uint8_t> &,
-                                              const std::vector<float> &, bool);
-template void SceneData<double>::update_shapes(const std::vector<const double *> &, const std::vector<uint8_t> &,
-                                               const std::vector<double> &, bool);
 
 }  // namespace tr

@@ -101,7 +101,7 @@ private:
 struct Settings {
     int height = 12, width = 16, max_depth = 6, threads = 2, emitter_samples = 1, bsdf_samples = 1;
     int64_t spp = 16;
-    bool packets = true, hide_emitters = false;
+    bool hide_emitters = false;
     uint64_t seed = 1;
     Filter filter;
 };
@@ -122,16 +122,23 @@ RenderCall<S> make_call(const SceneData<S> &scene, const Settings &s) {
     call.film_height = s.height;
     call.film_width = s.width;
     call.crop = call.samples = {0, 0, s.height, s.width};
+    call.values = scene.layout().channels;
     call.spp = s.spp;
     call.threads = s.threads;
     call.interrupted = [] { return false; };
     return call;
 }
 
-template <class S, int C>
+// Numbers of an image.
+template <class S>
+size_t n_values(const SceneData<S> &scene, const Settings &s) {
+    return size_t(s.height * s.width * scene.layout().channels);
+}
+
+template <class S>
 std::vector<S> render(const SceneData<S> &scene, const Settings &s, RenderStats *stats = nullptr) {
-    std::vector<S> image(size_t(s.height * s.width * C)), alpha(size_t(s.height * s.width));
-    RenderStats result = render_primal<S, C>(make_call(scene, s), s.packets, {image.data(), alpha.data()});
+    std::vector<S> image(n_values(scene, s)), alpha(size_t(s.height * s.width));
+    RenderStats result = render_primal<S>(make_call(scene, s), {image.data(), alpha.data()});
     if (stats) *stats = result;
     return image;
 }
@@ -147,7 +154,7 @@ DerivativeCall<S> make_derivative(const SceneData<S> &scene) {
 }
 
 // Gradients of all parameters, by slot, for the image's adjoint.
-template <class S, int C>
+template <class S>
 std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s, const std::vector<S> &adjoint) {
     std::vector<std::vector<S>> gradients;
     DerivativeCall<S> d = make_derivative(scene);
@@ -156,7 +163,7 @@ std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s
     for (const ParameterUse &use : scene.layout().tensors) large[size_t(use.slot)] = true;
     for (size_t i = 0; i < gradients.size(); ++i) d.gradients.push_back(large[i] ? gradients[i].data() : nullptr);
     d.adjoint = adjoint.data();
-    render_reverse<S, C>(make_call(scene, s), s.packets, d);
+    render_reverse<S>(make_call(scene, s), d);
     for (const ConstantEntry &e : scene.constant_entries())
         for (int i = 0; i < e.stored; ++i)
             gradients[size_t(e.slot)][size_t(e.count == 1 ? 0 : i)] += S(d.sums.constants[size_t(e.offset + i)]);
@@ -164,7 +171,7 @@ std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s
 }
 
 // Derivative of the image along tangents of all parameters, by slot.
-template <class S, int C>
+template <class S>
 std::vector<S> forward(const SceneData<S> &scene, const Settings &s, const std::vector<std::vector<S>> &tangents) {
     std::vector<const S *> addresses;
     for (const auto &t : tangents) addresses.push_back(t.data());
@@ -173,8 +180,8 @@ std::vector<S> forward(const SceneData<S> &scene, const Settings &s, const std::
     scene.fill_values(addresses, constants, tensors);
     DerivativeCall<S> d = make_derivative(scene);
     d.tangent = {constants.data(), tensors.data()};
-    std::vector<S> image(size_t(s.height * s.width * C));
-    render_forward<S, C>(make_call(scene, s), s.packets, d, image.data());
+    std::vector<S> image(n_values(scene, s));
+    render_forward<S>(make_call(scene, s), d, image.data());
     return image;
 }
 

@@ -36,21 +36,22 @@ void add_scene(SceneBuilder<S> &b, bool meter) {
     b.camera(0, 0, S(0.8), 70);
 }
 
-template <class S, int C>
+template <class S>
 std::vector<S> light(const SceneData<S> &scene, const Settings &s) {
-    std::vector<S> image(size_t(s.height * s.width * C));
-    trace_light<S, C>(make_call(scene, s), s.packets, image.data());
+    std::vector<S> image(n_values(scene, s));
+    trace_light<S>(make_call(scene, s), image.data());
     return image;
 }
 
 template <class S>
-void compare_modes(bool packets, bool meter, double tolerance) {
+void compare_modes(bool meter) {
+    const double tolerance = sizeof(S) == 8 ? 1e-11 : 1e-3;
     SceneBuilder<S> b(3);
     add_scene(b, meter);
     SceneData<S> scene;
     b.build(scene);
     Settings s;
-    s.packets = packets, s.spp = 8, s.max_depth = 5;
+    s.spp = 8, s.max_depth = 5;
     s.filter = Filter(FilterKind::Gaussian, 0.5);
     std::mt19937 random(1);
     std::normal_distribution<double> normal;
@@ -83,12 +84,12 @@ void compare_modes(bool packets, bool meter, double tolerance) {
                                 d.shape_wanted.data()};
     size_t n = size_t(s.height * s.width * 3);
     std::vector<S> image(n), adjoint(n);
-    trace_light_forward<S, 3>(make_call(scene, s), packets, forward, image.data());
+    trace_light_forward<S>(make_call(scene, s), forward, image.data());
     for (S &x : adjoint) x = S(normal(random));
 
     d.adjoint = adjoint.data();
     d.gradients.assign(sizes.size(), nullptr);
-    RenderStats stats = trace_light_reverse<S, 3>(make_call(scene, s), packets, d);
+    RenderStats stats = trace_light_reverse<S>(make_call(scene, s), d);
     CHECK(stats.non_finite == 0);
     scene.spread_geometry(d.sums, d.gradients);
     double by_image = 0, by_parameters = 0, size = 0;
@@ -107,8 +108,8 @@ void compare_modes(bool packets, bool meter, double tolerance) {
 TR_TEST(light_forward_and_reverse_mode_agree) {
     load_embree(embree_path());
     for (bool meter : {false, true}) {
-        compare_modes<double>(false, meter, 1e-11);
-        compare_modes<float>(true, meter, 1e-3);
+#define TR_COMPARE(S) compare_modes<S>(meter);
+        TR_FOR_EACH_PRECISION(TR_COMPARE)
     }
 }
 
@@ -121,13 +122,13 @@ TR_TEST(light_images_are_the_same_for_any_threads_and_crop) {
     Settings s;
     s.spp = 40;
     s.filter = Filter(FilterKind::Tent, 1.3);
-    std::vector<float> one = light<float, 3>(scene, s);
+    std::vector<float> one = light(scene, s);
     s.threads = 5;
-    CHECK((one == light<float, 3>(scene, s)));
+    CHECK((one == light(scene, s)));
     RenderCall<float> call = make_call(scene, s);
     call.crop = {3, 2, 9, 11};
     std::vector<float> part(6 * 9 * 3);
-    trace_light<float, 3>(call, true, part.data());
+    trace_light(call, true, part.data());
     bool same = true;
     for (int y = 0; y < 6; ++y)
         for (int x = 0; x < 27; ++x)

@@ -21,10 +21,10 @@ static bool all_finite(const std::vector<S> &numbers) {
 }
 
 // Inside a sphere of albedo a that emits 1, paths of d vertices see 1 + a + ... + a^(d-1), every sample of them.
-template <class S, int C>
-static void check_furnace(bool packets) {
+template <class S>
+static void check_furnace(int channels) {
     const S albedo = S(0.6);
-    SceneBuilder<S> b(C);
+    SceneBuilder<S> b(channels);
     int64_t reflectance = b.color(albedo, albedo, albedo), radiance = b.color(1, 1, 1);
     int64_t texture = b.add("texture", "constant", {{"value", reflectance}});
     int64_t light = b.add("texture", "constant", {{"value", radiance}});
@@ -37,7 +37,6 @@ static void check_furnace(bool packets) {
     SceneData<S> scene;
     b.build(scene);
     Settings s;
-    s.packets = packets;
     s.max_depth = 4;
     s.spp = 128;
     double value = 0, derivative = 0, power = 1;
@@ -47,35 +46,26 @@ static void check_furnace(bool packets) {
         power *= albedo;
     }
     RenderStats stats;
-    auto image = render<S, C>(scene, s, &stats);
+    auto image = render(scene, s, &stats);
     CHECK_NEAR(mean(image), value, 0.02 * value);
     CHECK(stats.non_finite == 0 && stats.closest_rays > 0 && !stats.interrupted);
 
-    std::vector<S> adjoint(image.size(), S(1) / S(image.size()) * S(C));
-    auto gradients = reverse<S, C>(scene, s, adjoint);
-    for (int c = 0; c < C; ++c) {
+    std::vector<S> adjoint(image.size(), S(1) / S(image.size()) * S(channels));
+    auto gradients = reverse<S>(scene, s, adjoint);
+    for (int c = 0; c < channels; ++c) {
         CHECK_NEAR(gradients[size_t(reflectance)][size_t(c)], derivative, 0.05 * derivative);
         CHECK_NEAR(gradients[size_t(radiance)][size_t(c)], value, 0.02 * value);
     }
 }
 
-TR_TEST(furnace_numbers_rgb) {
-    need_embree();
-    check_furnace<float, 3>(false);
-    check_furnace<double, 3>(false);
-}
-TR_TEST(furnace_numbers_mono) {
-    need_embree();
-    check_furnace<float, 1>(false);
-    check_furnace<double, 1>(false);
-}
-TR_TEST(furnace_packets) {
-    need_embree();
-    check_furnace<float, 3>(true);
-    check_furnace<float, 1>(true);
-    check_furnace<double, 3>(true);
-    check_furnace<double, 1>(true);
-}
+// In every precision of the module: Do(S) for each.
+#define TR_TEST_PRECISIONS(name, Check)         \
+    TR_TEST(name) {                             \
+        need_embree();                          \
+        TR_FOR_EACH_PRECISION(Check)            \
+    }
+#define TR_CHECK_FURNACE(S) check_furnace<S>(3), check_furnace<S>(1);
+TR_TEST_PRECISIONS(furnaces, TR_CHECK_FURNACE)
 
 // Every model of the build, in several combinations, before the camera.
 template <class S>
@@ -149,24 +139,23 @@ static void add_everything(SceneBuilder<S> &b) {
     b.camera(0, 0, -6, 50);
 }
 
-template <class S, int C>
-static void check_everything(bool packets) {
-    SceneBuilder<S> b(C);
+template <class S>
+static void check_everything(int channels) {
+    SceneBuilder<S> b(channels);
     add_everything(b);
     SceneData<S> scene;
     b.build(scene);
     Settings s;
-    s.packets = packets;
     for (FilterKind filter : {FilterKind::Box, FilterKind::Tent, FilterKind::Gaussian}) {
         s.filter = Filter(filter, filter == FilterKind::Tent ? 1 : 0.5);
         s.hide_emitters = filter == FilterKind::Tent;
         RenderStats stats;
-        auto image = render<S, C>(scene, s, &stats);
+        auto image = render(scene, s, &stats);
         CHECK(all_finite(image));
         CHECK(mean(image) > 0.05);
         CHECK(stats.non_finite == 0);
         s.threads = 1;
-        CHECK((render<S, C>(scene, s) == image));
+        CHECK((render(scene, s) == image));
         s.threads = 2;
 
         std::vector<std::vector<S>> tangents;
@@ -178,8 +167,8 @@ static void check_everything(bool packets) {
         }
         std::vector<S> adjoint;
         for (size_t i = 0; i < image.size(); ++i) adjoint.push_back(uniform(generator));
-        auto derivative = forward<S, C>(scene, s, tangents);
-        auto gradients = reverse<S, C>(scene, s, adjoint);
+        auto derivative = forward<S>(scene, s, tangents);
+        auto gradients = reverse<S>(scene, s, adjoint);
         double left = 0, right = 0, size = 0;
         for (size_t i = 0; i < image.size(); ++i) {
             left += double(derivative[i]) * double(adjoint[i]);
@@ -194,43 +183,10 @@ static void check_everything(bool packets) {
     }
 }
 
-TR_TEST(every_model_numbers_float_rgb) {
-    need_embree();
-    check_everything<float, 3>(false);
-}
-TR_TEST(every_model_numbers_double_mono) {
-    need_embree();
-    check_everything<double, 1>(false);
-}
-TR_TEST(every_model_packets_float_rgb) {
-    need_embree();
-    check_everything<float, 3>(true);
-}
-TR_TEST(every_model_packets_float_mono) {
-    need_embree();
-    check_everything<float, 1>(true);
-}
-TR_TEST(every_model_packets_double_rgb) {
-    need_embree();
-    check_everything<double, 3>(true);
-}
-
-TR_TEST(packets_and_numbers_agree) {
-    need_embree();
-    SceneBuilder<float> b(3);
-    add_everything(b);
-    SceneData<float> scene;
-    b.build(scene);
-    Settings s;
-    s.spp = 64;
-    auto packets = render<float, 3>(scene, s);
-    s.packets = false;
-    auto numbers = render<float, 3>(scene, s);
-    // the same random numbers: paths differ by rounding only, a few of them then take another turn
-    double difference = 0;
-    for (size_t i = 0; i < packets.size(); ++i) difference += std::abs(double(packets[i]) - double(numbers[i]));
-    CHECK(difference / double(packets.size()) < 0.01 * mean(numbers));
-}
+#define TR_CHECK_EVERYTHING(S) check_everything<S>(3);
+#define TR_CHECK_EVERYTHING_MONO(S) check_everything<S>(1);
+TR_TEST_PRECISIONS(every_model_rgb, TR_CHECK_EVERYTHING)
+TR_TEST_PRECISIONS(every_model_mono, TR_CHECK_EVERYTHING_MONO)
 
 TR_TEST(an_empty_scene_is_black) {
     need_embree();
@@ -240,8 +196,7 @@ TR_TEST(an_empty_scene_is_black) {
     b.build(scene);
     for (bool packets : {false, true}) {
         Settings s;
-        s.packets = packets;
-        for (float x : render<float, 3>(scene, s)) CHECK(x == 0);
+            for (float x : render(scene, s)) CHECK(x == 0);
     }
 }
 
@@ -254,13 +209,11 @@ TR_TEST(films_of_awkward_sizes) {
     SceneData<float> scene;
     b.build(scene);
     for (auto [height, width, spp] : {std::array<int, 3>{1, 1, 1}, {1, 37, 3}, {65, 3, 1}, {17, 33, 2}, {2, 2, 1000}}) {
-        for (bool packets : {false, true}) {
-            Settings s;
-            s.height = height, s.width = width, s.spp = spp, s.packets = packets, s.max_depth = -1;
-            auto image = render<float, 3>(scene, s);
-            CHECK(all_finite(image));
-            CHECK(mean(image) > 1);
-        }
+        Settings s;
+        s.height = height, s.width = width, s.spp = spp, s.max_depth = -1;
+        auto image = render(scene, s);
+        CHECK(all_finite(image));
+        CHECK(mean(image) > 1);
     }
 }
 
@@ -275,7 +228,7 @@ TR_TEST(max_depth_zero_and_one) {
     for (int depth : {0, 1}) {
         Settings s;
         s.max_depth = depth;
-        for (float x : render<float, 1>(scene, s)) CHECK(x == 0);
+        for (float x : render(scene, s)) CHECK(x == 0);
     }
 }
 
@@ -290,7 +243,7 @@ TR_TEST(an_interruption_stops) {
     RenderCall<float> call = make_call(scene, s);
     call.interrupted = [] { return true; };
     std::vector<float> image(size_t(s.height * s.width * 3));
-    CHECK((render_primal<float, 3>(call, true, {image.data()}).interrupted));
+    CHECK((render_primal<float>(call, {image.data()}).interrupted));
 }
 
 // ------------------------------------------------------------------------------------------------------- bad input

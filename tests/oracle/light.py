@@ -16,12 +16,13 @@ import torch
 import torchrender as tr
 from torchrender.scene.film import Film
 from torchrender.surface import dot, normalize
+from torchrender.warp import cosine_hemisphere
 from torchrender.wavefront import layers, numbers
 from torchrender.wavefront.bsdf import fresnel_dielectric
 from torchrender.wavefront.bsdfs import BSDFS, Dielectric
 from torchrender.wavefront.film import filter_weight
 from torchrender.wavefront.geometry import Frame, Glued, glue, reattach
-from torchrender.wavefront.layers import Layers
+from torchrender.wavefront.layers import BsdfStack
 from torchrender.wavefront.path import offset_origin
 from torchrender.wavefront.world import At
 
@@ -128,14 +129,14 @@ def render(
     if beam:
         d, beta = start.normal, beta * area[:, None]
     else:
-        d = Frame.about(start.normal.detach()).to_world(numbers.cosine_hemisphere(v[:, 1], v[:, 2]))
+        d = Frame.about(start.normal.detach()).to_world(cosine_hemisphere(v[:, 1], v[:, 2]))
         beta = beta * (math.pi * area.detach())[:, None]
     p, normal = start.position, start.normal
     places: list[tuple[torch.Tensor, ...]] = []
     lane, depth = torch.arange(n), 0
     glued = not beam  # whether the next hit is
     bsdf_of = world.shape_field("bsdf")
-    wanted = torch.full((len(world.records["bsdf"]),), derivative)
+    needs_grad = torch.full((len(world.records["bsdf"]),), derivative)
     while len(lane) and depth + 2 <= max_depth:
         o = offset_origin(p.detach(), normal.detach(), d.detach())
         hits = world.intersect(o if glued else reattach(o, p), d.detach() if glued else d)
@@ -163,9 +164,11 @@ def render(
         chains = []
         block = numbers.BSDF_BLOCK + numbers.BLOCKS_PER_SCATTERING * depth
         u = random.block(pixel[lane], sample[lane], block)
-        found = layers.find(world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, wanted=wanted)
-        for number in found.leaf.unique().tolist():
-            chosen = (found.leaf == number).nonzero()[:, 0]
+        found = layers.resolve(
+            world, bsdf_of[shape], here, position, ns, d, u[:, 3], viewed=False, needs_grad=needs_grad
+        )
+        for number in found.resolved.unique().tolist():
+            chosen = (found.resolved == number).nonzero()[:, 0]
             record = world.records["bsdf"][number]
             kind = LightDielectric if record.type == "dielectric" else BSDFS[record.type]
             bsdf = kind(world, record, here[chosen])
@@ -203,7 +206,7 @@ def _transfer(start: Glued, end: Glued) -> torch.Tensor:
     return value / value.detach()
 
 
-def _seen(world, view, bsdf, frame, flip, x, w, above: Layers, g, beta) -> tuple[torch.Tensor, ...]:
+def _seen(world, view, bsdf, frame, flip, x, w, above: BsdfStack, g, beta) -> tuple[torch.Tensor, ...]:
     """Places on the film and what is brought there, of points x (N, 3) that light reaches from w."""
     to, clear, column, row, importance, seen = view.connect(x)
     wi, wo = frame.to_local(w) * flip, frame.to_local(to) * flip

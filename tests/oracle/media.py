@@ -302,10 +302,13 @@ class Tracer:
             rows = ((self.emitter[at.shape] == light.index) & (wi[:, 2] > 0)).nonzero()[:, 0]
             if len(rows):
                 self.add(photons[rows], photons[rows].of(light.radiance(at[rows])).detach())
-        u, wanted = torch.zeros(len(at), dtype=torch.float64), torch.zeros(len(self.media.is_null), dtype=torch.bool)
+        u, needs_grad = (
+            torch.zeros(len(at), dtype=torch.float64),
+            torch.zeros(len(self.media.is_null), dtype=torch.bool),
+        )
         held = (self.media.bsdf[at.shape], at, position, shading_normal, photons.d, u)
-        found = layers.find(self.world, *held, viewed=True, wanted=wanted)
-        leaf, sign = found.leaf, torch.where(found.mirrored, -1.0, 1.0).to(wi)
+        found = layers.resolve(self.world, *held, viewed=True, needs_grad=needs_grad)
+        leaf, sign = found.resolved, torch.where(found.mirrored, -1.0, 1.0).to(wi)
         flip = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], 1)
         for number in leaf.unique().tolist():
             rows = (leaf == number).nonzero()[:, 0]

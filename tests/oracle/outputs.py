@@ -9,8 +9,6 @@ import torch
 import torchrender as tr
 from torchrender.surface import dot, normalize
 from torchrender.wavefront.layers import share
-from torchrender.wavefront.numbers import Numbers
-from torchrender.wavefront.path import WavefrontTracer
 from torchrender.wavefront.world import At, Record
 
 from .film import camera_samples, splat
@@ -85,8 +83,7 @@ def first_hits(
     world = World(scene, params)
     positions, rays, _, _ = camera_samples(world, seed, spp, sensor)
     config = (integrator or scene.integrator or tr.PathTracer()).config()
-    random = Numbers("independent", spp, seed, sensor, torch.float64)
-    hits = WavefrontTracer(world, config, random, False).first_hits(rays)
+    hits = world.first_hits(rays, config["hide_emitters"])
     to_world = world.tensor("sensor", world.records["sensor"][sensor], "to_world")
     axes = normalize(to_world[:3, :3].T)
     rows = hits.valid.nonzero()[:, 0]

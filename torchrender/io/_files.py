@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 
-def existing_file(path: str | os.PathLike) -> Path:
+def existing_file(path: str | os.PathLike[str]) -> Path:
     """The path, if a non-empty regular file is there.
 
     Raises:
@@ -54,7 +54,7 @@ def check_size(path: Path, claimed: int, ratio: int) -> None:
         raise ValueError(f"{path}: the file is truncated or damaged: {size} bytes cannot hold {claimed} bytes of data")
 
 
-def writable_file(path: str | os.PathLike) -> Path:
+def writable_file(path: str | os.PathLike[str]) -> Path:
     """The path, if its folder exists and it is not a folder itself."""
     result = as_path(path)
     if not result.parent.is_dir():
@@ -64,7 +64,7 @@ def writable_file(path: str | os.PathLike) -> Path:
     return result
 
 
-def as_path(path: str | os.PathLike) -> Path:
+def as_path(path: str | os.PathLike[str]) -> Path:
     """``Path(path)``, with an error that names the argument."""
     if not isinstance(path, (str, os.PathLike)) or isinstance(path, bytes):
         raise TypeError(f"path: expected a file name, got {type(path).__name__}")

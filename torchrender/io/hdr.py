@@ -73,8 +73,11 @@ def _decode(path: Path, content: bytes, start: int, height: int, width: int) -> 
 
 
 def _decode_old_runs(path: Path, data: np.ndarray, position: int, row: np.ndarray, y: int, height: int) -> int:
-    """One scanline of the first encoding: the pixel (1, 1, 1, n) repeats the one before n times, and where several
-    follow each other, each counts 256 times as much as the last."""
+    """One scanline of the first encoding.
+
+    The pixel (1, 1, 1, n) repeats the one before n times, and where several follow each other, each counts 256 times as
+    much as the last.
+    """
     width, x, shift = row.shape[0], 0, 0
     while x < width:
         pixel = data[position : position + 4]
@@ -139,10 +142,8 @@ def write_hdr(path: Path, pixels: np.ndarray) -> None:
     rgbe[largest < 1e-38] = 0
     header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
     # A flat pixel that looks like the mark of an encoded scanline would be misread: widths that allow the mark get it.
-    if 8 <= width < 32768:
-        body = b"".join(_encode_row(row) for row in rgbe)
-    else:
-        body = rgbe.tobytes()
+    marked = 8 <= width < 32768
+    body = b"".join(_encode_row(row) for row in rgbe) if marked else rgbe.tobytes()
     path.write_bytes(header + body)
 
 

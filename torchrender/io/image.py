@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -21,7 +22,7 @@ _DEFAULT_NAMES = {1: ("Y",), 3: ("R", "G", "B"), 4: ("R", "G", "B", "A")}
 
 
 def read_image(
-    path: str | os.PathLike, *, raw: bool = False, channels: Sequence[str] | None = None, part: str | None = None
+    path: str | os.PathLike[str], *, raw: bool = False, channels: Sequence[str] | None = None, part: str | None = None
 ) -> torch.Tensor:
     """Read a picture as linear values. The content, not the ending, says which format it is.
 
@@ -66,7 +67,7 @@ def _read_image(path: Path, raw: bool, channels: Sequence[str] | None, part: str
     return _read_integers(path, head, raw)
 
 
-def read_channels(path: str | os.PathLike, *, part: str | None = None) -> dict[str, torch.Tensor]:
+def read_channels(path: str | os.PathLike[str], *, part: str | None = None) -> dict[str, torch.Tensor]:
     """All channels of an EXR file by name, each float32 (H, W).
 
     Args:
@@ -82,7 +83,7 @@ def read_channels(path: str | os.PathLike, *, part: str | None = None) -> dict[s
         return {name: torch.from_numpy(pixels) for name, pixels in exr.read_exr(path, part).items()}
 
 
-def read_parts(path: str | os.PathLike) -> dict[str, dict[str, torch.Tensor]]:
+def read_parts(path: str | os.PathLike[str]) -> dict[str, dict[str, torch.Tensor]]:
     """All parts of an EXR file by name, each with its channels by name, float32 (H, W).
 
     An ordinary file is a single part with the name ``""``. Parts may differ in size.
@@ -99,7 +100,7 @@ def read_parts(path: str | os.PathLike) -> dict[str, dict[str, torch.Tensor]]:
     }
 
 
-def _exr_file(path: str | os.PathLike) -> Path:
+def _exr_file(path: str | os.PathLike[str]) -> Path:
     path = existing_file(path)
     with path.open("rb") as file:
         if file.read(4) != exr.MAGIC:
@@ -108,7 +109,7 @@ def _exr_file(path: str | os.PathLike) -> Path:
 
 
 def write_parts(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     parts: Mapping[str, torch.Tensor | np.ndarray | Mapping[str, torch.Tensor]],
     *,
     half: bool = False,
@@ -135,7 +136,7 @@ def write_parts(
 
 
 def write_image(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     image: torch.Tensor | np.ndarray | Mapping[str, torch.Tensor],
     *,
     channels: Sequence[str] | None = None,
@@ -191,7 +192,7 @@ def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().cpu().float().numpy())
 
 
-def _named_channels(path: Path, image, channels: Sequence[str] | None) -> dict[str, np.ndarray]:
+def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> dict[str, np.ndarray]:
     """Channel name -> (H, W), from an image or from a mapping of layers."""
     if isinstance(image, Mapping):
         if channels is not None:

@@ -14,8 +14,10 @@ _HEADER = re.compile(rb"\A(PF|Pf)\s+(\d+)\s+(\d+)\s+([-+0-9.eE]+)\s")
 
 
 def read_pfm(path: Path) -> np.ndarray:
-    """Read a PFM file as float32 of shape (H, W, C), C = 1 or 3, top row first. The header's scale is the byte
-    order only; its magnitude is not applied, as other readers do not either."""
+    """Read a PFM file as float32 of shape (H, W, C), C = 1 or 3, top row first.
+
+    The header's scale is the byte order only; its magnitude is not applied, as other readers do not either.
+    """
     content = path.read_bytes()
     match = _HEADER.match(content)
     if match is None:

@@ -16,7 +16,7 @@ _HEADER = struct.Struct("<3sBiiiii6f")
 _FLOAT32 = 1
 
 
-def read_volume(path: str | os.PathLike) -> torch.Tensor:
+def read_volume(path: str | os.PathLike[str]) -> torch.Tensor:
     """Read a grid.
 
     Args:
@@ -41,7 +41,7 @@ def read_volume(path: str | os.PathLike) -> torch.Tensor:
     raise ValueError(f"{path}: expected a volume: a .vol file (beginning with 'VOL') or a .npy file")
 
 
-def read_volume_bounds(path: str | os.PathLike) -> torch.Tensor:
+def read_volume_bounds(path: str | os.PathLike[str]) -> torch.Tensor:
     """Read the bounding box that a ``.vol`` file states for its grid.
 
     Returns:
@@ -62,7 +62,7 @@ def read_volume_bounds(path: str | os.PathLike) -> torch.Tensor:
 
 
 def write_volume(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     volume: torch.Tensor | np.ndarray,
     *,
     bounding_box: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0, 0, 0), (1, 1, 1)),

@@ -5,14 +5,22 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import torch
 
+from .. import backends
 from ..errors import describe, nearest
+from ..integrators import TYPES, from_dict
 from ..scene import registry
 from ..scene.context import Context
-from ..scene.scene import VARIANTS, Scene
+from ..scene.film import film_from
+from ..scene.scene import VARIANTS, Scene, operation
+from . import mesh_files  # noqa: F401  (registers its types of shapes)
+from .instances import expand_instances
+
+if TYPE_CHECKING:
+    import trimesh
 
 DTYPES = (torch.float32, torch.float64)
 POSSIBLE_VARIANTS = tuple(f"{c}{p}" for c in ("mono", "rgb", "spectral") for p in ("", "_polarized"))
@@ -20,8 +28,6 @@ POSSIBLE_VARIANTS = tuple(f"{c}{p}" for c in ("mono", "rgb", "spectral") for p i
 
 def variants() -> list[str]:
     """The colour variants that this build has, for ``load_dict(..., variant=...)``."""
-    from .. import backends
-
     found = {str(v["color"]) for v in backends.core().variants()}
     return [v for v in POSSIBLE_VARIANTS if v in found]
 
@@ -56,9 +62,9 @@ def load_dict(
     variant: str = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
-    unsupported: str = "error",
+    unsupported: Literal["error", "substitute"] = "error",
     _folder: Path | None = None,
-) -> Any:
+) -> Scene | Any:
     """A scene, or a single object, from a nested dict in the format that Mitsuba 3 documents.
 
     Args:
@@ -79,24 +85,18 @@ def load_dict(
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
     if _substituting("load_dict", unsupported):
-        from .substitutes import substitute
+        from .fallbacks import with_fallbacks
 
-        description = substitute(description)
+        description = with_fallbacks(description)
     kind = description["type"]
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}
-        from .instances import expand_instances
-
         objects = expand_instances(objects, Context(variant, dtype, made_device, (), _folder))
         return Scene(objects, variant, dtype, made_device, _folder)
     ctx = Context(variant, dtype, made_device, (str(kind),), _folder)
-    from ..integrators import TYPES, from_dict
-
     if kind in TYPES:
         return from_dict(dict(description), str(kind))
     if kind == "hdrfilm":
-        from ..scene.film import film_from
-
         return film_from(description, ctx)
     return registry.build(description, ctx)
 
@@ -107,9 +107,9 @@ def load_file(
     variant: str = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
-    unsupported: str = "error",
+    unsupported: Literal["error", "substitute"] = "error",
     trusted: bool = False,
-    **parameters: Any,
+    **parameters: str | float | os.PathLike[str],
 ) -> Scene:
     """A scene from a file: Mitsuba XML, or geometry that trimesh reads (glTF/GLB, OBJ, PLY, STL).
 
@@ -147,7 +147,7 @@ def load_file(
 
 
 def from_trimesh(
-    geometry: Any,
+    geometry: trimesh.Trimesh | trimesh.Scene,
     *,
     variant: str = "rgb",
     dtype: torch.dtype = torch.float32,
@@ -158,3 +158,10 @@ def from_trimesh(
 
     _settings("from_trimesh", variant, dtype, device)
     return load_dict(loader.from_trimesh(geometry), variant=variant, dtype=dtype, device=device)
+
+
+@operation("save")
+def _save(scene: Scene, path: str | os.PathLike[str]) -> None:
+    from . import save
+
+    save.save(scene, path)

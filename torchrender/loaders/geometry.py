@@ -28,7 +28,7 @@ _RESERVED = {"x", "y", "z", "nx", "ny", "nz"}
 
 
 def load_mesh(
-    path: str | os.PathLike,
+    path: str | os.PathLike[str],
     *,
     face_normals: bool = False,
     flip_tex_coords: bool | None = None,
@@ -187,7 +187,7 @@ def _unit(column: np.ndarray) -> np.ndarray:
     return column / np.float32(np.iinfo(column.dtype).max) if column.dtype.kind in "iu" else column
 
 
-def load_scene(path: str | os.PathLike, trusted: bool = False) -> dict[str, Any]:
+def load_scene(path: str | os.PathLike[str], trusted: bool = False) -> dict[str, Any]:
     """Read a geometry file as a whole scene that shows it.
 
     Args:

@@ -161,8 +161,11 @@ class Entry:
         return found
 
     def _anisotropy(self, roughness: Any) -> dict[str, float]:
-        """KHR_materials_anisotropy, whose alpha along u is nearer to 1 by the square of the strength; Burley's is as
-        much larger along u as it is smaller across it."""
+        """The extension KHR_materials_anisotropy as Burley's anisotropy and roughness.
+
+        The extension's alpha along u is nearer to 1 by the square of the strength; Burley's is as much larger along u
+        as it is smaller across it.
+        """
         strength = self.number("anisotropy", "anisotropyStrength", 0.0)
         if strength <= 0:
             return {}

@@ -70,8 +70,9 @@ def _members(group: Mapping[str, Any], ctx: Context) -> dict[str, Plugin]:
             at.error(f"a shapegroup holds shapes, and no {_type(value)} in turn")
         if not isinstance(value, (Mapping, Plugin)) or _type(value) == "ref":
             at.error(f"expected a shape (a dict or a built object), got {describe(value)}")
-        made = value
-        if isinstance(value, Mapping):
+        if isinstance(value, Plugin):
+            made = value
+        else:
             made = registry.build({k: v for k, v in value.items() if k != "id"}, at, "shape")
         if made.category != "shape":
             at.error(f"expected a shape, got a {made.category} ({made.type})")
@@ -101,7 +102,7 @@ def _copies(
         elif isinstance(value, Reference) or _type(value) in ("ref", "shapegroup"):
             if members is not None:
                 ctx.error("an instance has one shapegroup, got two")
-            if _type(value) == "shapegroup":
+            if isinstance(value, Mapping) and _type(value) == "shapegroup":
                 members = _members(value, at)
                 continue
             wanted = value.id if isinstance(value, Reference) else str(value.get("id"))
@@ -135,7 +136,7 @@ def _copy(shape: Plugin, matrix: torch.Tensor, ctx: Context) -> Plugin:
     for name, field in shape.fields().items():
         if field.kind == "int":
             given[name] = getattr(shape, name)
-        elif shape._leaf(field) and getattr(shape, name, None) is not None:
+        elif shape._holds(field) and getattr(shape, name, None) is not None:
             given[name] = _own(getattr(shape, name))
     if isinstance(shape, Mesh):
         # what faces out does so in a mirror, too

@@ -42,9 +42,10 @@ class Materials:
             if radiance is not None:
                 entries["emitter"] = {"type": "area", "radiance": radiance}
             return entries
-        kind = mesh.visual.kind if mesh.visual is not None and mesh.visual.defined else None
-        if kind in ("vertex", "face"):
-            colours = mesh.visual.vertex_colors if kind == "vertex" else mesh.visual.face_colors
+        visual = mesh.visual
+        kind = visual.kind if visual is not None and visual.defined else None
+        if visual is not None and kind in ("vertex", "face"):
+            colours = visual.vertex_colors if kind == "vertex" else visual.face_colors
             data = torch.tensor(np.asarray(colours)[:, :3].astype(np.float64) / 255)
             reflectance = {"type": "mesh_attribute", "name": f"{kind}_color"}
             return {"attributes": {f"{kind}_color": data}, "bsdf": two_sided(reflectance)}
@@ -155,7 +156,7 @@ def metallic_roughness(
         alpha = 1.0 if given is None or np.size(given) < 4 else float(_factor(given, 4)[3])
         opacity = torch.full((1, 1, 1), alpha)
         if material.baseColorTexture is not None and "A" in material.baseColorTexture.getbands():
-            opacity = _texels(material.baseColorTexture.getchannel("A").convert("RGB"))[..., :1] * alpha
+            opacity = _fractions(material.baseColorTexture.getchannel("A").convert("RGB"))[..., :1] * alpha
         if mode == "MASK":
             cutoff = getattr(material, "alphaCutoff", None)
             opacity = (opacity >= (0.5 if cutoff is None else float(cutoff))).float()
@@ -211,9 +212,12 @@ def _emission(material: Any, entry: Entry) -> dict[str, Any] | None:
 
 
 def _texels(image: Any) -> torch.Tensor | None:
+    """`_fractions` of a picture, if there is one."""
+    return None if image is None else _fractions(image)
+
+
+def _fractions(image: Any) -> torch.Tensor:
     """A picture's stored values as fractions of the largest, (H, W, 3)."""
-    if image is None:
-        return None
     if image.mode.startswith("I"):  # 16 bits, which PIL would cut off at 255
         grey = np.asarray(image).astype(np.float32) / np.float32(65535)
         return torch.from_numpy(np.repeat(grey.clip(0, 1)[..., None], 3, axis=2))

@@ -18,11 +18,11 @@ def files_of(path: Path, trusted: bool, more: dict[str, bytes] | None = None) ->
         trusted: the names may lead anywhere.
         more: contents of further files by name.
     """
-    import trimesh
+    from trimesh.resolvers import FilePathResolver
 
     folder = path.resolve().parent
 
-    class Files(trimesh.resolvers.FilePathResolver):
+    class Files(FilePathResolver):
         def get(self, name: str) -> bytes:
             if more and name in more:
                 return more[name]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
+Table: TypeAlias = "list[list[float]]"
 _TABLES = {b"v": 0, b"vt": 1, b"vn": 2}
 _WIDTHS = (3, 2, 3)
 
@@ -23,7 +25,7 @@ def read_obj(path: Path) -> dict[str, np.ndarray | None]:
     Raises:
         ValueError: with the line, for an index out of range or a value that is no number.
     """
-    tables: tuple[list, list, list] = ([], [], [])
+    tables: tuple[Table, Table, Table] = ([], [], [])
     known: dict[tuple[int, int, int], int] = {}
     faces: list[tuple[int, int, int]] = []
     text = path.read_bytes().replace(b"\\\r\n", b" ").replace(b"\\\n", b" ")
@@ -59,7 +61,7 @@ def read_obj(path: Path) -> dict[str, np.ndarray | None]:
     return {"vertices": gathered[0], "texcoords": texcoords, "normals": normals, "faces": np.array(faces, np.int64)}
 
 
-def _corner(word: bytes, tables: tuple[list, list, list]) -> tuple[int, int, int]:
+def _corner(word: bytes, tables: tuple[Table, Table, Table]) -> tuple[int, int, int]:
     """``p``, ``p/t``, ``p//n`` or ``p/t/n`` as indices from 0, -1 where there is none."""
     parts = word.split(b"/")
     if len(parts) > 3 or not parts[0]:
@@ -77,7 +79,7 @@ def _corner(word: bytes, tables: tuple[list, list, list]) -> tuple[int, int, int
     return result[0], result[1], result[2]
 
 
-def _gather(table: list, index: np.ndarray, width: int) -> np.ndarray:
+def _gather(table: Table, index: np.ndarray, width: int) -> np.ndarray:
     """Rows of the table; zeros where the index is -1."""
     rows = np.array([*table, [0.0] * width], np.float64).reshape(-1, width)
     return rows[index]

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -133,8 +134,8 @@ def _scalar(path: Path, content: bytes, position: int, code: str, element: PlyEl
     return value
 
 
-def _row_fields(element: PlyElement, lengths: dict[str, int], endian: str) -> list:
-    fields: list = []
+def _row_fields(element: PlyElement, lengths: dict[str, int], endian: str) -> list[tuple[Any, ...]]:
+    fields: list[tuple[Any, ...]] = []
     for name in element.order:
         if name in element.scalars:
             fields.append((name, endian + element.scalars[name]))
@@ -156,7 +157,7 @@ def _take_table(element: PlyElement, table: np.ndarray, lengths: dict[str, int])
 
 def _read_ragged(path: Path, content: bytes, position: int, element: PlyElement, endian: str) -> int:
     """Row by row, for lists of differing lengths; returns the position behind the element."""
-    columns: dict[str, list] = {name: [] for name in element.order}
+    columns: dict[str, list[Any]] = {name: [] for name in element.order}
     for row in range(element.count):
         for name in element.order:
             length, code = 1, element.scalars.get(name)
@@ -174,7 +175,7 @@ def _read_ragged(path: Path, content: bytes, position: int, element: PlyElement,
     return position
 
 
-def _take_columns(element: PlyElement, columns: dict[str, list]) -> None:
+def _take_columns(element: PlyElement, columns: dict[str, list[Any]]) -> None:
     for name, values in columns.items():
         if name in element.scalars:
             element.data[name] = np.array(values, element.scalars[name])
@@ -197,7 +198,7 @@ def _read_ascii(path: Path, body: bytes, elements: list[PlyElement]) -> None:
             element.data = {name: table[:, i].astype(element.scalars[name]) for i, name in enumerate(element.order)}
             position += size
             continue
-        columns: dict[str, list] = {name: [] for name in element.order}
+        columns: dict[str, list[Any]] = {name: [] for name in element.order}
         for row in range(element.count):
             for name in element.order:
                 length = 1
@@ -236,10 +237,10 @@ def write_ply(
     for key, array in (attributes or {}).items():
         element, base = key.split("_", 1)
         rows[element].append((_property_names(base, array.shape[1]), array))
-    corners = np.dtype([("n", "u1"), ("corners", "<i4", (3,))])
-    tables = {element: _table(columns, corners if element == "face" else None) for element, columns in rows.items()}
-    tables["face"] = np.zeros(len(faces), tables["face"])
-    tables["vertex"] = np.zeros(len(vertices), tables["vertex"])
+    tables = {
+        "vertex": np.zeros(len(vertices), _table(rows["vertex"], [])),
+        "face": np.zeros(len(faces), _table(rows["face"], [("n", "u1"), ("corners", "<i4", (3,))])),
+    }
     tables["face"]["n"], tables["face"]["corners"] = 3, faces
     header = ["ply", "format binary_little_endian 1.0"]
     for element, table in tables.items():
@@ -259,6 +260,5 @@ def _property_names(base: str, channels: int) -> tuple[str, ...]:
     return tuple(f"{base}_{i}" for i in range(channels))
 
 
-def _table(columns: list, first: np.dtype | None) -> np.dtype:
-    fields: list = [] if first is None else [(name, first[name]) for name in first.names]
-    return np.dtype(fields + [(name, f"<{array.dtype.str[1:]}") for names, array in columns for name in names])
+def _table(columns: list[tuple[tuple[str, ...], np.ndarray]], first: list[tuple[Any, ...]]) -> np.dtype:
+    return np.dtype([*first, *((name, f"<{array.dtype.str[1:]}") for names, array in columns for name in names)])

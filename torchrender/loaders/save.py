@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -14,21 +14,18 @@ from .. import io
 from ..integrators import TYPES, Integrator
 from ..io._files import as_path
 from ..scene.declaration import CHILD_KINDS
-from ..scene.film import FILTER_PARAMETERS
+from ..scene.film import FILTER_PARAMETERS, Film
 from ..scene.mesh import Mesh
 from ..scene.plugin import Plugin
+from ..scene.scene import Scene
 from ..scene.torch_bsdf import TorchBSDF
 from .materials import identifier
 from .ply import write_ply
 
-if TYPE_CHECKING:
-    from ..scene.film import Film
-    from ..scene.scene import Scene
-
 _INDENT = "    "
 
 
-def save(scene: Scene, path: str | os.PathLike) -> None:
+def save(scene: Scene, path: str | os.PathLike[str]) -> None:
     """Write `scene` to an XML file, and ``meshes/*.ply``, ``textures/*.exr``, ``volumes/*.vol`` beside it.
 
     See `Scene.save`.
@@ -84,9 +81,9 @@ class _Writer:
         result: dict[int, dict[str, Plugin]] = {}
         names, order = [], []
         for name, sensor in self.scene._modules.items():
-            if getattr(sensor, "category", "") != "sensor":
+            if not isinstance(sensor, Plugin) or sensor.category != "sensor":
                 continue
-            shape = sensor._modules.get("shape")
+            shape = sensor._child("shape")
             stem = f"{self.ids.get(id(shape))}_"
             if shape is None or id(shape) not in self.top or not name.startswith(stem) or name == stem:
                 return {}
@@ -165,7 +162,7 @@ class _Writer:
     # -------------------------------------------------------------------------------------------------- objects
     def plugin(self, plugin: Plugin, depth: int, name: str, where: str = "") -> None:
         """An object of the scene (`where` is empty) or one that another holds under `name`."""
-        nested = {"name": name} if where else {}
+        nested: dict[str, Any] = {"name": name} if where else {}
         if id(plugin) in self.written or (where and id(plugin) in self.top):
             self.line(depth, "ref", id=self.ids[id(plugin)], **nested)
             return
@@ -255,8 +252,10 @@ class _Writer:
     def mesh(self, mesh: Mesh, depth: int, where: str) -> set[str]:
         """The mesh as a PLY file; returns the fields that are done with that."""
         path, said = self.file("meshes", where, ".ply")
-        flat = mesh.vertex_normals is None or mesh.face_normals
-        given = {} if flat or mesh.computed_normals else {"normals": mesh.vertex_normals}
+        normals, given = mesh.vertex_normals, {}
+        flat = normals is None or mesh.face_normals
+        if normals is not None and not flat and not mesh.computed_normals:
+            given["normals"] = normals
         if mesh.vertex_texcoords is not None:
             given["texcoords"] = mesh.vertex_texcoords
         arrays = {key: value.detach().cpu().numpy() for key, value in given.items()}

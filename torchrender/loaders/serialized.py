@@ -48,17 +48,15 @@ def read_serialized(path: Path, index: int = 0) -> dict[str, Any]:
     if vertices > 0xFFFFFFFF:
         raise ValueError(f"{path}: mesh {index} claims to have {vertices} vertices")
 
-    def rows(present: int, columns: int, dtype: np.dtype, count: int) -> np.ndarray | None:
-        if not present:
-            return None
+    def rows(columns: int, dtype: np.dtype, count: int) -> np.ndarray:
         data = stream.take(count * columns * dtype.itemsize)
         return np.frombuffer(data, dtype).reshape(count, columns).astype(dtype.newbyteorder("="))
 
-    positions = rows(1, 3, real, vertices)
-    normals = rows(flags & NORMALS, 3, real, vertices)
-    texcoords = rows(flags & TEXCOORDS, 2, real, vertices)
-    colours = rows(flags & COLOURS, 3, real, vertices)
-    faces = rows(1, 3, np.dtype("<u4"), triangles)
+    positions = rows(3, real, vertices)
+    normals = rows(3, real, vertices) if flags & NORMALS else None
+    texcoords = rows(2, real, vertices) if flags & TEXCOORDS else None
+    colours = rows(3, real, vertices) if flags & COLOURS else None
+    faces = rows(3, np.dtype("<u4"), triangles)
     return {
         "vertices": positions,
         "faces": faces.astype(np.int64),

@@ -32,12 +32,12 @@ _MAX_ELEMENTS = 1 << 18  # of all files; an include counts as often as it is use
 _MAX_TEXT = 1 << 20  # characters of an attribute after its parameters are replaced
 
 
-def parse(path: str | os.PathLike, *, trusted: bool = False, **params: Any) -> dict[str, Any]:
+def parse(path: str | os.PathLike[str], *, trusted: bool = False, **params: Any) -> dict[str, Any]:
     """Read a scene file.
 
     Args:
         path: an XML file in Mitsuba's scene format. File names in it are relative to its folder, or to a folder that
-            a ``<path>`` element adds.
+            a ``<path>`` element adds; those in a file that it includes also to the folder of that file.
         trusted: its file names may lead anywhere. Otherwise they stay in its folder and below (links are followed
             first), or are, or lie below, absolute paths among `params`.
         **params: values for the file's ``$name`` parameters; they win over its ``<default>`` elements.
@@ -60,7 +60,9 @@ def parse(path: str | os.PathLike, *, trusted: bool = False, **params: Any) -> d
     return reader.read(reader.content(path), str(path), path.resolve().parent)
 
 
-def parse_string(text: str, folder: str | os.PathLike = ".", *, trusted: bool = False, **params: Any) -> dict[str, Any]:
+def parse_string(
+    text: str, folder: str | os.PathLike[str] = ".", *, trusted: bool = False, **params: Any
+) -> dict[str, Any]:
     """The same for a scene given as text; `folder` is where its relative file names begin."""
     return _Reader(params, trusted).read(text.encode(), "scene text", Path(folder).resolve())
 
@@ -76,6 +78,7 @@ class _Reader:
         self.params = dict(self.given)
         self.used: set[str] = set()
         self.folders: list[Path] = []
+        self.homes: dict[str, Path] = {}  # the folder of every file that is read
         self.tags: dict[str, str] = {}
         self.places: dict[str, Element] = {}
         self.aliases: dict[str, str] = {}
@@ -92,7 +95,8 @@ class _Reader:
         given = [Path(text) for text in self.given.values() if len(text) < 4096 and os.path.isabs(text)]
         self.roots = [folder, *(path.resolve() for path in given)]
         root = self.tree(content, name)
-        self.expand(root, folder, [name])
+        self.homes[name] = folder
+        self.expand(root, [name])
         unused = sorted(set(self.given) - self.used)
         if unused:
             raise ValueError(f"{name}: the scene has no parameter ${unused[0]}; {nearest(unused[0], self.params)}")
@@ -117,7 +121,7 @@ class _Reader:
 
     # Parameters, <include>, <path> and <default> are dealt with in document order, before anything is built.
 
-    def expand(self, element: Element, folder: Path, files: list[str]) -> None:
+    def expand(self, element: Element, files: list[str]) -> None:
         for name, text in element.attributes.items():
             element.attributes[name] = self.substitute(element, text)
         kept = []
@@ -127,16 +131,16 @@ class _Reader:
             if child.tag == "default":
                 self.default(child)
             elif child.tag == "path":
-                self.path(child, folder)
+                self.path(child)
             elif child.tag == "include":
-                kept += self.include(child, folder, files)
+                kept += self.include(child, files)
             else:
-                self.expand(child, folder, files)
+                self.expand(child, files)
                 kept.append(child)
         element.children = kept
 
     def substitute(self, element: Element, text: str) -> str:
-        def replace(match: re.Match) -> str:
+        def replace(match: re.Match[str]) -> str:
             word = match[1]
             # As in "$resolutionx2", a name may be followed by letters: the longest known one counts.
             for end in range(len(word), 0, -1):
@@ -167,42 +171,47 @@ class _Reader:
         self.used.add(name)
         self.params.setdefault(name, self.substitute(element, element.attributes["value"]))
 
-    def path(self, element: Element, folder: Path) -> None:
+    def path(self, element: Element) -> None:
         values.check_attributes(element, ("value",))
-        added = folder / self.substitute(element, element.attributes["value"])
-        self.confine(element, added)
-        if not added.is_dir():
-            raise element.error(f"no such folder: {added}", FileNotFoundError)
-        self.folders.insert(0, added)
+        name = self.substitute(element, element.attributes["value"])
+        self.folders.insert(0, self.find(element, name, self.beside_first(element), "folder"))
 
-    def include(self, element: Element, folder: Path, files: list[str]) -> list[Element]:
+    def include(self, element: Element, files: list[str]) -> list[Element]:
         values.check_attributes(element, ("filename",))
         values.no_children(element)
         name = self.substitute(element, element.attributes["filename"])
-        path = self.find(element, name, folder)
+        path = self.find(element, name, self.beside_first(element))
         if len(files) >= _MAX_INCLUDES or str(path) in files:
             raise element.error(f"{name!r} includes itself, or files include each other too deeply")
         root = self.tree(self.content(path), str(path))
-        self.expand(root, path.parent, [*files, str(path)])
+        self.homes[str(path)] = path.parent
+        self.expand(root, [*files, str(path)])
         return root.children if root.tag == "scene" else [root]
 
-    def find(self, element: Element, name: str, folder: Path | None = None) -> Path:
-        """A file by its name, seen from the folders in question."""
-        folders = ([folder] if folder is not None else []) + self.folders
+    def beside_first(self, element: Element) -> list[Path]:
+        """Where what directs reading is looked for: beside the file that it stands in, then where all files are."""
+        return [self.homes[element.file], *self.folders]
+
+    def find_beside_last(self, element: Element, name: str) -> Path:
+        """A file that an object names: in added folders, beside the scene's file, beside the file that it stands in."""
+        return self.find(element, name, [*self.folders, self.homes[element.file]])
+
+    def find(self, element: Element, name: str, folders: list[Path], kind: str = "file") -> Path:
+        """A file or folder by its name, seen from the first of `folders` that has it."""
         if "\0" in name or len(name) > 4096:
             raise element.error("expected a file name, got something that is none")
         for candidate in folders:
             try:
-                found = (candidate / name).is_file()
+                found = (candidate / name).is_dir() if kind == "folder" else (candidate / name).is_file()
             except OSError:  # a part of the name is too long, a loop of links
                 found = False
             if found:
                 return self.confine(element, candidate / name)
         searched = ", ".join(dict.fromkeys(str(candidate) for candidate in folders))
-        raise element.error(f"no such file: {name!r}; searched in {searched}", FileNotFoundError)
+        raise element.error(f"no such {kind}: {name!r}; searched in {searched}", FileNotFoundError)
 
     def confine(self, element: Element, path: Path) -> Path:
-        """`path`, absolute and without links, if the scene may use what is there."""
+        """`path`, absolute and without links, if the scene may use the file there."""
         resolved = path.resolve()
         if not self.trusted and not any(resolved.is_relative_to(root) for root in self.roots):
             raise element.error(
@@ -218,7 +227,7 @@ class _Reader:
             name = child.attributes.get("id")
             if child.tag == "alias":
                 values.check_attributes(child, ("id", "as"))
-                self.aliases[child.attributes["as"]] = name
+                self.aliases[child.attributes["as"]] = child.attributes["id"]
             elif name is not None and child.tag != "ref":
                 if name in self.places:
                     raise child.error(f"the id {name!r} was given before, in line {self.places[name].line}")
@@ -287,11 +296,11 @@ class _Reader:
             return values.vector(element)
         if tag == "spectrum" and "filename" in element.attributes:
             values.check_attributes(element, ("name", "filename"))
-            return {"type": "spectrum", "filename": str(self.find(element, element.attributes["filename"]))}
+            return {"type": "spectrum", "filename": str(self.find_beside_last(element, element.attributes["filename"]))}
         values.check_attributes(element, ("name", "value"))
         if tag == "string":
             text = element.attributes["value"]
-            return str(self.find(element, text)) if element.attributes["name"] == "filename" else text
+            return str(self.find_beside_last(element, text)) if element.attributes["name"] == "filename" else text
         return _SIMPLE[tag](element)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import torch
@@ -52,7 +53,7 @@ def numbers(element: Element, attribute: str, counts: tuple[int, ...]) -> list[f
 
 
 def integer(element: Element) -> int:
-    """``<integer value="...">``"""
+    """The value of ``<integer value="...">``."""
     text = element.attributes["value"]
     try:
         return int(text)
@@ -61,20 +62,20 @@ def integer(element: Element) -> int:
 
 
 def boolean(element: Element) -> bool:
-    """``<boolean value="true|false">``"""
+    """The value of ``<boolean value="true|false">``."""
     text = element.attributes["value"].strip().lower()
     if text not in ("true", "false"):
         raise element.error(f"value: expected 'true' or 'false', got {element.attributes['value']!r}")
     return text == "true"
 
 
-def colour(element: Element) -> dict:
+def colour(element: Element) -> dict[str, Any]:
     """``<rgb value="r, g, b">``, one number for grey; as a load_dict colour."""
     values = numbers(element, "value", (1, 3))
     return {"type": "rgb", "value": values * 3 if len(values) == 1 else values}
 
 
-def srgb_colour(element: Element) -> dict:
+def srgb_colour(element: Element) -> dict[str, Any]:
     """``<srgb value="r, g, b">`` or ``"#rrggbb"`` of old files: sRGB-encoded, returned linear."""
     text = element.attributes["value"].strip()
     if text.startswith("#") and len(text) == 7:
@@ -88,7 +89,7 @@ def srgb_colour(element: Element) -> dict:
     return {"type": "rgb", "value": linear * 3 if len(linear) == 1 else linear}
 
 
-def spectrum(element: Element) -> dict:
+def spectrum(element: Element) -> dict[str, Any]:
     """``<spectrum value="0.5">`` or ``"400:0.1, 700:0.9"`` (wavelength in nm : value); as a load_dict spectrum."""
     text = element.attributes["value"]
     if ":" not in text:
@@ -113,7 +114,7 @@ def vector(element: Element, default: float | None = None) -> list[float]:
     missing = [axis for axis in "xyz" if axis not in given]
     if missing and (default is None or len(missing) == 3):
         raise element.error(f"the attribute {missing[0]!r} is missing")
-    return [number(element, axis) if axis in given else float(default) for axis in "xyz"]
+    return [number(element, axis) if axis in given else float(default or 0.0) for axis in "xyz"]
 
 
 def transform(element: Element) -> np.ndarray:

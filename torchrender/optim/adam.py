@@ -84,7 +84,7 @@ class _Adam(torch.optim.Optimizer):
             spread = spread.max()
         change = corrected / (spread + group["eps"])
         if masked:
-            change = torch.where(seen, change, torch.zeros_like(change))
+            change = torch.where(gradient != 0, change, torch.zeros_like(change))
         parameter.sub_(change * group["lr"])
 
 

@@ -27,7 +27,7 @@ def _checked_lambda(value: float) -> float:
 
 
 def _dct(x: torch.Tensor) -> torch.Tensor:
-    """The discrete cosine transform of type II along the last axis, unnormalised, by one real FFT of that length.
+    """The discrete cosine transform of type II along the last axis, unnormalised, by one real FFT of equal length.
 
     J. Makhoul, "A Fast Cosine Transform in One and Two Dimensions", IEEE Trans. ASSP 28(1), 1980: even entries
     forwards, odd ones backwards, and a rotation of what the FFT makes of them.

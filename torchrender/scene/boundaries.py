@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
 
 import torch
 
+from ..errors import depth_outside
 from .context import Context
-from .derivatives import depth_outside
 from .mesh import Mesh
-from .plugin import Plugin, check_range
-
-if TYPE_CHECKING:
-    from .packing import Layout
-    from .scene import Scene
+from .packing import Layout
+from .plugin import Plugin
+from .scene import Scene
+from .validation import check_range
 
 # Odd constants of 64 bits with irregular digits, as signed numbers.
 _ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8796714831421723037)
@@ -26,7 +24,7 @@ def check_phases(layout: Layout, tensors: list[torch.Tensor]) -> None:
     Objects check theirs when they are made; this is about edits in place and substitutes. (The core looks at volumes.)
     """
     for slot, tensor in zip(layout.slots, tensors, strict=True):
-        if slot.kind == "float" and getattr(slot.module, "category", "") == "phase":
+        if slot.kind == "float" and slot.module.category == "phase":
             check_range(tensor.detach(), slot.module.fields()[slot.attribute], Context(path=(slot.name,)), True)
 
 

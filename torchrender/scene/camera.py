@@ -347,8 +347,8 @@ class PerspectiveCamera(ProjectiveCamera):
         """
         size, at = (self.film.height, self.film.width), self.positions(positions)
         if self.distortion is None:
-            return perspective_rays(*self.values_of(*LENS), size, at)
-        return distorted_rays(*self.values_of(*LENS, "distortion"), size, at)
+            return perspective_rays(*self.values_of(*LENS), size=size, positions=at)
+        return distorted_rays(*self.values_of(*LENS, "distortion"), size=size, positions=at)
 
 
 def coefficients(value: Any, lengths: tuple[int, ...], length: int, names: str, ctx: Context) -> torch.Tensor:
@@ -356,8 +356,8 @@ def coefficients(value: Any, lengths: tuple[int, ...], length: int, names: str, 
     given = values.numbers(value, ctx) if isinstance(value, str) else value
     tensor = values.floating(given, ctx)
     if tensor.ndim != 1 or len(tensor) not in lengths:
-        counts = " or ".join([", ".join(str(n) for n in lengths[:-1]), str(lengths[-1])] if len(lengths) > 1 else
-                             [str(lengths[0])])  # fmt: skip
+        *some, last = map(str, lengths)
+        counts = " or ".join([", ".join(some), last] if some else [last])
         ctx.error(f"expected {counts} coefficients ({names}), got {describe(value)}")
     if len(tensor) == length:
         return tensor.contiguous()
@@ -390,6 +390,7 @@ def _size(size: Any, ctx: Context) -> tuple[int, int]:
 
 
 def film_of(size: Any, filter: str | ReconstructionFilter) -> Film:
+    """A film of the size (H, W) with this reconstruction filter."""
     height, width = _size(size, Context(path=("PerspectiveCamera",)))
     return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
 

@@ -7,12 +7,17 @@ image and +y up; its matrix takes them to the world.
 from __future__ import annotations
 
 import math
-from collections import namedtuple
+from typing import NamedTuple
 
 import torch
 
-Rays = namedtuple("Rays", "origins directions tmax")
-Rays.__doc__ = """Camera rays: `origins`, unit `directions` (N, 3), world space, and how far they reach, `tmax` (N,)."""
+
+class Rays(NamedTuple):
+    """Camera rays: `origins`, unit `directions` (N, 3), world space, and how far they reach, `tmax` (N,)."""
+
+    origins: torch.Tensor
+    directions: torch.Tensor
+    tmax: torch.Tensor
 
 
 def perspective_rays(
@@ -70,8 +75,9 @@ def distort(k: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Te
 
 
 def undistort(k: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """The inverse of `distort` by Newton's method, attached to its arguments by two more steps of it: the first makes
-    first derivatives right, which is the implicit function theorem, the second those up to the third.
+    """The inverse of `distort` by Newton's method, attached to its arguments by two more steps of it.
+
+    The first makes first derivatives right, which is the implicit function theorem, the second those up to the third.
 
     Returns:
         x and y, 0 where there is no such point, and whether there is.

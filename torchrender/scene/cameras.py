@@ -72,7 +72,7 @@ class ThinLensCamera(ProjectiveCamera):
         """
         size, at = (self.film.height, self.film.width), self.positions(positions)
         parameters = self.values_of(*LENS, "aperture_radius", "focus_distance")
-        return thinlens_rays(*parameters, size, at, self.on_lens(lens, len(at)))
+        return thinlens_rays(*parameters, size=size, positions=at, lens=self.on_lens(lens, len(at)))
 
 
 @register
@@ -120,7 +120,9 @@ class OrthographicCamera(Camera):
     def rays(self, positions: Any = None) -> Rays:
         """The rays of positions on the film, differentiable in `to_world`; see `PerspectiveCamera.rays`."""
         size = (self.film.height, self.film.width)
-        return orthographic_rays(*self.values_of("to_world", "near_clip", "far_clip"), size, self.positions(positions))
+        return orthographic_rays(
+            *self.values_of("to_world", "near_clip", "far_clip"), size=size, positions=self.positions(positions)
+        )
 
 
 @register
@@ -169,7 +171,7 @@ class FisheyeCamera(LensCamera):
     def rays(self, positions: Any = None) -> Rays:
         """The rays of positions on the film, differentiable in pose and lens; see `PerspectiveCamera.rays`."""
         size, at = (self.film.height, self.film.width), self.positions(positions)
-        return fisheye_rays(*self.values_of(*LENS, "distortion", "max_angle"), size, at)
+        return fisheye_rays(*self.values_of(*LENS, "distortion", "max_angle"), size=size, positions=at)
 
 
 @register
@@ -207,4 +209,6 @@ class PanoramaCamera(Camera):
     def rays(self, positions: Any = None) -> Rays:
         """The rays of positions on the film, differentiable in `to_world`; see `PerspectiveCamera.rays`."""
         size = (self.film.height, self.film.width)
-        return panorama_rays(*self.values_of("to_world", "near_clip", "far_clip"), size, self.positions(positions))
+        return panorama_rays(
+            *self.values_of("to_world", "near_clip", "far_clip"), size=size, positions=self.positions(positions)
+        )

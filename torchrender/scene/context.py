@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 
 import torch
 
-# Rec. 709 luminance: what makes one channel out of red, green and blue.
+# Rec. 709 luminance: what makes one channel out of red, green and blue. csrc/core/color/color.h has other digits.
 LUMINANCE = (0.212671, 0.715160, 0.072169)
 
 

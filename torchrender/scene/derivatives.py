@@ -1,4 +1,4 @@
-"""Which derivatives a parameter has, read from the native declaration, and what is said when one is asked for.
+"""Which derivatives a parameter has, read from the native declaration; for all models that is docs/derivatives.md.
 
 The declaration says for each field ``"interior"`` (complete), ``"interior, without X; zero where Y"`` (the term X is
 missing; the words after the semicolon say when it is zero) or ``"none: reason"``.
@@ -7,30 +7,22 @@ missing; the words after the semicolon say when it is zero) or ``"none: reason"`
 from __future__ import annotations
 
 import re
-import sys
-import warnings
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import MissingTermWarning, NotDifferentiableError
+from .declaration import TENSOR_KINDS, models
+from .registry import plugin_class
 
 if TYPE_CHECKING:
-    from .packing import Layout, Slot
+    from .packing import Slot
 
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
-COVERAGE = "outputs: alpha"  # among the names that were warned about
 ZERO = "zero where no such edge is in view"
 MOVING = "VolumetricPathTracer has none with respect to what moves surfaces, rays or texture coordinates"
 
 TURNED = "a normal begins to hide from the viewer"  # in the declarations of what turns normals
-
-STEADY = (
-    "the particle tracer moves light over the film, whose box filter has no derivative; "
-    "give the film another one, such as 'gaussian' or 'tent'"
-)
 
 
 @dataclass(frozen=True)
@@ -61,75 +53,6 @@ def describe_derivative(refusal: str, caveat: str) -> str:
     return "forward, reverse" + (f", without {caveat.partition(':')[0]}" if caveat else "")
 
 
-@dataclass
-class Wanted:
-    """Derivatives asked for in one rendering: refused where there are none, warned about once where a term is missing.
-
-    Attributes:
-        layout: of the packed scene.
-        warned: names that were warned about in this scene before; grows.
-        alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
-        volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
-        steady: the image is splatted by light paths with a filter that has no derivative.
-    """
-
-    layout: Layout
-    warned: set[str]
-    alpha: bool = False
-    volumetric: bool = False
-    steady: bool = False
-
-    def check(self, indices: Iterable[int]) -> None:
-        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
-
-        Objects that no image depends on, such as a material that no shape has, are warned about too.
-        """
-        lacking: dict[str, list[str]] = {}
-        unused: list[str] = []
-        asked = list(indices)
-        for i in asked:
-            slot = self.layout.slots[i]
-            if id(slot.module) not in self.layout.used and slot.name not in self.warned:
-                unused.append(slot.name)
-            refusal = refusal_of(slot, self.volumetric)
-            if self.steady and not refusal and moves_rays(slot):
-                refusal = STEADY
-            if refusal:
-                refuse(slot.name, refusal)
-            if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
-                lacking.setdefault(slot.caveat, []).append(slot.name)
-        if unused:
-            self.warned.update(unused)
-            text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
-            warnings.warn(text, UserWarning, stacklevel=depth_outside())
-        clauses = []
-        if lacking:
-            self.warned.update(*lacking.values())
-            for caveat, names in lacking.items():
-                missing, _, zero = caveat.partition(": ")
-                clauses.append(
-                    f"the derivative with respect to {_listing(names)} is without {missing}, which is {zero}"
-                )
-        if self.alpha and COVERAGE not in self.warned and any(self._moves(i) for i in asked):
-            self.warned.add(COVERAGE)
-            clauses.append("alpha carries no derivative: that of coverage consists of moving silhouettes alone")
-        if clauses:
-            warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=depth_outside())
-
-    def _moves(self, index: int) -> bool:
-        """Whether this parameter moves outlines in the image."""
-        slot = self.layout.slots[index]
-        shading = ("vertex_normals", "vertex_texcoords")
-        return getattr(slot.module, "category", "") in ("shape", "sensor") and slot.attribute not in shading
-
-    def _source(self, index: int) -> int | None:
-        """For computed normals the positions that they follow: whoever asks for those has not asked for these."""
-        slot = self.layout.slots[index]
-        if slot.attribute == "vertex_normals" and slot.module in self.layout.smooth_meshes:
-            return self.layout.slot_of[id(slot.module), "vertex_positions"]
-        return None
-
-
 def refusal_of(slot: Slot, volumetric: bool) -> str:
     """Why there is no derivative with respect to a parameter, or an empty string."""
     return slot.refusal or (MOVING if volumetric and moves_rays(slot) else "")
@@ -137,7 +60,7 @@ def refusal_of(slot: Slot, volumetric: bool) -> str:
 
 def moves_rays(slot: Slot) -> bool:
     """Whether rays, their hits, or where on a surface or map something is looked up depend on a parameter."""
-    category = getattr(slot.module, "category", "")
+    category = slot.module.category
     if category == "shape":
         return slot.attribute in slot.module.fields()  # other tensors of a mesh are colours
     if category == "sensor" or slot.kind == "transform2":
@@ -148,27 +71,7 @@ def moves_rays(slot: Slot) -> bool:
         return slot.kind in ("transform", "point")
     if TURNED in slot.caveat:  # a texture that turns normals, and with them what is reflected and refracted
         return True
-    return getattr(slot.module, "type", "") == "mesh_attribute"
-
-
-def _listing(names: list[str], most: int = 6) -> str:
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
-
-
-def depth_outside() -> int:
-    """The `stacklevel` that makes a warning of the caller point at the first line outside of this package."""
-    frame, depth = sys._getframe(1), 1
-    while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("torchrender.", "torch.")):
-        frame, depth = frame.f_back, depth + 1
-    return depth
-
-
-def refuse(name: str, reason: str) -> None:
-    """NotDifferentiableError for a parameter of this name."""
-    raise NotDifferentiableError(
-        f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
-        "switch its requires_grad off"
-    )
+    return slot.module.type == "mesh_attribute"
 
 
 PAGE = """# Which derivatives there are
@@ -204,9 +107,6 @@ its surface. A beam (`directionalarea`) moves and turns with its surface."""
 
 def page() -> str:
     """The page docs/derivatives.md: a table of all continuous parameters of all models."""
-    from .declaration import TENSOR_KINDS, models
-    from .registry import plugin_class
-
     parts = [PAGE]
     category = ""
     for (group, kind), model in models().items():

@@ -8,9 +8,10 @@ import torch
 
 from . import values
 from .camera import check_rigid, take_fov
+from .construction import check_names, child_of
 from .context import Context
 from .declaration import Field
-from .plugin import Plugin, child_of
+from .plugin import Plugin
 from .registry import register
 from .textures import load_texels
 
@@ -36,7 +37,7 @@ class EnvironmentMap(Plugin):
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         if values.boolean(properties.pop("mis_compensation", False), ctx.at("mis_compensation")):
             ctx.error("envmap: mis_compensation=True is not supported by this version")
-        self._check_names({k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
+        check_names(self, {k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
         texels = load_texels(properties, ctx, raw=False)
         return {**properties, "data": texels}
 
@@ -159,7 +160,7 @@ class SpotLight(Plugin):
 
     def derivative_of(self, field: Field) -> str:
         if field.name in ("cutoff_angle", "beam_width") and bool((self.beam_width < self.cutoff_angle).detach()):
-            return "interior"  # the cone fades out: its edge is none
+            return "interior"  # the intensity falls to zero continuously: the cone has no edge
         return super().derivative_of(field)
 
 

@@ -1,9 +1,8 @@
-"""This call's tensors, one for each slot of a packed scene."""
+"""The tensors of one call, one for each slot of a packed scene."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
@@ -11,10 +10,8 @@ from torch import nn
 from ..errors import describe, nearest
 from .packing import Layout
 from .plugin import Plugin
+from .scene import Scene
 from .values import has_tangent
-
-if TYPE_CHECKING:
-    from .scene import Scene
 
 
 def gather(
@@ -77,20 +74,25 @@ def has_derivative(tensor: torch.Tensor) -> bool:
     return (tensor.requires_grad and torch.is_grad_enabled()) or has_tangent(tensor)
 
 
-def substitute(
-    scene: Scene, layout: Layout, tensors: list[torch.Tensor], camera: Plugin, stand_in: Plugin
+def replace_placeholder(
+    scene: Scene, layout: Layout, tensors: list[torch.Tensor], placeholder: Plugin, camera: Plugin
 ) -> list[torch.Tensor]:
-    """`tensors` with those of a `camera` that is no part of the scene, in the place of its `stand_in`."""
+    """`tensors` with those of a `camera` that is no part of the scene, in the place of its `placeholder`."""
     changed = list(tensors)
-    for attribute, index in layout.camera_slots(stand_in).items():
+    for attribute, index in layout.camera_slots(placeholder).items():
         changed[index] = _dense(scene, f"camera.{attribute}", getattr(camera, attribute))
     return changed
 
 
-def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
+def check_device(scene: Scene, name: str, tensor: torch.Tensor) -> None:
+    """ValueError if the core cannot read the tensor's memory."""
     if tensor.device.type != "cpu":
         where = "" if tensor.device == scene.device else f", but the scene on {scene.device}"
         raise ValueError(f"{name}: lies on {tensor.device}{where}; this version renders on the CPU: use .to('cpu')")
+
+
+def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
+    check_device(scene, name, tensor)
     if tensor.dtype != scene.dtype:
         tensor = tensor.to(scene.dtype)
     return tensor if tensor.is_contiguous() else tensor.contiguous()

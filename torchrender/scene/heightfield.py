@@ -10,8 +10,8 @@ from ..errors import describe
 from ..heightfield import INTERPOLATIONS
 from . import values
 from .context import Context
+from .conversion import ENUMERATIONS
 from .declaration import Field
-from .plugin import ENUMERATIONS
 from .registry import register
 from .shapes import Shape
 from .textures import load_texels
@@ -68,7 +68,7 @@ class HeightField(Shape):
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
-        if self._modules.get("emitter") is not None:
+        if self._child("emitter") is not None:
             ctx.at("emitter").error("a height field cannot emit; tr.heightfield.mesh makes a mesh of it, which can")
 
     def bounds(self) -> torch.Tensor:

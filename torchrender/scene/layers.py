@@ -31,7 +31,7 @@ class _Layer(Plugin):
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
         names = self.required()
-        given = [name for name in names if self._modules.get(name) is not None]
+        given = [name for name in names if self._child(name) is not None]
         waiting = [name for name, _ in self._references if name is None or name in names]
         if len(given) + len(waiting) < len(names):
             ctx.error(f"{self.type}: a nested BSDF is missing")
@@ -60,7 +60,7 @@ class TwoSided(_Layer):
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         for name in ("brdf_0", "brdf_1"):
-            child = self._modules.get(name)
+            child = self._child(name)
             for inner in _inside(child) if child is not None else []:
                 clear = inner._modules.get("spec_trans") is not None
                 if inner.type in TRANSMITTING or inner.type == "twosided" or clear:
@@ -91,7 +91,7 @@ class Mask(_Layer):
 
     Args:
         opacity: 0, nothing is there, to 1 (texture), default 0.5. Beyond that it counts as 0 or 1.
-        nested_bsdf: what is there, under any name.
+        nested_bsdf: the BSDF of the surface between the holes, under any name.
     """
 
     type = "mask"
@@ -109,7 +109,7 @@ class _Turning(_Layer):
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
-        child = self._modules.get("nested_bsdf")
+        child = self._child("nested_bsdf")
         for inner in _inside(child) if child is not None else []:
             if inner.type in ("normalmap", "bumpmap", "twosided"):
                 ctx.at("nested_bsdf").error(f"a {inner.type} stands around a {self.type}, not inside of it")

@@ -164,7 +164,7 @@ class RoughDielectric(Dielectric):
 
     def __new__(cls, **properties: Any) -> RoughDielectric:
         made = AnisotropicDielectric if cls is RoughDielectric and properties.keys() & {*DIRECTIONS} else cls
-        return super().__new__(made)
+        return object.__new__(made)
 
     @classmethod
     def parameter_names(cls) -> list[str]:
@@ -252,7 +252,7 @@ class RoughConductor(Conductor):
 
     def __new__(cls, **properties: Any) -> RoughConductor:
         made = AnisotropicConductor if cls is RoughConductor and properties.keys() & {*DIRECTIONS} else cls
-        return super().__new__(made)
+        return object.__new__(made)
 
     @classmethod
     def parameter_names(cls) -> list[str]:

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any, ClassVar
 
 from ..errors import nearest
-from . import values
 from .context import Context, Reference
-from .plugin import Plugin, child_of
-from .registry import plugin_class, register, scene_types
+from .plugin import Plugin
+from .registry import build, plugin_class, register, scene_types
+from .spectra import is_spectrum
 
 VOLUMES = ("sigma_t", "albedo", "emission")
 
@@ -31,11 +31,10 @@ class Medium(Plugin):
 
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
-        waiting = {name for name, _ in self._references}
         for name in ("sigma_t", "albedo"):
-            if self._modules.get(name) is None and name not in waiting:
-                self._modules[name] = child_of(self.fields()[name].default, "volume", ctx.at(name))
-        if self._modules.get("phase_function") is None and not waiting & {None, "phase_function"}:
+            if self._child(name) is None and not self._waits_for(name):
+                self._modules[name] = build({"type": "constvolume", "value": self.fields()[name].default}, ctx.at(name))
+        if self._child("phase_function") is None and not self._waits_for(None, "phase_function"):
             self._modules["phase_function"] = plugin_class("phase", "isotropic")(_context=ctx.at("phase_function"))
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
@@ -59,7 +58,7 @@ class Medium(Plugin):
 def _may_be_phase(value: Any) -> bool:
     if isinstance(value, Plugin):
         return value.category == "phase"
-    if isinstance(value, Mapping) and "type" in value and not values.is_spectrum(value):
+    if isinstance(value, Mapping) and "type" in value and not is_spectrum(value):
         return scene_types().get(value["type"], "phase") in ("phase",) or value["type"] == "ref"
     return isinstance(value, Reference)
 
@@ -80,7 +79,7 @@ class HomogeneousMedium(Medium):
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
-        extinction = self._modules.get("sigma_t")
+        extinction = self._child("sigma_t")
         if extinction is not None and extinction.type != "constvolume":
             ctx.at("sigma_t").error(
                 f"the extinction of a homogeneous medium is a number or a colour, got a {extinction.type}; "

@@ -1,21 +1,23 @@
-"""Triangle meshes: from arrays, from files, and the cube."""
+"""Triangle meshes from arrays, and the cube."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 from torch import nn
 
 from .. import backends
 from ..errors import describe, nearest
 from . import values
+from .construction import install_tensor
 from .context import Context
 from .declaration import Field
-from .plugin import Plugin, structure_changed
-from .registry import accepted_names, builder, register
+from .plugin import Plugin
+from .registry import builder, register
 from .shapes import SILHOUETTE, Shape
+from .structure import structure_changed
 
 
 @register
@@ -140,7 +142,7 @@ class Mesh(Shape):
             ctx.error(f"expected an array of shape ({rows}, 1) or ({rows}, 3), got {describe(data)}")
         if not bool(torch.isfinite(tensor.detach()).all()):
             ctx.error("has values that are not finite")
-        self._install_tensor(name, data, values.to_channels(tensor, ctx))
+        install_tensor(self, name, data, values.to_channels(tensor, ctx))
         if name not in self.attribute_names:
             self.attribute_names.append(name)
 
@@ -180,9 +182,12 @@ class Mesh(Shape):
         super().__setattr__(name, value)
         if name == "vertex_normals" and self.__dict__.get("_built", False):
             self.__dict__["computed_normals"] = False
-        elif name == "vertex_positions" and self.__dict__.get("computed_normals", False):
-            if self.vertex_normals.shape != self.vertex_positions.shape:
-                self.refresh_normals()
+        elif (
+            name == "vertex_positions"
+            and self.__dict__.get("computed_normals", False)
+            and self.vertex_normals.shape != self.vertex_positions.shape
+        ):
+            self.refresh_normals()
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         computed = self.computed_normals
@@ -195,7 +200,7 @@ class Mesh(Shape):
         return super().derivative_of(field)
 
     def _bsdf_types(self) -> list[str]:
-        bsdf = self._modules.get("bsdf")
+        bsdf = self._child("bsdf")
         return [m.type for m in bsdf.modules() if isinstance(m, Plugin) and m.category == "bsdf"] if bsdf else []
 
     def normals_from_positions(self, positions: torch.Tensor) -> torch.Tensor:
@@ -206,7 +211,7 @@ class Mesh(Shape):
         """Shade smooth, with normals that are computed from the positions and follow them from now on."""
         positions = self.vertex_positions.detach()
         normals = _native_normals(positions, self.faces)  # as after an edit: the same bits
-        self._install_tensor("vertex_normals", None, normals)
+        install_tensor(self, "vertex_normals", None, normals)
         self.__dict__["computed_normals"] = True
         self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), normals.clone())
         structure_changed()
@@ -274,10 +279,8 @@ def faces_of(value: Any, n_vertices: int, ctx: Context) -> torch.Tensor:
 
 
 def _integers(value: Any) -> Any:
-    import numpy
-
-    array = numpy.asarray(value)
-    return array.astype("int64") if array.dtype.kind in "iu" else numpy.array(array)
+    array = np.asarray(value)
+    return array.astype("int64") if array.dtype.kind in "iu" else np.array(array)
 
 
 def vertex_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
@@ -359,58 +362,3 @@ class Cube(Mesh):
 @builder("cube", "shape", (*Cube.parameter_names(), *SILHOUETTE))
 def _cube(properties: dict[str, Any], ctx: Context) -> Plugin:
     return Cube(**properties, _context=ctx)
-
-
-FILE_NAMES = ("filename", "face_normals", "flip_tex_coords", "flip_normals", "to_world", "bsdf", "emitter")
-FILE_NAMES += ("interior", "exterior", *SILHOUETTE)
-
-
-def _mesh_from_file(kind: str, properties: dict[str, Any], ctx: Context) -> Plugin:
-    from ..loaders import geometry
-
-    for name, value in properties.items():
-        nested = isinstance(value, Plugin) or (isinstance(value, Mapping) and "type" in value)
-        if name not in accepted_names(kind) and not nested:
-            ctx.error(f"{kind} has no parameter {name!r}; {nearest(name, accepted_names(kind))}")
-    if "filename" not in properties:
-        ctx.error(f"{kind}: 'filename' is missing")
-    path = ctx.at("filename").file(properties.pop("filename"))
-    face_normals = values.boolean(properties.get("face_normals", False), ctx.at("face_normals"))
-    flip = properties.pop("flip_tex_coords", kind == "obj")
-    flip = values.boolean(flip, ctx.at("flip_tex_coords"))
-    index = values.integer(properties.pop("shape_index", 0), ctx.at("shape_index"), 0)
-    with ctx.at("filename").located():
-        if path.suffix.lower() != f".{kind}":
-            raise ValueError(f"{path}: a shape of type {kind} is a file that ends in .{kind}")
-        loaded = geometry.load_mesh(path, face_normals=face_normals, flip_tex_coords=flip, shape_index=index)
-    if loaded.get("face_normals"):
-        properties["face_normals"] = face_normals = True
-    vertices = values.floating(loaded["vertices"], ctx.at("filename"))
-    mesh = Mesh(
-        vertices=vertices,
-        faces=loaded["faces"],
-        vertex_normals=None if face_normals else loaded.get("vertex_normals"),
-        vertex_texcoords=loaded.get("vertex_texcoords"),
-        attributes=loaded.get("attributes"),
-        _context=ctx,
-        **properties,
-    )
-    if loaded.get("vertex_normals") is None and not face_normals:
-        # A file without normals is shaded smooth, with normals that follow the positions from now on.
-        mesh.compute_normals()
-    return mesh
-
-
-@builder("ply", "shape", FILE_NAMES)
-def _ply(properties: dict[str, Any], ctx: Context) -> Plugin:
-    return _mesh_from_file("ply", properties, ctx)
-
-
-@builder("obj", "shape", FILE_NAMES)
-def _obj(properties: dict[str, Any], ctx: Context) -> Plugin:
-    return _mesh_from_file("obj", properties, ctx)
-
-
-@builder("serialized", "shape", (*(n for n in FILE_NAMES if n != "flip_tex_coords"), "shape_index"))
-def _serialized(properties: dict[str, Any], ctx: Context) -> Plugin:
-    return _mesh_from_file("serialized", properties, ctx)

@@ -37,11 +37,12 @@ class NativeScene:
         self.shapes = shapes
         self.channels = 1 if color == "mono" else 3
         self.lock = threading.Lock()
-        self.handle = backends.ready().Scene(color=color, dtype=str(dtype).removeprefix("torch."))
+        self.core = backends.ready(dtype)
+        self.handle = self.core.Scene(color=color, dtype=str(dtype).removeprefix("torch."))
         self.names = [slot.name for slot in layout.slots]
         self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
         indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
-        if previous is None or previous.dtype != dtype or previous.channels != self.channels:
+        if previous is None or previous.core is not self.core or previous.channels != self.channels:
             self.builds = 1
             self.handle.build(layout.objects, shapes, indices)
             return

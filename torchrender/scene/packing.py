@@ -28,15 +28,15 @@ if TYPE_CHECKING:
 
 # Kinds of objects whose parameters have the derivatives that the field has in which the object sits.
 LIMITING = ("spectrum", "texture", "volume")
-# What a BSDF that is written in PyTorch is to the core, which has rays meet its surface and never evaluates it.
-STAND_IN: tuple[str, list[int]] = ("diffuse", [-1])
+# What the core has in the place of a BSDF that is written in PyTorch: rays meet its surface, and it is never evaluated.
+PLACEHOLDER: tuple[str, list[int]] = ("diffuse", [-1])
 
 
 @dataclass
 class Slot:
     """One parameter of the flat list."""
 
-    module: nn.Module
+    module: Plugin
     attribute: str
     name: str
     kind: str
@@ -109,7 +109,7 @@ class _Packer:
         self.layout = Layout(objects={category: [] for category, _ in models()})
         self.index: dict[int, int] = {}  # id of a module -> its row
 
-    def slot(self, module: nn.Module, attribute: str, name: str, kind: str, limits: Limits) -> int:
+    def slot(self, module: Plugin, attribute: str, name: str, kind: str, limits: Limits) -> int:
         key = (id(module), attribute)
         found = self.layout.slot_of.get(key)
         if found is None:
@@ -136,7 +136,7 @@ class _Packer:
         rows = self.layout.objects[plugin.category]
         if isinstance(plugin, TorchBSDF):
             row = len(rows)
-            rows.append((*STAND_IN, name))
+            rows.append((*PLACEHOLDER, name))
             self.layout.torch_bsdfs[row] = self.layout.torch_names[name] = plugin
             self.index[id(plugin)] = row
             return row
@@ -154,11 +154,11 @@ class _Packer:
             self.layout.torch_names[name] = plugin
         for field_name, declared in plugin.fields().items():
             own = limits.also(plugin.derivative_of(declared))
-            if plugin._leaf(declared):
+            if plugin._holds(declared):
                 if (id(plugin), field_name) in self.layout.slot_of:
                     self.slot(plugin, field_name, f"{name}.{field_name}", declared.kind, own)
             else:
-                child = plugin._modules.get(field_name)
+                child = plugin._child(field_name)
                 if isinstance(child, Plugin):
                     self.alias(child, f"{name}.{field_name}", own if declared.kind in LIMITING else limits)
 
@@ -172,13 +172,13 @@ class _Packer:
         if kind == "indices":
             self.layout.index_tensors.append(getattr(plugin, field_name))
             return len(self.layout.index_tensors) - 1
-        if kind in TENSOR_KINDS and plugin._leaf(declared):
+        if kind in TENSOR_KINDS and plugin._holds(declared):
             if isinstance(plugin, Mesh) and field_name == "vertex_normals" and plugin.face_normals:
                 return -1
             if plugin._parameters.get(field_name) is None and getattr(plugin, field_name, None) is None:
                 return -1
             return self.slot(plugin, field_name, name, kind, own)
-        child = plugin._modules.get(field_name)
+        child = plugin._child(field_name)
         if child is None:
             return -1
         if kind == "spectrum":
@@ -238,7 +238,7 @@ def _used(scene: Scene) -> set[int]:
     return found
 
 
-def pack(scene: Scene, stand_ins: Iterable[Sensor]) -> Layout:
+def pack(scene: Scene, placeholders: Iterable[Sensor]) -> Layout:
     """The layout of `scene`, with more sensors that stand for cameras that are no part of it."""
     packer = _Packer()
     lights = []
@@ -253,12 +253,12 @@ def pack(scene: Scene, stand_ins: Iterable[Sensor]) -> Layout:
         packer.alias(plugin, name, COMPLETE)
     layout = packer.layout
     layout.own_sensors = len(layout.sensors)
-    for camera in stand_ins:
+    for camera in placeholders:
         packer.add(camera, "camera")
         layout.sensors.append(camera)
-    free = {id(camera) for camera in stand_ins}
+    free = {id(camera) for camera in placeholders}
     layout.used = _used(scene) | free
     layout.media = any(isinstance(m, Medium) and id(m) in layout.used for m in scene.modules())
-    # It is no part of the scene, so nothing of it can be asked for by name.
+    # Placeholders are no part of the scene, so that their parameters have no names.
     layout.by_name = {n: i for n, i in layout.by_name.items() if id(layout.slots[i].module) not in free}
     return layout

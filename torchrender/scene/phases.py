@@ -72,7 +72,7 @@ class BlendPhase(Plugin):
 
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
-        given = [name for name in self.parts if self._modules.get(name) is not None]
+        given = [name for name in self.parts if self._child(name) is not None]
         waiting = [name for name, _ in self._references if name is None or name in self.parts]
         if len(given) + len(waiting) != len(self.parts):
             ctx.error(f"blendphase: expected two nested phase functions, got {len(given) + len(waiting)}")
@@ -85,10 +85,10 @@ class BlendPhase(Plugin):
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         for name in self.parts:
-            child = self._modules.get(name)
+            child = self._child(name)
             if child is not None and child.type == self.type:
                 ctx.at(name).error("a blendphase cannot be part of another: both parts are plain phase functions")
-        weight = self._modules.get("weight")
+        weight = self._child("weight")
         for name, tensor in weight.texels() if weight is not None else ():
             if tensor.ndim and tensor.shape[-1] != 1:
                 ctx.at("weight").at(name).error(f"expected one channel, got {tensor.shape[-1]}")

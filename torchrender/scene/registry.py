@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, TypeVar
 
 from ..errors import describe, nearest
 from .context import Context
 from .declaration import categories, models
-from .plugin import Plugin
 
-Builder = Callable[[dict[str, Any], Context], Plugin]
+if TYPE_CHECKING:  # objects are built by way of this file, so that it is imported first
+    from .plugin import Plugin
 
-_classes: dict[tuple[str, str], type[Plugin]] = {}
+Builder: TypeAlias = "Callable[[dict[str, Any], Context], Plugin]"
+PluginClass = TypeVar("PluginClass", bound="type[Plugin]")
+
+_classes: dict[tuple[str, str], type[Plugin]] = {}  # by category and native model; the base of all under ("", "")
 _builders: dict[str, tuple[str, Builder]] = {}  # scene types that are no native model: name -> (category, function)
 _builder_names: dict[str, tuple[str, ...]] = {}
 
@@ -78,10 +81,15 @@ DOCUMENTED: dict[str, tuple[str, ...]] = {
 }
 
 
-def register(cls: type[Plugin]) -> type[Plugin]:
-    """Class decorator: use this class for its category and native model."""
+def register(cls: PluginClass) -> PluginClass:
+    """Class decorator: use this class for its category and native model, as a base if it names none."""
     _classes[cls.category, cls.native or cls.type] = cls
     return cls
+
+
+def is_plugin(value: Any) -> TypeGuard[Plugin]:
+    """Whether `value` is a built object of a scene."""
+    return isinstance(value, _classes["", ""])
 
 
 def builder(kind: str, category: str, names: Iterable[str] = ()) -> Callable[[Builder], Builder]:
@@ -112,7 +120,7 @@ def plugin_class(category: str, kind: str) -> type[Plugin]:
         lines = [f"{model.doc}\n\nArgs:"] + [f"    {f.name}: {f.doc} ({f.kind})" for f in model.fields]
         found = type(
             name,
-            (Plugin,),
+            (_classes["", ""],),
             {
                 "category": category,
                 "type": kind,

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
+from ..errors import describe
 from .context import Context
 from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
 from .plugin import Plugin
@@ -41,10 +42,10 @@ class Sensor(Plugin):
         """Properties of the least sensor that is packed as this one is."""
         return {}
 
-    def stand_in(self, ctx: Context) -> Sensor:
-        """A sensor in whose place this one can be rendered."""
-        cls = plugin_class("sensor", self.type)
-        return cls(film=Film(1, 1), _context=ctx, **self.required())  # type: ignore[return-value]
+    def placeholder(self, ctx: Context) -> Sensor:
+        """A sensor that is packed as this one is: this one is rendered in its place."""
+        cls = cast("type[Sensor]", plugin_class("sensor", self.type))
+        return cls(film=Film(1, 1), _context=ctx, **self.required())
 
     def kind(self) -> tuple[str, ...]:
         """Equal for sensors that can be rendered in place of each other."""
@@ -81,5 +82,19 @@ class IrradianceMeter(Sensor):
 
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
-        if self._modules.get("shape") is None and not self._references:
+        if self._child("shape") is None and not self._references:
             ctx.error("irradiancemeter: 'shape' is missing: the surface that it lies on")
+
+
+def default_sampler(camera: Sensor) -> Sampler:
+    """Number and kind of samples when nothing is said: the camera's own, else 16 independent ones.
+
+    TypeError or ValueError for one that an edit has made wrong.
+    """
+    sampler, ctx = camera.sampler, Context(path=("sampler",))
+    if sampler is None:
+        return Sampler()
+    if not isinstance(sampler, Sampler):
+        raise TypeError(f"{ctx.where}: expected a Sampler or None, got {describe(sampler)}")
+    sampler.check(ctx)
+    return sampler

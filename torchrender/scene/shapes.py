@@ -20,8 +20,10 @@ SILHOUETTE: dict[str, tuple[Any, ...]] = {"silhouette_sampling_weight": ()}
 
 
 class Shape(Plugin):
-    """What all shapes share: a BSDF (if none is given diffuse 0.5, or 0 where it emits), possibly an area light, and
-    media on its two sides: `interior` on the one that normals point away from, `exterior` on the other.
+    """What all shapes share: a BSDF, possibly an area light, and media on both sides.
+
+    If no BSDF is given it is diffuse, of reflectance 0.5, or 0 where the shape emits. The medium `interior` is on the
+    side that normals point away from, `exterior` on the other.
     """
 
     category = "shape"
@@ -32,17 +34,17 @@ class Shape(Plugin):
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
         # Unnamed references are resolved later; if one turns out to be a BSDF it takes the place of this default.
-        if self._modules.get("bsdf") is None and not any(name in (None, "bsdf") for name, _ in self._references):
+        if self._child("bsdf") is None and not self._waits_for(None, "bsdf"):
             self._modules["bsdf"] = self._default_bsdf(ctx)
 
     def _default_bsdf(self, ctx: Context) -> Plugin:
         """Grey; black on a shape that emits, which then reflects nothing."""
-        reflectance = 0.5 if self._modules.get("emitter") is None else 0.0
+        reflectance = 0.5 if self._child("emitter") is None else 0.0
         return plugin_class("bsdf", "diffuse")(reflectance=reflectance, _context=ctx.at("bsdf"))
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
         super().resolve(lookup, ctx)
-        if self._modules.get("bsdf") is None:
+        if self._child("bsdf") is None:
             self._modules["bsdf"] = self._default_bsdf(ctx)
 
     def adopt(self, child: Plugin, ctx: Context) -> None:
@@ -52,7 +54,7 @@ class Shape(Plugin):
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
-        emitter = self._modules.get("emitter")
+        emitter = self._child("emitter")
         if emitter is not None and emitter.type not in ON_SHAPES:
             ctx.at("emitter").error(f"only {' or '.join(ON_SHAPES)} can sit on a shape, got {emitter.type!r}")
 
@@ -101,9 +103,9 @@ class Disk(Shape):
 
 @register
 class Cylinder(Shape):
-    """The side of a cylinder around the segment from `p0` to `p1`, open at both ends; `to_world` acts on it after these
-    and may turn, move and scale it, along its axis by another factor.
+    """The side of a cylinder around the segment from `p0` to `p1`, open at both ends.
 
+    `to_world` acts on it after these and may turn, move and scale it, along its axis by another factor.
     Texture coordinates are the azimuth and the place along the axis, both from 0 to 1.
 
     Args:

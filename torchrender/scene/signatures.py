@@ -1,15 +1,11 @@
-"""Signatures of the scene's classes, made from the declaration, for help, editors and type checkers.
-
-`main` writes ``torchrender/_plugins.pyi``, the types of those classes that exist only as declarations.
-"""
+"""Signatures of the scene's classes, made from the declaration, for `help`, editors and the stub file."""
 
 from __future__ import annotations
 
 import inspect
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from .declaration import CHILD_KINDS, Field
+from .declaration import Field
 
 if TYPE_CHECKING:
     from .plugin import Plugin
@@ -92,13 +88,14 @@ def signature_of(cls: type[Plugin]) -> inspect.Signature:
 
 
 def annotation_of(name: str, field: Field | None, cls: type[Plugin]) -> str:
+    """What a parameter of this name may be, in the names of `torchrender.typing`."""
     if field is None:
         return OTHERS.get(name, "Any")
     if field.kind != "int":
         return ANNOTATIONS.get(field.kind, "Any")
     if name in OTHERS:
         return OTHERS[name]
-    return type(cls._decode(name, 0)).__name__
+    return type(cls.decode(name, 0)).__name__
 
 
 def default_of(name: str, field: Field | None, cls: type[Plugin]) -> Any:
@@ -108,61 +105,7 @@ def default_of(name: str, field: Field | None, cls: type[Plugin]) -> Any:
     if name in OTHERS and field.kind != "texture":
         return None
     if field.kind == "int":
-        return cls._decode(name, int(field.default))
+        return cls.decode(name, int(field.default))
     if field.kind == "volume" and field.default < 0:  # the core's word for none
         return None
     return field.default if field.kind in ("float", "spectrum", "texture", "volume") else None
-
-
-HEADER = """# Types of the classes that are generated from the native declaration, made by:
-#     python -c "from torchrender.scene import signatures; signatures.main()"
-"""
-
-
-def generated_classes() -> dict[str, type[Plugin]]:
-    """Classes that no file defines, by name."""
-    from . import registry
-
-    found = {}
-    for name, (category, kind) in registry.public_classes().items():
-        cls = registry.plugin_class(category, kind)
-        if cls.__module__ == "torchrender" and cls.__name__ == name:
-            found[name] = cls
-    return dict(sorted(found.items()))
-
-
-def stub() -> str:
-    """The text of ``_plugins.pyi``."""
-    lines = []
-    for name, cls in generated_classes().items():
-        lines += ["", f"class {name}(Plugin):", f'    """{cls.model().doc}"""', "", "    def __init__("]
-        keywords = [p for p in signature_of(cls).parameters.values() if p.kind is p.KEYWORD_ONLY]
-        lines += ["        self,", "        *,"] if keywords else ["        self,"]
-        lines += [f"        {p.name}: {p.annotation} = {p.default!r}," for p in keywords]
-        lines += ["        **properties: Any,", "    ) -> None: ..."]
-        lines += [f"    {field_name}: {_attribute(field)}" for field_name, field in cls.fields().items()]
-    body = "\n".join(lines)
-    names = [
-        n
-        for n in ("Array", "Color", "Matrix", "Number", "ObjectLike", "TextureLike", "Vector", "VolumeLike")
-        if f": {n}" in body
-    ]
-    imports = ["from typing import Any\n"]
-    if "torch.Tensor" in body:
-        imports.append("import torch\n")
-    imports.append("from .scene.plugin import Plugin")
-    imports.append(f"from .typing import {', '.join(names)}")
-    return HEADER + "\n" + "\n".join(imports) + "\n" + body + "\n"
-
-
-def _attribute(field: Field) -> str:
-    """What reading the attribute of a built object gives."""
-    if field.kind in ("spectrum", "texture", *CHILD_KINDS):
-        return "Any"  # an object of any class of that category, with attributes of its own
-    return "Any" if field.kind == "int" else "torch.Tensor"
-
-
-def main() -> None:
-    """Write the types where type checkers look for them."""
-    path = Path(__file__).resolve().parent.parent / "_plugins.pyi"
-    path.write_text(stub())

@@ -1,4 +1,4 @@
-"""Dicts that describe a colour: rgb triples, numbers, and tabulated spectra, which become rgb.
+"""Colours: numbers, rgb triples, and dicts that describe one, tabulated spectra among them, which become rgb.
 
 A spectrum becomes the colour that the standard observer sees (`cie`), as in Mitsuba's rgb variants: light as it is, so
 that a spectrum of ones is not white but the slightly red (1.2048, 0.9483, 0.9089); factors such as reflectances in
@@ -21,6 +21,25 @@ from . import cie, values
 from .context import Context
 
 _LARGEST_FILE = 1 << 24
+
+
+def is_spectrum(value: Any) -> bool:
+    """Whether `value` is a dict that describes a constant colour."""
+    return isinstance(value, Mapping) and value.get("type") in TYPES
+
+
+def spectrum(value: Any, ctx: Context) -> torch.Tensor:
+    """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel."""
+    if isinstance(value, Mapping):
+        return from_dict(value, ctx)
+    tensor = values.floating(value, ctx)
+    if tensor.ndim == 0:
+        return tensor
+    if tensor.ndim != 1 or tensor.shape[0] not in (1, 3):
+        ctx.error(f"expected a number or a colour of three numbers, got {describe(value)}")
+    if tensor.shape[0] == 3:
+        return values.to_channels(tensor, ctx)
+    return tensor if ctx.color == "mono" else tensor.reshape(())
 
 
 def from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -59,7 +78,7 @@ def _uniform(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
 
 
 def _rawconstant(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
-    return values.spectrum(_need(value, "value", ctx), ctx)
+    return spectrum(_need(value, "value", ctx), ctx)
 
 
 def _d65(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -67,7 +86,7 @@ def _d65(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     scale = values.number(value.get("scale", 1.0), ctx.at("scale"))
     if "color" not in value:
         return scale
-    return scale * values.spectrum(value["color"], ctx.at("color"))
+    return scale * spectrum(value["color"], ctx.at("color"))
 
 
 def _spectrum(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -77,12 +96,12 @@ def _spectrum(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
         pairs = read_spectrum(ctx.at("filename").file(value["filename"]))
         return _color(pairs[:, 0], pairs[:, 1], ctx)
     content = value["value"]
-    if isinstance(content, Sequence) and not isinstance(content, str) and len(content):
-        if isinstance(content[0], (Sequence, np.ndarray, torch.Tensor)):
-            pairs = values.double_array(content, ctx.at("value"))
-            if pairs.ndim != 2 or pairs.shape[1] != 2:
-                ctx.at("value").error(f"expected pairs (wavelength in nm, value), got {describe(content)}")
-            return _color(pairs[:, 0], pairs[:, 1], ctx)
+    listed = isinstance(content, Sequence) and not isinstance(content, str) and len(content) > 0
+    if listed and isinstance(content[0], (Sequence, np.ndarray, torch.Tensor)):
+        pairs = values.double_array(content, ctx.at("value"))
+        if pairs.ndim != 2 or pairs.shape[1] != 2:
+            ctx.at("value").error(f"expected pairs (wavelength in nm, value), got {describe(content)}")
+        return _color(pairs[:, 0], pairs[:, 1], ctx)
     number = values.number(_need(value, "value", ctx), ctx)
     if not ctx.emission or ctx.color == "mono":
         return number

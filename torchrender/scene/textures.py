@@ -5,14 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, ClassVar
 
+import numpy as np
 import torch
 
 from ..errors import describe
+from ..image import srgb_to_linear
+from ..transform import plain
 from . import values
+from .construction import check_names
 from .context import Context
 from .declaration import Field
-from .plugin import Plugin, child_of
-from .registry import register
+from .plugin import Plugin
+from .registry import build, register
 
 
 def load_texels(properties: dict[str, Any], ctx: Context, raw: bool) -> Any:
@@ -29,21 +33,15 @@ def load_texels(properties: dict[str, Any], ctx: Context, raw: bool) -> Any:
         with ctx.at(name).located():
             return io.read_image(path, raw=raw)
     if name == "bitmap" and not hasattr(content, "shape"):
-        import numpy
-
-        content = numpy.asarray(content)
+        content = np.asarray(content)
     dtype = str(getattr(content, "dtype", ""))
     if dtype.endswith(("uint8", "uint16")):
         # Integers are encoded images, as a file would hold them.
         scale = 255.0 if dtype.endswith("uint8") else 65535.0
-        content = torch.as_tensor(values._plain(content)).to(torch.float32) / scale
+        content = torch.as_tensor(plain(content)).to(torch.float32) / scale
         if not raw:
-            content = _srgb_to_linear(content)
+            content = srgb_to_linear(content)
     return content
-
-
-def _srgb_to_linear(x: torch.Tensor) -> torch.Tensor:
-    return torch.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4)
 
 
 @register
@@ -69,7 +67,7 @@ class Bitmap(Plugin):
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         raw = values.boolean(properties.pop("raw", False), ctx.at("raw"))
-        self._check_names({k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
+        check_names(self, {k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
         texels = load_texels(properties, ctx, raw)
         return {**properties, "data": texels}
 
@@ -98,9 +96,9 @@ class MeshAttribute(Plugin):
         # The name is an integer natively; a scene numbers the names that it uses.
         return {("name" if f.name == "name_id" else f.name): f for f in cls.model().fields}
 
-    def _encode_check(self, name: str, value: Any, ctx: Context) -> Any:
+    def convert_static(self, name: str, value: Any, ctx: Context) -> Any:
         if name != "name":
-            return super()._encode_check(name, value, ctx)
+            return super().convert_static(name, value, ctx)
         if not isinstance(value, str) or not value.startswith(("vertex_", "face_")):
             ctx.error(f"expected a name beginning with 'vertex_' or 'face_', got {describe(value)}")
         return value
@@ -126,15 +124,17 @@ class VolumeTexture(Plugin):
 
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
-        if self._modules.get("volume") is None and not self._references:
-            self._modules["volume"] = child_of(self.fields()["volume"].default, "volume", ctx.at("volume"))
+        if self._child("volume") is None and not self._references:
+            self._modules["volume"] = build(
+                {"type": "constvolume", "value": self.fields()["volume"].default}, ctx.at("volume")
+            )
 
     def resolve(self, lookup: Any, ctx: Context) -> None:
         super().resolve(lookup, ctx)
         self._fill(ctx)
 
     def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
-        child = self._modules.get("volume")
+        child = self._child("volume")
         if child is not None:
             for leaf, tensor in child.texels():
                 yield f"volume.{leaf}", tensor
@@ -154,7 +154,7 @@ class Checkerboard(Plugin):
 
     def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
         for name in ("color0", "color1"):
-            child = self._modules.get(name)
+            child = self._child(name)
             if child is not None:
                 for leaf, tensor in child.texels():
                     yield f"{name}.{leaf}", tensor

@@ -9,6 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import torch
 
 from ..errors import describe
+from ..warp import cosine_hemisphere
 from .context import Context
 from .declaration import Field, Model
 from .plugin import Plugin
@@ -18,8 +19,8 @@ class SurfaceInteraction(NamedTuple):
     """N points of surfaces, as a `TorchBSDF` sees them.
 
     `position`, `normal` (geometric), `shading_normal` (N, 3) in world space, the latter as a normal or bump map around
-    the BSDF has turned it; `uv`, `barycentric` (N, 2); `shape_id`
-    (position among the scene's shapes) and `prim_id` (N,) int64.
+    the BSDF perturbs it; `uv`, `barycentric` (N, 2); `shape_id` (position among the scene's shapes) and
+    `prim_id` (N,) int64.
     """
 
     position: torch.Tensor
@@ -59,7 +60,7 @@ class TorchBSDF(Plugin):
     integral nevertheless. They come together: who writes one writes the other. Both see the same numbers of rows, from
     1 to ``WavefrontPathTracer.chunk``.
 
-    (``eval()`` without arguments is what it is for every module, ``train(False)``.)
+    (``eval()`` without arguments is ``train(False)``, as for every module.)
 
     Args:
         two_sided: surfaces look alike from both sides: behind them, both directions are mirrored before the BSDF gets
@@ -93,7 +94,7 @@ class TorchBSDF(Plugin):
             def evaluate(self: TorchBSDF, *arguments: Any, **named: Any) -> Any:
                 return written(self, *arguments, **named) if arguments or named else self.train(False)
 
-            cls.eval = evaluate  # type: ignore[method-assign]
+            cls.eval = evaluate
 
     # ------------------------------------------------------------------------------------- what a subclass writes
     def eval(self, *arguments: Any) -> Any:
@@ -109,15 +110,13 @@ class TorchBSDF(Plugin):
 
     def sample(self, si: SurfaceInteraction, wi: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Directions `wo` (N, 3) from uniform numbers `u` (N, 3) in [0, 1), and their densities (N,), 0 for none."""
-        from ..wavefront.numbers import cosine_hemisphere
-
         wo = cosine_hemisphere(u[:, 1], u[:, 2])
         return wo, torch.where(wi[:, 2] > 0, wo[:, 2] / math.pi, 0.0)
 
     # ------------------------------------------------------------------------------------------------ as a plugin
     @classmethod
     def model(cls) -> Model:
-        """None of the native ones, and without declared parameters: those that there are the module has itself."""
+        """A model without declared fields: the parameters of the module are its own."""
         return Model(cls.category, cls.type, cls.__doc__ or "", ())
 
     @classmethod

@@ -10,10 +10,8 @@ import torch
 from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
-from ..transform import Transform, _plain, as_matrix
+from ..transform import Transform, as_matrix, plain
 from .context import LUMINANCE, Context
-
-SPECTRUM_TYPES = ("rgb", "srgb", "spectrum", "uniform", "rawconstant", "d65", "regular", "irregular", "blackbody")
 
 
 def floating(value: Any, ctx: Context) -> torch.Tensor:
@@ -27,7 +25,7 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
         if isinstance(value, (str, bytes, Mapping)) or value is None:
             ctx.error(f"expected numbers, got {describe(value)}")
         try:
-            tensor = torch.as_tensor(_plain(value), dtype=torch.float64, device=ctx.device)
+            tensor = torch.as_tensor(plain(value), dtype=torch.float64, device=ctx.device)
         except (TypeError, ValueError, RuntimeError):
             ctx.error(f"expected numbers, got {describe(value)}")
         if ctx.dtype is None and str(given) not in ("float64",):
@@ -106,27 +104,6 @@ def to_channels(color: torch.Tensor, ctx: Context) -> torch.Tensor:
     if ctx.color == "mono" and color.shape[-1] == 3:
         color = luminance(color)
     return color
-
-
-def is_spectrum(value: Any) -> bool:
-    """Whether `value` is a dict that describes a constant colour."""
-    return isinstance(value, Mapping) and value.get("type") in SPECTRUM_TYPES
-
-
-def spectrum(value: Any, ctx: Context) -> torch.Tensor:
-    """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel."""
-    if isinstance(value, Mapping):
-        from . import spectra
-
-        return spectra.from_dict(value, ctx)
-    tensor = floating(value, ctx)
-    if tensor.ndim == 0:
-        return tensor
-    if tensor.ndim != 1 or tensor.shape[0] not in (1, 3):
-        ctx.error(f"expected a number or a colour of three numbers, got {describe(value)}")
-    if tensor.shape[0] == 3:
-        return to_channels(tensor, ctx)
-    return tensor if ctx.color == "mono" else tensor.reshape(())
 
 
 def numbers(text: str, ctx: Context) -> list[float]:

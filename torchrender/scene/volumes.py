@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
 
 from ..errors import describe
 from . import values
+from .construction import check_names
 from .context import Context
 from .declaration import Field
 from .plugin import Plugin
@@ -26,7 +28,7 @@ class ConstantVolume(Plugin):
     category, type = "volume", "constvolume"
 
     def texels(self) -> Iterator[tuple[str, torch.Tensor]]:
-        child = self._modules.get("value")
+        child = self._child("value")
         if child is not None:
             for leaf, tensor in child.texels():
                 yield f"value.{leaf}", tensor
@@ -65,7 +67,7 @@ class GridVolume(Plugin):
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         sources = ("filename", "grid")
         with_bounds = values.boolean(properties.pop("use_grid_bbox", False), ctx.at("use_grid_bbox"))
-        self._check_names({k: v for k, v in properties.items() if k not in sources}, ctx)
+        check_names(self, {k: v for k, v in properties.items() if k not in sources}, ctx)
         given = [n for n in (*sources, "data") if properties.get(n) is not None]
         if len(given) != 1:
             ctx.error(f"give one of filename, grid and data; got {' and '.join(given) or 'none'}")
@@ -79,16 +81,10 @@ class GridVolume(Plugin):
             with ctx.at("filename").located():
                 content = io.read_volume(path)
                 if with_bounds:
-                    box = io.read_volume_bounds(path).double()
-                    if not bool((box[1] > box[0]).all()):
-                        raise ValueError(f"{path}: its bounding box is empty: {box.tolist()}")
+                    placed = _placed(io.read_volume_bounds(path).double(), path)
+                    to_world = placed if to_world is None else to_world @ placed
         elif with_bounds:
             ctx.at("use_grid_bbox").error(f"only .vol files have a bounding box, but {given[0]} is given")
-        if with_bounds:
-            placed = torch.eye(4, dtype=torch.float64)
-            placed[:3, :3] = torch.diag(box[1] - box[0])
-            placed[:3, 3] = box[0]
-            to_world = placed if to_world is None else to_world @ placed
         if to_world is not None:
             properties["to_world"] = values.rounded(to_world, properties.get("to_world"), ctx)
         return {**properties, "data": content}
@@ -108,6 +104,16 @@ class GridVolume(Plugin):
 
     def extra_repr(self) -> str:
         return " x ".join(str(n) for n in self.data.shape[:3]) + " voxels, " + super().extra_repr()
+
+
+def _placed(box: torch.Tensor, path: Path) -> torch.Tensor:
+    """The matrix that brings the unit cube to a bounding box (2, 3)."""
+    if not bool((box[1] > box[0]).all()):
+        raise ValueError(f"{path}: its bounding box is empty: {box.tolist()}")
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[:3, :3] = torch.diag(box[1] - box[0])
+    matrix[:3, 3] = box[0]
+    return matrix
 
 
 def _invertible(value: Any, ctx: Context) -> torch.Tensor:

@@ -87,7 +87,13 @@ def chi2_test(
     mass = float(expected_share.sum())
     expected = expected_share * len(samples)
 
-    def result(message: str, statistic=math.inf, dof=0, p_value=0.0, observed=None) -> ChiSquareResult:
+    def result(
+        message: str,
+        statistic: float = math.inf,
+        dof: int = 0,
+        p_value: float = 0.0,
+        observed: torch.Tensor | None = None,
+    ) -> ChiSquareResult:
         counts = torch.zeros(bins, dtype=torch.float64) if observed is None else observed
         passed = not message
         text = f"chi2 = {statistic:.1f}, {dof} degrees of freedom, p = {p_value:.3g}, level {level:.3g}"
@@ -138,8 +144,11 @@ def _pool(counts: torch.Tensor, means: torch.Tensor, min_expected: float) -> tup
 
 
 def _surroundings(expected: torch.Tensor, domain: str) -> torch.Tensor:
-    """The largest expected count among each bin and its neighbours. A bin on the edge of a lobe can have a corner in it
-    that the integration misses, but not a bin that is surrounded by zeros."""
+    """The largest expected count among each bin and its neighbours.
+
+    A bin on the edge of a lobe can have a corner in it that the integration misses, but not a bin that is surrounded by
+    zeros.
+    """
     padded = torch.nn.functional.pad(
         expected[None, None], (1, 1, 0, 0), "replicate" if domain == "square" else "circular"
     )
@@ -175,8 +184,11 @@ def _points(a: torch.Tensor, b: torch.Tensor, domain: str) -> torch.Tensor:
 
 
 def _integrate(pdf: Density, domain: str, bins: tuple[int, int], tolerance: float) -> torch.Tensor:
-    """Integral of the density over each bin (rows, columns): Gauss-Legendre rules on cells that are split until the
-    integral over their four parts agrees with that over the whole."""
+    """Integral of the density over each bin (rows, columns).
+
+    By Gauss-Legendre rules on cells that are split until the integral over their four parts agrees with that over the
+    whole.
+    """
     area = {"sphere": 4 * math.pi, "hemisphere": 2 * math.pi, "square": 1.0}[domain]
     rows, columns = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in bins), indexing="ij")
     low = torch.stack([rows.flatten() / bins[0], columns.flatten() / bins[1]], dim=1)

@@ -43,17 +43,16 @@ def mean_and_variance(f: Callable[[int], torch.Tensor], seeds: Iterable[int]) ->
         f: such as ``lambda seed: tr.render(scene, seed=seed)``.
         seeds: two or more.
     """
-    count, mean, squares = 0, None, None
+    count, mean = 0, torch.zeros((), dtype=torch.float64, device="cpu")
+    squares = mean
     for seed in seeds:
         value = f(seed).detach().double()
         count += 1
-        if mean is None:
-            mean, squares = torch.zeros_like(value), torch.zeros_like(value)
         # Welford's update
         delta = value - mean
         mean = mean + delta / count
         squares = squares + delta * (value - mean)
-    if count < 2 or mean is None:
+    if count < 2:
         raise ValueError(f"seeds: expected two or more, got {count}")
     return mean, squares / (count * (count - 1))
 

@@ -77,19 +77,14 @@ class PhaseProbe:
         scene: a built scene.
         name: path of a medium's phase function, such as ``"ball.interior_medium.phase_function"``, or the name of a
             top-level one.
-        packets: compute in packets of single precision, as rendering does; else a number at a time.
 
     Raises:
-        ValueError: there is no phase function of that name; the message lists those there are. Packets are asked for
-            in double precision.
+        ValueError: there is no phase function of that name; the message lists those there are.
     """
 
-    def __init__(self, scene: Scene, name: str, packets: bool = False) -> None:
+    def __init__(self, scene: Scene, name: str) -> None:
         self.scene = scene
         self.index = _index(scene, "phase", name, "PhaseProbe: name: no phase function")
-        if packets and scene.dtype != torch.float32:
-            raise ValueError(f"PhaseProbe: packets: expected a scene in float32, got {scene.dtype}")
-        self.packets = packets
 
     def eval(self, d: Any, wo: Any, positions: Any = None) -> torch.Tensor:
         """Value (N,), which is the density per solid angle with which `sample` takes `wo`."""
@@ -138,8 +133,7 @@ class PhaseProbe:
         return {name: _expand(t, n) for name, t in rows.items()}
 
     def _call(self, what: str, rows: dict[str, torch.Tensor], out: dict[str, torch.Tensor]) -> None:
-        flag = {"packet": torch.zeros(1)} if self.packets else {}
-        _probe(self.scene, what, self.index, len(rows["p"]), {**rows, **out, **flag})
+        _probe(self.scene, what, self.index, len(rows["p"]), {**rows, **out})
 
 
 def sample_emitters(scene: Scene, positions: Any, u: Any) -> EmitterSamples:

@@ -8,8 +8,7 @@ import torch
 
 
 def sidak(significance: float, tests: int) -> float:
-    """The level for each of `tests` independent tests that gives the level `significance` for all of them together
-    (Šidák 1967)."""
+    """The level for each of `tests` independent tests that gives `significance` for all together (Šidák 1967)."""
     if not 0 < significance < 1:
         raise ValueError(f"significance: expected a number between 0 and 1, got {significance!r}")
     if tests < 1:

@@ -2,7 +2,8 @@
 
 The native core answers ray queries and gives the random numbers; everything else is tensor operations on all paths of a
 chunk, one segment at a time, that autograd differentiates. It samples what the native path tracer samples, with the
-same numbers: images of one seed are equal to rounding. The native one is tested against it: tests/test_oracle.py.
+same numbers: images of one seed are equal to rounding. The native one is tested against it, in
+tests/integrators/test_oracle.py.
 
 Sampling is detached: sampled numbers, densities, weights of multiple importance sampling, Russian roulette and
 visibility are constants. Each native model of surfaces and lights has a class or function here, in the file of its

@@ -14,17 +14,20 @@ from typing import ClassVar
 import torch
 
 from ..scene.torch_bsdf import SurfaceInteraction
+from .color import luminance
 from .geometry import reattach, root
 from .world import At, Record, World
 
 Color = Callable[[str], torch.Tensor]
-LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 @dataclass
 class BsdfSample:
-    """Directions (N, 3), their density or the probability of the lobe (N,), 0 where there is none; the relative index
-    of refraction along the new ray; the number of the lobe."""
+    """Sampled directions (N, 3), and the numbers (N,) that go with them.
+
+    `pdf` is their density or the probability of the lobe, 0 where there is no sample; `eta` the relative index of
+    refraction along the new ray; `lobe` the number of the lobe.
+    """
 
     wo: torch.Tensor
     pdf: torch.Tensor
@@ -88,6 +91,7 @@ def upper(v: torch.Tensor) -> torch.Tensor:
 
 
 def mirrored(wi: torch.Tensor) -> torch.Tensor:
+    """Directions (N, 3) of the mirror reflection."""
     return wi * wi.new_tensor([-1.0, -1.0, 1.0])
 
 
@@ -100,11 +104,6 @@ def upright(usable: torch.Tensor, *vectors: torch.Tensor) -> list[torch.Tensor]:
 def at_least(x: torch.Tensor, low: float) -> torch.Tensor:
     """Numbers that count as `low` where they are smaller, with the derivative there."""
     return reattach(x.detach().clamp(min=low), x)
-
-
-def luminance(color: torch.Tensor) -> torch.Tensor:
-    """Of colours (N, C): (N,)."""
-    return color[:, 0] if color.shape[1] == 1 else (color * color.new_tensor(LUMINANCE)).sum(1)
 
 
 def fresnel_dielectric(cos_i: torch.Tensor, eta: torch.Tensor) -> tuple[torch.Tensor, ...]:

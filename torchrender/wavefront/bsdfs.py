@@ -6,16 +6,18 @@ import math
 
 import torch
 
+from ..warp import cosine_hemisphere
 from .bsdf import Bsdf, BsdfSample, Color, Delta, above, fresnel_conductor, fresnel_dielectric, mirrored, one_lobe
 from .coated import Plastic, RoughPlastic
-from .numbers import cosine_hemisphere
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
-from .written import Written
+from .torch_adapter import TorchAdapter
 
 
 class Diffuse(Bsdf):
+    """Lambertian reflection."""
+
     def read(self, color: Color, number: Color) -> None:
         self.reflectance = color("reflectance")
 
@@ -31,6 +33,8 @@ class Diffuse(Bsdf):
 
 
 class Conductor(Delta):
+    """A smooth metal."""
+
     def read(self, color: Color, number: Color) -> None:
         self.eta, self.k, self.reflectance = color("eta"), color("k"), color("specular_reflectance")
 
@@ -71,7 +75,7 @@ class ThinDielectric(Dielectric):
     """Lobe 0 reflects, lobe 1 goes straight on."""
 
     def reflected(self, wi: torch.Tensor) -> torch.Tensor:
-        """Of the light that is thrown to and fro between both faces."""
+        """Of the light that interreflects between both faces."""
         r = fresnel_dielectric(wi[:, 2].abs(), self.eta)[0]
         return 2 * r / (1 + r)
 
@@ -87,6 +91,8 @@ class ThinDielectric(Dielectric):
 
 
 class Null(Delta):
+    """No surface at all: rays pass unchanged."""
+
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         return torch.ones(len(wi), self.channels, dtype=wi.dtype)
 
@@ -122,5 +128,5 @@ BSDFS: dict[str, type[Bsdf]] = {
     "blendbsdf": Layer,
     "normalmap": Layer,
     "bumpmap": Layer,
-    "torch": Written,
+    "torch": TorchAdapter,
 }

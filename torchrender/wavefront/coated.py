@@ -6,10 +6,10 @@ import math
 
 import torch
 
+from ..warp import cosine_hemisphere
 from .bsdf import Bsdf, BsdfSample, Color, above, fresnel_dielectric, mirrored, one_lobe
-from .coat_table import COSINES, coat_table
-from .numbers import cosine_hemisphere
-from .rough import FacetReflection, Facets, reflect
+from .rough import MicrofacetReflection, Microfacets, reflect
+from .rough_transmittance import COSINES, rough_transmittance
 
 
 def diffuse_fresnel(eta: torch.Tensor) -> torch.Tensor:
@@ -20,7 +20,9 @@ def diffuse_fresnel(eta: torch.Tensor) -> torch.Tensor:
     return torch.where(eta < 1, below, beyond)
 
 
-def chance_of_coat(reflected: torch.Tensor | float, specular: torch.Tensor, diffuse: torch.Tensor) -> torch.Tensor:
+def specular_sampling_weight(
+    reflected: torch.Tensor | float, specular: torch.Tensor, diffuse: torch.Tensor
+) -> torch.Tensor:
     """How often the coating is sampled (N,), of which light this much is `reflected`, instead of the base."""
     coat, base = reflected * specular.abs().amax(1), (1 - reflected) * diffuse.abs().amax(1)
     some = coat + base > 0
@@ -28,6 +30,8 @@ def chance_of_coat(reflected: torch.Tensor | float, specular: torch.Tensor, diff
 
 
 class Coated(Bsdf):
+    """A diffuse base below a dielectric coating."""
+
     def read(self, color: Color, number: Color) -> None:
         self.eta, self.nonlinear = number("eta"), self.record.field["nonlinear"] == 1
         self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
@@ -50,15 +54,15 @@ class Plastic(Coated):
         mirror = torch.where(wi[:, 2:] > 0, self.specular * reflected[:, None], 0.0)
         return torch.where((lobe != 0)[:, None], mirror, torch.where(above(wi, wo)[:, None], base, 0.0))
 
-    def chance(self, wi: torch.Tensor) -> torch.Tensor:
-        """Of the mirror reflection."""
-        return chance_of_coat(fresnel_dielectric(wi[:, 2], self.eta)[0], self.specular, self.diffuse)
+    def specular_probability(self, wi: torch.Tensor) -> torch.Tensor:
+        """Of sampling the mirror reflection."""
+        return specular_sampling_weight(fresnel_dielectric(wi[:, 2], self.eta)[0], self.specular, self.diffuse)
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-        return torch.where(above(wi, wo), (1 - self.chance(wi)) * wo[:, 2] / math.pi, 0.0)
+        return torch.where(above(wi, wo), (1 - self.specular_probability(wi)) * wo[:, 2] / math.pi, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        p = self.chance(wi)
+        p = self.specular_probability(wi)
         mirrors = u[:, 0] < p
         cosine = cosine_hemisphere(u[:, 1], u[:, 2])
         pdf = torch.where(mirrors, p, (1 - p) * cosine[:, 2] / math.pi)
@@ -67,11 +71,13 @@ class Plastic(Coated):
 
 
 class RoughPlastic(Coated):
+    """A coating of microfacets, of which one roughness applies everywhere."""
+
     def read(self, color: Color, number: Color) -> None:
         super().read(color, number)
         ggx, alpha = self.record.field["distribution"] == 1, number("alpha")
-        self.facets = Facets(alpha, ggx)
-        self.internal, self.table = coat_table(self.world, self.record, self.eta, self.facets.alpha, ggx)
+        self.microfacets = Microfacets(alpha, ggx)
+        self.internal, self.table = rough_transmittance(self.world, self.record, self.eta, self.microfacets.alpha, ggx)
 
     def transmittance(self, cosine: torch.Tensor) -> torch.Tensor:
         x = cosine.clamp(0, 1) * (COSINES - 1)
@@ -80,20 +86,20 @@ class RoughPlastic(Coated):
         return low + (x - cell) * (high - low)
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
-        r = FacetReflection(self.facets, wi, wo)
+        r = MicrofacetReflection(self.microfacets, wi, wo)
         coat = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
         through = self.transmittance(wi[:, 2]) * self.transmittance(wo[:, 2]) * wo[:, 2] / math.pi / self.eta.square()
         return torch.where(r.possible[:, None], coat + self.base(self.internal) * through[:, None], 0.0)
 
-    def chance(self, wi: torch.Tensor) -> torch.Tensor:
-        """Of the coating."""
-        return chance_of_coat(1 - self.transmittance(wi[:, 2]), self.specular, self.diffuse)
+    def specular_probability(self, wi: torch.Tensor) -> torch.Tensor:
+        """Of sampling the coating."""
+        return specular_sampling_weight(1 - self.transmittance(wi[:, 2]), self.specular, self.diffuse)
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-        p, r = self.chance(wi), FacetReflection(self.facets, wi, wo)
+        p, r = self.specular_probability(wi), MicrofacetReflection(self.microfacets, wi, wo)
         return torch.where(r.possible, p * r.pdf + (1 - p) * wo[:, 2] / math.pi, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        coat = (u[:, 0] < self.chance(wi))[:, None]
-        wo = torch.where(coat, reflect(self.facets, wi, u), cosine_hemisphere(u[:, 1], u[:, 2]))
+        coat = (u[:, 0] < self.specular_probability(wi))[:, None]
+        wo = torch.where(coat, reflect(self.microfacets, wi, u), cosine_hemisphere(u[:, 1], u[:, 2]))
         return one_lobe(wo, self.pdf(wi, wo))

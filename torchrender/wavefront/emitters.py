@@ -6,6 +6,7 @@ import math
 
 import torch
 
+from .. import warp
 from ..surface import dot, inverse_linear, normalize, transform_vector
 from . import numbers
 from .emitter import Emitter, Light, endless
@@ -16,6 +17,8 @@ from .world import At, Record, World
 
 
 class Area(Emitter):
+    """A shape that emits."""
+
     def prepare(self, record: Record) -> None:
         self.shape = next(i for i, s in enumerate(self.world.records["shape"]) if s.field["emitter"] == self.index)
         texture = record.field["radiance"]
@@ -51,6 +54,8 @@ class Area(Emitter):
 
 
 class Constant(Emitter):
+    """An environment that is the same in all directions."""
+
     environment = True
 
     def escaped(self, d: torch.Tensor) -> torch.Tensor:
@@ -61,11 +66,13 @@ class Constant(Emitter):
         return torch.full((len(d),), 1 / (4 * math.pi), dtype=d.dtype)
 
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
-        d = numbers.sphere(u[:, 1], u[:, 2])
+        d = warp.sphere(u[:, 1], u[:, 2])
         return endless(d, self.escaped_pdf(d), self.escaped(d))
 
 
 class Point(Emitter):
+    """A point that emits equally in all directions."""
+
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
         towards = self.number("position") - x
         square = dot(towards, towards)
@@ -77,13 +84,15 @@ class Point(Emitter):
 
 
 class Directional(Emitter):
+    """Parallel light."""
+
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
         d = -normalize(self.number("to_world")[:3, 2]).expand(len(x), 3)
         return endless(d, torch.ones_like(x[:, 0]).detach(), self.color("irradiance", len(x)), delta=True)
 
 
 class Oriented(Emitter):
-    """A point light with a frame: `pattern` gives what it sends along unit directions of that frame."""
+    """A point light with a frame: `pattern` gives the intensity along unit directions of the frame."""
 
     def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Intensity (N, C), and whether light goes there (N,)."""
@@ -107,6 +116,8 @@ class Oriented(Emitter):
 
 
 class Spot(Oriented):
+    """A cone of light from a point."""
+
     def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         cutoff, beam = torch.deg2rad(self.number("cutoff_angle")), torch.deg2rad(self.number("beam_width"))
         angle = torch.atan2(root((d[:, :2] * d[:, :2]).sum(1)), d[:, 2])
@@ -119,6 +130,8 @@ class Spot(Oriented):
 
 
 class Projector(Oriented):
+    """An image that is thrown from a point."""
+
     def pattern(self, d: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         index, aspect = self.record.field["irradiance"], 1.0
         if index >= 0 and self.world.records["texture"][index].type == "bitmap":

@@ -8,6 +8,7 @@ import torch
 
 from ..surface import inverse_linear, normalize, transform_vector
 from . import numbers
+from .color import luminance
 from .emitter import Emitter, Light, endless
 from .geometry import reattach
 from .texels import bilinear
@@ -15,6 +16,8 @@ from .world import Record
 
 
 class EnvironmentMap(Emitter):
+    """An environment given by an image, sampled in proportion to luminance and solid angle."""
+
     environment = True
 
     def prepare(self, record: Record) -> None:
@@ -23,10 +26,7 @@ class EnvironmentMap(Emitter):
         self.matrix = self.world.tensor("emitter", record, "to_world")
         texels = self.data.detach()
         height = texels.shape[0]
-        if texels.shape[2] == 3:
-            importance = (texels * texels.new_tensor([0.2126, 0.7152, 0.0722])).sum(2).clamp(min=0.0)
-        else:
-            importance = texels[..., 0].clamp(min=0.0)
+        importance = luminance(texels).clamp(min=0.0)
         pairs = importance + importance.roll(-1, 1)
         rows = max(height - 1, 1)
         cells = 0.25 * (pairs[:rows] + pairs[-rows:])

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 
 from ..scene.film import Film, ReconstructionFilter
+from .geometry import Rows
+from .numbers import CAMERA_BLOCK, Numbers, pixel_key
 
 
 def cubic(x: torch.Tensor, b: float, c: float) -> torch.Tensor:
@@ -35,6 +37,21 @@ def filter_weight(rfilter: ReconstructionFilter, x: torch.Tensor) -> torch.Tenso
         return torch.where(x.abs() < n, torch.sinc(x) * torch.sinc(x / n), 0.0)
     scale, radius = 0.5 / rfilter.stddev**2, 4 * rfilter.stddev
     return torch.where(x.abs() < radius, torch.exp(-scale * x * x) - math.exp(-scale * radius * radius), 0.0)
+
+
+@dataclass
+class Samples(Rows):
+    """Samples of pixels: rows and columns (N, 2), numbers (N,), places in pixels, y and x, and on a lens (N, 2)."""
+
+    pixel: torch.Tensor
+    sample: torch.Tensor
+    offset: torch.Tensor
+    lens: torch.Tensor
+
+    @property
+    def positions(self) -> torch.Tensor:
+        """Places on the film (N, 2), x and y."""
+        return (self.pixel.double() + self.offset).flip(1)
 
 
 class Splats:
@@ -81,6 +98,12 @@ class Splats:
         inside = (rows >= y0) & (rows < y0 + height) & (columns >= x0) & (columns < x0 + wide)
         numbers = torch.unique((rows[inside] - y0) * wide + columns[inside] - x0)
         return torch.stack([numbers // wide + y0, numbers % wide + x0], 1)
+
+    def samples(self, index: torch.Tensor, spp: int, random: Numbers) -> Samples:
+        """The samples of these numbers (N,), which count those of one pixel after the other."""
+        pixel, sample = self.sources[index // spp], index % spp
+        drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
+        return Samples(pixel, sample, drawn[:, :2].flip(1).double(), drawn[:, 2:])
 
     def spread(self, pixel: torch.Tensor, offset: torch.Tensor) -> Spread:
         """What the samples of pixels (N, 2), rows and columns in order, at places (N, 2) in them, y and x, reach."""

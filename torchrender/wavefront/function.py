@@ -6,31 +6,28 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import nn
-from torch.autograd import Function
 
-from ..autograd import BATCHED, RenderCall, _Derivative, _passes, mix, refuse_batches
-from ..errors import NotDifferentiableError, RenderError, describe, nearest
-from ..progress import progress
-from ..scene.derivatives import Wanted, depth_outside, moves_rays
-from ..scene.film import Film
+from ..errors import RenderError, depth_outside, describe, nearest
+from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
+from ..progress import steps
+from ..render_call import RenderCall
+from ..scene.derivatives import moves_rays
+from ..scene.gradient_requirements import GradientRequirements
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
-from .film import Splats, Spread
-from .geometry import Rows
-from .numbers import CAMERA_BLOCK, Numbers, pixel_key
+from ..scene.scene import Scene
+from ..seeds import mix
+from .film import Samples, Splats, Spread
+from .numbers import Numbers, pixel_key
 from .path import WavefrontTracer
-from .sensors import SENSORS
 from .world import World
 
-if TYPE_CHECKING:
-    from ..scene.scene import Scene
-
 # What a native rendering and one in PyTorch have in common.
-SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics wanted".split()
+SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics requirements layout".split()
 
 
 class TorchParameters(nn.Module):
@@ -45,7 +42,7 @@ class TorchParameters(nn.Module):
 
     def tensors(self, params: Mapping[str, torch.Tensor]) -> dict[str, torch.Tensor]:
         """Tensors by their names here, those of `params` (by their names in the scene) in place of the modules' own."""
-        found = dict(self.named_parameters())
+        found: dict[str, torch.Tensor] = dict(self.named_parameters())
         index = {id(tensor): name for name, tensor in found.items()}
         for name, tensor in params.items():
             own = self._own(name)
@@ -115,7 +112,7 @@ class WavefrontCall:
     alpha: bool
     sampler: str
     statistics: dict[str, Any]
-    wanted: Wanted
+    requirements: GradientRequirements
     parameters: TorchParameters
     names: list[str]  # of the last tensors, those of `parameters`
 
@@ -136,14 +133,14 @@ class WavefrontCall:
         modules = {f"{name}": t for name, t in zip(self.names, tensors[self.slots :], strict=True)}
         spp, seed = (self.spp_grad, self.seed_grad) if derivative else (self.spp, self.seed)
         lost = paths = 0
-        for number in _passes(list(range(self.passes))):  # type: ignore[arg-type]
+        for number in steps(range(self.passes), "passes"):
             random = Numbers(self.sampler, spp, seed if number == 0 else mix(seed, number), self.sensor, world.dtype)
             tracer = WavefrontTracer(world, self.config, random, derivative)
             total = len(self.splats.sources) * spp
             starts = range(0, total, self.config["chunk"])
-            for start in progress(starts, desc="chunks", leave=False, delay=1.0) if len(starts) > 1 else starts:
+            for start in steps(starts, "chunks"):
                 index = torch.arange(start, min(start + self.config["chunk"], total))
-                samples = self.samples(index, spp, random)
+                samples = self.splats.samples(index, spp, random)
                 with torch.set_grad_enabled(derivative):
                     radiance, alpha = self._trace(tracer, samples, modules)
                 bad = ~torch.isfinite(radiance.detach()).all(1)
@@ -154,20 +151,12 @@ class WavefrontCall:
                 yield Chunk(number, samples, radiance, alpha)
         self._finish("vjp" if derivative else "render", paths, lost, world.nonfinite_where)
 
-    def samples(self, index: torch.Tensor, spp: int, random: Numbers) -> Samples:
-        """The samples of these numbers (N,), which count those of one pixel after the other."""
-        pixel, sample = self.splats.sources[index // spp], index % spp
-        drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
-        return Samples(pixel, sample, drawn[:, :2].flip(1).double(), drawn[:, 2:])
-
     def _trace(
         self, tracer: WavefrontTracer, samples: Samples, modules: dict[str, torch.Tensor]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         world = tracer.world
         world.begin()
-        record = world.records["sensor"][self.sensor]
-        positions = (samples.pixel.double() + samples.offset).flip(1).to(world.dtype)  # x, y
-        rays = SENSORS[record.type](world, record, self.film_size, positions, samples.lens.to(world.dtype))
+        rays = world.camera_rays(self.sensor, self.film_size, samples.positions, samples.lens)
         if not world.moving:
             rays = type(rays)(*(t.detach() for t in rays))
 
@@ -185,8 +174,11 @@ class WavefrontCall:
         radiance: torch.Tensor,
         alpha: torch.Tensor,
     ) -> tuple[Samples, torch.Tensor, torch.Tensor]:
-        """Samples that are not finite count as black. For a derivative the others are traced once more without them,
-        because what is not finite would go through the graph however little of it is wanted."""
+        """Samples without those that are not finite, which count as black.
+
+        For a derivative the others are traced once more without them, because values that are not finite go through
+        the graph even where their weight is zero.
+        """
         if not radiance.requires_grad:
             return samples, torch.where(bad[:, None], 0.0, radiance), alpha
         samples = samples[~bad]
@@ -215,7 +207,7 @@ class WavefrontCall:
             total = len(self.splats.sources) * self.spp_grad
             for start in range(0, total, self.config["chunk"]):
                 index = torch.arange(start, min(start + self.config["chunk"], total))
-                samples = self.samples(index, self.spp_grad, random)
+                samples = self.splats.samples(index, self.spp_grad, random)
                 one = torch.ones(len(index), 1, dtype=torch.float64)
                 self.spread(samples).add(sums[:, number : number + 1], one)
         return sums
@@ -224,16 +216,6 @@ class WavefrontCall:
         """Values (count, K) of the pixels that are wanted, as the result has them."""
         found = values[self.splats.where].to(self.native.dtype)
         return found.reshape(*self.size, values.shape[1])
-
-
-@dataclass
-class Samples(Rows):
-    """Samples of pixels: rows and columns (N, 2), numbers (N,), places in pixels, y and x, and on a lens (N, 2)."""
-
-    pixel: torch.Tensor
-    sample: torch.Tensor
-    offset: torch.Tensor
-    lens: torch.Tensor
 
 
 @dataclass
@@ -256,7 +238,7 @@ def share(sums: torch.Tensor, weights: torch.Tensor) -> torch.Tensor:
     return torch.where(weights > 0, sums / torch.where(weights > 0, weights, 1.0), 0.0)
 
 
-class WavefrontFunction(Function):
+class WavefrontFunction(UnbatchedFunction):
     """``image[, alpha] = WavefrontFunction.apply(call, *tensors)``: those of the slots, then those of modules."""
 
     @staticmethod
@@ -298,13 +280,9 @@ class WavefrontFunction(Function):
     @staticmethod
     def jvp(ctx: Any, _call: Any, *tangents: torch.Tensor | None) -> Any:
         call = ctx.call
-        call.wanted.check(i for i, t in enumerate(tangents[: call.slots]) if t is not None)
+        call.requirements.check(i for i, t in enumerate(tangents[: call.slots]) if t is not None)
         tangent = WavefrontJvpFunction.apply(call, *ctx.saved_tensors, *tangents)
         return (tangent, None) if call.alpha else tangent
-
-    @staticmethod
-    def vmap(info: Any, in_dims: Any, *_: Any) -> Any:
-        raise NotDifferentiableError(BATCHED)
 
 
 def leaves(tensors: Sequence[torch.Tensor], needed: Sequence[bool]) -> tuple[list[torch.Tensor], list[torch.Tensor]]:
@@ -313,7 +291,7 @@ def leaves(tensors: Sequence[torch.Tensor], needed: Sequence[bool]) -> tuple[lis
     return copies, [t for t in copies if t.requires_grad]
 
 
-class WavefrontVjpFunction(_Derivative):
+class WavefrontVjpFunction(DerivativeFunction):
     """``gradients = WavefrontVjpFunction.apply(call, needed, adjoint, *tensors)``."""
 
     @staticmethod
@@ -328,15 +306,15 @@ class WavefrontVjpFunction(_Derivative):
     ) -> tuple[torch.Tensor | None, ...]:
         channels = call.native.channels
         adjoint = adjoint.detach().double().reshape(-1, channels)
-        wanted = torch.zeros(call.splats.count, channels, dtype=torch.float64, device="cpu")
-        wanted.index_add_(0, call.splats.where, adjoint)
+        of_film = torch.zeros(call.splats.count, channels, dtype=torch.float64, device="cpu")
+        of_film.index_add_(0, call.splats.where, adjoint)
         weights = call.weights()
         attached, sought = leaves(tensors, needed)
         gradients = [torch.zeros_like(t) for t in sought]
         for chunk in call.traced(attached, needed):
             if not chunk.radiance.requires_grad:
                 continue
-            of_pass = share(wanted, weights[:, chunk.number, None]) / call.passes
+            of_pass = share(of_film, weights[:, chunk.number, None]) / call.passes
             of_samples = call.spread(chunk.samples).collect(of_pass).to(chunk.radiance.dtype)
             found = torch.autograd.grad(chunk.radiance, sought, of_samples, allow_unused=True)
             for total, gradient in zip(gradients, found, strict=True):
@@ -350,7 +328,7 @@ class WavefrontVjpFunction(_Derivative):
         return tuple(next(result) if n else None for n in needed)
 
 
-class WavefrontJvpFunction(_Derivative):
+class WavefrontJvpFunction(DerivativeFunction):
     """``tangent = WavefrontJvpFunction.apply(call, *tensors, *tangents)``.
 
     Samples' tangents J v are the derivative of the linear function <u, J v> = <J' u, v> with respect to u.
@@ -392,21 +370,19 @@ class WavefrontJvpFunction(_Derivative):
 
 
 def wavefront_call(
-    scene: Scene, call: RenderCall, film: Film, integrator: Mapping[str, Any], of_torch: Mapping[str, torch.Tensor]
+    scene: Scene, call: RenderCall, integrator: Mapping[str, Any], of_torch: Mapping[str, torch.Tensor]
 ) -> WavefrontRendering:
     """The rendering that a native `call` describes, by this integrator; `of_torch` are tensors for modules' own."""
-    layout = call.wanted.layout
-    parameters = TorchParameters(layout)
+    parameters = TorchParameters(call.layout)
     named = parameters.tensors(of_torch)
     with on_cpu():
-        splats = Splats(film, call.config["crop"], call.config["window"], call.pixels)
+        splats = Splats(call.film, call.config["crop"], call.config["window"], call.pixels)
     shared = {name: getattr(call, name) for name in SHARED}
     made = WavefrontCall(
         scene=scene,
-        layout=layout,
         config=dict(integrator),
         sensor=call.config["sensor"],
-        film_size=(film.height, film.width),
+        film_size=call.config["film_size"],
         splats=splats,
         sampler=call.config["sampler"],
         parameters=parameters,

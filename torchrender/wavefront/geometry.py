@@ -25,14 +25,15 @@ from ..surface import (
 Self = TypeVar("Self", bound="Rows")
 
 
+@dataclass
 class Rows:
     """Base of dataclasses whose members are tensors of N rows."""
 
     def __getitem__(self: Self, rows: Any) -> Self:
-        return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))  # type: ignore[arg-type]
+        return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def __len__(self) -> int:
-        return len(getattr(self, fields(self)[0].name))  # type: ignore[arg-type]
+        return len(getattr(self, fields(self)[0].name))
 
     def take(self: Self, rows: torch.Tensor) -> Self:
         """The rows of these different numbers, which are in order."""
@@ -42,7 +43,7 @@ class Rows:
     def cat(cls: type[Self], pieces: Sequence[Self]) -> Self:
         if len(pieces) == 1:
             return pieces[0]
-        return cls(*(torch.cat([getattr(p, f.name) for p in pieces]) for f in fields(cls)))  # type: ignore[arg-type]
+        return cls(*(torch.cat([getattr(p, f.name) for p in pieces]) for f in fields(cls)))
 
 
 def reattach(value: torch.Tensor, derivative: torch.Tensor) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""Shapes as area lights: points sampled on them, and the density of that. All of it is detached."""
+"""Shapes as area lights: points sampled on them, and their densities, all of it detached."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from .. import warp
 from ..surface import (
     curved_coordinates,
     dot,
@@ -66,7 +67,7 @@ class Triangles(LightShape):
 
     def sample(self, p: torch.Tensor, u: torch.Tensor) -> LightPoint:
         face = numbers.search(self.cdf, u[:, 0])[0]
-        b = numbers.triangle(u[:, 1], u[:, 2])
+        b = warp.triangle(u[:, 1], u[:, 2])
         position = self.p0[face] + self.e1[face] * b[:, :1] + self.e2[face] * b[:, 1:]
         return LightPoint(position, normalize(self.cross)[face] * self.sign, face, b)
 
@@ -91,12 +92,14 @@ class Quadric(LightShape):
 
 
 class Disk(Quadric):
+    """Points at equal density on the disk."""
+
     def __init__(self, world: World, index: int) -> None:
         super().__init__(world, index)
         self.area = math.pi * torch.linalg.vector_norm(torch.linalg.cross(self.matrix[:3, 0], self.matrix[:3, 1]))
 
     def sample(self, p: torch.Tensor, u: torch.Tensor) -> LightPoint:
-        local = torch.nn.functional.pad(numbers.disk(u[:, 1], u[:, 2]), (0, 1))
+        local = torch.nn.functional.pad(warp.disk(u[:, 1], u[:, 2]), (0, 1))
         return self.at(local, False)
 
 
@@ -116,9 +119,9 @@ class Sphere(Quadric):
         return outside, distance, sine**2 / (1 + torch.sqrt((1 - sine**2).clamp(min=0.0)))
 
     def sample(self, p: torch.Tensor, u: torch.Tensor) -> LightPoint:
-        uniform = self.at(numbers.sphere(u[:, 1], u[:, 2]), True)
+        uniform = self.at(warp.sphere(u[:, 1], u[:, 2]), True)
         outside, distance, cutoff = self.cone(p)
-        local = numbers.cone(u[:, 1], u[:, 2], cutoff)
+        local = warp.cone(u[:, 1], u[:, 2], cutoff)
         axis = (self.center - p) / distance[:, None]
         d = Frame.about(axis).to_world(local)
         along = distance * local[:, 2]
@@ -140,6 +143,8 @@ class Sphere(Quadric):
 
 
 class Cylinder(Quadric):
+    """Points at equal density on the side of a cylinder."""
+
     def __init__(self, world: World, index: int) -> None:
         super().__init__(world, index)
         radius, length = (torch.linalg.vector_norm(self.matrix[:3, i]) for i in (0, 2))

@@ -1,8 +1,7 @@
-"""Random numbers, those of the native core, and what is sampled with them (csrc/core/math/warp.h)."""
+"""Random numbers, those of the native core, and discrete distributions that are sampled with them."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,10 +27,10 @@ class Numbers:
         """Four numbers in [0, 1), multiples of 2^-24, for N samples (int64) of pixels as `pixel_key` numbers them."""
         pixels, samples = pixel.numpy().astype(np.uint32), sample.numpy().astype(np.uint32)
         out = torch.empty(len(pixels), 4, dtype=torch.float64, device="cpu")
-        arithmetic = "double" if self.dtype == torch.float64 else "packet"
+        arithmetic = str(self.dtype).removeprefix("torch.")
         addresses = (pixels.ctypes.data, samples.ctypes.data, out.data_ptr())
         settings = (self.sampler, 0, self.spp, self.seed, self.sensor, block, 4, arithmetic)
-        backends.ready().draw(*settings, len(pixels), *addresses)
+        backends.core(self.dtype).draw(*settings, len(pixels), *addresses)
         return out.to(self.dtype)
 
 
@@ -55,40 +54,3 @@ def cumulative(weights: torch.Tensor) -> torch.Tensor:
     cdf = (total / total[..., -1:]).clamp(max=1.0).to(weights.dtype)
     cdf[..., -1] = 1.0
     return cdf
-
-
-def disk(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
-    """Uniform on the unit disk (N, 2), by concentric squares (Shirley and Chiu 1997)."""
-    x, y = 2 * u1 - 1, 2 * u2 - 1
-    wide = x.abs() > y.abs()
-    r, other = torch.where(wide, x, y), torch.where(wide, y, x)
-    phi = torch.where(r == 0, 0.0, other / torch.where(r == 0, 1.0, r)) * (math.pi / 4)
-    phi = torch.where(wide, phi, math.pi / 2 - phi)
-    return torch.stack([r * torch.cos(phi), r * torch.sin(phi)], 1)
-
-
-def cosine_hemisphere(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
-    """Directions (N, 3) with the density cos(theta) / pi about +z."""
-    p = disk(u1, u2)
-    z = torch.sqrt((1 - (p * p).sum(1)).clamp(min=0.0)).clamp(min=1e-7)
-    return torch.cat([p, z[:, None]], 1)
-
-
-def sphere(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
-    """Uniform directions (N, 3)."""
-    z = 1 - 2 * u2
-    r, phi = torch.sqrt((1 - z * z).clamp(min=0.0)), u1 * (2 * math.pi)
-    return torch.stack([r * torch.cos(phi), r * torch.sin(phi), z], 1)
-
-
-def cone(u1: torch.Tensor, u2: torch.Tensor, cutoff: torch.Tensor) -> torch.Tensor:
-    """Uniform directions (N, 3) in the cone about +z whose half angle has 1 - cos = `cutoff`."""
-    a = u2 * cutoff
-    r, phi = torch.sqrt((a * (2 - a)).clamp(min=0.0)), u1 * (2 * math.pi)
-    return torch.stack([r * torch.cos(phi), r * torch.sin(phi), 1 - a], 1)
-
-
-def triangle(u1: torch.Tensor, u2: torch.Tensor) -> torch.Tensor:
-    """Uniform barycentric coordinates (N, 2) of the second and third corner."""
-    t = torch.sqrt((1 - u1).clamp(min=0.0))
-    return torch.stack([1 - t, t * u2], 1)

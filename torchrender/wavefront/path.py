@@ -25,12 +25,12 @@ from .bsdf import Bsdf
 from .bsdfs import BSDFS
 from .emitters import Lights
 from .geometry import Frame, Rows, glue, reattach
-from .layers import Layers
-from .world import At, World
+from .layers import BsdfStack
+from .world import OFFSET, At, World
 
 GLUED = ("position", "normal", "shading_normal", "uv")
-# How far off a surface rays start, and how far before a light they end, in parts of coordinates and length.
-OFFSET, SHADOW_EPSILON = 8.9406967e-5, 8.9406967e-4
+# How far before a light rays end, in parts of their length.
+SHADOW_EPSILON = 8.9406967e-4
 LEAST_SURVIVAL, MOST_SURVIVAL = 0.05, 0.95
 FAR = 1e30
 
@@ -40,8 +40,8 @@ class Paths(Rows):
     """Paths that have arrived somewhere, or left the scene.
 
     `lane` (N,) says which sample; `d` (N, 3) the direction of arrival; `beta` (N, C) the throughput; `survival` (N, C)
-    what Russian roulette judges by; `eta` (N,) the index of refraction relative to the camera's side; `origin`,
-    `origin_pdf` where the ray came from and the density of its direction, 0 after delta lobes and for camera rays;
+    what Russian roulette judges by; `eta` (N,) the index of refraction relative to the camera's side; `previous`,
+    `previous_pdf` where the ray came from and the density of its direction, 0 after delta lobes and for camera rays;
     `seen` whether alpha is decided; then the hit.
     """
 
@@ -50,8 +50,8 @@ class Paths(Rows):
     beta: torch.Tensor
     survival: torch.Tensor
     eta: torch.Tensor
-    origin: torch.Tensor
-    origin_pdf: torch.Tensor
+    previous: torch.Tensor
+    previous_pdf: torch.Tensor
     seen: torch.Tensor
     valid: torch.Tensor
     shape: torch.Tensor
@@ -68,11 +68,13 @@ class Paths(Rows):
 
 
 def arrival(hits: Hits) -> dict[str, torch.Tensor]:
+    """The members of `Paths` that say what a ray has hit."""
     names = ("valid", "position", "normal", "shading_normal", "uv", "barycentric")
     return {**{n: getattr(hits, n) for n in names}, "shape": hits.shape_id, "primitive": hits.prim_id}
 
 
 def power_heuristic(a: torch.Tensor, b: torch.Tensor) -> torch.Tensor:
+    """Weight (N,) of samples of density a that could have been taken with density b."""
     usable = a * a > 0
     return torch.where(usable, a * a / torch.where(usable, a * a + b * b, 1.0), 0.0)
 
@@ -85,17 +87,20 @@ def offset_origin(p: torch.Tensor, n: torch.Tensor, d: torch.Tensor) -> torch.Te
 
 @dataclass
 class Vertices(Rows):
-    """Paths at surfaces that scatter them: `paths`, the layers `above` their BSDFs, the frames in which these see
-    directions, mirrored where `sign` (N,) is -1, and `wi` (N, 3), where the paths come from."""
+    """Paths at surfaces that scatter them, with the layers `above` their BSDFs.
+
+    `frame` is the frame in which a BSDF sees directions, mirrored where `sign` (N,) is -1; `wi` (N, 3) is where the
+    path comes from.
+    """
 
     paths: Paths
-    above: Layers
+    above: BsdfStack
     frame: Frame
     sign: torch.Tensor
     wi: torch.Tensor
 
     @classmethod
-    def of(cls, world: World, paths: Paths, above: Layers) -> Vertices:
+    def of(cls, world: World, paths: Paths, above: BsdfStack) -> Vertices:
         frame = layers.frames(world, above, paths.at, paths.position)
         sign = torch.where(above.mirrored, -1.0, 1.0).to(paths.d)
         return cls(paths, above, frame, sign, mirror(frame.to_local(-paths.d), sign))
@@ -129,7 +134,7 @@ class WavefrontTracer:
         config: ``max_depth``, ``rr_depth``, ``hide_emitters``; how many ``emitter_samples`` and ``bsdf_samples`` are
             drawn at the first vertex.
         random: the random numbers.
-        derivative: paths are those of a derivative: at BSDFs that it is wanted of Russian roulette judges by a
+        derivative: paths are those of a derivative: at BSDFs that need a gradient Russian roulette judges by a
             throughput that never vanishes, and every layer is met.
     """
 
@@ -141,8 +146,8 @@ class WavefrontTracer:
         self.shape_bsdf, self.shape_emitter = world.shape_field("bsdf"), world.shape_field("emitter")
         kinds = [r.type for r in world.records["bsdf"]]
         self.is_null = torch.tensor([k in ("null", "mask") for k in kinds], dtype=torch.bool)
-        wanted = [derivative and world.wants("bsdf", i) for i in range(len(kinds))]
-        self.wanted = torch.tensor(wanted, dtype=torch.bool)
+        needs_grad = [derivative and world.needs_grad("bsdf", i) for i in range(len(kinds))]
+        self.needs_grad = torch.tensor(needs_grad, dtype=torch.bool)
         self.chooses = any(k in layers.CHOICES for k in kinds)
 
     # ----------------------------------------------------------------------------------------------------- whole paths
@@ -160,10 +165,10 @@ class WavefrontTracer:
                 beta=one,
                 survival=one,
                 eta=one[:, 0],
-                origin=rays.origins.detach(),
-                origin_pdf=zero,
+                previous=rays.origins.detach(),
+                previous_pdf=zero,
                 seen=zero.bool(),
-                **arrival(self.first_hits(rays)),
+                **arrival(self.world.first_hits(rays, self.hide_emitters)),
             )
             scatters = self.max_depth < 0 or self.max_depth > 1
             for index in range(max(self.emitter_samples, self.bsdf_samples) if scatters else 1):
@@ -176,20 +181,6 @@ class WavefrontTracer:
         for lane, value in self.found:
             radiance = radiance.index_add(0, lane, value)
         return radiance, self.alpha
-
-    def first_hits(self, rays: Rays) -> Hits:
-        o, d, length = rays
-        hits = self.world.intersect(o, d, length)
-        while self.hide_emitters:  # the camera looks through shapes that emit
-            lit = hits.valid & (self.shape_emitter[hits.shape_id] >= 0)
-            if not bool(lit.any()):
-                break
-            behind = o + d * torch.where(lit, hits.t.detach(), 0.0)[:, None]
-            step = torch.where(lit, (1 + behind.detach().abs().amax(1)) * OFFSET, 0.0)
-            o = behind + d * step[:, None]
-            length = length - torch.where(lit, hits.t.detach() + step, 0.0)
-            hits = self.world.intersect(o, d, length)
-        return hits
 
     def add(self, lane: torch.Tensor, value: torch.Tensor) -> None:
         """Light that the samples `lane` have found; of one call none comes twice."""
@@ -209,7 +200,7 @@ class WavefrontTracer:
         if index == 0:
             self.emission(paths, dot(paths.shading_normal, paths.d) < 0, depth)
         ue, ub = self.draw(paths, depth + index, scatters)
-        above = layers.find(
+        above = layers.resolve(
             self.world,
             self.shape_bsdf[paths.shape],
             paths.at,
@@ -218,17 +209,17 @@ class WavefrontTracer:
             paths.d,
             ub[:, 3],
             viewed=True,
-            wanted=self.wanted,
+            needs_grad=self.needs_grad,
         )
-        real = ~self.is_null[above.leaf]
+        real = ~self.is_null[above.resolved]
         self.alpha[paths.lane[~paths.seen & real]] = 1.0
         paths = replace(paths, seen=paths.seen | real)
         if not scatters:
             return paths[:0]
         vertices = Vertices.of(self.world, paths, above)
         pieces = [paths[:0]]
-        for number in above.leaf.unique().tolist():
-            rows = (above.leaf == number).nonzero()[:, 0]
+        for number in above.resolved.unique().tolist():
+            rows = (above.resolved == number).nonzero()[:, 0]
             pieces += self.scatter(vertices.take(rows), ue[rows], ub[rows], number, depth, index)
         return Paths.cat([p for p in pieces if len(p)] or pieces[:1])
 
@@ -250,7 +241,7 @@ class WavefrontTracer:
         """Weight of emission that BSDF sampling found, given the density with which emitter sampling would have."""
         if depth == 1:
             pdf = pdf * (self.emitter_samples / self.bsdf_samples)
-        return torch.where(paths.origin_pdf > 0, power_heuristic(paths.origin_pdf, pdf.detach()), 1.0)
+        return torch.where(paths.previous_pdf > 0, power_heuristic(paths.previous_pdf, pdf.detach()), 1.0)
 
     def escape(self, paths: Paths, depth: int) -> None:
         light = self.lights.environment
@@ -264,7 +255,7 @@ class WavefrontTracer:
             rows = (facing & (self.shape_emitter[paths.shape] == light.index)).nonzero()[:, 0]
             if len(rows):
                 lit = paths[rows]
-                pdf = light.hit_pdf(lit.origin, lit.position.detach(), lit.normal.detach())
+                pdf = light.hit_pdf(lit.previous, lit.position.detach(), lit.normal.detach())
                 weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index], depth)
                 self.add(lit.lane, lit.beta * light.radiance(lit.at) * weight[:, None])
 
@@ -293,8 +284,8 @@ class WavefrontTracer:
         passes = above.weight * above.dimmed(vertices.to_world(wo))
         weight = value.detach() * (passes.detach() * inverse)[:, None]
         # a path that an albedo of zero would end goes on where that has a derivative
-        wanted = (self.wanted[number] | above.wanted)[:, None]
-        weight = torch.where(wanted, weight.abs().clamp(min=LEAST_SURVIVAL), weight)
+        needs_grad = (self.needs_grad[number] | above.needs_grad)[:, None]
+        weight = torch.where(needs_grad, weight.abs().clamp(min=LEAST_SURVIVAL), weight)
         survival, eta = paths.survival * weight, paths.eta * eta
         largest = survival.abs().amax(1)
         alive, keep = ~(largest <= 0), torch.ones_like(largest)
@@ -302,8 +293,8 @@ class WavefrontTracer:
             q = (largest * eta * eta).clamp(max=MOST_SURVIVAL)
             alive = alive & ~(ue[rows, 3] >= q)
             keep = torch.where(alive, 1 / torch.where(alive, q, 1.0), 1.0)
-        origin_pdf = torch.where(lobe == 0, pdf[rows], 0.0) if kind.smooth else torch.zeros_like(keep)
-        went_on = {"survival": survival * keep[:, None], "eta": eta, "origin_pdf": origin_pdf}
+        previous_pdf = torch.where(lobe == 0, pdf[rows], 0.0) if kind.smooth else torch.zeros_like(keep)
+        went_on = {"survival": survival * keep[:, None], "eta": eta, "previous_pdf": previous_pdf}
         lobes = [(alive, kind.smooth)]
         if kind.smooth and kind.delta:
             lobes = [(alive & (lobe == 0), True), (alive & (lobe != 0), False)]
@@ -348,7 +339,7 @@ class WavefrontTracer:
             lane=paths.lane,
             d=d,
             beta=paths.beta * value * factor[:, None],
-            origin=position,
+            previous=position,
             seen=paths.seen,
             **{name: column[rows] for name, column in went_on.items()},
             **arrival(hits),

@@ -1,5 +1,8 @@
-"""Burley's principled BSDF, part by part: "Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to
-a BSDF with Integrated Subsurface Scattering", 2015."""
+"""Burley's principled BSDF, part by part.
+
+"Physically Based Shading at Disney", 2012, and "Extending the Disney BRDF to a BSDF with Integrated Subsurface
+Scattering", 2015.
+"""
 
 from __future__ import annotations
 
@@ -8,20 +11,23 @@ import math
 import torch
 
 from ..surface import dot, normalize
-from .bsdf import Bsdf, BsdfSample, Color, at_least, fresnel_dielectric, luminance, one_lobe, upper
+from ..warp import cosine_hemisphere
+from .bsdf import Bsdf, BsdfSample, Color, at_least, fresnel_dielectric, one_lobe, upper
+from .color import luminance
 from .geometry import reattach, root
-from .numbers import cosine_hemisphere
-from .rough import LEAST_ALPHA, FacetInterface, FacetReflection, Facets, reflect, usable_index
+from .rough import LEAST_ALPHA, DielectricMicrofacet, MicrofacetReflection, Microfacets, clamp_eta, reflect
 from .world import Record
 
 COAT_ALPHA = 0.25
 
 
 def schlick(cosine: torch.Tensor) -> torch.Tensor:
+    """Schlick's factor of the Fresnel term."""
     return (1 - cosine).clamp(min=0.0) ** 5
 
 
 def mix(a: torch.Tensor | float, b: torch.Tensor | float, t: torch.Tensor) -> torch.Tensor:
+    """Linear interpolation from a, at t = 0, to b."""
     return a + (b - a) * t
 
 
@@ -36,11 +42,14 @@ def diffuse(
 
 
 def hue_of(color: torch.Tensor) -> torch.Tensor:
+    """Colours (N, C) at luminance 1; black counts as white."""
     bright = luminance(color)[:, None]
     return torch.where(bright > 0, color / torch.where(bright > 0, bright, 1.0), 1.0)
 
 
 class OfBurley(Bsdf):
+    """The parameters that both principled models have."""
+
     scalars = "roughness spec_trans spec_tint sheen sheen_tint flatness"
     roughness: torch.Tensor
     spec_trans: torch.Tensor
@@ -59,17 +68,19 @@ class OfBurley(Bsdf):
             setattr(self, name, self.scalar(name))
         self.anisotropic = self.scalar("anisotropic") if self.oriented(self.record) else None
 
-    def facets_of(self, roughness: torch.Tensor) -> Facets:
+    def microfacets_of(self, roughness: torch.Tensor) -> Microfacets:
         """2012, 5.4."""
         alpha = roughness.square()
         if self.anisotropic is None:
-            return Facets(alpha, True)
+            return Microfacets(alpha, True)
         aspect = torch.sqrt(at_least(1 - 0.9 * self.anisotropic, 0.1))
         alpha = reattach(torch.maximum(alpha, LEAST_ALPHA / aspect).detach(), alpha)
-        return Facets(alpha / aspect, True, alpha * aspect)
+        return Microfacets(alpha / aspect, True, alpha * aspect)
 
 
 class Principled(OfBurley):
+    """Dielectric, metal, diffuse base, sheen and clear coat: 2012, and 2015, 5.1."""
+
     scalars = OfBurley.scalars + " metallic clearcoat clearcoat_gloss"
     metallic: torch.Tensor
     clearcoat: torch.Tensor
@@ -78,9 +89,9 @@ class Principled(OfBurley):
     def read(self, color: Color, number: Color) -> None:
         super().read(color, number)
         eta, low = number("eta"), root(0.08 * number("specular"))
-        self.eta = usable_index(torch.where(eta > 0, eta, 2 / (1 - low) - 1))
-        self.facets = self.facets_of(self.roughness)
-        self.soft = Facets(self.color.new_tensor(COAT_ALPHA), True)
+        self.eta = clamp_eta(torch.where(eta > 0, eta, 2 / (1 - low) - 1))
+        self.microfacets = self.microfacets_of(self.roughness)
+        self.soft = Microfacets(self.color.new_tensor(COAT_ALPHA), True)
         self.rates = [number(f"{name}_sampling_rate") for name in ("main_specular", "diffuse_reflectance", "clearcoat")]
 
     def coat_density(self, cos2: torch.Tensor) -> torch.Tensor:
@@ -89,13 +100,13 @@ class Principled(OfBurley):
         return (a2 - 1) / (math.pi * torch.log(a2) * (1 + (a2 - 1) * cos2))
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
-        f = FacetInterface(self.eta, wi, wo)
-        common, eta, fresnel = f.value(self.facets), f.eta, f.fresnel
+        f = DielectricMicrofacet(self.eta, wi, wo)
+        common, eta, fresnel = f.value(self.microfacets), f.eta, f.fresnel
         dielectric, ni, no, d = 1 - self.metallic, f.wi[:, 2].abs(), f.wo[:, 2].abs(), 0.5 * (f.i + f.o).abs()
         clear, opaque = dielectric * self.spec_trans, dielectric * (1 - self.spec_trans)
         hue = hue_of(self.color)
 
-        # what facets reflect above the surface: dielectric, metal, tinted dielectric
+        # what microfacets reflect above the surface: dielectric, metal, tinted dielectric
         inside = root(1 - (1 - d.square()) / eta.square())
         weight = schlick(torch.where(eta > 1, d, inside))[:, None]
         r0 = ((eta - 1) / (eta + 1)).square()[:, None]
@@ -117,8 +128,8 @@ class Principled(OfBurley):
         value = torch.where((f.outside & f.reflects)[:, None], front, torch.where(f.reflects[:, None], back, below))
         return torch.where(f.possible[:, None], value, 0.0)
 
-    def chances(self, outside: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Of interface, base and clear coat; and the share of facets' light that may get through."""
+    def lobe_probabilities(self, outside: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Of interface, base and clear coat; and the share of microfacets' light that may get through."""
         clear, dielectric = self.spec_trans.clamp(0, 1), 1 - self.metallic.clamp(0, 1)
         main, base, coat = self.rates
         base = dielectric * (1 - clear) * base
@@ -130,10 +141,10 @@ class Principled(OfBurley):
         return *(s.detach() for s in shares), (dielectric * clear).detach()
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-        f = FacetInterface(self.eta, wi, wo)
-        main, base, coat, clear = self.chances(f.outside)
+        f = DielectricMicrofacet(self.eta, wi, wo)
+        main, base, coat, clear = self.lobe_probabilities(f.outside)
         mirrors = torch.where(f.outside, 1 - clear * (1 - f.fresnel), f.fresnel)
-        visible = main * self.facets.density(f.h) * self.facets.masking(f.wi) / f.wi[:, 2].abs()
+        visible = main * self.microfacets.density(f.h) * self.microfacets.masking(f.wi) / f.wi[:, 2].abs()
         refracted = visible * (1 - mirrors) * f.eta.square() * f.stretch
         mirrored = visible * mirrors / 4
         front = mirrored + base * f.wo[:, 2].abs() / math.pi
@@ -144,9 +155,9 @@ class Principled(OfBurley):
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
         outside = wi[:, 2] >= 0
         side = torch.where(outside, 1.0, -1.0).to(wi)[:, None]
-        main, base, _, clear = self.chances(outside)
+        main, base, _, clear = self.lobe_probabilities(outside)
         diffuse, coated = (u[:, 0] >= main) & (u[:, 0] < main + base), u[:, 0] >= main + base
-        m = torch.where(coated[:, None], self.coat_normal(u), self.facets.visible_normal(wi * side, u)) * side
+        m = torch.where(coated[:, None], self.coat_normal(u), self.microfacets.visible_normal(wi * side, u)) * side
         i = dot(wi, m)
         fresnel, cos_t, eta_it, eta_ti = fresnel_dielectric(i.abs() * side[:, 0], self.eta)
         mirrors = torch.where(outside, 1 - clear * (1 - fresnel), fresnel)
@@ -166,6 +177,8 @@ class Principled(OfBurley):
 
 
 class PrincipledThin(OfBurley):
+    """A thin sheet, which light passes without being refracted: 2015, 5.3."""
+
     scalars = OfBurley.scalars + " eta diff_trans"
     eta: torch.Tensor
     diff_trans: torch.Tensor
@@ -176,14 +189,14 @@ class PrincipledThin(OfBurley):
         names = (f"{a}_{b}_sampling_rate" for a in ("specular", "diffuse") for b in ("reflectance", "transmittance"))
         self.rates = [number(name) for name in names]
 
-    def facets(self, through: torch.Tensor) -> Facets:
+    def microfacets(self, through: torch.Tensor) -> Microfacets:
         """Those seen through the sheet are as rough as if they refracted: 2015, 5.3."""
-        return self.facets_of(self.roughness * torch.where(through, 0.65 * self.eta - 0.35, 1.0))
+        return self.microfacets_of(self.roughness * torch.where(through, 0.65 * self.eta - 0.35, 1.0))
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         through = wi[:, 2] * wo[:, 2] < 0
         wi, wo = upper(wi), upper(wo)
-        r = FacetReflection(self.facets(through), wi, wo)
+        r = MicrofacetReflection(self.microfacets(through), wi, wo)
         d, shiny = r.cosine, self.spec_trans * r.value
         fresnel = fresnel_dielectric(d, self.eta)[0]
         hue, weight, r0 = hue_of(self.color), schlick(d)[:, None], ((self.eta - 1) / (self.eta + 1)).square()[:, None]
@@ -201,8 +214,8 @@ class PrincipledThin(OfBurley):
         below = self.color * (matt * part / math.pi + transmitted)[:, None]
         return torch.where(r.possible[:, None], torch.where(through[:, None], below, above), 0.0)
 
-    def chances(self, wi: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Of reflection and transmission by facets, and of both diffusely."""
+    def lobe_probabilities(self, wi: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Of reflection and transmission by microfacets, and of both diffusely."""
         r = fresnel_dielectric(wi[:, 2].abs(), self.eta)[0].clamp(0.1, 0.9)
         shiny, part = self.spec_trans.clamp(0, 1), 0.5 * self.diff_trans.clamp(0, 2)
         shares = (shiny * r, shiny * (1 - r), (1 - shiny) * (1 - part), (1 - shiny) * part)
@@ -214,18 +227,18 @@ class PrincipledThin(OfBurley):
         return tuple(torch.where(some, w / total, x).detach() for w, x in zip(weights, nothing, strict=True))
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-        mirrored, transmitted, reflected, passed = self.chances(wi)
+        mirrored, transmitted, reflected, passed = self.lobe_probabilities(wi)
         through = wi[:, 2] * wo[:, 2] < 0
-        r = FacetReflection(self.facets(through), upper(wi), upper(wo))
+        r = MicrofacetReflection(self.microfacets(through), upper(wi), upper(wo))
         shiny, matt = torch.where(through, transmitted, mirrored), torch.where(through, passed, reflected)
         return torch.where(r.possible, shiny * r.pdf + matt * wo[:, 2].abs() / math.pi, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        mirrored, transmitted, reflected, _ = self.chances(wi)
+        mirrored, transmitted, reflected, _ = self.lobe_probabilities(wi)
         shiny = u[:, 0] < mirrored + transmitted
         through = (shiny & (u[:, 0] >= mirrored)) | (u[:, 0] >= mirrored + transmitted + reflected)
         cosine = cosine_hemisphere(u[:, 1], u[:, 2])
-        wo = torch.where(shiny[:, None], reflect(self.facets(through), wi, u), cosine)
+        wo = torch.where(shiny[:, None], reflect(self.microfacets(through), wi, u), cosine)
         above = wo[:, 2] > 0
         z = torch.where(through, -wo[:, 2], wo[:, 2]) * torch.where(wi[:, 2] < 0, -1.0, 1.0).to(wi)
         wo = torch.cat([wo[:, :2], z[:, None]], 1)

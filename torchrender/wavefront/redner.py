@@ -7,12 +7,14 @@ import math
 import torch
 
 from ..surface import dot, normalize
+from ..warp import cosine_hemisphere
 from .bsdf import Bsdf, BsdfSample, Color, above, at_least, one_lobe, upright
-from .coated import chance_of_coat
-from .numbers import cosine_hemisphere
+from .coated import specular_sampling_weight
 
 
 class RednerMaterial(Bsdf):
+    """A diffuse lobe and one of microfacets with Blinn's and Phong's density."""
+
     def read(self, color: Color, number: Color) -> None:
         self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
         self.roughness = at_least(self.scalar("roughness"), 1e-5)
@@ -27,8 +29,11 @@ class RednerMaterial(Bsdf):
         return torch.where(steep, (3.535 * a + 2.181 * a * a) / (1 + 2.276 * a + 2.577 * a * a), 1.0)
 
     def split(self, wi: torch.Tensor, wo: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Whether there is a facet between both directions; its density, its cosine with wi, its own; and the
-        directions, upright where there is none."""
+        """The microfacets between both directions.
+
+        Whether there are any; their density, their cosine with wi and with the normal; and the directions, upright
+        where there are none.
+        """
         h = wi + wo
         possible = above(wi, wo) & (dot(h, h) > 1e-20)
         wi, wo = upright(possible, wi, wo)
@@ -40,21 +45,21 @@ class RednerMaterial(Bsdf):
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         possible, density, d, _, wi, wo = self.split(wi, wo)
-        facets = density * self.masking(wi) * self.masking(wo) / (4 * wi[:, 2])
+        microfacets = density * self.masking(wi) * self.masking(wo) / (4 * wi[:, 2])
         fresnel = self.specular + (1 - self.specular) * ((1 - d).clamp(min=0.0) ** 5)[:, None]
-        value = self.diffuse * (wo[:, 2] / math.pi)[:, None] + fresnel * facets[:, None]
+        value = self.diffuse * (wo[:, 2] / math.pi)[:, None] + fresnel * microfacets[:, None]
         return torch.where(possible[:, None], value, 0.0)
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
         possible, density, d, cosine, wi, wo = self.split(wi, wo)
-        p = chance_of_coat(0.5, self.specular, self.diffuse)
+        p = specular_sampling_weight(0.5, self.specular, self.diffuse)
         return torch.where(possible, p * density * cosine / (4 * d) + (1 - p) * wo[:, 2] / math.pi, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        facets = u[:, 0] < chance_of_coat(0.5, self.specular, self.diffuse)
+        mirrors = u[:, 0] < specular_sampling_weight(0.5, self.specular, self.diffuse)
         cos2 = (1 - u[:, 2]) ** self.roughness
         phi, sine = 2 * math.pi * u[:, 1], torch.sqrt((1 - cos2).clamp(min=0.0))
         m = torch.stack([sine * torch.cos(phi), sine * torch.sin(phi), torch.sqrt(cos2)], 1)
         i = dot(wi, m)
-        wo = torch.where(facets[:, None], normalize(2 * i[:, None] * m - wi), cosine_hemisphere(u[:, 1], u[:, 2]))
-        return one_lobe(wo, torch.where(~facets | (i > 0), self.pdf(wi, wo), 0.0))
+        wo = torch.where(mirrors[:, None], normalize(2 * i[:, None] * m - wi), cosine_hemisphere(u[:, 1], u[:, 2]))
+        return one_lobe(wo, torch.where(~mirrors | (i > 0), self.pdf(wi, wo), 0.0))

@@ -1,4 +1,4 @@
-"""BSDFs of microscopic facets. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007."""
+"""BSDFs of microfacets. Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from .world import Record
 LEAST_ALPHA = 1e-3
 
 
-class Facets:
-    """Microscopic facets of the roughness alpha, () or (N,), that along x if there is another along y."""
+class Microfacets:
+    """Microfacets of the roughness alpha, () or (N,), that along x if there is another along y."""
 
     def __init__(self, alpha: torch.Tensor, ggx: bool, across: torch.Tensor | None = None) -> None:
         self.alpha, self.ggx = at_least(alpha, LEAST_ALPHA), ggx
@@ -44,12 +44,13 @@ class Facets:
 
     def masking(self, v: torch.Tensor) -> torch.Tensor:
         """G1(v), equations 34 and 26."""
-        z, spread2 = v[:, 2].abs(), (self.alpha * v[:, 0]).square() + (self.across * v[:, 1]).square()
+        z = v[:, 2].abs()
+        projected_roughness2 = (self.alpha * v[:, 0]).square() + (self.across * v[:, 1]).square()
         if self.ggx:
-            return 2 * z / (z + root(z * z + spread2))
-        spread = torch.sqrt(spread2.clamp(min=1e-20))
-        a = z / spread
-        return 2 * z / (2 * z + spread * (torch.exp(-a * a) / math.sqrt(math.pi) - a * torch.erfc(a)))
+            return 2 * z / (z + root(z * z + projected_roughness2))
+        projected_roughness = torch.sqrt(projected_roughness2.clamp(min=1e-20))
+        a = z / projected_roughness
+        return 2 * z / (2 * z + projected_roughness * (torch.exp(-a * a) / math.sqrt(math.pi) - a * torch.erfc(a)))
 
     def visible_normal(self, wi: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """GGX: Dupuy and Benyoub, "Sampling Visible GGX Normals with Spherical Caps", HPG 2023."""
@@ -72,8 +73,11 @@ MOST = 1 - 2e-7
 
 
 def visible_slope(sine: torch.Tensor, cosine: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-    """Slopes along the direction that a Beckmann surface of roughness 1 is seen from: Heitz and d'Eon, "Importance
-    Sampling Microfacet-Based BSDFs using the Distribution of Visible Normals", EGSR 2014, inverted by bisection."""
+    """Slopes along the direction that a Beckmann surface of roughness 1 is seen from.
+
+    Heitz and d'Eon, "Importance Sampling Microfacet-Based BSDFs using the Distribution of Visible Normals", EGSR 2014,
+    inverted by bisection.
+    """
 
     def visible_below(x: torch.Tensor) -> torch.Tensor:
         return math.sqrt(math.pi) * cosine * torch.erfc(-x) + sine * torch.exp(-x * x)
@@ -87,33 +91,33 @@ def visible_slope(sine: torch.Tensor, cosine: torch.Tensor, u: torch.Tensor) -> 
     return low
 
 
-class FacetReflection:
-    """Reflection off facets from wi to wo; only above the surface is it `possible`, elsewhere numbers are finite.
+class MicrofacetReflection:
+    """Reflection off microfacets from wi to wo; only above the surface is it `possible`, elsewhere numbers are finite.
 
     `cosine`: of either direction on the facet; `pdf`: with which `reflect` takes wo; `value`: density times masking,
     equation 20 without Fresnel's reflectance, times the cosine.
     """
 
-    def __init__(self, facets: Facets, wi: torch.Tensor, wo: torch.Tensor) -> None:
+    def __init__(self, microfacets: Microfacets, wi: torch.Tensor, wo: torch.Tensor) -> None:
         h = wi + wo
         self.possible = above(wi, wo) & (dot(h, h) > 1e-20)
         wi, wo = upright(self.possible, wi, wo)
         h = wi + wo
         length = torch.sqrt(dot(h, h))
         self.cosine = 0.5 * length
-        self.pdf = facets.density(h / length[:, None]) * facets.masking(wi) / (4 * wi[:, 2])
-        self.value = self.pdf * facets.masking(wo)
+        self.pdf = microfacets.density(h / length[:, None]) * microfacets.masking(wi) / (4 * wi[:, 2])
+        self.value = self.pdf * microfacets.masking(wo)
 
 
-def reflect(facets: Facets, wi: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
-    """Directions (N, 3) into which facets seen from wi reflect; below the horizon they are no samples."""
+def reflect(microfacets: Microfacets, wi: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+    """Directions (N, 3) into which microfacets seen from wi reflect; below the horizon they are no samples."""
     seen = upper(wi.detach())
-    m = facets.visible_normal(seen, u)
+    m = microfacets.visible_normal(seen, u)
     return normalize(2 * dot(seen, m)[:, None] * m - seen)
 
 
-class FacetInterface:
-    """The facets between wi and wo, which they reflect (`reflects`) or refract, wi being above the surface (`outside`).
+class DielectricMicrofacet:
+    """Those between wi and wo, which they reflect (`reflects`) or refract, wi being above the surface (`outside`).
 
     `h`: their normals; `i`, `o`: cosines of both directions; `eta`: the relative index along wi; `fresnel`: what is
     reflected. Where there is no such facet (not `possible`) numbers are finite.
@@ -135,72 +139,80 @@ class FacetInterface:
         bound = torch.where(self.reflects | ~self.possible, 1.0, self.i + self.eta * self.o)
         self.stretch = (self.i * self.o).abs() / bound.square()  # of refraction, equation 21
 
-    def value(self, facets: Facets) -> torch.Tensor:
+    def value(self, microfacets: Microfacets) -> torch.Tensor:
         """What equations 20 and 21 have in common, times the cosine of wo."""
-        common = facets.density(self.h) * facets.masking(self.wi) * facets.masking(self.wo)
+        common = microfacets.density(self.h) * microfacets.masking(self.wi) * microfacets.masking(self.wo)
         return common / self.wi[:, 2].abs()
 
 
-def usable_index(eta: torch.Tensor) -> torch.Tensor:
+def clamp_eta(eta: torch.Tensor) -> torch.Tensor:
     """Without an interface nothing would be scattered: an index within 0.001 of 1 counts as that far from it."""
     value = eta.detach().clamp(min=1e-3)
     value = torch.where(value < 1, value.clamp(max=1 - 1e-3), value.clamp(min=1 + 1e-3))
     return reattach(value, eta)
 
 
-class OfFacets(Bsdf):
-    def read_facets(self) -> Facets:
+class MicrofacetBsdf(Bsdf):
+    """What models with the parameters alpha and distribution share."""
+
+    def read_microfacets(self) -> Microfacets:
         names = ("alpha_u", "alpha_v") if self.oriented(self.record) else ("alpha",)
         alpha, *across = (self.scalar(name) for name in names)
-        return Facets(alpha, self.record.field["distribution"] == 1, *across)
+        return Microfacets(alpha, self.record.field["distribution"] == 1, *across)
 
 
-class RoughConductor(OfFacets):
+class RoughConductor(MicrofacetBsdf):
+    """Microfacets of a metal."""
+
     def read(self, color: Color, number: Color) -> None:
-        self.facets = self.read_facets()
+        self.microfacets = self.read_microfacets()
         self.eta, self.k, self.reflectance = color("eta"), color("k"), color("specular_reflectance")
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
-        r = FacetReflection(self.facets, wi, wo)
+        r = MicrofacetReflection(self.microfacets, wi, wo)
         fresnel = fresnel_conductor(r.cosine[:, None], self.eta, self.k)
         return torch.where(r.possible[:, None], self.reflectance * fresnel * r.value[:, None], 0.0)
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-        r = FacetReflection(self.facets, wi, wo)
+        r = MicrofacetReflection(self.microfacets, wi, wo)
         return torch.where(r.possible, r.pdf, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        wo = reflect(self.facets, wi, u)
+        wo = reflect(self.microfacets, wi, u)
         return one_lobe(wo, self.pdf(wi, wo))
 
 
 class AnisotropicConductor(RoughConductor):
+    """The same with two roughnesses, along both directions of the texture coordinates."""
+
     @classmethod
     def oriented(cls, record: Record) -> bool:
         return True
 
 
-class RoughDielectric(OfFacets):
+class RoughDielectric(MicrofacetBsdf):
+    """Microfacets that reflect and refract."""
+
     def read(self, color: Color, number: Color) -> None:
-        self.eta, self.facets = usable_index(number("eta")), self.read_facets()
+        self.eta, self.microfacets = clamp_eta(number("eta")), self.read_microfacets()
         self.reflectance, self.transmittance = color("specular_reflectance"), color("specular_transmittance")
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         """Equations 20 and 21, the second for radiance."""
-        f = FacetInterface(self.eta, wi, wo)
-        value = torch.where(f.reflects, f.fresnel / 4, (1 - f.fresnel) * f.stretch) * f.value(self.facets)
+        f = DielectricMicrofacet(self.eta, wi, wo)
+        value = torch.where(f.reflects, f.fresnel / 4, (1 - f.fresnel) * f.stretch) * f.value(self.microfacets)
         value = torch.where(f.possible, value, 0.0)[:, None]
         return torch.where(f.reflects[:, None], self.reflectance, self.transmittance) * value
 
     def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
         """Equations 14, 17 and 24."""
-        f = FacetInterface(self.eta, wi, wo)
+        f = DielectricMicrofacet(self.eta, wi, wo)
         chance = torch.where(f.reflects, f.fresnel / 4, (1 - f.fresnel) * f.stretch * f.eta.square())
-        visible = self.facets.density(f.h) * self.facets.masking(f.wi) / f.wi[:, 2].abs()
+        visible = self.microfacets.density(f.h) * self.microfacets.masking(f.wi) / f.wi[:, 2].abs()
         return torch.where(f.possible, visible * chance, 0.0)
 
     def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
-        m = self.facets.visible_normal(wi * torch.where(wi[:, 2:] < 0, -1.0, 1.0).to(wi), u)
+        m = self.microfacets.visible_normal(wi * torch.where(wi[:, 2:] < 0, -1.0, 1.0).to(wi), u)
         i = dot(wi, m)
         fresnel, cos_t, eta_it, eta_ti = fresnel_dielectric(i, self.eta)
         reflects = u[:, 0] < fresnel
@@ -212,6 +224,8 @@ class RoughDielectric(OfFacets):
 
 
 class AnisotropicDielectric(RoughDielectric):
+    """The same with two roughnesses, along both directions of the texture coordinates."""
+
     @classmethod
     def oriented(cls, record: Record) -> bool:
         return True

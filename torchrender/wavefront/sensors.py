@@ -32,6 +32,7 @@ def sensor(rays: Callable[..., Rays], names: str, lens: bool = False) -> Sensor:
 def perspective(
     world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
 ) -> Rays:
+    """Rays of a pinhole camera, with or without distortion."""
     if record.field["distortion"] < 0:
         trace = sensor(camera_rays.perspective_rays, LENS)
     else:
@@ -42,12 +43,14 @@ def perspective(
 def radiancemeter(
     world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
 ) -> Rays:
+    """The one ray of a radiance meter."""
     return camera_rays.radiancemeter_rays(world.tensor("sensor", record, "to_world"), len(positions))
 
 
 def distant(
     world: World, record: Record, size: tuple[int, int], positions: torch.Tensor, on_lens: torch.Tensor
 ) -> Rays:
+    """Parallel rays, or rays through one target, from outside of the scene."""
     target = world.tensor("sensor", record, "target") if record.field["target"] >= 0 else None
     to_world = world.tensor("sensor", record, "to_world")
     bounds = world.scene.bounding_box().detach().float().to(to_world.dtype)  # as the ray queries know it

@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import torch
+
+Pair: TypeAlias = "tuple[torch.Tensor, torch.Tensor]"
+"""Indices (N,) of two neighbouring rows or columns."""
 
 
 def wrap(i: torch.Tensor, n: int, mode: int) -> torch.Tensor:
@@ -22,7 +27,7 @@ def texels(data: torch.Tensor, row: torch.Tensor, column: torch.Tensor) -> torch
 
 
 def bilinear(
-    data: torch.Tensor, rows: tuple, columns: tuple, a: torch.Tensor, b: torch.Tensor, channels: int
+    data: torch.Tensor, rows: Pair, columns: Pair, a: torch.Tensor, b: torch.Tensor, channels: int
 ) -> torch.Tensor:
     """Texels between two rows and two columns, at the fractions a (across) and b (down): (N, C)."""
     (y0, y1), (x0, x1), a, b = rows, columns, a[:, None], b[:, None]

@@ -1,5 +1,7 @@
-"""Textures: functions of the world, the texture's record and surface points, to values (N, K): of
-K channels what the texture has, of the scene's or one, or three normals' components."""
+"""Textures: functions of the world, the texture's record and surface points, to values (N, K).
+
+K is the number of channels that the texture has: one, the scene's, or three components of normals.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +14,15 @@ import torch
 from ..heightfield import evaluate as evaluate_heights
 from ..surface import CYLINDER, DISK, MESH, SPHERE, transform_point
 from . import volumes
-from .texels import bilinear, texels, wrap
+from .color import luminance
+from .texels import Pair, bilinear, texels, wrap
 
 if TYPE_CHECKING:
     from .world import At, Record, World
 
 
 def constant(world: World, record: Record, at: At) -> torch.Tensor:
+    """One colour."""
     return world.tensor("texture", record, "value").reshape(1, -1).expand(len(at), -1)
 
 
@@ -28,32 +32,35 @@ def image_coordinates(world: World, record: Record, at: At) -> torch.Tensor:
     return (matrix[:2, :2] * at.uv[:, None]).sum(2) + matrix[:2, 2]
 
 
-def cell(world: World, record: Record, at: At, height: int, width: int) -> tuple:
+def cell(
+    world: World, record: Record, at: At, height: int, width: int
+) -> tuple[Pair, Pair, torch.Tensor, torch.Tensor]:
     """Of a bitmap of this size the two rows and two columns around points, and fractions across and down between."""
     uv, mode = image_coordinates(world, record, at), record.field["wrap_mode"]
     x, y = uv[:, 0] * width - 0.5, uv[:, 1] * height - 0.5
     left, top = torch.floor(x.detach()), torch.floor(y.detach())
-    columns = tuple(wrap(left.long() + k, width, mode) for k in (0, 1))
-    rows = tuple(wrap(top.long() + k, height, mode) for k in (0, 1))
+    columns = wrap(left.long(), width, mode), wrap(left.long() + 1, width, mode)
+    rows = wrap(top.long(), height, mode), wrap(top.long() + 1, height, mode)
     return rows, columns, x - left, y - top
 
 
 def bitmap(world: World, record: Record, at: At) -> torch.Tensor:
+    """An image, nearest or bilinear."""
     data = world.tensor("texture", record, "data")
     height, width = data.shape[:2]
     if record.field["filter_type"] == 1:  # nearest
         uv, mode = image_coordinates(world, record, at), record.field["wrap_mode"]
         x, y = torch.floor(uv[:, 0].detach() * width).long(), torch.floor(uv[:, 1].detach() * height).long()
         return texels(data, wrap(y, height, mode), wrap(x, width, mode))
-    return bilinear(data, *cell(world, record, at, height, width), data.shape[2])
+    rows, columns, a, b = cell(world, record, at, height, width)
+    return bilinear(data, rows, columns, a, b, data.shape[2])
 
 
 def slopes(world: World, record: Record, at: At) -> torch.Tensor:
     """The derivatives (N, 2) of a bilinear bitmap's luminance by the texture coordinates; of others, zero."""
     if record.type != "bitmap" or record.field["filter_type"] == 1:
         return torch.zeros(len(at), 2, dtype=world.dtype)
-    data = world.tensor("texture", record, "data").expand(-1, -1, 3)
-    data = (data * data.new_tensor([0.2126, 0.7152, 0.0722])).sum(2)
+    data = luminance(world.tensor("texture", record, "data").expand(-1, -1, 3))
     height, width = data.shape
     (y0, y1), (x0, x1), a, b = cell(world, record, at, height, width)
     corner = texels(data[..., None], torch.stack([y0, y0, y1, y1]), torch.stack([x0, x1, x0, x1]))[..., 0]
@@ -64,6 +71,7 @@ def slopes(world: World, record: Record, at: At) -> torch.Tensor:
 
 
 def checkerboard(world: World, record: Record, at: At) -> torch.Tensor:
+    """Two textures in alternating squares."""
     uv = image_coordinates(world, record, at).detach()
     right, lower = (uv - torch.floor(uv) > 0.5).unbind(1)
     first, second = (world.look_up("texture", record, name, at) for name in ("color0", "color1"))
@@ -71,6 +79,7 @@ def checkerboard(world: World, record: Record, at: At) -> torch.Tensor:
 
 
 def mesh_attribute(world: World, record: Record, at: At) -> torch.Tensor:
+    """Colours of meshes, interpolated or constant on faces; zero on shapes that have none of the name."""
     scale = world.tensor("texture", record, "scale")
     found = [a for a in world.records["attribute"] if a.field["name"] == record.field["name"]]
     widths = [world.tensor("attribute", a, "data").shape[1] for a in found]
@@ -121,6 +130,7 @@ def surface_position(world: World, at: At) -> torch.Tensor:
 
 
 def volume(world: World, record: Record, at: At) -> torch.Tensor:
+    """A volume at the places of the surface points in the world."""
     return volumes.evaluate(world, record.field["volume"], surface_position(world, at))
 
 

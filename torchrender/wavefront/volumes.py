@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 
 def constvolume(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:
+    """The same value everywhere."""
     return world.tensor("volume", record, "value").expand(len(p), world.channels)
 
 
@@ -25,6 +26,7 @@ def to_grid(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:
 
 
 def gridvolume(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:
+    """Voxels, nearest or trilinear."""
     data, mode = world.tensor("volume", record, "data"), record.field["wrap_mode"]
     size = data.shape[2], data.shape[1], data.shape[0]
     layers = data.flatten(0, 1)  # rows of all slices, one after the other

@@ -5,21 +5,22 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
-from ..queries import Hits, nearest_hits, occlusion
+from ..queries import Hits, attached, find_hits, occlusion
+from ..scene.camera_rays import Rays
 from ..scene.declaration import models
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
+from ..scene.scene import Scene
 from ..surface import Surfaces
 from .geometry import Rows
+from .sensors import SENSORS
 from .textures import TEXTURES
 
-if TYPE_CHECKING:
-    from ..scene.scene import Scene
-
+OFFSET = 8.9406967e-5  # how far off a surface rays start, in parts of coordinates
 VALUES = ("spectrum", "float", "point", "tensor")  # kinds of fields that are tensors and place nothing
 
 
@@ -107,7 +108,7 @@ class World:
         texture = self.records["texture"][index]
         return TEXTURES[texture.type](self, texture, at)
 
-    def wants(self, category: str, index: int) -> bool:
+    def needs_grad(self, category: str, index: int) -> bool:
         """Whether a value of an object, or of its textures, requires gradients."""
         record = self.records[category][index]
         if record.type == "torch":
@@ -117,9 +118,9 @@ class World:
             number = record.field[f.name]
             if f.kind in VALUES and number >= 0:
                 numbers.append(number)
-            if f.kind in ("texture", "scalar", "volume") and number >= 0:
-                if self.wants("volume" if f.kind == "volume" else "texture", number):
-                    return True
+            nested = {"texture": "texture", "scalar": "texture", "volume": "volume"}.get(f.kind)
+            if nested is not None and number >= 0 and self.needs_grad(nested, number):
+                return True
         if record.type == "mesh_attribute":
             same = (a for a in self.records["attribute"] if a.field["name"] == record.field["name"])
             numbers += [a.field["data"] for a in same]
@@ -128,17 +129,30 @@ class World:
     def intersect(self, o: torch.Tensor, d: torch.Tensor, tmax: torch.Tensor | None = None) -> Hits:
         """What rays (N, 3) hit; attached to rays and surfaces if those are."""
         limits = torch.full((len(o),), math.inf, dtype=self.dtype) if tmax is None else tmax
-        hits = nearest_hits(self.native, self.plain, o.detach(), d.detach(), limits)
+        hits = find_hits(self.native, self.plain, o, d, limits)
         hits = hits._replace(shape_id=hits.shape_id.long(), prim_id=hits.prim_id.long())
-        if not self.moving:
-            return hits
-        rows = hits.valid.nonzero()[:, 0]
-        points = self.surfaces.meet(hits.shape_id[rows], hits.prim_id[rows], o[rows], d[rows], hits.t[rows])
-        attached: dict[str, torch.Tensor] = {}
-        for name in Hits._fields[:6]:
-            value, point = getattr(hits, name), getattr(points, name)
-            attached[name] = value.index_put((rows,), value[rows] + (point - point.detach()))
-        return hits._replace(**attached)
+        return attached(hits, self.surfaces, o, d) if self.moving else hits
+
+    def camera_rays(self, sensor: int, size: tuple[int, int], positions: torch.Tensor, lens: torch.Tensor) -> Rays:
+        """Of the camera of this number, through places on its film of this size, from places on its lens (N, 2)."""
+        record = self.records["sensor"][sensor]
+        return SENSORS[record.type](self, record, size, positions.to(self.dtype), lens.to(self.dtype))
+
+    def first_hits(self, rays: Rays, hide_emitters: bool) -> Hits:
+        """What camera rays hit, which may look through shapes that emit."""
+        o, d, length = rays
+        hits = self.intersect(o, d, length)
+        emitter = self.shape_field("emitter") if hide_emitters else None
+        while emitter is not None:
+            lit = hits.valid & (emitter[hits.shape_id] >= 0)
+            if not bool(lit.any()):
+                break
+            behind = o + d * torch.where(lit, hits.t.detach(), 0.0)[:, None]
+            step = torch.where(lit, (1 + behind.detach().abs().amax(1)) * OFFSET, 0.0)
+            o = behind + d * step[:, None]
+            length = length - torch.where(lit, hits.t.detach() + step, 0.0)
+            hits = self.intersect(o, d, length)
+        return hits
 
     def occluded(self, o: torch.Tensor, d: torch.Tensor, tmax: torch.Tensor) -> torch.Tensor:
         return occlusion(self.native, self.plain, o.detach(), d.detach(), tmax.detach())

@@ -40,7 +40,7 @@ TR_INLINE Vec3<F> unnormalize(const Vec3<F> &n, const Vec3<F> &n_bar, const F &i
 
 // The adjoint of D, through its direction and through J except for N; `area` is a multiple of N.
 template <class F>
-TR_INLINE Vec3<F> sweep_segment(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
+TR_INLINE Vec3<F> sweep_displacement(const Arrival<F> &in, const Vec3<F> &area, const F &cosine) {
     F inverse_squared = F(1) / squared_norm(in.D), inverse = sqrt(inverse_squared);
     Vec3<F> bar = unnormalize(in.D * inverse, in.d_bar, inverse) +
                   (area * (F(1) / cosine) - in.D * (F(3) * inverse_squared)) * in.log_jacobian_bar;
@@ -53,19 +53,20 @@ TR_INLINE Vec3<F> sweep_parallel(const Arrival<F> &in, const Vec3<F> &area, cons
     return in.d_bar + area * (in.log_jacobian_bar * norm(in.D) / cosine);
 }
 
-template <class F, class Sink, class Table>
-TR_INLINE void sweep_vertex(Table table, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
-                            Sink &sink) {
+// Adjoints of three numbers of a vertex.
+template <class F>
+TR_INLINE void sweep_mesh_vertex(VertexArray array, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
+                            GradientSink<F> &sink) {
     UIntOf<F> i = vertex * 3u;
-    sink.vertex(table, i, g.x, active);
-    sink.vertex(table, i + 1u, g.y, active);
-    sink.vertex(table, i + 2u, g.z, active);
+    sink.vertex(array, i, g.x, active);
+    sink.vertex(array, i + 1u, g.y, active);
+    sink.vertex(array, i + 2u, g.z, active);
 }
 
 // Adjoints of the matrix of a curved shape.
-template <class F, class Sink>
-TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, Sink &sink) {
-    IntOf<F> offset = IntOf<F>(shape * 12u + sink.geometry.matrices);
+template <class F>
+TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, GradientSink<F> &sink) {
+    IntOf<F> offset = IntOf<F>(shape * 12u + sink.matrices);
     for (int i = 0; i < 12; ++i) sink.scalar(offset + i, g[i], active);
 }
 

@@ -10,9 +10,9 @@
 namespace tr {
 
 // Adds what height and slopes (with respect to u and v) receive to the heights around a point, which share one pass.
-template <class F, class S, class Sink>
+template <class F, class S>
 TR_INLINE void sweep_heights(const HeightView<S> &heights, const F &u, const F &v, const F &z_bar, const F &by_u,
-                             const F &by_v, const MaskOf<F> &active, Sink &sink) {
+                             const F &by_v, const MaskOf<F> &active, GradientSink<F> &sink) {
     HeightAxis<F> x(u, heights.columns, heights.linear), y(v, heights.rows, heights.linear);
     Footprint<F, 16> taps;
     for (int j = 0; j < 4; ++j) {
@@ -25,11 +25,11 @@ TR_INLINE void sweep_heights(const HeightView<S> &heights, const F &u, const F &
     sink.taps(heights.slot, taps, active);
 }
 
-template <class F, class S, class Sink>
+template <class F, class S>
 TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
-                                        const HitAdjoint<F> &g, const MaskOf<F> &active, Vec3<F> &d_bar, Sink &sink) {
+                                        const HitAdjoint<F> &g, const MaskOf<F> &active, Vec3<F> &d_bar, GradientSink<F> &sink) {
     Vec3<F> zero{F(0), F(0), F(0)}, r = zero;
-    auto any_wanted = active && mask<F>(gather<IntOf<F>>(sink.geometry.wanted, at.shape, mask<IntOf<F>>(active)) != 0);
+    auto any_wanted = sink.wants_shape(at.shape, active);
     each_height_field<F>(scene, at.shape, active, [&](uint32_t one, const HeightView<S> &heights, MaskOf<F> lanes) {
         const S *to_world = scene.shape_matrices + 24 * size_t(one), *to_object = to_world + 12;
         HeightPoint<F> h = height_at(heights, at.b1, at.b2, lanes);
@@ -45,7 +45,7 @@ TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const Surface
 
         Vec3<F> m_bar = unnormalize(n, g.n, inverse), from_segment = zero;
         if (any(glued)) {
-            from_segment = select(glued, sweep_segment(in, n, cosine), zero);
+            from_segment = select(glued, sweep_displacement(in, n, cosine), zero);
             m_bar = select(glued, m_bar + in.D * (in.log_jacobian_bar * inverse / cosine), m_bar);
         }
         Vec3<F> k_bar = transform_vector(to_object, m_bar);
@@ -81,9 +81,9 @@ TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const Surface
 }
 
 // The same where only the position of a glued point counts; `active`: on shapes whose derivative is wanted.
-template <class F, class S, class Sink>
+template <class F, class S>
 TR_NOINLINE void sweep_height_positions(const SceneView<S> &scene, const SurfacePoint<F> &at, const Vec3<F> &p_bar,
-                                        const MaskOf<F> &active, Sink &sink) {
+                                        const MaskOf<F> &active, GradientSink<F> &sink) {
     each_height_field<F>(scene, at.shape, active,
                          [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
                              const S *to_world = scene.shape_matrices + 24 * size_t(one);

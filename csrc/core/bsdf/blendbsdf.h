@@ -1,8 +1,9 @@
 // `blendbsdf`: one of two BSDFs, chosen by chance, the second with probability `weight`. Not a BSDF of its own while
-// rendering, see integrator/layers.h.
+// rendering, see integrator/bsdf_stack.h.
 #pragma once
 
-#include "bsdf.h"
+#include "../math/dual.h"
+#include "../model.h"
 
 namespace tr {
 
@@ -13,7 +14,7 @@ struct BlendBsdf {
         {"bsdf_0", Kind::Bsdf, None, 0, INFINITY, "", "seen where the weight is 0"},
         {"bsdf_1", Kind::Bsdf, None, 0, INFINITY, "", "seen where it is 1"},
     };
-    static constexpr Model model = {"bsdf", "blendbsdf", "A mixture of two BSDFs.", fields, 3};
+    static constexpr Model model = {"bsdf", "blendbsdf", "A mixture of two BSDFs.", fields, 3, WrapsBsdfs, "BlendBSDF"};
 };
 
 }  // namespace tr

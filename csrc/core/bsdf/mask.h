@@ -1,7 +1,8 @@
-// `mask`: a BSDF with holes: met with probability `opacity`, else passed unchanged. See integrator/layers.h.
+// `mask`: a BSDF with holes: met with probability `opacity`, else passed unchanged. See integrator/bsdf_stack.h.
 #pragma once
 
-#include "null.h"
+#include "../math/dual.h"
+#include "../model.h"
 
 namespace tr {
 
@@ -12,11 +13,7 @@ struct MaskBsdf {
          "share of the surface that is there; beyond 0 and 1 it counts as those"},
         {"nested_bsdf", Kind::Bsdf, None, 0, INFINITY, "", "what is there"},
     };
-    static constexpr Model model = {"bsdf", "mask", "A BSDF with holes.", fields, 2};
+    static constexpr Model model = {"bsdf", "mask", "A BSDF with holes.", fields, 2, WrapsBsdfs | Transmits};
 };
-
-// The hole that a path has met: a leaf with the record of its mask. A kind apart from `null`, which bounds media and
-// which rays to lights pass.
-struct Opening : NullBsdf {};
 
 }  // namespace tr

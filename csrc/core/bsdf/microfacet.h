@@ -20,7 +20,7 @@ constexpr double MinAlpha = 1e-3;
 
 // The lanes whose surfaces have GGX facets, by the switch of a model.
 template <class F>
-TR_INLINE MaskOf<F> ggx_facets(const IntOf<F> &distribution) {
+TR_INLINE MaskOf<F> is_ggx(const IntOf<F> &distribution) {
     return mask<F>(distribution == int32_t(Microfacets::Ggx));
 }
 
@@ -38,7 +38,7 @@ TR_INLINE T ggx_density(const T &alpha, const T &cos2, const T &sin2) {
     return a2 / (d * d * T(Pi));
 }
 template <class T, class M>
-TR_INLINE T microfacet_density(const M &ggx, const T &alpha, const T &cos2, const T &sin2) {
+TR_INLINE T microfacet_distribution(const M &ggx, const T &alpha, const T &cos2, const T &sin2) {
     T r(0);
     if (any(ggx)) r = ggx_density(alpha, cos2, sin2);
     if (!all(ggx)) {
@@ -51,11 +51,11 @@ TR_INLINE T microfacet_density(const M &ggx, const T &alpha, const T &cos2, cons
 
 // D of the normal along h, by |h|^-2.
 template <class T, class M>
-TR_INLINE T density_along(const M &ggx, const T &alpha, const Vec3<T> &h, const T &inverse2) {
-    return microfacet_density(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2);
+TR_INLINE T distribution_of(const M &ggx, const T &alpha, const Vec3<T> &h, const T &inverse2) {
+    return microfacet_distribution(ggx, alpha, h.z * h.z * inverse2, (h.x * h.x + h.y * h.y) * inverse2);
 }
 template <class T, class M>
-TR_INLINE T density_along(const M &ggx, const Vec2<T> &alpha, const Vec3<T> &h, const T &inverse2) {
+TR_INLINE T distribution_of(const M &ggx, const Vec2<T> &alpha, const Vec3<T> &h, const T &inverse2) {
     T x = h.x / alpha.x, y = h.y / alpha.y;
     T cos2 = h.z * h.z * inverse2, stretched2 = (x * x + y * y) * inverse2, area = alpha.x * alpha.y * T(Pi), r(0);
     if (any(ggx)) {
@@ -72,35 +72,35 @@ TR_INLINE T density_along(const M &ggx, const Vec2<T> &alpha, const Vec3<T> &h, 
 // The part of v along the surface, times the roughness in its direction, squared; and its root, which has a derivative
 // everywhere.
 template <class T>
-TR_INLINE T spread2(const T &alpha, const Vec3<T> &v) {
+TR_INLINE T projected_roughness2(const T &alpha, const Vec3<T> &v) {
     return alpha * alpha * (v.x * v.x + v.y * v.y);
 }
 template <class T>
-TR_INLINE T spread2(const Vec2<T> &alpha, const Vec3<T> &v) {
+TR_INLINE T projected_roughness2(const Vec2<T> &alpha, const Vec3<T> &v) {
     T x = alpha.x * v.x, y = alpha.y * v.y;
     return x * x + y * y;
 }
 template <class T>
-TR_INLINE T spread(const T &alpha, const Vec3<T> &v) {
+TR_INLINE T projected_roughness(const T &alpha, const Vec3<T> &v) {
     return alpha * sqrt(max(v.x * v.x + v.y * v.y, T(1e-14)));
 }
 template <class T>
-TR_INLINE T spread(const Vec2<T> &alpha, const Vec3<T> &v) {
-    return sqrt(max(spread2(alpha, v), T(1e-20)));
+TR_INLINE T projected_roughness(const Vec2<T> &alpha, const Vec3<T> &v) {
+    return sqrt(max(projected_roughness2(alpha, v), T(1e-20)));
 }
 
 // Smith's masking over the cosine, G1(v) / |v.z|, which grazing directions do not make infinite: equations 34 and
 // (exactly, not by its rational fit) 26.
 template <class A, class T>
-TR_INLINE T ggx_masking_over_cosine(const A &alpha, const Vec3<T> &v) {
-    return T(2) / (abs(v.z) + sqrt(v.z * v.z + spread2(alpha, v)));
+TR_INLINE T ggx_smith_g1_over_cos(const A &alpha, const Vec3<T> &v) {
+    return T(2) / (abs(v.z) + sqrt(v.z * v.z + projected_roughness2(alpha, v)));
 }
 template <class A, class T, class M>
-TR_INLINE T masking_over_cosine(const M &ggx, const A &alpha, const Vec3<T> &v) {
+TR_INLINE T smith_g1_over_cos(const M &ggx, const A &alpha, const Vec3<T> &v) {
     T r(0);
-    if (any(ggx)) r = ggx_masking_over_cosine(alpha, v);
+    if (any(ggx)) r = ggx_smith_g1_over_cos(alpha, v);
     if (!all(ggx)) {
-        T z = abs(v.z), s = spread(alpha, v);
+        T z = abs(v.z), s = projected_roughness(alpha, v);
         r = select(ggx, r, T(2) / (T(2) * z + s * (erfc_integral(z / s) * T(1 / SqrtPi))));
     }
     return r;
@@ -135,11 +135,11 @@ TR_INLINE Vec2<F> visible_beckmann_slopes(const F &sin, const F &cos, const F &u
 
 // A vector of the surface of alpha 1 as one of the surface of this roughness.
 template <class F>
-TR_INLINE Vec3<F> scaled_along(const F &alpha, const Vec3<F> &v) {
+TR_INLINE Vec3<F> stretch(const F &alpha, const Vec3<F> &v) {
     return {alpha * v.x, alpha * v.y, v.z};
 }
 template <class F>
-TR_INLINE Vec3<F> scaled_along(const Vec2<F> &alpha, const Vec3<F> &v) {
+TR_INLINE Vec3<F> stretch(const Vec2<F> &alpha, const Vec3<F> &v) {
     return {alpha.x * v.x, alpha.y * v.y, v.z};
 }
 
@@ -148,39 +148,39 @@ TR_INLINE Vec3<F> scaled_along(const Vec2<F> &alpha, const Vec3<F> &v) {
 // "Sampling the GGX Distribution of Visible Normals", JCGT 7(4), 2018.
 template <class A, class F>
 TR_INLINE Vec3<F> sample_visible_ggx_normal(const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
-    Vec3<F> stretched = normalize(scaled_along(alpha, wi));
+    Vec3<F> stretched = normalize(stretch(alpha, wi));
     F above = F(1) - u2, z = fmadd(above, F(1) + stretched.z, -stretched.z), s, c;
     F r = sqrt(max(u2 * (F(1) + stretched.z) * (F(1) + z), F(0)));  // sqrt(1 - z^2)
     sincos(u1 * F(2 * Pi), s, c);
     Vec3<F> h{fmadd(r, c, stretched.x), fmadd(r, s, stretched.y), max(above * (F(1) + stretched.z), F(1e-20))};
-    return normalize(scaled_along(alpha, h));
+    return normalize(stretch(alpha, h));
 }
 template <class A, class F, class M>
 TR_INLINE Vec3<F> sample_visible_normal(const M &ggx, const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
     Vec3<F> m{F(0), F(0), F(1)};
     if (any(ggx)) m = sample_visible_ggx_normal(alpha, wi, u1, u2);
     if (!all(ggx)) {
-        Vec3<F> stretched = normalize(scaled_along(alpha, wi));
+        Vec3<F> stretched = normalize(stretch(alpha, wi));
         F s = sqrt(stretched.x * stretched.x + stretched.y * stretched.y);
         auto tilted = mask<F>(s > F(1e-15));
         F inverse = select(tilted, F(1) / select(tilted, s, F(1)), F(0));
         F c = select(tilted, stretched.x * inverse, F(1)), d = stretched.y * inverse;
         Vec2<F> slope = visible_beckmann_slopes(s, stretched.z, u1, u2);
         F x = c * slope.x - d * slope.y, y = d * slope.x + c * slope.y;
-        m = select(ggx, m, normalize(scaled_along(alpha, Vec3<F>{-x, -y, F(1)})));
+        m = select(ggx, m, normalize(stretch(alpha, Vec3<F>{-x, -y, F(1)})));
     }
     return m;
 }
 
 // The roughness that a model renders with.
 template <class T>
-TR_INLINE T rendered_alpha(const T &alpha) {
+TR_INLINE T clamp_alpha(const T &alpha) {
     using F = std::decay_t<decltype(value_of(alpha))>;
     return at_least(alpha, F(MinAlpha));
 }
 template <class T>
-TR_INLINE Vec2<T> rendered_alpha(const Vec2<T> &alpha) {
-    return {rendered_alpha(alpha.x), rendered_alpha(alpha.y)};
+TR_INLINE Vec2<T> clamp_alpha(const Vec2<T> &alpha) {
+    return {clamp_alpha(alpha.x), clamp_alpha(alpha.y)};
 }
 
 // Reflection off facets into the hemisphere of the normal, for models that reflect only: a surface of density D(h)
@@ -201,12 +201,12 @@ struct FacetReflection {
         length2 = select(possible, length2, T(1));
         T inverse2 = T(1) / length2;
         cosine = sqrt(length2) * T(0.5);  // wi.h = wo.h = |h|^2 / 2
-        density = density_along(ggx, alpha, h, inverse2) * masking_over_cosine(ggx, alpha, wi);
+        density = distribution_of(ggx, alpha, h, inverse2) * smith_g1_over_cos(ggx, alpha, wi);
     }
     // G1(wo), the cosine of wo being positive where reflection is possible
     template <class M, class A>
     TR_INLINE T shadowing(const M &ggx, const A &alpha, const Vec3<T> &wo) const {
-        return abs(wo.z) * masking_over_cosine(ggx, alpha, wo);
+        return abs(wo.z) * smith_g1_over_cos(ggx, alpha, wo);
     }
 };
 

@@ -2,7 +2,8 @@
 // to the nested model and, from behind, to mirrored directions.
 #pragma once
 
-#include "bsdf.h"
+#include "../math/dual.h"
+#include "../model.h"
 
 namespace tr {
 
@@ -12,7 +13,7 @@ struct TwoSided {
         {"brdf_0", Kind::Bsdf, None, 0, INFINITY, "", "front; and back, if there is no second"},
         {"brdf_1", Kind::Bsdf, -1, 0, INFINITY, "", "back"},
     };
-    static constexpr Model model = {"bsdf", "twosided", "Reflection from both sides of a surface.", fields, 2};
+    static constexpr Model model = {"bsdf", "twosided", "Reflection from both sides of a surface.", fields, 2, WrapsBsdfs, "TwoSided"};
 };
 
 }  // namespace tr

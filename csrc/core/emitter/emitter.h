@@ -1,73 +1,52 @@
-// All emitters: choosing one and a direction to it, the density of that choice, and what it sends.
+// What integrators know of an emitter: a table of functions on packets. Each model is one translation unit that fills in
+// such a table; the registry below lists them. A packet may have several emitters: `lanes` are those of the model that
+// is called, and results are written there alone.
 #pragma once
 
+#include "../adjoint/needs.h"
+#include "../math/warp.h"
+#include "../shape/surface.h"
+#include "../texture/texture.h"
 #include "../typelist.h"
-#include "area.h"
-#include "constant.h"
-#include "directional.h"
-#include "directionalarea.h"
-#include "envmap.h"
-#include "point.h"
-#include "projector.h"
-#include "spot.h"
+
+// One line a model, each a file here; the position is the model's kind.
+#define TR_EMITTERS(X)        \
+    X(AreaEmitter)            \
+    X(ConstantEmitter)        \
+    X(EnvironmentMap)         \
+    X(PointEmitter)           \
+    X(DirectionalAreaEmitter) \
+    X(DirectionalEmitter)     \
+    X(SpotEmitter)            \
+    X(ProjectorEmitter)
 
 namespace tr {
 
-// A model's kind is its position here.
-using Emitters = TypeList<AreaEmitter, ConstantEmitter, EnvironmentMap, PointEmitter, DirectionalAreaEmitter,
-                          DirectionalEmitter, SpotEmitter, ProjectorEmitter>;
-
-// Those that have code of their own; point lights go by their models.
-enum class EmitterKind : int32_t {
-    Area = kind_of_model<AreaEmitter>(Emitters{}),
-    Constant = kind_of_model<ConstantEmitter>(Emitters{}),
-    EnvironmentMap = kind_of_model<tr::EnvironmentMap>(Emitters{}),
-    DirectionalArea = kind_of_model<DirectionalAreaEmitter>(Emitters{}),
-    Directional = kind_of_model<DirectionalEmitter>(Emitters{})
-};
-
-// Calls visit(model, lanes) for every model of a point light that lanes have.
-template <class F, class Visit>
-TR_INLINE void for_each_point_light(const IntOf<F> &kind, const MaskOf<F> &active, Visit &&visit) {
-    for_each_model(Emitters{}, [&](auto model) {
-        using Model = decltype(model);
-        if constexpr (IsPointLight<Model>) {
-            auto lanes = active && mask<F>(kind == int32_t(kind_of_model<Model>(Emitters{})));
-            if (any(lanes)) visit(model, lanes);
-        }
-    });
-}
-
-// Light from all around, which the camera sees; and light that comes from infinitely far away.
 template <class F>
-TR_INLINE MaskOf<F> is_surrounding(const IntOf<F> &kind) {
-    return mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
-}
+class GradientSink;
 template <class F>
-TR_INLINE MaskOf<F> is_parallel(const IntOf<F> &kind) {
-    return is_surrounding<F>(kind) || mask<F>(kind == int32_t(EmitterKind::Directional));
-}
+struct CoordinateAdjoint;
+template <class F>
+struct EmissionRecord;
+template <class F>
+struct NextVertex;
 
-// Of a shape: such records have the shape's index.
-constexpr bool is_surface_emitter(int32_t kind) {
-    return kind == int32_t(EmitterKind::Area) || kind == int32_t(EmitterKind::DirectionalArea);
-}
-
-// Where on which emitter: on an area light a surface point; of an environment map (b1, b2) are its coordinates, of a
-// point light the direction in its frame (pointlight.h).
+// Where on which emitter: on a shape a surface point; of an environment (b1, b2) are coordinates of the direction, of
+// a light at a point they are the direction in its frame (delta_position.h).
 template <class F>
 struct EmitterPoint {
     IntOf<F> emitter;
     SurfacePoint<F> at;
 };
 
+// A point on an emitter, chosen for a reference point.
 template <class F>
 struct EmitterSample {
     EmitterPoint<F> point;
     Vec3<F> d;  // unit direction from the reference point
     F distance;
     F pdf;     // per solid angle, times the probability of the emitter; 0: nothing arrives
-    F factor;  // radiance arriving = factor * emitted: 1, or 1 / distance^2 of point lights
+    F factor;  // radiance arriving = factor * emitted: 1, or 1 / distance^2 of lights at a point
     MaskOf<F> delta;
 };
 
@@ -82,173 +61,135 @@ TR_INLINE EmitterSample<F> no_emitter_sample() {
     return r;
 }
 
-// Emitted radiance (point lights: intensity; `directional`: irradiance).
-template <int C, class F, class S>
-TR_INLINE Color<F, C> eval_emitter(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
-    RecordLanes<F> record(scene.emitters, point.emitter, active);
-    const IntOf<F> &kind = record.kind();
-    Color<F, C> r = uniform_color<C>(F(0));
-    auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
-    if (any(area)) {
-        IntOf<F> texture = record.field(AreaEmitter::Radiance);
-        r = select(area, eval_texture<C>(scene, scene.values, texture, point.at, area), r);
-    }
-    // radiance of `constant`, irradiance of `directional`: both are field 0
-    auto flat = active &&
-                (mask<F>(kind == int32_t(EmitterKind::Constant)) || mask<F>(kind == int32_t(EmitterKind::Directional)));
-    if (any(flat)) {
-        r = select(flat, constant_color<C, F>(scene.values, record.field(0), flat), r);
-    }
-    for_each_point_light<F>(kind, active, [&](auto model, const MaskOf<F> &lanes) {
-        r = select(lanes, eval_point_light<decltype(model), C>(scene, point.emitter, point.at, lanes), r);
-    });
-    auto map = active && mask<F>(kind == int32_t(EmitterKind::EnvironmentMap));
-    if (any(map)) {
-        const Record &record = scene.emitters[scene.environment];
-        const TensorView<S> &tensor = scene.values.tensors[record.field[EnvironmentMap::Data]];
-        F scale(scene.values.constants[record.field[EnvironmentMap::Scale]]);
-        auto at = EnvironmentMap::footprint(tensor, Vec2<F>{point.at.b1, point.at.b2});
-        r = select(map, gather_footprint<C>(tensor, at, map) * scale, r);
-    }
-    return r;
-}
-
-// The environment in direction d as an emitter point.
-template <class F, class S>
-TR_INLINE EmitterPoint<F> environment_point(const SceneView<S> &scene, const Vec3<F> &d) {
-    EmitterPoint<F> r;
-    r.emitter = IntOf<F>(scene.environment);
-    r.at.shape = r.at.primitive = UIntOf<F>(0u);
-    r.at.b1 = r.at.b2 = F(0);
-    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap)) {
-        Vec2<F> uv = EnvironmentMap::to_uv(scene, d);
-        r.at.b1 = uv.x;
-        r.at.b2 = uv.y;
-    }
-    return r;
-}
-
-template <class F, class S>
-TR_INLINE F environment_pdf(const SceneView<S> &scene, const EmitterPoint<F> &point, const MaskOf<F> &active) {
-    F pdf(1 / (4 * Pi));
-    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap))
-        pdf = EnvironmentMap::pdf(scene, Vec2<F>{point.at.b1, point.at.b2}, active);
-    return pdf * F(scene.emitter_pmf[scene.environment]);
-}
-
-// Density with which sample_emitter, at p, chooses the point of an area light that a ray in direction d has hit.
-template <class F, class S>
-TR_INLINE F area_light_pdf(const SceneView<S> &scene, const IntOf<F> &emitter, const UIntOf<F> &shape, const Vec3<F> &p,
-                           const Vec3<F> &hit, const Vec3<F> &n, const MaskOf<F> &active) {
-    Direction<F> to_light(hit - p);
-    return area_emitter_pdf(scene, shape, p, n, to_light.d, to_light.length, active) *
-           gather<F>(scene.emitter_pmf, UIntOf<F>(emitter), active);
-}
-
-// An emitter, the probability of choosing it, and a uniform number that is left of the one that chose.
+// A ray of light, where the paths of the particle tracer begin. What it carries is `weight` times what the emitter
+// sends there, `weight` being the cosine over the density of the choice. How it moves when the emitter does, see
+// adjoint/light.h.
 template <class F>
-struct ChosenEmitter {
-    UIntOf<F> index{0u};
-    F pmf, left;
+struct EmissionSample {
+    EmitterPoint<F> point;
+    IntOf<F> kind;
+    Vec3<F> p, n, d;  // where on the emitter (or on a disk in front of the scene), its normal, unit direction of travel
+    F weight;
+    F inverse_pdf;  // of the emitter and of p, by area; of light from afar of the direction, by solid angle
+    MaskOf<F> active;
 };
 
-template <class F, class S>
-TR_INLINE ChosenEmitter<F> choose_emitter(const SceneView<S> &scene, const F &u, const MaskOf<F> &active) {
-    using U = UIntOf<F>;
-    ChosenEmitter<F> r;
-    r.left = u;
-    if (scene.n_emitters > 1) {
-        r.index = search_cdf<F>(scene.emitter_cdf, U(0u), U(uint32_t(scene.n_emitters)), u, active);
-        r.pmf = gather<F>(scene.emitter_pmf, r.index, active);
-        F before = select(mask<F>(r.index > 0u), gather<F>(scene.emitter_cdf, max(r.index, U(1u)) - 1u, active), F(0));
-        r.left = max(F(0), min((u - before) / max(r.pmf, F(1e-20)), F(1 - 1e-7)));
-    } else {
-        r.pmf = F(scene.emitter_pmf[0]);
-    }
+// How light came from a sampled point to a reference point x, as its derivative sees it: along the unit vector w from
+// x, `log_bar` being the adjoint of the logarithm of what arrives.
+template <class F>
+struct DirectAdjoint {
+    EmitterPoint<F> point;
+    Vec3<F> x, w;
+    F distance;
+    Vec3<F> w_bar;
+    F log_bar;
+    const CoordinateAdjoint<F> &at;  // of the point, from what it sends
+    bool shapes;                     // whether shapes may move, or lights alone
+};
+
+// Means over what emitters look up, on the host: what their power is made of.
+struct EmitterMeans {
+    virtual ~EmitterMeans() = default;
+    virtual double number(int32_t offset) const = 0;
+    virtual double color(int32_t offset) const = 0;  // luminance, as the following
+    virtual double texture(int32_t index, int32_t shape) = 0;  // on a shape, or -1
+    virtual double environment(int32_t slot) = 0;              // of an image over directions
+    virtual double area(int32_t shape) const = 0;
+    double disk = 0;  // area of one that covers the scene
+};
+
+template <class F>
+struct EmitterKernels {
+    using S = ScalarOf<F>;
+    using Scene = SceneView<S>;
+    using Point = EmitterPoint<F>;
+    using M = MaskOf<F>;
+    const Model *model;
+
+    // Radiance (of lights at a point: intensity; of parallel light: irradiance).
+    void (*eval)(const Scene &, const Wavelengths<F> &, const Point &, const M &lanes, Spectrum<F> &);
+    // A point for the reference point p: all of r but the emitter, pdf without its probability. Null of beams.
+    void (*sample_direct)(const Scene &, const Vec3<F> &p, const F &u0, const F &u1, const F &u2, const M &lanes,
+                          EmitterSample<F> &r);
+    // Density per solid angle with which that chooses, for the reference point `from`, what a ray has met: the point p
+    // of normal n, or the environment. Null where no ray does.
+    F (*pdf_direct)(const Scene &, const Point &, const Vec3<F> &from, const Vec3<F> &p, const Vec3<F> &n,
+                    const M &lanes);
+    // The environment in direction d as an emitter point. Null of others.
+    void (*point_of_direction)(const Scene &, const Vec3<F> &d, Point &);
+    // Light as it leaves: `left` chooses the face of a mesh; (a, b) is a point of the unit square, which is spread over
+    // the surface (of an environment: over its directions), (c, d) gives the direction (of an environment: the place).
+    void (*sample_emission)(const Scene &, const F &left, const F &a, const F &b, const F &c, const F &d,
+                            const F &inverse_pmf, const M &lanes, EmissionSample<F> &);
+    // Derivative of what is sent, of which g is the adjoint, in the unit direction -d. `at` and `d_bar` receive those of
+    // the point and of d where something moves.
+    void (*vjp)(const Scene &, const Point &, const Vec3<F> &d, const Spectrum<F> &g, const GradientNeeds &,
+                const M &lanes, CoordinateAdjoint<F> &at, Vec3<F> &d_bar, GradientSink<F> &);
+    // Derivative of where it comes from: the adjoint of the reference point. Null where nothing of it depends on that.
+    void (*direct_vjp)(const Scene &, const DirectAdjoint<F> &, const M &lanes, Vec3<F> &x_bar, GradientSink<F> &);
+    // Derivative of how a path of light begins; `carried` is the adjoint of the logarithm of what it carries, `at` and
+    // `d_bar` those of the point and of the direction -d from what is sent. Null where nothing of it moves.
+    void (*emission_vjp)(const Scene &, const EmissionRecord<F> &, const NextVertex<F> &, const F &carried,
+                         const CoordinateAdjoint<F> &at, const Vec3<F> &d_bar, const M &lanes, GradientSink<F> &);
+    double (*power)(EmitterMeans &, const Record &);
+};
+
+template <class M, class F>
+EmitterKernels<F> emitter_kernels_of();
+
+#define TR_NAME(M) struct M;
+TR_EMITTERS(TR_NAME)
+#undef TR_NAME
+struct NoEmitter;
+#define TR_NAME(M) M,
+using Emitters = TypeList<TR_EMITTERS(TR_NAME) NoEmitter>;  // the last stands for none
+#undef TR_NAME
+constexpr int EmitterKinds = Emitters::Size - 1;
+
+template <class F>
+const EmitterKernels<F> &emitter_kernels(int kind);
+
+// What the host adds to records: of emitters that are on a shape its index; where the aspect of the image is.
+constexpr int EmitterShape = Record::Extra, ImageAspect = Record::Extra;
+
+// Calls visit(table, lanes) for every model that lanes have an emitter of.
+template <class F, class Visit>
+TR_INLINE void for_each_emitter_kind(const IntOf<F> &kind, const MaskOf<F> &active, Visit &&visit) {
+    for_each_distinct<F>(kind, active, [&](int32_t k, const MaskOf<F> &lanes) { visit(emitter_kernels<F>(k), lanes); });
+}
+
+// The lanes whose emitters have one of these flags.
+template <class F>
+TR_INLINE MaskOf<F> emitters_with(const IntOf<F> &kind, uint32_t flags) {
+    MaskOf<F> r(false);
+    for (int k = 0; k < EmitterKinds; ++k)
+        if (emitter_kernels<F>(k).model->is(flags)) r = r || mask<F>(kind == k);
     return r;
 }
 
-// A direction to the environment, with its density and what eval_emitter takes of it.
-template <class F, class S>
-TR_INLINE Vec3<F> sample_environment(const SceneView<S> &scene, const F &u1, const F &u2, Vec2<F> &uv, F &pdf,
-                                     const MaskOf<F> &active) {
-    if (scene.emitters[scene.environment].kind == int32_t(EmitterKind::EnvironmentMap))
-        return EnvironmentMap::sample(scene, u1, u2, uv, pdf, active);
-    uv = {F(0), F(0)};
-    pdf = F(1 / (4 * Pi));
-    return square_to_sphere(u1, u2);
-}
+// What emitters send from these points; beams are black, since nothing else sees them, unless they are `beams`.
+template <class F>
+Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                         const MaskOf<F> &active, bool beams = false);
 
-// u0 chooses the emitter and, with what is left of it, the face of a mesh light; u1, u2 the point or direction.
-template <class F, class S>
-TR_INLINE EmitterSample<F> sample_emitter(const SceneView<S> &scene, const Vec3<F> &p, const F &u0, const F &u1,
-                                          const F &u2, const MaskOf<F> &active) {
-    using U = UIntOf<F>;
-    EmitterSample<F> r = no_emitter_sample<F>();
-    auto [index, pmf, left] = choose_emitter(scene, u0, active);
-    r.point.emitter = IntOf<F>(index);
-    IntOf<F> kind = record_kind<F>(scene.emitters, r.point.emitter, active);
+// An emitter and a point on it for the reference point p: u0 chooses the emitter and, with what is left of it, the face
+// of a mesh light; u1, u2 the point or direction.
+template <class F>
+EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
+                                const MaskOf<F> &active);
 
-    auto area = active && mask<F>(kind == int32_t(EmitterKind::Area));
-    if (any(area)) {
-        U shape = U(record_field<F>(scene.emitters, AreaEmitter::ShapeIndex, r.point.emitter, area));
-        SampledPoint<F> q = sample_area_emitter(scene, shape, p, left, u1, u2, area);
-        Direction<F> to_light(q.p - p);
-        auto facing = area && mask<F>(dot(q.n, to_light.d) < F(0));
-        r.point.at.shape = select(mask<U>(area), q.at.shape, r.point.at.shape);
-        r.point.at.primitive = select(mask<U>(area), q.at.primitive, r.point.at.primitive);
-        r.point.at.b1 = select(area, q.at.b1, r.point.at.b1);
-        r.point.at.b2 = select(area, q.at.b2, r.point.at.b2);
-        r.d = select(area, to_light.d, r.d);
-        r.distance = select(area, to_light.length, r.distance);
-        r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing), r.pdf);
-    }
-    for_each_point_light<F>(kind, active, [&](auto model, const MaskOf<F> &lanes) {
-        using Model = decltype(model);
-        auto frame = point_light_frame<Model, F>(scene, r.point.emitter, lanes);
-        Vec3<F> to_light = frame.p - p;
-        F distance = norm(to_light);
-        auto apart = lanes && mask<F>(distance > F(0));
-        F inverse = F(1) / select(apart, distance, F(1));
-        r.d = select(apart, to_light * inverse, r.d);
-        r.distance = select(apart, distance, r.distance);
-        r.factor = select(apart, inverse * inverse, r.factor);
-        auto lit = apart;
-        if constexpr (Model::Oriented) {
-            Vec3<F> local = frame.to_local(-to_light);
-            local = select(apart, normalize(local), Vec3<F>{F(0), F(0), F(1)});
-            Vec2<F> b = direction_to_point(local);
-            r.point.at.b1 = select(apart, b.x, r.point.at.b1);
-            r.point.at.b2 = select(apart, b.y, r.point.at.b2);
-            LightNumbers<Model, F> numbers(scene, r.point.emitter, lanes);
-            lit = lit && Model::pattern(direction_of_point(b.x, b.y), numbers.value).lit;
-        }
-        r.pdf = select(lit, F(1), r.pdf);
-        r.delta = r.delta || apart;
-    });
-    auto parallel = active && mask<F>(kind == int32_t(EmitterKind::Directional));
-    if (any(parallel)) {
-        Vec3<F> axis = DirectionalEmitter::axis<F>(scene, r.point.emitter, parallel);
-        r.d = select(parallel, -normalize(axis), r.d);
-        r.distance = select(parallel, F(INFINITY), r.distance);
-        r.pdf = select(parallel, F(1), r.pdf);
-        r.delta = r.delta || parallel;
-    }
-    if (scene.environment >= 0) {
-        auto here = active && mask<F>(r.point.emitter == scene.environment);
-        if (any(here)) {
-            Vec2<F> uv;
-            F pdf;
-            Vec3<F> d = sample_environment(scene, u1, u2, uv, pdf, here);
-            r.d = select(here, d, r.d);
-            r.point.at.b1 = select(here, uv.x, r.point.at.b1);
-            r.point.at.b2 = select(here, uv.y, r.point.at.b2);
-            r.distance = select(here, F(INFINITY), r.distance);
-            r.pdf = select(here, pdf, r.pdf);
-        }
-    }
-    r.pdf = r.pdf * pmf;
-    return r;
-}
+// Density with which that chooses, for the reference point `from`, the point p of a shape's emitter.
+template <class F>
+F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
+                    const Vec3<F> &n, const MaskOf<F> &active);
+
+// The environment in direction d as an emitter point, and the density with which it is chosen.
+template <class F>
+EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active);
+
+// Where a path of light begins; `choice` chooses the emitter, for the others see EmitterKernels::sample_emission.
+template <class F>
+EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, const F &a, const F &b, const F &c,
+                                  const F &d, const MaskOf<F> &active);
 
 }  // namespace tr

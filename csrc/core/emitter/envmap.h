@@ -11,7 +11,6 @@
 namespace tr {
 
 struct EnvironmentMap {
-    enum { Data, Scale, ToWorld, Weight };
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, 0, INFINITY, "interior", "radiance (rows, columns, channels), linear"},
         {"scale", Kind::Float, 1, 0, INFINITY, "interior", "factor of all texels"},
@@ -21,7 +20,9 @@ struct EnvironmentMap {
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
     };
-    static constexpr Model model = {"emitter", "envmap", "An environment map.", fields, 4};
+    static constexpr int Data = field_index(fields, "data"), Scale = field_index(fields, "scale"),
+                         ToWorld = field_index(fields, "to_world");
+    static constexpr Model model = {"emitter", "envmap", "An environment map.", fields, 4, IsEnvironment | IsInfinite, "EnvironmentMap"};
 
     template <class F, class S>
     TR_INLINE static Vec2<F> to_uv(const SceneView<S> &scene, const Vec3<F> &d) {

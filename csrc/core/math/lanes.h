@@ -141,7 +141,7 @@ TR_INLINE UIntOf<F> lane_index() {
 
 // Lane `i` as a number: for the loops over lanes that scatter with conflicts.
 template <class T>
-TR_INLINE auto lane(const T &x, int i) {
+TR_INLINE auto lane(const T &x, [[maybe_unused]] int i) {
     if constexpr (std::is_arithmetic_v<T>) return x;
 #if TR_HAS_PACKETS
     else
@@ -160,7 +160,7 @@ TR_INLINE auto lane_sum(const T &x) {
 
 // The value of x where m is set for the first time.
 template <class T, class M>
-TR_INLINE auto first_lane(const T &x, const M &m) {
+TR_INLINE auto first_lane(const T &x, [[maybe_unused]] const M &m) {
     if constexpr (std::is_arithmetic_v<T>) return x;
 #if TR_HAS_PACKETS
     else
@@ -242,7 +242,7 @@ TR_INLINE void sincos(const drjit::Packet<T, N> &x, drjit::Packet<T, N> &s, drji
 // Writes the lanes of `x` that are set in `m` one after the other. The packet is compressed in a register and stored
 // whole: a compressing store to memory is microcoded on Zen 4. `p` therefore needs room for a full packet.
 template <class F, class T, class S>
-TR_INLINE void store_compressed(S *p, const T &x, const MaskOf<F> &m) {
+TR_INLINE void store_compressed(S *p, const T &x, [[maybe_unused]] const MaskOf<F> &m) {
     if constexpr (Lanes<F>::Width == 1) {
         *p = S(x);  // overwritten by the next lane where m is false
     }
@@ -269,5 +269,36 @@ TR_INLINE void store_compressed(S *p, const T &x, const MaskOf<F> &m) {
     }
 #endif
 }
+
+// What numbers of a precision are computed in: single precision in packets, where there are any; double precision, which
+// is for checking, a number at a time. Functions that are compiled once for all who call them are instantiated in a file
+// of their own for each of these: Do(F, S) for every Float F and its scalar S.
+#if TR_HAS_PACKETS
+namespace detail {
+template <class S>
+struct PacketOf;
+template <>
+struct PacketOf<float> {
+    using type = FloatPacket;
+};
+}  // namespace detail
+template <class S>
+using PacketOf = typename detail::PacketOf<S>::type;
+#define TR_FOR_EACH_PRECISION(Do) Do(float)
+#define TR_FOR_EACH_FLOAT(Do) Do(FloatPacket, float)
+#define TR_FOR_EACH_PRECISION_OF(Do, ...) Do(float, __VA_ARGS__)
+#else
+template <class S>
+using PacketOf = S;
+#if defined(__CUDACC__)  // device code is instantiated where a kernel asks for it
+#define TR_FOR_EACH_PRECISION(Do)
+#define TR_FOR_EACH_FLOAT(Do)
+#define TR_FOR_EACH_PRECISION_OF(Do, ...)
+#else
+#define TR_FOR_EACH_PRECISION(Do) Do(float) Do(double)
+#define TR_FOR_EACH_FLOAT(Do) Do(float, float) Do(double, double)
+#define TR_FOR_EACH_PRECISION_OF(Do, ...) Do(float, __VA_ARGS__) Do(double, __VA_ARGS__)
+#endif
+#endif
 
 }  // namespace tr

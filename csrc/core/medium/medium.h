@@ -20,12 +20,6 @@ struct MediumInfo {
     int32_t enclosed;
 };
 
-// What of a medium a derivative asks for.
-struct MediumWanted {
-    uint8_t extinction, albedo, emission, phase;
-    bool any() const { return extinction || albedo || emission || phase; }
-};
-
 template <class F, class S>
 TR_INLINE MaskOf<F> inside_grid(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &p) {
     Vec3<F> q = to_volume(scene, medium.extinction, p);
@@ -33,13 +27,13 @@ TR_INLINE MaskOf<F> inside_grid(const SceneView<S> &scene, const MediumInfo &med
 }
 
 // The extinction at a point; outside of its cube a grid is empty.
-template <int C, class F, class S>
-TR_INLINE Color<F, C> eval_extinction(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &p,
-                                      const MaskOf<F> &active) {
-    Color<F, C> r = eval_volume<C>(scene, scene.values, medium.extinction, p, active);
+template <class F, class S>
+TR_INLINE Spectrum<F> eval_extinction(const SceneView<S> &scene, const Wavelengths<F> &waves, const MediumInfo &medium,
+                                      const Vec3<F> &p, const MaskOf<F> &active) {
+    Spectrum<F> r = eval_volume(scene, scene.values, waves, medium.extinction, p, active);
     r = r * F(scene.values.constants[medium.scale]);
     if (!(medium.flags & IsGrid)) return r;
-    return select(inside_grid(scene, medium, p), r, uniform_color<C>(F(0)));
+    return select(inside_grid(scene, medium, p), r, uniform_spectrum(F(0)));
 }
 
 }  // namespace tr

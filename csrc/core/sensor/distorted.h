@@ -7,6 +7,7 @@
 // theorem) and is one more step of it in dual numbers.
 #pragma once
 
+#include <initializer_list>
 #include <limits>
 
 #include "local_ray.h"

@@ -85,24 +85,30 @@ struct Bitmap {
     }
 };
 
-// The weighted sum of a tensor's rows of channels.
-template <int C, class F, class S, int N>
-TR_INLINE Color<F, C> gather_footprint(const TensorView<S> &tensor, const Footprint<F, N> &at,
-                                       const MaskOf<F> &active) {
-    Color<F, C> r = uniform_color<C>(F(0));
-    int channels = tensor.shape[2];
-    for (int i = 0; i < N; ++i) {
-        F row[C];
-        if (channels == C) {
-            gather_rows<F>(tensor.data, at.texel[i] * uint32_t(C), active, row);
+// The weighted sum of n rows of a tensor's channels, of which there are one or as many as a spectrum has.
+template <class F, class S>
+TR_INLINE Spectrum<F> gather_taps(const TensorView<S> &tensor, const UIntOf<F> *texel, const F *weight, int n,
+                                  const MaskOf<F> &active) {
+    Spectrum<F> r = uniform_spectrum(F(0));
+    const int channels = tensor.shape[2];
+    for (int i = 0; i < n; ++i) {
+        F row[SpectrumSize];
+        if (channels == SpectrumSize) {
+            gather_rows<F>(tensor.data, texel[i] * uint32_t(SpectrumSize), active, row);
         } else {
-            for (int c = 0; c < C; ++c)
-                row[c] =
-                    gather<F>(tensor.data, at.texel[i] * uint32_t(channels) + uint32_t(channels == 1 ? 0 : c), active);
+            row[0] = gather<F>(tensor.data, texel[i], active);
+            for (int c = 1; c < SpectrumSize; ++c) row[c] = row[0];
         }
-        for (int c = 0; c < C; ++c) r[c] = fmadd(at.weight[i], row[c], r[c]);
+        for (int c = 0; c < SpectrumSize; ++c) r[c] = fmadd(weight[i], row[c], r[c]);
     }
     return r;
+}
+
+// A colour, looked up.
+template <class F, class S, int N>
+TR_INLINE Spectrum<F> gather_footprint(const TensorView<S> &tensor, const Wavelengths<F> &, const Footprint<F, N> &at,
+                                       const MaskOf<F> &active) {
+    return gather_taps(tensor, at.texel, at.weight, N, active);
 }
 
 }  // namespace tr

@@ -5,10 +5,20 @@
 
 namespace tr {
 
-template <class F, int C, class S>
+template <class F>
 struct TextureSlopes {
+    Spectrum<F> u, v;
+};
+
+template <class F, class S>
+TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
+                                const TexturedPoint<F> &at, const MaskOf<F> &active);
+
+template <class F, class S>
+struct SlopesVisitor {
     const SceneView<S> &scene;
-    Color<F, C> u = uniform_color<C>(F(0)), v = uniform_color<C>(F(0));
+    const Wavelengths<F> &waves;
+    TextureSlopes<F> result{uniform_spectrum(F(0)), uniform_spectrum(F(0))};
 
     TR_INLINE void constant(const IntOf<F> &, const MaskOf<F> &) {}
     TR_INLINE void attribute(const Record &, const AttributeInfo &, const Footprint<F, 3> &, const MaskOf<F> &) {}
@@ -18,20 +28,11 @@ struct TextureSlopes {
         const TensorView<S> &tensor = scene.values.tensors[record.field[Bitmap::Data]];
         const S *m = scene.values.constants + record.field[Bitmap::ToUv];
         Slopes<F> slope = slopes(at);
-        Color<F, C> x = gather_footprint<C>(tensor, slope.x, lanes) * F(S(tensor.shape[1]));
-        Color<F, C> y = gather_footprint<C>(tensor, slope.y, lanes) * F(S(tensor.shape[0]));
-        u = select(lanes, x * F(m[0]) + y * F(m[3]), u);
-        v = select(lanes, x * F(m[1]) + y * F(m[4]), v);
+        Spectrum<F> x = gather_footprint(tensor, waves, slope.x, lanes) * F(S(tensor.shape[1]));
+        Spectrum<F> y = gather_footprint(tensor, waves, slope.y, lanes) * F(S(tensor.shape[0]));
+        result.u = select(lanes, x * F(m[0]) + y * F(m[3]), result.u);
+        result.v = select(lanes, x * F(m[1]) + y * F(m[4]), result.v);
     }
 };
-
-// That of its luminance: what bump maps are made of.
-template <int C, template <class> class Point, class F, class S>
-TR_INLINE Vec2<F> texture_slopes(const SceneView<S> &scene, const IntOf<F> &id, const Point<F> &at,
-                                 const MaskOf<F> &active) {
-    TextureSlopes<F, C, S> visitor{scene};
-    visit_texture<F>(scene, id, at, active, visitor);
-    return {luminance(visitor.u), luminance(visitor.v)};
-}
 
 }  // namespace tr

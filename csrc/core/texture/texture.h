@@ -1,4 +1,4 @@
-// Evaluating a texture where every lane may have its own, and the two directions of its derivative.
+// Evaluating a texture where every lane may have its own.
 #pragma once
 
 #include "bitmap.h"
@@ -73,44 +73,32 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
     });
 }
 
-template <class F, int C, class S>
-struct TextureValue {
-    const SceneView<S> &scene;
-    const Values<S> &values;
-    Color<F, C> result;
-
-    TR_INLINE void constant(const IntOf<F> &offset, const MaskOf<F> &lanes) {
-        result = select(lanes, constant_color<C, F>(values, offset, lanes), result);
-    }
-    TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &, const MaskOf<F> &lanes) {
-        footprint(record.field[Bitmap::Data], at, F(1), lanes);
-    }
-    TR_INLINE void attribute(const Record &record, const AttributeInfo &info, const Footprint<F, 3> &at,
-                             const MaskOf<F> &lanes) {
-        footprint(info.tensor, at, F(scene.values.constants[record.field[MeshAttribute::Scale]]), lanes);
-    }
-
-    TR_NOINLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
-        result = select(lanes, eval_volume<C>(scene, values, index, p, lanes), result);
-    }
-
-private:
-    template <int N>
-    TR_INLINE void footprint(int32_t slot, const Footprint<F, N> &at, const F &scale, const MaskOf<F> &lanes) {
-        const TensorView<S> &tensor = values.tensors[slot];
-        if (!tensor.data) return;  // a tangent that was not given
-        result = select(lanes, gather_footprint<C>(tensor, at, lanes) * scale, result);
-    }
-};
+// A look-up in a texture that is not constant everywhere.
+template <class F, class S>
+Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
+                           const IntOf<F> &id, const TexturedPoint<F> &at, const MaskOf<F> &active);
 
 // `values` is the scene's own for the value, the tangent's for its forward-mode derivative: textures are linear in
 // their data; what else they depend on is in adjoint/lookup.h.
-template <int C, template <class> class Point, class F, class S>
-TR_INLINE Color<F, C> eval_texture(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
+template <template <class> class Point, class F, class S>
+TR_INLINE Spectrum<F> eval_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
+                                   const IntOf<F> &id, const Point<F> &at, const MaskOf<F> &active) {
+    RecordLanes<F> record(scene.textures, id, active);
+    auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
+    Spectrum<F> r = uniform_spectrum(F(0));
+    if (any(constant))
+        r = select(constant, constant_spectrum<F>(values, waves, record.field(ConstantTexture::Value), constant), r);
+    auto rest = active && !constant;
+    if (any(rest)) {
+        TexturedPoint<F> where{at, lookup_coordinates<F>(scene, at, rest)};
+        r = select(rest, lookup_texture(scene, values, waves, id, where, rest), r);
+    }
+    return r;
+}
+template <template <class> class Point, class F, class S>
+TR_INLINE Spectrum<F> eval_texture(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
                                    const Point<F> &at, const MaskOf<F> &active) {
-    TextureValue<F, C, S> visitor{scene, values, uniform_color<C>(F(0))};
-    visit_texture<F>(scene, id, at, active, visitor);
-    return visitor.result;
+    return eval_texture(scene, scene.values, waves, id, at, active);
 }
 
 }  // namespace tr

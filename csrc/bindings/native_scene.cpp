@@ -1,0 +1,327 @@
+#include "native_scene.h"
+
+#include <mutex>
+
+#include "core/sensor/camera.h"
+#include "cpu/aovs.h"
+#include "probes.h"
+#include "rows.h"
+
+namespace tr {
+
+namespace {
+
+// Rays (n, 3) as columns in single precision.
+struct RayBuffer {
+    std::vector<float> columns[7];
+
+    template <class S>
+    RayBuffer(size_t n, const S *o, const S *d, const S *length) {
+        for (auto &c : columns) c.resize(n);
+        for (size_t i = 0; i < n; ++i) {
+            for (size_t k = 0; k < 3; ++k)
+                columns[k][i] = float(o[3 * i + k]), columns[3 + k][i] = float(d[3 * i + k]);
+            columns[6][i] = float(length[i]);
+        }
+    }
+    RayBatch batch() const {
+        return {{columns[0].data(), columns[1].data(), columns[2].data()},
+                {columns[3].data(), columns[4].data(), columns[5].data()},
+                columns[6].data()};
+    }
+};
+
+template <class S>
+class NativeSceneOf final : public NativeScene {
+public:
+    // `channels` of colours: 1 or 3
+    explicit NativeSceneOf(int channels) : channels_(channels) {}
+
+    void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
+               const std::vector<IndexArray> &arrays, NativeScene *previous) override {
+        auto *other = dynamic_cast<NativeSceneOf *>(previous);
+        if (!other || other == this) {
+            std::lock_guard<std::mutex> lock(mutex_);
+            return data_.build(objects, shapes, arrays, channels_);
+        }
+        std::scoped_lock lock(mutex_, other->mutex_);
+        data_.build(objects, shapes, arrays, channels_, &other->data_);
+    }
+
+    std::map<std::string, uint64_t> counters() override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        auto c = data_.counters();
+        return {{"tree_builds", c.accel.builds},
+                {"mesh_refits", c.accel.refits},
+                {"mesh_rebuilds", c.accel.rebuilds},
+                {"meshes", c.meshes},
+                {"quadrics", c.quadrics},
+                {"height_fields", c.height_fields},
+                {"environments", c.environments}};
+    }
+
+    RenderStats render(const Config &c, const ParameterValues &values, const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
+        RenderCall<S> primal = call(c);
+        if (c.light) return trace_light<S>(primal, at("image"));
+        if (c.hits) primal.keep_hits = c.hits->add_pass();
+        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance")});
+    }
+
+    RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
+                        const Addresses &gradients) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
+        d.adjoint = reinterpret_cast<const S *>(adjoint);
+        d.adaptive = c.adaptive;
+        RenderCall<S> reverse = call(c);
+        if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
+        RenderStats stats = c.light ? trace_light_reverse<S>(reverse, d) : render_reverse<S>(reverse, d);
+        add_gradients(data_, d, gradients);
+        return stats;
+    }
+
+    RenderStats forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
+                        uintptr_t image) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        const ForwardCall<S> d(data_, c.path, c.light, tangents);
+        S *to = reinterpret_cast<S *>(image);
+        return c.light ? trace_light_forward<S>(call(c), d.call, to) : render_forward<S>(call(c), d.call, to);
+    }
+
+    RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        return render_aov<S>(call(c), outputs(c, out));
+    }
+
+    RenderStats aov_reverse(const Config &c, const ParameterValues &values, const Arrays &adjoints,
+                            const Addresses &gradients) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
+        RenderStats stats = reverse_aov<S>(call(c), outputs(c, adjoints), d);
+        add_gradients(data_, d, gradients);
+        return stats;
+    }
+
+    RenderStats aov_forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
+                            const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        const ForwardCall<S> d(data_, c.path, c.light, tangents);
+        return forward_aov<S>(call(c), outputs(c, out), d.call);
+    }
+
+    void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,
+                   const ParameterValues &values) override {
+        using F = PacketOf<S>;
+        using U = UIntOf<F>;
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        const S *o = reinterpret_cast<const S *>(rays[0]), *d = reinterpret_cast<const S *>(rays[1]);
+        RayBuffer buffer(n, o, d, reinterpret_cast<const S *>(rays[2]));
+        std::vector<uint32_t> shape(n), primitive(n);
+        std::vector<float> found[3];
+        for (auto &column : found) column.resize(n);
+        data_.accel().intersect(buffer.batch(),
+                                {shape.data(), primitive.data(), found[0].data(), found[1].data(), found[2].data()}, n,
+                                false);
+        std::vector<S> hit[3];
+        for (int k = 0; k < 3; ++k) hit[k].assign(found[k].begin(), found[k].end());
+        auto to = [&](const char *name) { return reinterpret_cast<S *>(out.at(name)); };
+        auto to_index = [&](const char *name) { return reinterpret_cast<int32_t *>(out.at(name)); };
+        const SceneView<S> &scene = data_.view();
+        for_rows<F>(n, [&](const PacketRows<F> &rows) {
+            const U shapes = rows.index(shape.data()), primitives = rows.index(primitive.data());
+            auto is_hit = rows.active && !mask<F>(shapes == U(Accel::Miss));
+            const F far = F(S(INFINITY));
+            Interaction<F> si{};
+            Vec2<F> uv{F(0), F(0)};
+            if (any(is_hit)) {
+                SurfacePoint<F> at{select(mask<U>(is_hit), shapes, U(0u)), select(mask<U>(is_hit), primitives, U(0u)),
+                                   rows.number(hit[1].data()), rows.number(hit[2].data())};
+                si = make_interaction(scene, Ray<F>{rows.vector(o), rows.vector(d)}, at, rows.number(hit[0].data()),
+                                      is_hit);
+                uv = texture_coordinates<F>(scene, static_cast<const SurfacePoint<F> &>(si.at), is_hit);
+            }
+            auto number = [&](const char *name, const F &x, const F &none) {
+                rows.put(to(name), select(is_hit, x, none));
+            };
+            auto vector = [&](const char *name, const Vec3<F> &v, const F &none) {
+                rows.put(to(name), select(is_hit, v, Vec3<F>{none, none, none}));
+            };
+            number("t", si.t, far), number("b1", si.at.b1, F(0)), number("b2", si.at.b2, F(0));
+            vector("position", si.p, far), vector("normal", si.ng, F(0)), vector("shading_normal", si.frame.n, F(0));
+            rows.put(to("uv"), Vec2<F>{select(is_hit, uv.x, F(0)), select(is_hit, uv.y, F(0))});
+            rows.put_integers(to_index("shape_id"), select(mask<U>(is_hit), shapes, U(0xFFFFFFFFu)));
+            rows.put_integers(to_index("prim_id"), select(mask<U>(is_hit), primitives, U(0xFFFFFFFFu)));
+        });
+    }
+
+    void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out,
+                  const ParameterValues &values) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        auto at = [&](size_t k) { return reinterpret_cast<const S *>(rays[k]); };
+        RayBuffer buffer(n, at(0), at(1), at(2));
+        data_.accel().occluded(buffer.batch(), reinterpret_cast<uint8_t *>(out), n);
+    }
+
+    void probe(const std::string &what, int index, size_t n, const Arrays &arrays,
+               const ParameterValues &values) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        const SceneView<S> &scene = data_.view();
+        const Probe<S> probe{scene, data_.accel(), channels_, arrays};
+        auto check = [&](const char *category, size_t count) {
+            if (index < 0 || size_t(index) >= count)
+                throw std::invalid_argument(std::string(category) + ": expected a number below " +
+                                            std::to_string(count));
+        };
+        if (what.rfind("bsdf", 0) == 0) check("bsdf", size_t(scene.n_bsdfs));
+        if (what.rfind("phase", 0) == 0) check("phase", data_.layout().records.at("phase").size());
+        if (what == "emitter_sample" && scene.n_emitters == 0)
+            throw std::invalid_argument("the scene has no emitters");
+        if (what == "bsdf") return probe.bsdf(index, n);
+        if (what == "bsdf_sample") return probe.bsdf_sample(index, n);
+        if (what == "emitter_sample") return probe.emitter_sample(n);
+        if (what == "emitter_pdf") return probe.emitter_pdf(n);
+        if (what == "phase") return probe.phase(index, n);
+        if (what == "phase_sample") return probe.phase_sample(index, n);
+        if (what == "phase_reverse") return phase_reverse(probe, index, n);
+        if (what == "phase_forward") return phase_forward(probe, index, n);
+        throw std::invalid_argument("probe: unknown: " + what);
+    }
+
+    std::array<double, 6> bounds() override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        S box[6];
+        data_.bounds(box);
+        std::array<double, 6> r;
+        std::copy_n(box, 6, r.begin());
+        return r;
+    }
+
+    std::vector<double> emitter_probabilities() override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        const S *pmf = data_.view().emitter_pmf;
+        return {pmf, pmf ? pmf + data_.view().n_emitters : pmf};
+    }
+
+    void record_rays(std::shared_ptr<RayRecord> record) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        ray_record_ = std::move(record);
+    }
+
+    RayRecord::Replay replay_rays(const RayRecord &record, RayKind kind, int width, bool coherent, int threads,
+                                  int rounds) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        return record.replay(data_.accel(), kind, width, coherent, threads, rounds);
+    }
+
+private:
+    const int channels_;
+    SceneData<S> data_;
+    std::mutex mutex_;
+    std::shared_ptr<RayRecord> ray_record_;
+
+    void update(const ParameterValues &values) { data_.update(read_only<S>(values.addresses), values.dirty); }
+
+    RenderCall<S> call(const Config &c) {
+        const std::vector<Record> &sensors = data_.layout().records.at("sensor");
+        if (c.path.sensor >= sensors.size())
+            throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors.size()) +
+                                        ", got " + std::to_string(c.path.sensor));
+        const Record &sensor = sensors[c.path.sensor];
+        const bool meter = sensor.kind == IrradianceMeterKind;
+        if (!c.light && meter) throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");
+        if (c.light && !meter && !is_pinhole(sensor))
+            throw std::invalid_argument("sensor: light paths are connected to pinholes without distortion alone");
+        data_.choose_emitters(c.by_power);
+        RenderCall<S> call{};
+        call.scene = &data_.view();
+        call.accel = &data_.accel();
+        call.config = c.path;
+        call.filter = c.filter;
+        call.film_height = c.height, call.film_width = c.width;
+        call.crop = c.crop;
+        call.samples = c.window;
+        if (c.pixels) call.pixels = &*c.pixels;
+        call.values = channels_;
+        call.spp = c.spp, call.sample_offset = c.sample_offset;
+        call.threads = c.threads;
+        call.ray_record = ray_record_.get();
+        call.interrupted = Interruption();
+        return call;
+    }
+
+    static AovOutput<S> outputs(const Config &c, const Arrays &given) {
+        AovOutput<S> out;
+        for (const auto &[name, address] : given) {
+            int kind = 0;
+            while (kind < AovCount && name != aov_names[kind].name) ++kind;
+            if (kind < AovCount)
+                out.data[size_t(kind)] = reinterpret_cast<S *>(address);
+            else if (name == "shape_id")
+                out.shape = reinterpret_cast<int32_t *>(address);
+            else if (name == "prim_id")
+                out.primitive = reinterpret_cast<int32_t *>(address);
+            else if (name == "material_id")
+                out.material = reinterpret_cast<int32_t *>(address);
+            else
+                throw std::invalid_argument("outputs: unknown: " + name);
+        }
+        out.seeds = c.seeds;
+        out.zero_at_misses = c.zero_at_misses;
+        for (size_t i = 0; i < out.attributes.size() && i < c.attributes.size(); ++i)
+            out.attributes[i] = c.attributes[i];
+        return out;
+    }
+
+    // Of a probe's arrays those that go by the number of a slot.
+    Addresses slots_of(const Probe<S> &probe) const {
+        Addresses slots(data_.n_params(), 0);
+        for (size_t i = 0; i < slots.size(); ++i)
+            if (auto found = probe.arrays.find(std::to_string(i)); found != probe.arrays.end())
+                slots[i] = found->second;
+        return slots;
+    }
+
+    void phase_reverse(const Probe<S> &probe, int index, size_t n) {
+        const Addresses slots = slots_of(probe);
+        DerivativeCall<S> d{};
+        d.needs = {};
+        d.sums.constants.assign(data_.n_constants(), 0.0);
+        std::vector<S *> tensors = tensors_of(data_, slots);
+        GradientSink<PacketOf<S>> sink;
+        sink.constants = d.sums.constants.data(), sink.tensors = tensors.data();
+        probe.phase_sweep(index, n, sink);
+        add_gradients(data_, d, slots);
+    }
+
+    void phase_forward(const Probe<S> &probe, int index, size_t n) {
+        const ForwardCall<S> d(data_, PathConfig{}, false, slots_of(probe));
+        auto sink = d.call.template forward_sink<PacketOf<S>>();
+        probe.phase_sweep(index, n, sink);
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<NativeScene> make_scene(const std::string &color, const std::string &dtype) {
+    if (color != "mono" && color != "rgb")
+        throw std::invalid_argument("Scene: color: expected mono or rgb, got " + color);
+    const int channels = color == "mono" ? 1 : 3;
+    if (dtype == "float32") return std::make_unique<NativeSceneOf<float>>(channels);
+#if !TR_HAS_PACKETS
+    if (dtype == "float64") return std::make_unique<NativeSceneOf<double>>(channels);
+#endif
+    throw std::invalid_argument("Scene: dtype: this module does not compute in " + dtype);
+}
+
+}  // namespace tr

@@ -1,0 +1,56 @@
+// A scene as Python holds it, whatever its precision and colours.
+#pragma once
+
+#include <memory>
+
+#include "config.h"
+#include "derivative_call.h"
+
+namespace tr {
+
+using Arrays = std::map<std::string, uintptr_t>;  // addresses by name
+
+// The values of the parameters, and which of them have changed since the last call.
+struct ParameterValues {
+    Addresses addresses;
+    std::vector<uint8_t> dirty;
+};
+
+class NativeScene {
+public:
+    virtual ~NativeScene() = default;
+    virtual void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
+                       const std::vector<IndexArray> &arrays, NativeScene *previous) = 0;
+    virtual std::map<std::string, uint64_t> counters() = 0;
+
+    // `image`, and `alpha` and `variance` where they are given.
+    virtual RenderStats render(const Config &, const ParameterValues &, const Arrays &out) = 0;
+    virtual RenderStats reverse(const Config &, const ParameterValues &, uintptr_t adjoint,
+                                const Addresses &gradients) = 0;
+    virtual RenderStats forward(const Config &, const ParameterValues &, const Addresses &tangents,
+                                uintptr_t image) = 0;
+    // Outputs besides radiance, by name; shape_id, prim_id and material_id are int32.
+    virtual RenderStats aov(const Config &, const ParameterValues &, const Arrays &out) = 0;
+    virtual RenderStats aov_reverse(const Config &, const ParameterValues &, const Arrays &adjoints,
+                                    const Addresses &gradients) = 0;
+    virtual RenderStats aov_forward(const Config &, const ParameterValues &, const Addresses &tangents,
+                                    const Arrays &out) = 0;
+
+    // Rays: origins and directions (n, 3) and lengths (n,).
+    virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,
+                           const ParameterValues &) = 0;
+    virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const ParameterValues &) = 0;
+    // One model of the scene, see probes.h; arrays by name.
+    virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const ParameterValues &) = 0;
+    virtual std::array<double, 6> bounds() = 0;
+    virtual std::vector<double> emitter_probabilities() = 0;  // of the last call
+    // The record that keeps the rays of the next renderings; null: none any more.
+    virtual void record_rays(std::shared_ptr<RayRecord> record) = 0;
+    virtual RayRecord::Replay replay_rays(const RayRecord &, RayKind, int width, bool coherent, int threads,
+                                          int rounds) = 0;
+};
+
+// color: mono or rgb; dtype: float32, or float64 where this module computes in it.
+std::unique_ptr<NativeScene> make_scene(const std::string &color, const std::string &dtype);
+
+}  // namespace tr

@@ -1,0 +1,24 @@
+// What a derivative asks for.
+#pragma once
+
+#include <cstdint>
+
+namespace tr {
+
+// Of the properties of media.
+struct MediumNeeds {
+    uint8_t extinction, albedo, emission, phase;
+    bool any() const { return extinction || albedo || emission || phase; }
+};
+
+struct GradientNeeds {
+    bool bsdf, emitter, light_position;
+    bool geometry;  // anything that moves rays, hits or look-ups
+    bool camera;
+    MediumNeeds medium{};
+    bool lookups = true;             // with `geometry`: what BSDFs look up varies over surfaces
+    const int32_t *bsdfs = nullptr;  // by bsdf, whether a parameter of it is differentiated; null if `bsdf` is not set
+    bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
+};
+
+}  // namespace tr

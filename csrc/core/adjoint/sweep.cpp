@@ -1,0 +1,185 @@
+#include "sweep.h"
+
+#include "../integrator/camera.h"
+#include "../integrator/classify.h"
+#include "camera.h"
+
+namespace tr {
+
+namespace {
+
+// Every entry has at most one child.
+template <class F>
+TR_INLINE void hand_radiance(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const Spectrum<F> &r,
+                             const MaskOf<F> &active) {
+    for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(parents.vertex.suffix[k], parent, r[k], active);
+}
+
+template <class F>
+TR_INLINE void hand_motion(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const RayAdjoint<F> &ray,
+                           const Vec3<F> &segment, const VertexRecord<F> &v, const MaskOf<F> &active) {
+    const auto &to = parents.next;
+    auto number = [&](auto *column, const auto &value) { scatter_lanes<F>(column, parent, value, active); };
+    auto vector = [&](const auto &column, const Vec3<F> &value) {
+        number(column.x, value.x), number(column.y, value.y), number(column.z, value.z);
+    };
+    vector(to.ray_o_bar, ray.o), vector(to.ray_d_bar, ray.d);
+    vector(to.next_segment, segment), vector(to.next_p, v.p);
+    number(to.next_at.shape, v.at.shape), number(to.next_at.primitive, v.at.primitive);
+    number(to.next_at.b1, v.at.b1), number(to.next_at.b2, v.at.b2);
+}
+
+// D / r^2 of the segment to a vertex that is glued to its surface, else 0.
+template <class F>
+TR_INLINE Vec3<F> glued_segment(const VertexRecord<F> &v, const MaskOf<F> &active) {
+    F squared = squared_norm(v.segment);
+    auto glued = active && !v.attached && !v.parallel && mask<F>(squared > F(0));
+    return v.segment * select(glued, F(1) / squared, F(0));
+}
+
+template <class F>
+TR_INLINE Arrival<F> arrival_of(const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar) {
+    return {v.attached, v.d, v.t, v.segment, d_bar, log_bar, v.parallel};
+}
+
+// What the path that goes on from the differential sample of these segments has brought; 0 where there is none.
+template <class F>
+TR_INLINE Spectrum<F> branch_radiance(const SweepContext<F> &c, uint32_t level, uint32_t i, const UIntOf<F> &slot,
+                                      const MaskOf<F> &active) {
+    using U = UIntOf<F>;
+    if (!c.branches) return uniform_spectrum(F(0));
+    Gathered<F> from(slot, active);
+    auto here = active && mask<F>(from(c.branches->level) == U(level)) &&
+                mask<F>(from(c.branches->entry) == U(i) + lane_index<F>());
+    if (!any(here)) return uniform_spectrum(F(0));
+    return Gathered<F>(slot, here)(c.branches->radiance);
+}
+
+// Of a camera ray.
+template <class F>
+TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, const RayAdjoint<F> &ray,
+                             const MaskOf<F> &active, GradientSink<F> &sink) {
+    const Record &sensor = c.scene.sensors[c.config.sensor];
+    CameraSample<F> at = camera_sample<F>(c.config, sensor, c.slots, LaneSet<F>(slot, active));
+    sweep_camera(c.scene, sensor, at, c.width, c.height, ray, F(0), active, sink);
+}
+
+template <class F>
+TR_INLINE void begin(const SweepContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active, GradientSink<F> &sink) {
+    LaneSet<F> lanes(slot, active);
+    sink.begin(wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample)));
+}
+
+template <class F>
+TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active) {
+    return select(mask<UIntOf<F>>(active), index, UIntOf<F>(0u));
+}
+
+}  // namespace
+
+template <class F>
+Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                         const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters, uint32_t i,
+                         const MaskOf<F> &active, GradientSink<F> &sink) {
+    const GradientNeeds &needs = c.needs;
+    Entries<F> from(i);
+    const bool collided = kind == CollisionKind, surface = kind < MissKind && scatters;
+    VertexRecord<F> v = read_vertex<F>(tape, i);
+    if (surface) read_scattering(tape, i, v);
+    if (collided) {
+        read_outgoing(tape, i, v);
+        v.p = from(tape.arrival.p), v.d = from(tape.arrival.d);
+    }
+    SegmentPacket<F> segment;
+    if (c.config.volumetric) {
+        read(tape.segment, from, segment);
+        v.through = segment.through;
+    }
+    if (needs.geometry) read_arrival(tape, i, v);
+    UIntOf<F> slot = active_only<F>(from(tape.vertex.slot), active);
+    Spectrum<F> delta = uniform_spectrum(F(1));
+    if (!c.unit_adjoint) delta = LaneSet<F>(slot, active)(c.slots.delta);
+    Spectrum<F> a = pull(delta, v.beta), r = v.emission_radiance;
+    begin(c, slot, active, sink);
+    HitAdjoint<F> hit;
+    Vec3<F> d_bar{F(0), F(0), F(0)};
+    auto lit = active && mask<F>(v.emission_weight > F(0));
+    if ((needs.emitter || needs.geometry) && any(lit))
+        sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
+    if (surface)
+        r = r + sweep_scattering(c.scene, kind, v, a, read_next<F>(tape, i, needs.geometry), needs, active, hit, d_bar,
+                                 sink);
+    if (collided)
+        r = r + sweep_collision(c.scene, v, segment.medium, a, read_next<F>(tape, i, false).radiance, needs, active,
+                                sink);
+    if (c.config.volumetric)
+        r = sweep_segment(c.scene, segment, delta, v.beta, r, branch_radiance(c, level, i, slot, active), needs.medium,
+                          active, sink);
+    UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
+    if (parents) hand_radiance(*parents, parent, r, active);
+    if (needs.geometry) {
+        RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
+        Vec3<F> u{F(0), F(0), F(0)};
+        if (kind != MissKind) {
+            ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, contract(a, r)), hit, active, sink);
+            u = glued_segment(v, active);
+        }
+        if (parents)
+            hand_motion(*parents, parent, ray, u, v, active);
+        else if (needs.camera)
+            sweep_start(c, slot, ray, active, sink);
+    }
+    if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
+    return r;
+}
+
+template <class F>
+void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
+                        const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents, int kind,
+                        uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
+    const GradientNeeds &needs = c.needs;
+    Entries<F> from(i);
+    VertexRecord<F> v = read_vertex<F>(tape, i);
+    ConnectionRecord<F> connection = read_connection<F>(tape, i);
+    NextVertex<F> next = read_next<F>(tape, i, needs.geometry);
+    UIntOf<F> slot = active_only<F>(from(tape.vertex.slot), active);
+    begin(c, slot, active, sink);
+    if (kind == EmissionKind) {
+        read_outgoing(tape, i, v);
+        read_arrival(tape, i, v);
+        v.normal = from(tape.scattering.normal);
+        EmissionRecord<F> e{v, connection, from(tape.connection.emitter_kind), v.beta};
+        sweep_emission(c.scene, sensor, e, next, needs, active, sink);
+    } else {
+        read_scattering(tape, i, v);
+        if (needs.geometry) {
+            read_arrival(tape, i, v);
+        } else {
+            v.d = VertexFrame<F>(c.scene, v, false).frame.to_world(v.wi) * F(-1);
+            v.p = {F(0), F(0), F(0)};
+        }
+        HitAdjoint<F> hit;
+        Vec3<F> d_bar{F(0), F(0), F(0)};
+        const Spectrum<F> a = v.beta;
+        Spectrum<F> r = sweep_light_scattering(c.scene, sensor, kind, v, connection, a, next, needs, active, hit, d_bar,
+                                               sink);
+        UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
+        hand_radiance(*parents, parent, r, active);
+        if (needs.geometry) {
+            RayAdjoint<F> ray =
+                sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, contract(a, r)), hit, active, sink);
+            hand_motion(*parents, parent, ray, glued_segment(v, active), v, active);
+        }
+    }
+    if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,       \
+                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);          \
+    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,        \
+                                     const TapeColumns<S> *, int, uint32_t, const MaskOf<F> &, GradientSink<F> &);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

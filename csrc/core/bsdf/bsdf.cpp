@@ -1,0 +1,21 @@
+// The tables of all BSDFs.
+#include "../registry.h"
+
+namespace tr {
+
+template <class M, class F>
+BsdfKernels<F> bsdf_kernels_of();
+
+template <class F>
+const BsdfKernels<F> &bsdf_kernels(int kind) {
+#define TR_TABLE(M) bsdf_kernels_of<M, F>(),
+    static const BsdfKernels<F> all[] = {TR_BSDFS(TR_TABLE) bsdf_kernels_of<MaskHole, F>()};
+#undef TR_TABLE
+    return all[kind];
+}
+
+#define TR_INSTANTIATE(F, S) template const BsdfKernels<F> &bsdf_kernels(int);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

@@ -1,0 +1,70 @@
+#include "parameters.h"
+
+namespace tr {
+
+template <class F>
+void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model, const IntOf<F> &bsdf,
+                     const TexturedPoint<F> &at, const MaskOf<F> &active, BsdfParameters<F> &to) {
+    F *color = to.number, *number = to.number + SpectrumSize * model.n_colors;
+    F *luminance_to = number + model.n_numbers;
+    for (int i = 0; i < model.n_continuous; ++i) {
+        IntOf<F> field = record_field<F>(scene.bsdfs, i, bsdf, active);
+        if (model.use[i] == BsdfInfo::Number) {
+            *number++ = gather<F>(scene.values.constants, UIntOf<F>(field), active);
+            continue;
+        }
+        Spectrum<F> value = eval_texture(scene, waves, field, at, active);
+        if (model.use[i] == BsdfInfo::Luminance) {
+            *number++ = luminance(value);
+            continue;
+        }
+        for (int c = 0; c < SpectrumSize; ++c) *color++ = value[c];
+        if (i == model.luminance_of) *luminance_to = luminance(value);
+    }
+    for (int i = 0; i < model.n_choices; ++i)
+        to.choice[i] = record_field<F>(scene.bsdfs, model.n_continuous + i, bsdf, active);
+    if (!model.tabulated) return;
+    to.table = scene.bsdf_tables;
+    to.row = record_field<F>(scene.bsdfs, Record::Extra, bsdf, active);
+}
+
+template <class F>
+void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const TexturedPoint<F> &at,
+                      const Spectrum<F> *g, const GradientNeeds &needs, const MaskOf<F> &active,
+                      CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+    for (int i = 0; i < model.n_variables; ++i) {
+        const bool is_field = i < model.n_differentiable;
+        const BsdfInfo::Use use = is_field ? BsdfInfo::Use(model.use[i]) : BsdfInfo::Luminance;
+        IntOf<F> field = record_field<F>(scene.bsdfs, is_field ? i : model.luminance_of, bsdf, active);
+        if (use == BsdfInfo::Number) {
+            sink.number(field, g[i], active);
+        } else if (use == BsdfInfo::Luminance) {
+            if (needs.bsdf) sink.scalar_texture(scene, field, at, g[i], active);
+            if (needs.geometry) sweep_lookup(scene, field, at, luminance_adjoint(g[i]), active, to, sink);
+        } else {
+            if (needs.bsdf) sink.texture(scene, field, at, g[i], active);
+            if (needs.geometry) sweep_lookup(scene, field, at, g[i], active, to, sink);
+        }
+    }
+}
+
+template <class F>
+void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
+                   const MaskOf<F> &active, GradientSink<F> &sink) {
+    for (int i = 0; i < model.n_continuous; ++i)
+        if (model.use[i] == BsdfInfo::Number)
+            sink.scalar(record_field<F>(scene.bsdfs, i, bsdf, active), *g++, active);
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                      \
+    template void load_parameters(const SceneView<S> &, const Wavelengths<F> &, const BsdfInfo &, const IntOf<F> &, \
+                                  const TexturedPoint<F> &, const MaskOf<F> &, BsdfParameters<F> &);              \
+    template void sweep_parameters(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &,                      \
+                                   const TexturedPoint<F> &, const Spectrum<F> *, const GradientNeeds &,          \
+                                   const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                 \
+    template void sweep_numbers(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const F *,              \
+                                const MaskOf<F> &, GradientSink<F> &);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

@@ -1,0 +1,60 @@
+// `directionalarea`: a shape that emits along its normal only, in parallel beams where it is flat. No other direction
+// has light, so neither sampling of emitters nor a BSDF's sample finds it: it is seen by light tracing alone.
+#include "on_shape.h"
+
+namespace tr {
+
+struct DirectionalAreaEmitter {
+    static constexpr Field fields[] = {
+        {"radiance", Kind::Texture, 1, 0, INFINITY, "interior", "power that leaves a unit of area, W / m^2"},
+        {"sampling_weight", Kind::Float, 1, 0, INFINITY,
+         "none: a probability; images do not depend on it in expectation",
+         "relative probability of choosing this emitter"},
+    };
+    static constexpr int Radiance = field_index(fields, "radiance");
+    static constexpr Model model = {
+        "emitter", "directionalarea", "A shape that emits along its normal.", fields, 2, IsOnShape | IsBeam,
+        "DirectionalAreaLight"};
+};
+
+namespace {
+
+template <class F>
+struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
+    using Base = OnShape<DirectionalAreaEmitter, F>;
+    using typename Base::M;
+    using typename Base::Scene;
+
+    static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &, const F &,
+                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+        Base::sample_point(scene, left, a, b, inverse_pmf, lanes, r);
+        r.weight = select(lanes, r.inverse_pdf, r.weight);
+    }
+
+    // A ray that moves with its surface.
+    static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
+                             const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
+                             GradientSink<F> &sink) {
+        const VertexRecord<F> &v = e.v;
+        Base::sweep_coordinates(scene, v, at, lanes, sink);
+        HitAdjoint<F> hit;
+        hit.p = next.ray.o;
+        hit.n = next.ray.d;
+        sweep_area(scene, v.light.at, v.p, v.normal, carried, hit, lanes, sink);
+    }
+
+    static double power(EmitterMeans &means, const Record &record) {
+        const int32_t shape = record.field[EmitterShape];
+        return means.texture(record.field[DirectionalAreaEmitter::Radiance], shape) * means.area(shape);
+    }
+
+    static EmitterKernels<F> table() {
+        return {&DirectionalAreaEmitter::model, Base::eval, nullptr, nullptr, nullptr, sample_emission, Base::vjp, nullptr, emission_vjp, power};
+    }
+};
+
+}  // namespace
+
+TR_EMITTER(DirectionalAreaEmitter, DirectionalArea)
+
+}  // namespace tr

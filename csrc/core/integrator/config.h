@@ -1,0 +1,58 @@
+// What a path tracer is told, and the random numbers of its paths.
+#pragma once
+
+#include "../color/spectrum.h"
+#include "../sampler/sobol.h"
+#include "../sampler/stratified.h"
+
+namespace tr {
+
+struct PathConfig {
+    int32_t max_depth;        // vertices whose emission counts; -1: unlimited
+    int32_t rr_depth;         // Russian roulette after this many scatterings
+    bool hide_emitters;       // the camera does not see lights
+    int32_t emitter_samples;  // at the first vertex: 1 and 1 for the path tracer,
+    int32_t bsdf_samples;     // others for direct illumination, which stops at the second vertex
+    uint64_t seed;
+    uint32_t sensor;
+    SamplerConfig sampler;
+    bool volumetric;  // through media
+};
+
+// Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths the
+// place on the emitter. Scattering j takes block 1 + 2 j (an emitter: 3 numbers, roulette: 1) and 2 + 2 j (a BSDF: 3
+// numbers, the choice in its stack: 1). Of light paths block 1 chooses the emitter and the direction besides.
+constexpr uint32_t EmitterBlock = 1, BsdfBlock = 2, BlocksPerScattering = 2, EmissionBlock = 1;
+
+// Those of volumetric paths besides: blocks far from the others, `BlocksPerSegment` a segment. The first one seeds free
+// flight (two words) and holds the number by which a segment is chosen for the derivative; the others seed the shadow
+// rays of the segment's end and of its differential sample. One block a path chooses the component that distances are
+// sampled for.
+constexpr uint32_t ChannelBlock = 0x3FFFFFFFu, SegmentBlock = 0x40000000u, BlocksPerSegment = 3;
+// The path that goes on from a differential sample is numbered like segments that no path reaches.
+constexpr uint32_t BranchLevel = 0x00100000u;
+
+enum class ShadowPurpose : uint32_t { Vertex = 0, Differential = 1 };
+
+// The numbers of a block of a sample. Two of them are a point in the plane: the first two of the camera's (on the
+// film), the second and third of the others (on a light, or of a direction), whose first one chooses (a light, a lobe)
+// and is there if `count` is 3 at least; the last one if it is 4.
+template <class F>
+TR_INLINE Random4<F> draw4(const PathConfig &config, const UIntOf<F> &pixel, const UIntOf<F> &sample, uint32_t block,
+                           int count) {
+    if (config.sampler.kind == SamplerKind::Independent)
+        return random4<F>(config.seed, config.sensor, pixel, sample, block);
+    Random4<F> r = config.sampler.kind == SamplerKind::Sobol
+                       ? sobol4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, count)
+                       : stratified4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, count);
+    return block == 0 ? r : Random4<F>{{r.u[2], r.u[0], r.u[1], r.u[3]}};
+}
+
+// The wavelengths of a sample. Of colours in rgb there is nothing to choose.
+template <class F>
+TR_INLINE Wavelengths<F> wavelengths_of(const PathConfig &, const UIntOf<F> & /* pixel */,
+                                        const UIntOf<F> & /* sample */) {
+    return {};
+}
+
+}  // namespace tr

@@ -1,0 +1,87 @@
+// What all stages of a path tracer share: the scene and the settings, where paths leave what they bring, and the tape if
+// there is one. With a tape vertices are written down, for a derivative, in place of adding up radiance.
+#pragma once
+
+#include "../adjoint/needs.h"
+#include "../state/tape.h"
+#include "config.h"
+
+namespace tr {
+
+// Values that are not finite and were left out: how many, and where the first one was.
+struct Diagnostics {
+    uint64_t non_finite = 0;
+    const char *category = nullptr;  // of scene objects
+    int32_t index = -1;
+};
+
+template <class F>
+struct PathContext {
+    using S = ScalarOf<F>;
+    const SceneView<S> &scene;
+    const PathConfig &config;
+    const SlotColumns<S> &slots;
+    Diagnostics &diagnostics;
+    const GradientNeeds *needs;                  // of the tape
+    const TapeColumns<S> *tape = nullptr;        // the level of this step; null: radiance is added up
+    bool keeps_black = false;                    // shadow rays that bring nothing are traced, too
+
+    TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
+};
+
+// The samples of a packet, and their random numbers.
+template <class F>
+struct PacketSamples {
+    UIntOf<F> pixel, sample;
+
+    TR_INLINE PacketSamples(const PathContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active) {
+        LaneSet<F> lanes(slot, active);
+        pixel = lanes(c.slots.pixel), sample = lanes(c.slots.sample);
+    }
+    TR_INLINE Random4<F> draw(const PathConfig &config, uint32_t block, int count) const {
+        return draw4<F>(config, pixel, sample, block, count);
+    }
+    TR_INLINE Wavelengths<F> wavelengths(const PathConfig &config) const {
+        return wavelengths_of<F>(config, pixel, sample);
+    }
+};
+
+// Lanes whose value is finite; the others are counted and the first one remembered.
+template <class F>
+TR_INLINE MaskOf<F> finite(const PathContext<F> &c, const Spectrum<F> &value, const MaskOf<F> &active,
+                           const char *category, const IntOf<F> &index) {
+    auto usable = active && is_finite(value);
+    int lost = count(active) - count(usable);
+    if (lost) {
+        Diagnostics &d = c.diagnostics;
+        d.non_finite += uint64_t(lost);
+        if (!d.category) d.category = category, d.index = first_lane(index, active && !usable);
+    }
+    return usable;
+}
+
+// Paths that see something for the first time.
+template <class F>
+TR_INLINE void mark_seen(const PathContext<F> &c, const UIntOf<F> &slot, const UIntOf<F> &seen,
+                         const MaskOf<F> &active) {
+    auto first = active && mask<F>(seen == 0u);
+    if (any(first)) scatter_lanes<F>(c.slots.alpha.at, slot, F(1), first);
+}
+
+// Russian roulette: paths of little throughput end, the others count for them. Returns the factor of those that go on.
+// `counted`: lanes in which it is played; u: a number of each.
+template <class F>
+TR_INLINE F play_roulette(const F &throughput, const F &eta, const F &u, const MaskOf<F> &counted,
+                          MaskOf<F> &alive) {
+    F q = min(throughput * eta * eta, F(0.95));
+    alive = alive && (!counted || mask<F>(u < q));
+    return select(alive && counted, F(1) / select(alive, q, F(1)), F(1));
+}
+
+// The part of a factor that roulette looks at: paths that a factor of zero would end go on where it has a derivative.
+template <class F>
+TR_INLINE Spectrum<F> kept_factor(const Spectrum<F> &factor, const MaskOf<F> &differentiated) {
+    return select(differentiated, max_with(magnitude(factor), F(0.05)), factor);
+}
+
+}  // namespace tr

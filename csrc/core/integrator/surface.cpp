@@ -1,0 +1,245 @@
+#include "surface.h"
+
+#include "../bsdf/parameters.h"
+#include "medium.h"
+
+namespace tr {
+
+template <class F>
+ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
+                            const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active) {
+    if (!c.scene.has_stacks)
+        return resolve_bsdf<F>(c.scene, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
+    Random4<F> u = samples.draw(c.config, BsdfBlock + BlocksPerScattering * scattering, 4);
+    const int32_t *differentiated = c.differentiates(&GradientNeeds::bsdf) ? c.needs->bsdfs : nullptr;
+    return resolve_stack(c.scene, samples.wavelengths(c.config), si, d, u.u[3], viewed, differentiated, active);
+}
+
+namespace {
+
+// One scattering: an emitter sample and a BSDF sample at a vertex.
+template <class F>
+struct Scattering {
+    // N = f_light * emitted * light_weight where the shadow ray is free
+    EmitterSample<F> light = no_emitter_sample<F>();
+    Vec3<F> wo_light{F(0), F(0), F(1)};  // local
+    Spectrum<F> emitted = uniform_spectrum(F(0)), f_light = uniform_spectrum(F(0));
+    F light_weight{0};
+    MaskOf<F> shadow_ray{false};
+    BsdfSample<F> sample;
+    Spectrum<F> f;
+    F inverse_pdf;  // before Russian roulette
+    MaskOf<F> alive;
+};
+
+// What the stack above a BSDF makes of what it scatters.
+template <class F>
+TR_NOINLINE void scatter_through_stack(const SceneOf<F> &scene, const Interaction<F> &si, const Vec3<F> &wi,
+                                       const ResolvedBsdf<F> &bsdf, const MaskOf<F> &active, Scattering<F> &r) {
+    const BsdfStack<F> &stack = bsdf.stack;
+    r.f = r.f * stack.weight;
+    r.f_light = r.f_light * stack.weight;
+    r.inverse_pdf = r.inverse_pdf * stack.inverse_probability;
+    r.light_weight = r.light_weight * stack.inverse_probability;
+    PerturbationFactor<F> factor(scene, bsdf, si.frame.n, active);
+    if (!any(factor.perturbed)) return;
+    Vec3<F> wo = si.frame.to_world(bsdf.mirror(r.sample.wo));
+    auto seen = !factor.hidden(si.frame.to_world(bsdf.mirror(wi)));
+    r.shadow_ray = r.shadow_ray && seen && !factor.hidden(r.light.d);
+    r.alive = r.alive && seen && !factor.hidden(wo);
+    r.f_light = r.f_light * factor(r.light.d, r.light.d);
+    r.f = r.f * factor(wo, wo);
+    r.light_weight = select(r.shadow_ray, r.light_weight, F(0));
+    r.inverse_pdf = select(r.alive, r.inverse_pdf, F(0));
+}
+
+// An emitter sample, weighted against the BSDF's density.
+template <class F>
+TR_INLINE void sample_light(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
+                            const BsdfParameters<F> &params, const Interaction<F> &si, const Vec3<F> &wi,
+                            const ResolvedBsdf<F> &resolved, const Random4<F> &u, const F &n_light, const F &n_bsdf,
+                            const MaskOf<F> &active, Scattering<F> &r) {
+    r.light = sample_emitter(c.scene, si.p, u.u[0], u.u[1], u.u[2], active);
+    r.wo_light = resolved.mirror(si.frame.to_local(r.light.d));
+    BsdfValue<F> value;
+    bsdf.eval_pdf(params, wi, r.wo_light, Transport::Radiance, value);
+    r.f_light = value.f;
+    // a black reflectance still has a derivative: what matters is that the direction is possible
+    r.shadow_ray = active && mask<F>(r.light.pdf > F(0)) && mask<F>(value.pdf > F(0));
+    if (!any(r.shadow_ray)) return;
+    r.light_weight = emitter_sample_weight(r.light, value.pdf, n_light, n_bsdf, r.shadow_ray);
+    r.emitted = eval_emitter(c.scene, waves, r.light.point, r.shadow_ray);
+}
+
+template <class F>
+TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
+                                const Interaction<F> &si, const Vec3<F> &wi, const ResolvedBsdf<F> &resolved,
+                                const PathStep &step, const Random4<F> &u_light, const Random4<F> &u_bsdf,
+                                const MaskOf<F> &active) {
+    using S = ScalarOf<F>;
+    BsdfParameters<F> params;
+    load_parameters(c.scene, waves, bsdf, resolved.bsdf, si.at, active, params);
+    const bool first = step.depth == 0;
+    F n_light(S(first ? c.config.emitter_samples : 1)), n_bsdf(S(first ? c.config.bsdf_samples : 1));
+    Scattering<F> r;
+    if (bsdf.is(HasSmoothLobes) && c.scene.n_emitters > 0 && step.split < c.config.emitter_samples)
+        sample_light(c, waves, bsdf, params, si, wi, resolved, u_light, n_light, n_bsdf, active, r);
+    bsdf.sample(params, wi, u_bsdf.u[0], u_bsdf.u[1], u_bsdf.u[2], Transport::Radiance, r.sample, r.f);
+    r.alive = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(S(step.split)) < n_bsdf);
+    r.inverse_pdf = select(r.alive, F(1) / select(r.alive, n_bsdf * r.sample.pdf, F(1)), F(0));
+    if (c.scene.has_stacks) scatter_through_stack(c.scene, si, wi, resolved, active, r);
+    return r;
+}
+
+// Towards the sampled point from where the ray really starts.
+template <class F>
+TR_INLINE void push_light_ray(const PathContext<F> &c, const Interaction<F> &si, Scattering<F> &s,
+                              const Spectrum<F> &beta, const UIntOf<F> &slot, uint32_t i, const IntOf<F> &bsdf,
+                              const IntOf<F> &medium, ShadowQueue<ScalarOf<F>> &shadows) {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    auto wanted = s.shadow_ray;
+    if (!any(wanted)) return;
+    Spectrum<F> contribution = apply(pull(beta, s.f_light), s.emitted) * s.light_weight;
+    wanted = wanted && finite(c, contribution, wanted, "bsdf", bsdf);
+    s.light_weight = select(wanted, s.light_weight, F(0));
+    // what is black contributes nothing, but may have a derivative
+    if (!c.tape && !c.keeps_black) wanted = wanted && mask<F>(max_component(contribution) > F(0));
+    if (!any(wanted)) return;
+    auto near = mask<F>(s.light.distance < F(S(1e30)));
+    ShadowRay<F> ray;
+    ray.o = offset_origin(si.p, si.ng, s.light.d);
+    Direction<F> to_light(si.p + s.light.d * select(near, s.light.distance, F(1)) - ray.o);
+    ray.d = select(near, to_light.d, s.light.d);
+    ray.length = select(near, to_light.length * F(1 - ShadowEpsilon), F(S(INFINITY)));
+    ray.slot = slot;
+    ray.position = U(i) + lane_index<F>();
+    uint32_t at = append(shadows, ray, wanted);
+    if (!c.tape || c.config.volumetric) append_lanes(shadows, at, ShadowValue<F>{contribution}, wanted);
+    if (c.config.volumetric)
+        append_lanes(shadows, at,
+                     ShadowMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, ray.d, medium, wanted),
+                                     dot(ray.o - si.p, ray.d), U(uint32_t(ShadowPurpose::Vertex))},
+                     wanted);
+}
+
+}  // namespace
+
+template <class F>
+void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                   const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                   PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows) {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using I = IntOf<F>;
+    using M = MaskOf<F>;
+    const PathConfig &config = c.config;
+    const bool volumetric = config.volumetric, invisible = kind == NullKind || kind == MaskHoleKind;
+    const M active = lanes.active;
+    Ray<F> ray{lanes(in.o), lanes(in.d)};
+    Interaction<F> si = hit_interaction(c, ray, lanes(hits.at), lanes(hits.t), active);
+    const F cos_i = -dot(si.frame.n, ray.d);
+    PreviousVertex<F> from{lanes(in.from), lanes(in.pdf)};
+    Spectrum<F> beta = lanes(in.beta);
+    U slot = lanes(in.slot);
+    PacketSamples<F> samples(c, slot, active);
+    Wavelengths<F> waves = samples.wavelengths(config);
+
+    const bool passes = volumetric && kind == NullKind;
+    M shown = passes && config.hide_emitters ? active && !mask<F>(lanes(in.depth) == U(0u)) : active;
+    FoundEmission<F> e =
+        step.split == 0 ? surface_emission(c, waves, si, cos_i, from, shown, step.depth) : no_emission<F>();
+    if (c.tape) {
+        write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
+        if (c.needs->geometry) {
+            Vec3<F> segment = si.p - from.p;
+            write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t,
+                          arrival_kind<F>(mask<F>(from.pdf == F(0))));
+        }
+    } else {
+        add_radiance(c, slot, beta, e, active, "emitter");
+    }
+    U seen = lanes(in.seen);
+    if (!c.tape && !invisible) mark_seen(c, slot, seen, active);
+    if (!step.scatters) return;
+    if (passes) return pass_boundary(c, in, hits, lanes, i, si, out);
+
+    M may = active, counted(true);  // lanes that may scatter; those that roulette may end
+    U path_depth = U(uint32_t(step.depth));
+    I medium(-1);
+    if (volumetric) {
+        path_depth = lanes(in.depth);
+        medium = lanes(in.medium);
+        may = active && may_scatter<F>(config, path_depth);
+        counted = mask<F>(I(path_depth) + 1 >= I(config.rr_depth));
+    }
+    const bool roulette = volumetric ? any(counted) : step.depth + 1 >= config.rr_depth;
+
+    const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
+    ResolvedBsdf<F> resolved = resolve_hit(c, samples, si, ray.d, step.scattering(), true, active);
+    orient(c, bsdf, si, active);
+    Vec3<F> wi = resolved.mirror(si.frame.to_local(-ray.d));
+    const uint32_t block = BlocksPerScattering * step.scattering();
+    Random4<F> u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
+    Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
+    Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, u_light, u_bsdf, may);
+    push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
+
+    Spectrum<F> weight = s.f * s.inverse_pdf, kept = weight;
+    M alive = s.alive && finite(c, weight, s.alive, "bsdf", resolved.bsdf);
+    if (c.differentiates(&GradientNeeds::bsdf)) kept = kept_factor(weight, is_differentiated(c, resolved, active));
+    Spectrum<F> survival = lanes(in.survival) * kept;
+    F eta = lanes(in.eta) * s.sample.eta, keep(1), throughput = max_component(survival);
+    alive = alive && mask<F>(throughput > F(0));
+    if (roulette) keep = play_roulette(throughput, eta, u_light.u[3], counted, alive);
+    if (c.tape)
+        write_scattering(c, i, resolved, si, wi,
+                         {s.light.point.emitter, s.light.point.at, s.wo_light, s.light_weight, s.light.distance,
+                          s.emitted, s.sample.wo, s.sample.lobe, select(alive, s.inverse_pdf * keep, F(0))});
+    if (!any(alive)) return;
+    Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo))), o = offset_origin(si.p, si.ng, d);
+    PathState<F> next{o, d, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf),
+                      pull(beta, weight) * keep, eta, survival * keep, slot, U(i) + lane_index<F>(),
+                      invisible ? seen : U(1u)};
+    uint32_t at = append(out, next, alive);
+    if (volumetric)
+        append_lanes(out, at,
+                     PathMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, d, medium, alive), path_depth + 1u,
+                                   lanes(in.channel), dot(o - si.p, d)},
+                     alive);
+}
+
+template <class F>
+void shade_environment(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                       const LaneSet<F> &lanes, uint32_t i) {
+    using U = UIntOf<F>;
+    // the emission of a split after the first has been counted
+    auto shown = step.split == 0 && c.scene.environment >= 0 ? lanes.active : MaskOf<F>(false);
+    if (c.config.volumetric && c.config.hide_emitters) shown = shown && !mask<F>(lanes(in.depth) == U(0u));
+    FoundEmission<F> e = no_emission<F>();
+    U slot = lanes(in.slot);
+    if (any(shown)) {
+        PacketSamples<F> samples(c, slot, lanes.active);
+        PreviousVertex<F> from{lanes(in.from), lanes(in.pdf)};
+        e = environment_emission(c, samples.wavelengths(c.config), lanes(in.d), from, shown, step.depth);
+    }
+    Spectrum<F> beta = lanes(in.beta);
+    if (!c.tape) return add_radiance(c, slot, beta, e, shown, "environment");
+    write_vertex(c, i, slot, lanes(in.parent), beta, e.point.at, e);
+    if (!c.needs->geometry) return;
+    Vec3<F> zero{F(0), F(0), F(0)};
+    write_arrival(c, i, lanes(in.d), zero, zero, F(0), arrival_kind<F>(mask<F>(lanes(in.pdf) == F(0))));
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                        \
+    template ResolvedBsdf<F> resolve_hit(const PathContext<F> &, const PacketSamples<F> &, Interaction<F> &,        \
+                                         const Vec3<F> &, uint32_t, bool, const MaskOf<F> &);                       \
+    template void shade_surface(const PathContext<F> &, int, const PathStep &, const PathQueue<S> &,                \
+                                const HitColumns<S> &, const LaneSet<F> &, uint32_t, PathQueue<S> &,                \
+                                ShadowQueue<S> &);                                                                  \
+    template void shade_environment(const PathContext<F> &, const PathStep &, const PathQueue<S> &,                 \
+                                    const LaneSet<F> &, uint32_t);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

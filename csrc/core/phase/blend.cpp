@@ -1,0 +1,62 @@
+#include "blend.h"
+
+#include "kernels.h"
+
+namespace tr {
+
+namespace {
+
+// The records of its parts, which are no blends, and the weight of the second at p.
+template <class F>
+struct Parts {
+    const Record *part[2];
+    F weight;
+
+    TR_INLINE Parts(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const MaskOf<F> &active)
+        : part{scene.phases + record.field[BlendPhase::First], scene.phases + record.field[BlendPhase::Second]},
+          weight(eval_volume(scene, scene.values, Wavelengths<F>{}, record.field[BlendPhase::Weight], p, active)[0]) {}
+    TR_INLINE const PhaseKernels<F> &kernels(int i) const { return phase_kernels<F>(part[i]->kind); }
+};
+
+}  // namespace
+
+template <class F>
+F BlendPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
+                   const MaskOf<F> &active) {
+    Parts<F> parts(scene, record, p, active);
+    F value[2];
+    for (int i = 0; i < 2; ++i) value[i] = parts.kernels(i).eval(scene, *parts.part[i], p, d, wo, active);
+    return fmadd(parts.weight, value[1] - value[0], value[0]);
+}
+
+template <class F>
+Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                           const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
+    Parts<F> parts(scene, record, p, active);
+    auto second = mask<F>(u0 < parts.weight);
+    Vec3<F> wo = d;
+    for (int i = 0; i < 2; ++i) {
+        auto lanes = active && (i ? second : !second);
+        if (any(lanes))
+            wo = select(lanes, parts.kernels(i).sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes), wo);
+    }
+    return wo;
+}
+
+template <class F>
+void BlendPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                     const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
+    Parts<F> parts(scene, record, p, active);
+    F value[2];
+    for (int i = 0; i < 2; ++i) {
+        const PhaseKernels<F> &part = parts.kernels(i);
+        value[i] = part.eval(scene, *parts.part[i], p, d, wo, active);
+        if (part.vjp)
+            part.vjp(scene, *parts.part[i], p, d, wo, g * (i ? parts.weight : F(1) - parts.weight), active, sink);
+    }
+    sink.volume(scene, record.field[Weight], p, g * (value[1] - value[0]), active);
+}
+
+TR_PHASE(BlendPhase)
+
+}  // namespace tr

@@ -1,0 +1,30 @@
+// Outputs besides radiance, for the wanted pixels of a film.
+#pragma once
+
+#include "core/integrator/aovs.h"
+#include "render.h"
+
+namespace tr {
+
+// For every wanted pixel: tensors (n, channels) by kind, null where not wanted; identifiers (n), may be null.
+template <class S>
+struct AovOutput {
+    std::array<S *, AovCount> data{};
+    int32_t *shape = nullptr, *primitive = nullptr, *material = nullptr;
+    std::array<int32_t, AovAttributes> attributes{-1, -1, -1, -1};  // numbers of their names
+    std::vector<uint64_t> seeds;                                    // of each pass
+    bool zero_at_misses = false;  // averages over all samples, zero where nothing is hit, in place of those that hit
+};
+
+template <class S>
+RenderStats render_aov(const RenderCall<S> &call, const AovOutput<S> &out);
+// out.data: derivatives of the loss with respect to the outputs, read only.
+template <class S>
+RenderStats reverse_aov(const RenderCall<S> &call, const AovOutput<S> &out,
+                        DerivativeCall<S> &derivative);
+// out.data: derivatives of the outputs along the tangent.
+template <class S>
+RenderStats forward_aov(const RenderCall<S> &call, const AovOutput<S> &out,
+                        const DerivativeCall<S> &derivative);
+
+}  // namespace tr

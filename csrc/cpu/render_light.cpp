@@ -1,0 +1,308 @@
+// Light paths, and their derivatives: as render_paths.cpp, but what a path brings may be anywhere on the film. The items
+// of the schedule are divided into groups, as many whatever the number of threads; a group has a film of its own, and
+// films are added, in double precision, in the order of their groups.
+#include <optional>
+
+#include "light_tile.h"
+#include "splat.h"
+#include "work_items.h"
+
+namespace tr {
+
+namespace {
+
+// Spp paths start in every pixel, taken as a stratum of the emitters.
+template <class S>
+TileSchedule schedule_of_light(const RenderCall<S> &call) {
+    Rect film{0, 0, call.film_height, call.film_width};
+    return TileSchedule(film, film, 0, call.spp);
+}
+
+// What sums over all paths are multiplied with, by row and column: the image is the average that the path tracer takes
+// of a film with `sample_border`. Light counts beyond the film's edge, too, as far as filters reach: it may cross it
+// when things move. A surface that measures ends at the film's edge, and so do the averages.
+template <class S>
+class LightScale {
+public:
+    explicit LightScale(const RenderCall<S> &call)
+        : call_(call),
+          paths_(double(call.spp) * call.film_height * call.film_width),
+          measured_(call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind) {}
+
+    double operator()(int row, int column) const {
+        return 1 / (paths_ * within(row, call_.film_height) * within(column, call_.film_width));
+    }
+
+private:
+    double within(int pixel, int size) const {
+        double center = pixel + 0.5;
+        return measured_ ? call_.filter.integral(-center, size - center) : call_.filter.integral(-INFINITY, INFINITY);
+    }
+    const RenderCall<S> &call_;
+    double paths_;
+    bool measured_;
+};
+
+// The wanted pixels in the order of the results: visit(result, y, x).
+template <class S, class Visit>
+void for_results(const RenderCall<S> &call, Visit &&visit) {
+    size_t i = 0;
+    if (call.pixels) {
+        for (const Pixel &p : *call.pixels) visit(i++, p.y, p.x);
+        return;
+    }
+    for (int y = call.crop.y0; y < call.crop.y1; ++y)
+        for (int x = call.crop.x0; x < call.crop.x1; ++x) visit(i++, y, x);
+}
+
+// Sums up films in the order of their numbers, whoever finishes first.
+template <class S>
+class OrderedFilms {
+public:
+    explicit OrderedFilms(const Rect &rect) : total(rect) {}
+    SplatFilm<double> total;
+
+    void push(size_t number, std::unique_ptr<SplatFilm<S>> film) {
+        std::lock_guard<std::mutex> lock(mutex_);
+        waiting_.emplace(number, std::move(film));
+        for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(++next_)) {
+            total.add(*it->second);
+            waiting_.erase(it);
+        }
+    }
+
+private:
+    std::mutex mutex_;
+    std::map<size_t, std::unique_ptr<SplatFilm<S>>> waiting_;
+    size_t next_ = 0;
+};
+
+template <class F>
+void splat_connections(const Filter &filter, const ShadowQueue<ScalarOf<F>> &free, SplatFilm<ScalarOf<F>> &film,
+                       SplatAxes<F> &axes) {
+    axes.for_places(filter, free.film_x.at, free.film_y.at, free.n, false, [&](size_t k, int lane) {
+        typename SplatFilm<ScalarOf<F>>::Vector value{};
+        for (int c = 0; c < SpectrumSize; ++c) value[c] = free.contribution[c][k];
+        film.splat(axes.x, axes.y, lane, value);
+    });
+}
+
+// The image's derivative along a tangent, of the connections of one level at a time: its sweeps give the derivatives
+// of what they bring, component by component, and of their places.
+template <class F>
+class LightTangents {
+    using S = ScalarOf<F>;
+
+public:
+    LightTangents(const RenderCall<S> &call, const DerivativeCall<S> &derivative)
+        : call_(call), derivative_(derivative) {}
+
+    void keep(int level, const ShadowQueue<S> &free) {
+        if (size_t(level) >= levels_.size()) levels_.resize(size_t(level) + 1);
+        Kept &kept = levels_[size_t(level)];
+        auto copy = [&](auto &to, const auto *from) { to.assign(from, from + free.n); };
+        copy(kept.x, free.film_x.at), copy(kept.y, free.film_y.at);
+        copy(kept.slot, free.slot.at), copy(kept.position, free.position.at);
+        for (int c = 0; c < SpectrumSize; ++c) copy(kept.value[c], free.contribution[c]);
+    }
+
+    void sweep(LightTile<F> &tile, size_t n, SplatFilm<S> &film) {
+        GradientSink<F> sink = derivative_.template forward_sink<F>();
+        const bool moves = derivative_.needs.geometry;
+        for (size_t level = 0; level < levels_.size(); ++level) {
+            Kept &kept = levels_[level];
+            if (kept.slot.empty()) continue;
+            const TapeColumns<S> &tape = tile.wavefront.tape[int(level)].columns;
+            // what connections hand to the sweep: nothing, all of the spectrum, a component of it, or the place
+            constexpr int Nothing = -1, All = -2;
+            auto set_adjoints = [&](int what) {
+                for (uint32_t at : kept.position) {
+                    for (int c = 0; c < SpectrumSize; ++c)
+                        tape.outgoing.emitted[c][at] = S(what == All || what == c ? 1 : 0);
+                    tape.connection.x_bar[at] = S(what == PlaceX ? 1 : 0);
+                    tape.connection.y_bar[at] = S(what == PlaceY ? 1 : 0);
+                }
+            };
+            std::vector<S> d[SpectrumSize + 2];
+            auto sweep_for = [&](int what, int component, std::vector<S> *to, int components) {
+                set_adjoints(what);
+                for (int c = 0; c < SpectrumSize; ++c) std::fill_n(tile.slots.radiance[c], n, S(0));
+                sink.component = component;
+                tile.sweep(sink);
+                for (int c = component; c < component + components; ++c, ++to)
+                    for (uint32_t slot : kept.slot) to->push_back(tile.slots.radiance[c][slot]);
+            };
+            if (moves) {
+                for (int c = 0; c < call_.values; ++c) sweep_for(c, c, &d[c], 1);
+                for (int place : {PlaceX, PlaceY}) sweep_for(place, 0, &d[place], 1);
+            } else {
+                sweep_for(All, 0, d, call_.values);
+            }
+            set_adjoints(Nothing);  // they count no more
+            splat(kept, d, moves, film);
+            kept.slot.clear();
+        }
+    }
+
+private:
+    static constexpr int PlaceX = SpectrumSize, PlaceY = SpectrumSize + 1;
+
+    struct Kept {
+        std::vector<S> x, y, value[SpectrumSize];
+        std::vector<uint32_t> slot, position;
+    };
+
+    void splat(const Kept &kept, const std::vector<S> (&d)[SpectrumSize + 2], bool moves, SplatFilm<S> &film) {
+        axes_.for_places(call_.filter, kept.x.data(), kept.y.data(), kept.x.size(), true, [&](size_t k, int lane) {
+            typename SplatFilm<S>::Vector change{}, value{};
+            for (int c = 0; c < call_.values; ++c) change[c] = d[c][k], value[c] = kept.value[c][k];
+            film.splat(axes_.x, axes_.y, lane, change);
+            if (moves) film.splat_motion(axes_.x, axes_.y, lane, d[PlaceX][k], d[PlaceY][k], value);
+        });
+    }
+
+    const RenderCall<S> &call_;
+    const DerivativeCall<S> &derivative_;
+    std::vector<Kept> levels_;
+    SplatAxes<F> axes_;
+};
+
+// Light paths, with what becomes of their connections.
+template <class F>
+struct SplattingTile {
+    using S = ScalarOf<F>;
+    LightTile<F> paths;
+    SplatAxes<F> axes;
+    std::optional<LightTangents<F>> tangents;
+    RenderStats take_stats() { return paths.take_stats(); }
+
+    SplattingTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
+        : paths(call, capacity, derivative) {
+        if (derivative) tangents.emplace(call, *derivative);
+    }
+};
+
+// Primal and, with a derivative, forward mode.
+template <class F>
+RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
+                        ScalarOf<F> *image) {
+    using S = ScalarOf<F>;
+    using Tile = SplattingTile<F>;
+    RenderStats stats;
+    {
+        Stopwatch watch(stats.seconds);
+        TileSchedule schedule = schedule_of_light(call);
+        const size_t capacity = derivative ? 512 : 1024;
+        // Enough for many threads, but few enough that adding up films is less work than tracing; not a matter of the
+        // crop, whose pixels are to be those of the whole bit for bit.
+        const size_t fitting = std::min<size_t>(64, std::max<size_t>(16, size_t(call.spp) / 4));
+        const size_t film_bytes = 16 * (size_t(call.film_height) * size_t(call.film_width) + 1);
+        const size_t affordable =
+            std::max<size_t>(4, (size_t(1) << 30) / film_bytes);  // films that wait for an earlier one
+        const size_t groups = std::min({schedule.n_items(), fitting, affordable});
+        OrderedFilms<S> films(call.crop);
+        auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
+        run_tiles(groups, call, Assignment::Dynamic, stats, make, [&](Tile &tile, size_t group, int, auto &&stop) {
+            auto film = std::make_unique<SplatFilm<S>>(call.crop);
+            const size_t end = schedule.n_items() * (group + 1) / groups;
+            auto visit = [&](int level, const ShadowQueue<S> &free) {
+                if (derivative)
+                    tile.tangents->keep(level, free);
+                else
+                    splat_connections<F>(call.filter, free, *film, tile.axes);
+            };
+            for (size_t item = schedule.n_items() * group / groups; item < end && !stop(); ++item)
+                for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
+                            [&](size_t n, const std::vector<Span> &) {
+                    tile.paths.run(n, derivative != nullptr, stop, visit);
+                    if (derivative) tile.tangents->sweep(tile.paths, n, *film);
+                });
+            films.push(group, std::move(film));
+        });
+        const LightScale<S> scale(call);
+        const int values = call.values;
+        for_results(call, [&](size_t i, int row, int column) {
+            const double s = scale(row, column);
+            for (int c = 0; c < values; ++c)
+                image[i * size_t(values) + size_t(c)] = S(films.total.at(row, column)[c] * s);
+        });
+    }
+    return stats;
+}
+
+template <class F>
+RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
+    using S = ScalarOf<F>;
+    using Tile = SplattingTile<F>;
+    using AdjointFilm = SplatFilm<S>;
+    RenderStats stats;
+    {
+        Stopwatch watch(stats.seconds);
+        derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+        TileSchedule schedule = schedule_of_light(call);
+        const size_t capacity = 512;
+        AdjointFilm adjoint(call.crop);
+        const LightScale<S> scale(call);
+        const int values = call.values;
+        for_results(call, [&](size_t i, int row, int column) {
+            const double s = scale(row, column);
+            for (int c = 0; c < values; ++c)
+                adjoint.at(row, column)[c] += S(double(derivative.adjoint[i * size_t(values) + size_t(c)]) * s);
+        });
+        std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
+        auto make = [&](int thread) {
+            locals[size_t(thread)].allocate(derivative, thread);
+            return std::make_unique<Tile>(call, capacity, &derivative);
+        };
+        run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
+                  [&](Tile &tile, size_t item, int thread, auto &&stop) {
+            SplatAxes<F> &axes = tile.axes;
+            auto collect = [&](int number, const ShadowQueue<S> &free) {
+                const TapeColumns<S> &level = tile.paths.wavefront.tape[number].columns;
+                axes.for_places(call.filter, free.film_x.at, free.film_y.at, free.n, true, [&](size_t k, int lane) {
+                    typename AdjointFilm::Vector sum, by_x, by_y;
+                    adjoint.collect(axes.x, axes.y, lane, sum, by_x, by_y);
+                    uint32_t at = free.position[k];
+                    S x_bar(0), y_bar(0);
+                    for (int c = 0; c < SpectrumSize; ++c) {
+                        level.outgoing.emitted[c][at] = sum[c];
+                        x_bar += by_x[c] * free.contribution[c][k], y_bar += by_y[c] * free.contribution[c][k];
+                    }
+                    level.connection.x_bar[at] = x_bar, level.connection.y_bar[at] = y_bar;
+                });
+            };
+            for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
+                        [&](size_t n, const std::vector<Span> &) {
+                tile.paths.run(n, true, stop, collect);
+                GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
+                tile.paths.sweep(sink);
+            });
+        });
+        add_buffers(locals, derivative);
+    }
+    return stats;
+}
+
+}  // namespace
+
+template <class S>
+RenderStats trace_light(const RenderCall<S> &call, S *image) {
+    return splat_light<PacketOf<S>>(call, nullptr, image);
+}
+template <class S>
+RenderStats trace_light_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image) {
+    return splat_light<PacketOf<S>>(call, &derivative, image);
+}
+template <class S>
+RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
+    return reverse_light<PacketOf<S>>(call, derivative);
+}
+
+#define TR_INSTANTIATE(S)                                                                          \
+    template RenderStats trace_light(const RenderCall<S> &, S *);                                  \
+    template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &);          \
+    template RenderStats trace_light_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

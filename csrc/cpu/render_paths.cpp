@@ -1,0 +1,155 @@
+// Paths of the items of a schedule, and their derivatives.
+#include "allocation.h"
+#include "path_tile.h"
+#include "work_items.h"
+
+namespace tr {
+
+namespace {
+
+// Primal and, with a derivative, forward mode: every path has a value, which is splatted.
+template <class F>
+RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
+                        const RenderOutput<ScalarOf<F>> &out) {
+    using S = ScalarOf<F>;
+    using Tile = PathTile<F>;
+    RenderStats stats;
+    {
+        Stopwatch watch(stats.seconds);
+        TileSchedule schedule = make_schedule(call);
+        const int pixel = call.values, values = pixel + 1;  // radiance, alpha
+        const int moments = out.variance ? pixel : 0;
+        Film film(schedule, FilmBlock::channels(values, moments));
+        OrderedMerge merge(schedule, film, call.threads);
+        const size_t capacity = derivative ? 512 : 1024;
+        StoredHits *record = derivative ? nullptr : call.keep_hits;
+        if (record) record->prepare(schedule.n_items(), capacity);
+        auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
+        run_tiles(schedule.n_items(), call, Assignment::Dynamic, stats, make,
+                  [&](Tile &tile, size_t item, int, auto &&stop) {
+            const auto &slots = tile.slots;
+            std::vector<FilmBlock> blocks = blocks_of(schedule, item, values, moments);
+            for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                tile.start(n, false);
+                HitRecorder &recorder = tile.wavefront.recorder;
+                if (record && record->wants_more()) recorder.begin(n, size_t(tile.splits(call.config)));
+                tile.run(derivative != nullptr, stop);
+                if (record) record->keep(item, recorder.finish());
+                if (derivative) {
+                    GradientSink<F> sink = derivative->template forward_sink<F>();
+                    tile.sweep(sink, true);
+                }
+                S *columns[SpectrumSize + 1];
+                for (int c = 0; c < pixel; ++c) columns[c] = slots.radiance[c];
+                columns[pixel] = slots.alpha.at;
+                for (const Span &span : spans)
+                    splat_span(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
+            });
+            merge.push(item, std::move(blocks), stop);
+        });
+        for (size_t i = 0; i < schedule.n_results(); ++i) {
+            const double *p = film.at(schedule.target_of(i)), *q = p + values + 1;
+            double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
+            for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
+            if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
+            if (!out.variance) continue;
+            for (int c = 0; c < pixel; ++c)
+                out.variance[i * size_t(pixel) + size_t(c)] =
+                    S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[2 * pixel]));
+        }
+    }
+    return stats;
+}
+
+// The adjoints of the radiances of a batch.
+template <class S>
+void collect_adjoints(const RenderCall<S> &call, const std::vector<FilmBlock> &blocks, const std::vector<Span> &spans,
+                      const SlotColumns<S> &slots) {
+    const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
+    for (const Span &span : spans)
+        for (size_t k = span.begin; k < span.end; ++k) {
+            if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
+                for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][k] = slots.delta[c][k - 1];
+                continue;
+            }
+            double d[SpectrumSize] = {};
+            blocks[span.unit].collect(call.filter, int32_t(slots.row[k]), int32_t(slots.column[k]),
+                                      double(slots.film_y[k]), double(slots.film_x[k]), d);
+            for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][k] = S(d[c] * span.weight);
+        }
+}
+
+template <class F>
+RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
+    using S = ScalarOf<F>;
+    using Tile = PathTile<F>;
+    RenderStats stats;
+    {
+        Stopwatch watch(stats.seconds);
+        derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+        TileSchedule schedule = make_schedule(call);
+        const int values = call.values;
+        if (derivative.adaptive) allocate(schedule, call.filter, derivative.adjoint, values);
+        const size_t capacity = 512;
+        // d loss / d (sum of weighted radiances) of every wanted pixel
+        Film adjoint(schedule, values);
+        {
+            std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
+            if (stats.interrupted) return stats;
+            for (size_t i = 0; i < schedule.n_results(); ++i) {  // a pixel that was asked for twice has two
+                size_t target = schedule.target_of(i);
+                double total = *weights->at(target);
+                if (total == 0) continue;
+                for (int c = 0; c < values; ++c)
+                    adjoint.at(target)[c] += double(derivative.adjoint[i * size_t(values) + size_t(c)]) / total;
+            }
+        }
+        std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
+        auto make = [&](int thread) {
+            locals[size_t(thread)].allocate(derivative, thread);
+            return std::make_unique<Tile>(call, capacity, &derivative);
+        };
+        run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
+                  [&](Tile &tile, size_t item, int thread, auto &&stop) {
+            const auto &slots = tile.slots;
+            std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, values);
+            size_t done = 0;  // paths of the item
+            for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
+                collect_adjoints(call, blocks, spans, slots);
+                tile.start(n, true);
+                tile.wavefront.replay.begin(call.kept_hits, item, done, n, size_t(tile.splits(call.config)));
+                done += n;
+                tile.run(true, stop);
+                GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
+                tile.sweep(sink, false);
+            });
+        });
+        add_buffers(locals, derivative);
+    }
+    return stats;
+}
+
+}  // namespace
+
+template <class S>
+RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out) {
+    return splat_paths<PacketOf<S>>(call, nullptr, out);
+}
+template <class S>
+RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image) {
+    return splat_paths<PacketOf<S>>(call, &derivative, {image, nullptr, nullptr});
+}
+template <class S>
+RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
+    return reverse_paths<PacketOf<S>>(call, derivative);
+}
+
+#define TR_INSTANTIATE(S)                                                                \
+    template RenderStats render_primal(const RenderCall<S> &, const RenderOutput<S> &); \
+    template RenderStats render_reverse(const RenderCall<S> &, DerivativeCall<S> &);    \
+    template RenderStats render_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

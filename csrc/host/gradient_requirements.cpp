@@ -1,0 +1,125 @@
+#include "gradient_requirements.h"
+
+#include <algorithm>
+
+#include "../core/registry.h"
+#include "models.h"
+
+namespace tr {
+
+GradientRequirements::GradientRequirements(const SceneLayout &layout, const std::vector<bool> &needs_grad)
+    : layout_(layout), needs_grad_(needs_grad) {
+    for (const ConstantEntry &e : layout.entries)
+        if (needs_grad[size_t(e.slot)]) offsets_.push_back(e.offset);
+    std::sort(offsets_.begin(), offsets_.end());
+    moved_shapes_.assign(layout.shapes.size(), 0);
+    for (size_t i = 0; i < layout.shapes.size(); ++i)
+        moved_shapes_[i] = (layout.shapes[i].flags & IsHeightField) && tensor(layout.shapes[i].heights);
+    for (const MeshSource &mesh : layout.meshes)
+        moved_shapes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
+}
+
+bool GradientRequirements::number(int32_t offset) const { return std::binary_search(offsets_.begin(), offsets_.end(), offset); }
+
+bool GradientRequirements::any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const {
+    const Record &record = layout_.records.at(category)[index];
+    const Model &model = model_of(category, record);
+    for (int f = 0; f < model.n_fields; ++f)
+        if (std::find(kinds.begin(), kinds.end(), model.fields[f].kind) != kinds.end() && number(record.field[f]))
+            return true;
+    return false;
+}
+
+bool GradientRequirements::values(const char *category, size_t index) const {
+    if (any_number(category, index, {Kind::Spectrum, Kind::Float, Kind::Point})) return true;
+    const Record &record = layout_.records.at(category)[index];
+    const Model &model = model_of(category, record);
+    for (int f = 0; f < model.n_fields; ++f) {
+        Kind kind = model.fields[f].kind;
+        if ((kind == Kind::Texture || kind == Kind::Scalar) && values("texture", size_t(record.field[f]))) return true;
+        if (record.field[f] >= 0 && ((kind == Kind::Volume && values("volume", size_t(record.field[f]))) ||
+                                     (kind == Kind::Phase && values("phase", size_t(record.field[f])))))
+            return true;
+        if (kind == Kind::Tensor && tensor(record.field[f])) return true;
+    }
+    if (std::string("texture") == category && std::string("mesh_attribute") == model.type)
+        for (const AttributeInfo &a : layout_.attributes)
+            if (a.name == record.field[MeshAttribute::Name] && needs_grad_[size_t(a.tensor)]) return true;
+    return false;
+}
+
+bool GradientRequirements::point_position() const {
+    for (size_t i = 0; i < layout_.records.at("emitter").size(); ++i)
+        if (any_number("emitter", i, {Kind::Point})) return true;
+    return false;
+}
+
+MediumNeeds GradientRequirements::medium(size_t index) const {
+    const MediumInfo &m = layout_.media[index];
+    auto volume = [&](int32_t i) { return i >= 0 && values("volume", size_t(i)); };
+    return {volume(m.extinction) || number(m.scale), volume(m.albedo), volume(m.emission),
+            values("phase", size_t(m.phase))};
+}
+
+bool GradientRequirements::shape(size_t index) const {
+    return moved_shapes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
+}
+
+bool GradientRequirements::camera(size_t sensor) const {
+    if (any_number("sensor", sensor, {Kind::Float, Kind::Transform})) return true;
+    const Record &record = layout_.records.at("sensor")[sensor];
+    const Model &model = model_of("sensor", record);
+    for (int f = 0; f < model.n_fields; ++f)
+        if (model.fields[f].kind == Kind::Tensor && tensor(record.field[f])) return true;
+    return false;
+}
+
+bool GradientRequirements::motion(size_t sensor) const {
+    if (camera(sensor)) return true;
+    for (size_t i = 0; i < layout_.shapes.size(); ++i)
+        if (shape(i)) return true;
+    auto any = [&](const char *category, std::initializer_list<Kind> kinds) {
+        for (size_t i = 0; i < layout_.records.at(category).size(); ++i)
+            if (any_number(category, i, kinds)) return true;
+        return false;
+    };
+    // maps of texture coordinates and factors of attributes; places of volumes; the environment's rotation; what turns
+    // delta lobes
+    if (any("texture", {Kind::Transform2, Kind::Float}) || any("volume", {Kind::Transform}) ||
+        any("emitter", {Kind::Transform}))
+        return true;
+    const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
+    for (size_t i = 0; i < bsdfs.size(); ++i) {
+        const Model &model = model_of("bsdf", bsdfs[i]);
+        if ((model.is(HasDeltaLobes) && any_number("bsdf", i, {Kind::Float})) ||
+            (model.is(PerturbsNormals) && values("bsdf", i)))  // shading normals
+            return true;
+    }
+    return false;
+}
+
+bool GradientRequirements::bsdfs_vary() const {
+    const int32_t constant = kind_of_model<ConstantTexture>(Textures{});
+    for (const Record &record : layout_.records.at("bsdf")) {
+        const Model &model = model_of("bsdf", record);
+        for (int f = 0; f < model.n_fields; ++f)
+            if ((model.fields[f].kind == Kind::Texture || model.fields[f].kind == Kind::Scalar) &&
+                layout_.records.at("texture")[size_t(record.field[f])].kind != constant)
+                return true;
+    }
+    return false;
+}
+
+GeometrySizes GradientRequirements::geometry_sizes() const {
+    GeometrySizes r;
+    size_t n = size_t(layout_.n_vertices);
+    for (const MeshSource &mesh : layout_.meshes) {
+        bool rectangle = mesh.vertices < 0;
+        if (rectangle ? shape(size_t(mesh.shape)) : tensor(mesh.vertices)) r.positions = 3 * n;
+        if (tensor(mesh.normals)) r.normals = 3 * n;
+        if (tensor(mesh.texcoords)) r.texcoords = 2 * n;
+    }
+    return r;
+}
+
+}  // namespace tr

@@ -1,0 +1,47 @@
+// Which parts of a derivative a call needs: what depends on the parameters that are differentiated.
+#pragma once
+
+#include <initializer_list>
+#include <string>
+#include <vector>
+
+#include "../core/adjoint/needs.h"
+#include "../core/model.h"
+#include "gradient.h"
+#include "layout.h"
+
+namespace tr {
+
+class GradientRequirements {
+public:
+    // `needs_grad`: by slot of the flat parameter list
+    GradientRequirements(const SceneLayout &layout, const std::vector<bool> &needs_grad);
+
+    // A value that an object of this category looks up.
+    bool values(const char *category, size_t index) const;
+    // The position of a light at a point.
+    bool point_position() const;
+    // Properties of a medium.
+    MediumNeeds medium(size_t index) const;
+    // Something that moves a camera ray.
+    bool camera(size_t sensor) const;
+    // A shape, its normals or texture coordinates.
+    bool shape(size_t index) const;
+    // Anything that moves a ray, a hit or a look-up.
+    bool motion(size_t sensor) const;
+    // Whether a BSDF has a texture that is not constant.
+    bool bsdfs_vary() const;
+    GeometrySizes geometry_sizes() const;
+
+private:
+    const SceneLayout &layout_;
+    const std::vector<bool> &needs_grad_;
+    std::vector<int32_t> offsets_;       // sorted: in the block of small parameters
+    std::vector<uint8_t> moved_shapes_;  // by shape: one of its tensors is differentiated
+
+    bool number(int32_t offset) const;
+    bool tensor(int32_t slot) const { return slot >= 0 && needs_grad_[size_t(slot)]; }
+    bool any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const;
+};
+
+}  // namespace tr

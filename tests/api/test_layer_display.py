@@ -1,0 +1,202 @@
+"""What people look at: pictures in notebooks, progress bars, summaries, help."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import inspect
+import sys
+import time
+import types
+from io import StringIO
+from pathlib import Path
+
+import pytest
+import torch
+
+import torchrender as tr
+from torchrender.scene import stubs
+from torchrender.scene.declaration import models
+
+
+def make(**objects) -> tr.Scene:
+    return tr.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": 8, "height": 6}},
+            "red": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.1, 0.1]}},
+            "wall": {"type": "rectangle", "bsdf": {"type": "ref", "id": "red"}},
+            "lamp": {"type": "point", "position": [0, 1, 3]},
+            "sky": {"type": "constant"},
+            **objects,
+        }
+    )
+
+
+class Terminal(StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def notebook(monkeypatch):
+    """A stand-in for IPython in a Jupyter kernel; returns what is displayed."""
+    displayed = []
+    shell = type("ZMQInteractiveShell", (), {})()
+    ipython = types.ModuleType("IPython")
+    ipython.get_ipython = lambda: shell
+    ipython.version_info = (9, 0)
+    display = types.ModuleType("IPython.display")
+    display.display = displayed.append
+    ipython.display = display
+    monkeypatch.setitem(sys.modules, "IPython", ipython)
+    monkeypatch.setitem(sys.modules, "IPython.display", display)
+    return displayed
+
+
+# ---------------------------------------------------------------------------------------------------------- pictures
+def test_show_in_a_notebook(notebook):
+    image = torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0)).requires_grad_()
+    assert tr.show([image, torch.zeros(4, 2)]) is None
+    (picture,) = notebook
+    assert picture.size == (8, 4) and picture.mode == "RGB"
+    assert picture._repr_png_().startswith(b"\x89PNG")  # what the notebook puts below the cell
+
+
+def test_show_elsewhere_returns_the_picture(monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    picture = tr.show(tr.render(make(), spp=1))
+    assert picture.size == (8, 6) and picture.mode == "RGB"
+    # Display values: the sRGB curve, rounded; twice as much light with an exposure of 1.
+    assert tr.show(torch.full((1, 1, 3), 0.25)).getpixel((0, 0)) == (137, 137, 137)
+    assert tr.show(torch.full((1, 1, 3), 0.125), exposure=1).getpixel((0, 0)) == (137, 137, 137)
+
+
+# ---------------------------------------------------------------------------------------------------------- progress
+def test_progress_is_seen_where_somebody_watches(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    assert list(tr.progress(range(3), desc="training")) == [0, 1, 2]
+    assert "training" in terminal.getvalue() and "3/3" in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", silent := StringIO())
+    assert list(tr.progress(range(3), desc="training")) == [0, 1, 2]
+    assert silent.getvalue() == ""
+    monkeypatch.setattr(sys, "stderr", None)  # as in programs without a console
+    assert list(tr.progress(range(3))) == [0, 1, 2]
+
+
+def test_progress_by_hand(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    with tr.progress(total=4, desc="views") as bar:
+        bar.update(3)
+        bar.set_postfix(loss=0.5)
+    assert "3/4" in terminal.getvalue() and "loss=0.5" in terminal.getvalue()
+    monkeypatch.setattr(sys, "stderr", quiet := Terminal())
+    list(tr.progress(range(3), disable=True))
+    assert quiet.getvalue() == ""
+
+
+def test_short_renderings_show_no_bar(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    tr.render(make(), spp=1, passes=3)
+    assert terminal.getvalue() == ""
+
+
+def test_long_renderings_show_a_bar(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    bars = []
+    module = sys.modules["torchrender.progress"]
+    original = module.progress
+    monkeypatch.setattr(module, "progress", lambda *a, **k: bars.append(k) or original(*a, **{**k, "delay": 0.0}))
+    tr.render(make(), spp=1, passes=3)
+    assert [b["desc"] for b in bars] == ["passes"] and bars[0]["delay"] > 0
+    assert "passes" in terminal.getvalue()
+
+
+# --------------------------------------------------------------------------------------------------------- summaries
+def test_summary_says_which_derivatives_there_are():
+    scene = make()
+    scene.train_only("red.*")
+    rows = {line.split()[0]: line for line in repr(scene).splitlines() if line.startswith("    ")}
+    assert "forward, reverse, requires grad" in rows["red.reflectance.value"]
+    assert "3" in rows["red.reflectance.value"].split() and "[0.1, 0.6]" in rows["red.reflectance.value"]
+    assert rows["lamp.position"].count("forward, reverse, without ") == 1
+    assert "no derivative (a probability" in rows["sky.sampling_weight"]
+    assert "no derivative" in rows["camera.near_clip"]
+    # Everything that state_dict holds is listed, except index arrays.
+    listed = {n for n, _ in scene.named_parameters()}
+    assert listed == set(rows)
+
+
+def test_summary_agrees_with_what_rendering_does():
+    scene = make()
+    rows = {line.split()[0]: line for line in repr(scene).splitlines() if line.startswith("    ")}
+    for name, parameter in scene.named_parameters():
+        refused = False
+        parameter.requires_grad_()
+        try:
+            with pytest.warns(tr.MissingTermWarning) if "without" in rows[name] else contextlib.nullcontext():
+                tr.render(scene, spp=1)
+        except tr.NotDifferentiableError:
+            refused = True
+        parameter.requires_grad_(False)
+        assert refused == ("no derivative" in rows[name]), rows[name]
+
+
+def test_summaries_are_quick():
+    texels = torch.rand(512, 1024, 3, generator=torch.Generator().manual_seed(0))
+    many = {f"ball{i}": {"type": "sphere", "center": [i, 0, 0]} for i in range(200)}
+    scene = make(env={"type": "envmap", "data": texels}, **many)
+    del scene["sky"]
+    repr(scene)
+    begin = time.perf_counter()
+    text = repr(scene)
+    assert time.perf_counter() - begin < 1.0
+    assert "ball199.radius" in text
+
+
+# -------------------------------------------------------------------------------------------------------------- help
+def test_every_class_says_what_it_takes():
+    for category, kind in models():
+        if category == "attribute":
+            continue
+        cls = tr.scene.registry.plugin_class(category, kind)
+        assert cls.__doc__ and len(cls.__doc__) > 20
+        names = [p for p in inspect.signature(cls).parameters.values() if p.kind is not p.VAR_KEYWORD]
+        accepted = [n for n in cls.parameter_names() if n not in cls.inert]
+        assert {p.name for p in names} >= set(accepted), cls
+        assert all(p.annotation is not p.empty for p in names), cls
+
+
+def test_generated_types_are_up_to_date():
+    path = Path(tr.__file__).parent / "_plugins.pyi"
+    assert path.read_text() == stubs.stub(), "torchrender.scene.stubs.main() writes it"
+    ast.parse(path.read_text())
+    assert {"Diffuse", "AreaLight"} <= set(stubs.generated_classes())
+
+
+def test_signatures():
+    assert str(inspect.signature(tr.Diffuse)) == "(*, reflectance: 'TextureLike' = 0.5) -> 'Diffuse'"
+    assert next(iter(inspect.signature(tr.Mesh).parameters)) == "vertices"
+    assert inspect.signature(tr.Bitmap).parameters["filter_type"].default == "bilinear"
+    assert "reflectance" in tr.Diffuse.__doc__
+    with pytest.raises(TypeError):
+        tr.Diffuse(0.5)
+
+
+def test_every_public_name_is_documented():
+    for name in tr.__all__:
+        value = getattr(tr, name)
+        assert getattr(value, "__doc__", None), name
+    for name in (
+        "tonemap",
+        "show",
+        "ray_intersect",
+        "ray_occluded",
+        "rotation",
+        "testing",
+        "constraints",
+        "optim",
+        "io",
+    ):
+        assert getattr(tr, name).__doc__ and name in dir(tr)

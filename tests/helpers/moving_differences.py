@@ -1,0 +1,59 @@
+"""Derivatives with respect to what moves, and finite differences of the same samples."""
+
+from __future__ import annotations
+
+import reference_scenes
+import torch
+
+import torchrender as tr
+from torchrender.testing.statistics import sidak, student_p_value
+
+SIGNIFICANCE = 0.01  # of all tests of this file together
+
+
+def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
+    """A change of the parameter: matrices turn, move and stretch a little, without touching their last row."""
+    generator = torch.Generator().manual_seed(11)
+    if value.ndim == 2 and value.shape[0] == value.shape[1] and parameter.endswith(("to_world", "to_uv")):
+        rigid = parameter.endswith("to_world")
+        n = value.shape[0]
+        change = torch.randn(n, n, generator=generator, dtype=torch.float64) * 0.3
+        if rigid:
+            change[:3, :3] = change[:3, :3] - change[:3, :3].T
+        change[-1] = 0
+        return change @ value
+    return torch.randn(value.shape, generator=generator, dtype=torch.float64)
+
+
+def compare(scene, parameter: str, seeds: int, spp: int, step: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Derivatives and finite differences of the weighted mean of the image, by seed."""
+    film = scene.sensors[0].film
+    weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
+    value = scene.get_parameter(parameter).detach()
+    direction = direction_of(parameter, value)
+
+    def f(x, seed, **more):
+        image = tr.render(scene, seed=seed, params={parameter: x}, **more)
+        return (image * weight).mean()
+
+    derivatives, differences = [], []
+    for seed in range(seeds):
+        x = value.clone().requires_grad_()
+        # Of the samples of the images below; those of the image itself do not matter, so that one is enough.
+        (gradient,) = torch.autograd.grad(f(x, seeds + seed, spp=1, spp_grad=spp, seed_grad=seed), x)
+        derivatives.append(float((gradient * direction).sum()))
+        with torch.no_grad():
+            change = f(value + step * direction, seed, spp=spp) - f(value - step * direction, seed, spp=spp)
+        differences.append(float(change) / (2 * step))
+    return torch.tensor(derivatives), torch.tensor(differences)
+
+
+def agrees(derivatives: torch.Tensor, differences: torch.Tensor, rtol: float, tests: int) -> tuple[bool, str]:
+    n = len(derivatives)
+    gap = derivatives - differences
+    error = gap.std() / n**0.5
+    # rays start a little off the surface, by an amount whose derivative is left out: 1e-4 of the distances
+    excess = (gap.mean().abs() - rtol * differences.mean().abs() - 5e-5).clamp_min(0)
+    p = 1.0 if excess == 0 else float(student_p_value(excess / error, n - 1)) if error > 0 else 0.0
+    text = f"derivative {derivatives.mean():.5g}, differences {differences.mean():.5g} +- {error:.2g}, p = {p:.2g}"
+    return p >= sidak(SIGNIFICANCE, tests), text

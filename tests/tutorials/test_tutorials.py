@@ -1,0 +1,146 @@
+"""The tutorials at a small size: the parameters come back, and every announced file is written."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+import torch
+
+TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
+
+
+@pytest.fixture
+def tutorial(monkeypatch):
+    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
+    monkeypatch.syspath_prepend(str(TUTORIALS))
+    return importlib.import_module
+
+
+def check_pictures(folder: Path, names: list[str]) -> None:
+    for name in names:
+        for suffix in ("png", "exr"):
+            file = folder / f"{name}.{suffix}"
+            assert file.stat().st_size > 100, file
+    assert (folder / "loss.png").stat().st_size > 1000
+
+
+def test_cornell_box(tutorial, tmp_path, capsys):
+    errors = tutorial("cornell_box").run(tmp_path, resolution=64, spp=16, iterations=50, target_spp=1024)
+    assert set(errors) == {"floor", "ceil", "red", "green", "box"}
+    # 64 x 64 pixels hold a sixteenth of the light of the full run, so its noise is four times as large.
+    assert max(errors.values()) < 0.03
+    assert "largest error of all" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "start", "result", "derivative_red_wall"])
+
+
+def test_textured_monkey(tutorial, tmp_path, capsys):
+    result = tutorial("textured_monkey").run(
+        tmp_path,
+        texture_size=128,
+        resolution=112,
+        view_count=8,
+        spp=8,
+        iterations=60,
+        target_spp=64,
+    )
+    assert 0.3 < result["seen"] < 0.95
+    assert result["start"] < 18
+    assert result["end"] > 25
+    assert "PSNR of the texture where it is seen" in capsys.readouterr().out
+    names = ["target", "start", "result", "texture_target", "texture_result", "derivative_red"]
+    check_pictures(tmp_path, names)
+
+
+def test_quick_start(monkeypatch, tmp_path, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["quick_start.py", "--small"])
+    names = runpy.run_path(str(TUTORIALS / "quick_start.py"), run_name="__main__")
+    assert names["colour_error"] < 0.03
+    # From 0.177; a quarter of the floor hides behind the balls or is smaller than a pixel.
+    assert names["texture_error"] < 0.11
+    assert names["batch"].shape == (2, 3, 48, 64)
+    assert "colour of the ball" in capsys.readouterr().out
+    written = {path.name for path in (tmp_path / "output" / "quick_start").iterdir()}
+    assert written == {"result.exr", "result.png", "target.png", "scene.pt"}
+
+
+def test_notebook_is_the_script_and_has_its_pictures(tutorial):
+    file = TUTORIALS / "quick_start.ipynb"
+    assert file.stat().st_size < 500_000
+    notebook = json.loads(file.read_text())
+    found = [(cell["cell_type"], "".join(cell["source"])) for cell in notebook["cells"]]
+    script = (TUTORIALS / "quick_start.py").read_text()
+    assert found == tutorial("make_notebook").cells(script), "make notebook brings the notebook up to date"
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert all(cell["execution_count"] for cell in code)
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert not [output for output in outputs if output["output_type"] == "error"]
+    assert sum("image/jpeg" in output.get("data", {}) for output in outputs) == script.count("\ntr.show(")
+
+
+def test_script_is_split_at_its_marks(tutorial):
+    cells = tutorial("make_notebook").cells
+    source = "# %% [markdown]\n# # Title\n#\n# Text\n\n# %%\nx = 1\n# a comment\n\n\n# %%\ny = x\n"
+    assert cells(source) == [("markdown", "# Title\n\nText"), ("code", "x = 1\n# a comment"), ("code", "y = x")]
+    with pytest.raises(ValueError, match="begins with a cell"):
+        cells("import torch\n# %%\n")
+
+
+def test_neural_texture(tutorial, tmp_path, capsys):
+    result = tutorial("neural_texture").run(tmp_path, resolution=40, height=24, iterations=60, target_spp=64)
+    assert result["start"] < 12
+    assert result["end"] > 17
+    assert result["new view"] > 25
+    assert "PSNR of a picture from a new side" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "result", "texture_target", "texture_result"])
+
+
+def test_neural_bsdf(tutorial, tmp_path, capsys):
+    result = tutorial("neural_bsdf").run(tmp_path, resolution=32, lamps=8, iterations=80, room_spp=32)
+    assert result["start"] > 0.8
+    assert result["end"] < 0.45
+    assert result["room"] < 0.12
+    assert result["reciprocity"] < 1e-4
+    assert "weights are the material" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "start", "result", "room_target", "room_result"])
+
+
+def test_camera_calibration(tutorial, tmp_path, capsys):
+    errors = tutorial("camera_calibration").run(tmp_path, height=48, steps=(5, 5))
+    # From 3.2 degrees, 0.52 units, 4 degrees and 2.1 pixels. The photograph allows 0.05 degrees, 0.005 units, 0.06
+    # degrees (standard deviations); the noise of the few samples here is larger.
+    assert errors["rotation (deg)"] < 0.5
+    assert errors["position"] < 0.05
+    assert errors["field of view (deg)"] < 0.5
+    assert errors["principal point (px)"] < 0.5
+    assert "standard deviations that the photograph allows" in capsys.readouterr().out
+    names = ["target", "start", "result", "derivative_turn", "derivative_field_of_view"]
+    check_pictures(tmp_path, names)
+
+
+def test_glass_ball(tutorial, tmp_path, capsys):
+    result = tutorial("glass_ball").run(tmp_path, resolution=48, spp=8, iterations=60, target_spp=128)
+    assert abs(result["found"] - result["true"]) < 0.01  # from 0.32 away, across the local minima of a sharp picture
+    assert "index of refraction: 1.2000 at the start" in capsys.readouterr().out
+    check_pictures(tmp_path, ["target", "start", "result", "derivative_eta"])
+
+
+def test_bad_option_ends_before_any_work(tutorial, tmp_path):
+    with pytest.raises(SystemExit) as ended:
+        tutorial("cornell_box").main(["--iterations", "many", "--output", str(tmp_path / "none")])
+    assert ended.value.code == 2
+    assert not (tmp_path / "none").exists()
+
+
+def test_painted_texture_repeats_and_is_a_reflectance(tutorial):
+    texture = tutorial("textured_monkey").painted_texture(64)
+    assert texture.shape == (64, 64, 3)
+    assert float(texture.min()) >= 0.1 and float(texture.max()) <= 0.9
+    # Periodic: the step across the border is no larger than the steps within.
+    inner = (texture[1:] - texture[:-1]).abs().max()
+    assert (texture[0] - texture[-1]).abs().max() <= inner + 1e-6
+    assert torch.equal(texture, tutorial("textured_monkey").painted_texture(64))

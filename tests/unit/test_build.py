@@ -1,0 +1,140 @@
+"""What building says: how much is compiled, that it goes on, and nothing where nothing is to be done."""
+
+from __future__ import annotations
+
+import os
+import pty
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("setuptools")
+pytest.importorskip("ninja")
+ROOT = Path(__file__).resolve().parents[2]
+
+# Takes half a second for a file and makes none.
+COMPILER = """#!/bin/sh
+while [ $# -gt 0 ]; do
+    case "$1" in
+        -fsyntax-only) exit 0 ;;
+        -o) out="$2" ;;
+        -MF) rules="$2" ;;
+    esac
+    shift
+done
+sleep 0.5
+[ -z "$rules" ] || echo "$out:" > "$rules"
+echo > "$out"
+"""
+SOURCES = ("accel/accel.cpp", "host/scene.cpp", "bindings/module.cpp")
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A project with this one's setup.py, three sources, and a compiler that compiles nothing."""
+    for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path / name)
+    text = (tmp_path / "setup.py").read_text()
+    assert "STILL = 30" in text
+    (tmp_path / "setup.py").write_text(text.replace("STILL = 30", "STILL = 0.3"))
+    for name in SOURCES:
+        (tmp_path / "csrc" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "csrc" / name).write_text("")
+    (tmp_path / "torchrender").mkdir()
+    (tmp_path / "torchrender" / "__init__.py").write_text("")
+    (tmp_path / "compiler").write_text(COMPILER)
+    (tmp_path / "compiler").chmod(0o755)
+    return tmp_path
+
+
+def environment(project: Path) -> dict[str, str]:
+    build = {"CXX": str(project / "compiler"), "TORCHRENDER_BUILD_ISA": "scalar", "MAX_JOBS": "2", "TERM": "xterm"}
+    return {**os.environ, **build}
+
+
+COMMAND = [sys.executable, "setup.py", "-q", "build_ext", "--inplace"]
+
+
+def built(project: Path) -> list[str]:
+    """What a build writes into a pipe, in lines."""
+    done = subprocess.run(COMMAND, cwd=project, env=environment(project), capture_output=True, text=True, check=True)
+    assert done.stdout == ""
+    return done.stderr.splitlines()
+
+
+def test_progress_in_a_pipe(project):
+    lines = built(project)
+    assert lines[0] == "torchrender: compiling 3 files, 2 at a time"
+    finished = [line for line in lines if line.startswith("[")]
+    assert [line.partition("]")[0] for line in finished] == ["[1/4", "[2/4", "[3/4", "[4/4"]
+    assert {line.partition("compile ")[2] for line in finished[:3]} == {f"scalar/{name[:-4]}" for name in SOURCES}
+    assert finished[3].startswith("[4/4] link ")
+    still = [line for line in lines if line not in finished][1:]
+    assert still and all(re.fullmatch(r"torchrender: still compiling, \d+ s so far", line) for line in still)
+    assert list((project / "torchrender").glob("_core_scalar*"))
+
+
+def test_a_second_build_says_nothing_and_a_changed_file_is_one(project):
+    built(project)
+    assert built(project) == []
+    (project / "csrc" / SOURCES[0]).write_text("int changed;\n")
+    assert built(project)[0] == "torchrender: compiling 1 file"
+
+
+def test_progress_in_a_terminal(project):
+    """Ninja's own line, which is written over, and no others in between."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(COMMAND, cwd=project, env=environment(project), stdout=theirs, stderr=theirs) as process:
+        os.close(theirs)
+        written = b""
+        while True:
+            try:
+                part = os.read(ours, 4096)
+            except OSError:  # the other end is closed
+                break
+            if not part:
+                break
+            written += part
+    os.close(ours)
+    text = written.decode()
+    assert process.returncode == 0 and text.startswith("torchrender: compiling 3 files, 2 at a time\r\n")
+    assert "\r[0/4] compile scalar/" in text and "[4/4] link " in text and "still compiling" not in text
+
+
+def test_a_failed_build_ends_in_a_sentence(project):
+    (project / "compiler").write_text(COMPILER.replace("sleep 0.5", "echo 'this is wrong'; exit 1"))
+    done = subprocess.run(COMMAND, cwd=project, env=environment(project), capture_output=True, text=True)
+    assert done.returncode != 0 and "this is wrong" in done.stderr
+    assert done.stderr.splitlines()[-1].startswith("torchrender: the native modules could not be compiled")
+
+
+@pytest.mark.skipif(not shutil.which("make"), reason="needs make")
+@pytest.mark.parametrize(
+    ("goals", "steps"),
+    [
+        (["test"], ["1/3: virtual environment and packages", "2/3: native modules", "3/3: tests"]),
+        (["demo"], ["1/3: virtual environment and packages", "2/3: native modules", "3/3: two tutorials"]),
+        ([], ["1/2: virtual environment and packages", "2/2: native modules"]),
+        (["lint"], []),
+    ],
+)
+def test_steps_of_make(goals, steps, tmp_path):
+    """In an environment that is made already; `true` is its Python."""
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    for name in ("setup.py", "pyproject.toml", "constraints.txt"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "csrc").mkdir()
+    (tmp_path / "env" / "bin").mkdir(parents=True)
+    for name in ("python", "clang-format"):
+        (tmp_path / "env" / "bin" / name).symlink_to(shutil.which("true"))
+    for name in (".created", ".tools", ".installed"):
+        (tmp_path / "env" / name).write_text("")
+    command = ["make", "--no-print-directory", *goals, "VENV=env", 'PYTEST_ARGS=-k "a or b"']
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    lines = [line for line in done.stdout.splitlines() if line.startswith("torchrender ")]
+    assert lines == [f"torchrender {step}" for step in steps]

@@ -1,0 +1,111 @@
+"""What integrators do not have of scenes, sensors and outputs: an error or a warning before any work is done."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import torch
+
+from .errors import NotDifferentiableError, depth_outside
+from .integrators import AOV, WavefrontPathTracer
+from .scene.boundaries import check_phases, warn_of_open_boundaries
+from .scene.packing import Layout
+from .scene.scene import Scene
+from .scene.sensor import IrradianceMeter, Sensor
+
+
+def check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volumetric: bool) -> None:
+    """Media that are in the scene: whether they are rendered, in their range, and within closed boundaries."""
+    if volumetric:
+        check_phases(packed, tensors)
+        warn_of_open_boundaries(scene, packed)
+    elif "media" not in scene.warned:
+        scene.warned.add("media")
+        text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
+        warnings.warn(text, UserWarning, stacklevel=depth_outside())
+
+
+def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
+    """What light tracing does not have."""
+    if packed.media:
+        raise ValueError(
+            "render: integrator: ParticleTracer does not trace through media, which the scene has; "
+            "VolumetricPathTracer ('volpath') does"
+        )
+    for name in ("alpha", "variance"):
+        if name in names:
+            raise ValueError(f"render: outputs: ParticleTracer has no {name!r}; a path tracer has it")
+    if adaptive_grad:
+        raise ValueError(
+            "render: adaptive_grad: light paths belong to no pixel, so that ParticleTracer has no such choice"
+        )
+
+
+def check_torch_bsdfs(
+    packed: Layout, params: Any, names: Sequence[str], stack: AOV | None, integrator: Any, shows_radiance: bool
+) -> tuple[Any, dict[str, torch.Tensor]]:
+    """Refuses what BSDFs written in PyTorch are no part of; else `params` without theirs, and theirs."""
+    from .wavefront.function import refuse_torch_bsdfs, split_params
+
+    if shows_radiance and not isinstance(integrator, WavefrontPathTracer):
+        does_not = f"which {type(integrator).__name__} does not evaluate; WavefrontPathTracer(...) does"
+        refuse_torch_bsdfs(packed, f"render: integrator: {{}}, {does_not}")
+    if "albedo" in names or (stack is not None and "albedo" in stack.outputs()):
+        refuse_torch_bsdfs(packed, "render: outputs: {}, which has no 'albedo'")
+    return split_params(packed, params)
+
+
+def check_wavefront(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
+    """What the path tracer in PyTorch does not have."""
+    from .wavefront.function import check_scene
+
+    check_scene(packed)
+    if "variance" in names:
+        raise ValueError("render: outputs: WavefrontPathTracer has no 'variance'; PathTracer has it")
+    if adaptive_grad:
+        raise ValueError("render: adaptive_grad: WavefrontPathTracer has no such choice; PathTracer has it")
+
+
+def check_sensor(
+    camera: Sensor, light: bool, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor], packed: Layout
+) -> None:
+    """Sensors that the integrator has no way to: `light` says whether it is light tracing."""
+    if isinstance(camera, IrradianceMeter):
+        _check_meter(camera, light, names, stack, tensors, packed)
+    elif light and camera.kind() != ("perspective",):
+        distorted = camera.type == "perspective" and getattr(camera, "distortion", None) is not None
+        raise ValueError(
+            "render: sensor: ParticleTracer connects light to a perspective camera without distortion, or measures "
+            f"it with an irradiancemeter, but this is a sensor of type {camera.type!r}"
+            + (" with distortion" if distorted else "")
+        )
+
+
+def _check_meter(
+    meter: IrradianceMeter, light: bool, names: Sequence[str], stack: Any, tensors: list[torch.Tensor], packed: Layout
+) -> None:
+    """What can be measured, and differentiated, on a surface."""
+    others = [name for name in names if name != "rgb"] or (["aovs"] if stack is not None else [])
+    if others:
+        raise ValueError(f"render: outputs: an irradiancemeter has no {others[0]!r}, but 'rgb'")
+    if not light:
+        raise ValueError("render: sensor: an irradiancemeter is measured by ParticleTracer ('ptracer')")
+    slot = packed.slot_of.get((id(meter.shape), "vertex_texcoords"))
+    if slot is not None and tensors[slot].requires_grad and torch.is_grad_enabled():
+        raise NotDifferentiableError(
+            f"{packed.slots[slot].name}: an irradiancemeter has no derivative with respect to the texture coordinates "
+            "of its surface; switch their requires_grad off"
+        )
+
+
+def warn_of_beams(scene: Scene, packed: Layout) -> None:
+    """One UserWarning for a scene whose light comes in beams that paths from the camera do not find."""
+    if "directionalarea" in scene.warned or not any(
+        getattr(module, "type", "") == "directionalarea" and id(module) in packed.used for module in scene.modules()
+    ):
+        return
+    scene.warned.add("directionalarea")
+    text = "the scene has a directionalarea light, whose beams only ParticleTracer ('ptracer') finds"
+    warnings.warn(text, UserWarning, stacklevel=depth_outside())

@@ -1,0 +1,82 @@
+"""Types of what `render` takes and gives, for editors and type checkers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias, TypedDict
+
+import numpy as np
+import torch
+
+from .integrators import Integrator
+from .scene.sensor import Sensor
+
+SensorLike: TypeAlias = int | Sensor | Sequence[int | Sensor] | torch.Tensor | np.ndarray
+"""Index of a camera of the scene, a camera, a list of them, or an integer tensor or array of indices (B,)."""
+IntegratorLike: TypeAlias = Integrator | Mapping[str, Any] | str
+"""An integrator, the dict that describes one, or the name of its type."""
+PixelsLike: TypeAlias = torch.Tensor | np.ndarray | Sequence[Sequence[int]]
+"""Rows and columns (N, 2), integers."""
+LayoutName: TypeAlias = Literal["hwc", "chw", "bhwc", "bchw"]
+SamplerName: TypeAlias = Literal["independent", "stratified", "sobol"]
+
+
+class RenderSettings(TypedDict, total=False):
+    """The keyword arguments of `render`, without `outputs`, on which the type of its result depends."""
+
+    sensor: SensorLike
+    integrator: IntegratorLike | None
+    spp: int | None
+    seed: int | torch.Generator | None
+    spp_grad: int | None
+    seed_grad: int | torch.Generator | None
+    passes: int
+    params: Mapping[str, torch.Tensor] | None
+    features: Mapping[str, torch.Tensor] | None
+    crop: Sequence[int] | None
+    pixels: PixelsLike | None
+    layout: LayoutName
+    correlated: bool
+    adaptive_grad: bool
+    nan: Literal["drop", "raise"]
+    sampler: SamplerName | None
+
+
+if TYPE_CHECKING:
+
+    class Outputs(tuple[torch.Tensor, ...]):
+        """What ``render(scene, outputs=names)`` gives: a named tuple of tensors in the order of the names."""
+
+        _fields: tuple[str, ...]
+        rgb: torch.Tensor
+        alpha: torch.Tensor
+        variance: torch.Tensor
+        depth: torch.Tensor
+        distance: torch.Tensor
+        position: torch.Tensor
+        normal: torch.Tensor
+        shading_normal: torch.Tensor
+        normal_camera: torch.Tensor
+        shading_normal_camera: torch.Tensor
+        uv: torch.Tensor
+        barycentric: torch.Tensor
+        dp_du: torch.Tensor
+        dp_dv: torch.Tensor
+        duv_dx: torch.Tensor
+        duv_dy: torch.Tensor
+        albedo: torch.Tensor
+        specular_reflectance: torch.Tensor
+        roughness: torch.Tensor
+        shape_id: torch.Tensor
+        prim_id: torch.Tensor
+        material_id: torch.Tensor
+        features: torch.Tensor
+
+        def __getattr__(self, name: str) -> torch.Tensor:
+            """Colours of meshes, by their names."""
+            ...
+
+        def _asdict(self) -> dict[str, torch.Tensor]: ...
+
+else:
+    Outputs = tuple  # made by `torchrender.outputs.outputs_type` for the names that are asked for

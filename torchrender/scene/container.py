@@ -1,0 +1,146 @@
+"""What a scene holds: objects by id, in an order in which none comes before what it refers to."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from torch import nn
+
+from ..errors import describe, nearest
+from ..integrators import DOCUMENTED, TYPES, Integrator, from_dict
+from . import registry
+from .construction import child_of
+from .context import Context, Reference
+from .film import SAMPLERS
+from .packing import ORDER
+from .plugin import Plugin
+from .references import replace_references, resolve_references
+from .structure import structure_changed
+
+
+class Container(nn.Module):
+    """Objects as attributes and items: ``scene.red``, ``scene["red"]``.
+
+    An id that modules have another use for gets an underscore: ``scene["train"]`` is ``scene.train_``.
+    """
+
+    def _context(self) -> Context:
+        """What objects are built with that come into the scene."""
+        raise NotImplementedError
+
+    def _put(self, name: str, value: Any, ctx: Context, resolve: bool = True) -> None:
+        """Add an object, or replace the one of this id; without `resolve` references are left for later."""
+        if not isinstance(name, str) or not name or "." in name:
+            ctx.error(f"an id is a string without dots, got {describe(name)}")
+        above, ctx = ctx, ctx.at(name)
+        meters: dict[str, Any] = {}
+        if isinstance(value, Mapping):
+            identifier = value.get("id")
+            if isinstance(identifier, str) and value.get("type") != "ref" and "." not in identifier and identifier:
+                name = identifier
+            value = _integrator_or_dict(value, ctx)
+        if isinstance(value, Mapping):  # Mitsuba's place for meters is inside of their shape
+            nested = {k: v for k, v in value.items() if isinstance(v, Mapping) and v.get("type") == "irradiancemeter"}
+            meters = {f"{name}_{k}": {**v, "shape": Reference(name)} for k, v in nested.items()}
+            value = {k: v for k, v in value.items() if k not in nested} if nested else value
+        if not isinstance(value, Integrator):
+            value = child_of(value, None, ctx)
+            if isinstance(value, Reference):
+                ctx.error("a reference at the top level of a scene has nothing to belong to")
+        name = self._safe(name, value)
+        previous = self._modules.get(name)
+        if previous is not None and not resolve:
+            ctx.error(f"two objects have the id {name!r}")
+        before = dict(self._modules)
+        if isinstance(value, Integrator):  # there is one
+            for other in [n for n, m in self._modules.items() if isinstance(m, Integrator)]:
+                del self._modules[other]
+        self._modules[name] = value
+        if resolve:
+            try:
+                self._resolve(self._context())
+            except Exception:
+                self._modules.clear()
+                self._modules.update(before)  # the order too: it numbers the shapes
+                raise
+        if isinstance(previous, Plugin) and isinstance(value, Plugin):
+            replace_references(self, previous, value)
+        structure_changed()
+        for meter_name, meter in meters.items():
+            self._put(meter_name, meter, above, resolve)
+
+    def _safe(self, name: str, value: Any) -> str:
+        """`name`, with a trailing underscore where a module already has an attribute of that name."""
+        if isinstance(value, Integrator):
+            return name
+        taken = hasattr(type(self), name) or name in self.__dict__
+        return name + "_" if taken and name not in self._modules else name
+
+    def _resolve(self, ctx: Context) -> None:
+        """Look up all references, and put objects that others refer to first: parameters go by their owners' ids."""
+        resolve_references(self, ctx)
+        rank = {category: i for i, category in enumerate(ORDER)}
+        items = sorted(self._modules.items(), key=lambda kv: rank.get(getattr(kv[1], "category", ""), len(rank)))
+        self._modules.clear()
+        self._modules.update(items)
+
+    def __getitem__(self, name: str) -> Plugin | Any:
+        found = self._modules.get(name) or self._modules.get(f"{name}_")
+        if found is None:
+            raise KeyError(f"the scene has no object {name!r}; {nearest(str(name), self._modules)}")
+        return found
+
+    def __setitem__(self, name: str, value: Any) -> None:
+        name = f"{name}_" if f"{name}_" in self._modules and name not in self._modules else name
+        self._put(name, value, self._context())
+
+    def __delitem__(self, name: str) -> None:
+        key = name if name in self._modules else f"{name}_"
+        if key not in self._modules:
+            raise KeyError(f"the scene has no object {name!r}; {nearest(str(name), self._modules)}")
+        del self._modules[key]
+        structure_changed()
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._modules or f"{name}_" in self._modules
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(list(self._modules))
+
+    def __len__(self) -> int:
+        return len(self._modules)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if (
+            name in self.__dict__.get("_modules", {}) and not isinstance(getattr(type(self), name, None), property)
+        ) or (isinstance(value, (Plugin, Integrator)) and "_modules" in self.__dict__):
+            self[name] = value
+        else:
+            super().__setattr__(name, value)
+
+    def __delattr__(self, name: str) -> None:
+        super().__delattr__(name)
+        structure_changed()
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return super().__getattr__(name)
+        except AttributeError:
+            modules = self.__dict__.get("_modules", {})
+            raise AttributeError(f"the scene has no object {name!r}; {nearest(name, modules)}") from None
+
+
+def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | Mapping[str, Any]:
+    """The integrator that a dict describes, else the dict; ValueError for what has no place in a scene by itself."""
+    kind = value.get("type")
+    if kind in TYPES:
+        return from_dict(dict(value), ctx.where)
+    if kind in (*SAMPLERS, "hdrfilm"):
+        ctx.error(f"a {'sampler' if kind in SAMPLERS else 'film'} ({kind}) belongs into a sensor")
+    if isinstance(kind, str) and kind not in registry.scene_types() and kind in DOCUMENTED:
+        ctx.error(
+            f"the integrator {kind!r} is not supported by this version of torchrender; "
+            f"supported are: {', '.join(TYPES)}"
+        )
+    return value

@@ -1,0 +1,99 @@
+"""Derivatives that a rendering is asked for: an error where there are none, one warning where a term is missing."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from ..errors import MissingTermWarning, NotDifferentiableError, depth_outside
+from .derivatives import moves_rays, refusal_of
+from .packing import Layout
+
+COVERAGE = "outputs: alpha"  # among the names that were warned about
+
+STEADY = (
+    "the particle tracer moves light over the film, whose box filter has no derivative; "
+    "give the film another one, such as 'gaussian' or 'tent'"
+)
+
+
+@dataclass
+class GradientRequirements:
+    """Derivatives asked for in one rendering, and what it can say about them.
+
+    Attributes:
+        layout: of the packed scene.
+        warned: names that were warned about in this scene before; grows.
+        alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
+        volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
+        steady: the image is splatted by light paths with a filter that has no derivative.
+    """
+
+    layout: Layout
+    warned: set[str]
+    alpha: bool = False
+    volumetric: bool = False
+    steady: bool = False
+
+    def check(self, indices: Iterable[int]) -> None:
+        """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
+
+        Objects that no image depends on, such as a material that no shape has, are warned about too.
+        """
+        lacking: dict[str, list[str]] = {}
+        unused: list[str] = []
+        asked = list(indices)
+        for i in asked:
+            slot = self.layout.slots[i]
+            if id(slot.module) not in self.layout.used and slot.name not in self.warned:
+                unused.append(slot.name)
+            refusal = refusal_of(slot, self.volumetric)
+            if self.steady and not refusal and moves_rays(slot):
+                refusal = STEADY
+            if refusal:
+                refuse(slot.name, refusal)
+            if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
+                lacking.setdefault(slot.caveat, []).append(slot.name)
+        if unused:
+            self.warned.update(unused)
+            text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
+            warnings.warn(text, UserWarning, stacklevel=depth_outside())
+        clauses = []
+        if lacking:
+            self.warned.update(*lacking.values())
+            for caveat, names in lacking.items():
+                missing, _, zero = caveat.partition(": ")
+                clauses.append(
+                    f"the derivative with respect to {_listing(names)} is without {missing}, which is {zero}"
+                )
+        if self.alpha and COVERAGE not in self.warned and any(self._moves(i) for i in asked):
+            self.warned.add(COVERAGE)
+            clauses.append("alpha carries no derivative: that of coverage consists of moving silhouettes alone")
+        if clauses:
+            warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=depth_outside())
+
+    def _moves(self, index: int) -> bool:
+        """Whether this parameter moves outlines in the image."""
+        slot = self.layout.slots[index]
+        shading = ("vertex_normals", "vertex_texcoords")
+        return slot.module.category in ("shape", "sensor") and slot.attribute not in shading
+
+    def _source(self, index: int) -> int | None:
+        """For computed normals the positions that they follow: whoever asks for those has not asked for these."""
+        slot = self.layout.slots[index]
+        if slot.attribute == "vertex_normals" and slot.module in self.layout.smooth_meshes:
+            return self.layout.slot_of[id(slot.module), "vertex_positions"]
+        return None
+
+
+def _listing(names: list[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def refuse(name: str, reason: str) -> None:
+    """NotDifferentiableError for a parameter of this name."""
+    raise NotDifferentiableError(
+        f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
+        "switch its requires_grad off"
+    )
