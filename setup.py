@@ -1,10 +1,10 @@
 """Builds the native modules of torchrender: the same C++ sources once per instruction set.
 
-Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``, ``_core_avx512``),
-which computes in packets of single precision, with its own objects and hidden symbols, because templates compiled with
-different flags into one library would be merged by the linker, and AVX-512 code could end up in the baseline. One more,
-``_core_scalar``, computes a number at a time: in double precision, and on processors other than x86-64 in single, too.
-``torchrender.backends`` imports the best module that the processor can run.
+Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``,
+``_core_avx512``), which computes in packets of single precision, with its own objects and hidden symbols, because
+templates compiled with different flags into one library would be merged by the linker, and AVX-512 code could end up in
+the baseline. One more, ``_core_scalar``, computes without packets: in double precision, and on processors other than
+x86-64 in single, too. ``torchrender.backends`` imports the best module that the processor can run.
 
 Ninja drives the compiler: only what changed is compiled again, in parallel. Nothing of torch is needed here.
 
@@ -311,7 +311,7 @@ def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
         fail(f"there are no native tests under {CSRC / 'tests'}.")
     ninja = Ninja(directory)
     # What they do not call would take a good part of the time.
-    library = [p for p in library_sources() if not p.name == "render_outputs.cpp"]
+    library = [p for p in library_sources() if p.name != "render_aovs.cpp"]
     # Sanitized code is compiled in half the time without optimising; nothing is timed here.
     flags = compile_flags(isa, sanitize) + (["-O0", "-Wno-maybe-uninitialized"] if sanitize else [])
     objects = ninja.objects(library + sources, isa, flags)

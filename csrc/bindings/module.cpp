@@ -149,18 +149,18 @@ PYBIND11_MODULE(TR_MODULE_NAME, m) {
         return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};
     });
     // Numbers (n, 4), float64, of n samples of some pixels (both uint32), in a precision of this module.
-    m.def("draw",
-          [](const std::string &sampler, int64_t first, int64_t count, uint64_t seed, uint32_t sensor, uint32_t block,
-             int wanted, const std::string &arithmetic, size_t n, uintptr_t pixels, uintptr_t samples, uintptr_t out) {
-              PathConfig config{};
-              config.seed = seed, config.sensor = sensor;
-              config.sampler = make_sampler(sampler_kind(sampler), first, count);
-              auto draw = &draw_numbers<PacketOf<float>>;
+    m.def("draw", [](const std::string &sampler, int64_t first, int64_t count, uint64_t seed, uint32_t sensor,
+                     uint32_t block, int wanted, [[maybe_unused]] const std::string &arithmetic, size_t n,
+                     uintptr_t pixels, uintptr_t samples, uintptr_t out) {
+        PathConfig config{};
+        config.seed = seed, config.sensor = sensor;
+        config.sampler = make_sampler(sampler_kind(sampler), first, count);
+        auto draw = &draw_numbers<PacketOf<float>>;
 #if !TR_HAS_PACKETS
-              if (arithmetic == "float64") draw = &draw_numbers<double>;
+        if (arithmetic == "float64") draw = &draw_numbers<double>;
 #endif
-              draw(config, block, wanted, n, reinterpret_cast<const uint32_t *>(pixels),
-                   reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
-          });
+        draw(config, block, wanted, n, reinterpret_cast<const uint32_t *>(pixels),
+             reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
+    });
     declare_scene(m);
 }

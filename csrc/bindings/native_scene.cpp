@@ -19,8 +19,7 @@ struct RayBuffer {
     RayBuffer(size_t n, const S *o, const S *d, const S *length) {
         for (auto &c : columns) c.resize(n);
         for (size_t i = 0; i < n; ++i) {
-            for (size_t k = 0; k < 3; ++k)
-                columns[k][i] = float(o[3 * i + k]), columns[3 + k][i] = float(d[3 * i + k]);
+            for (size_t k = 0; k < 3; ++k) columns[k][i] = float(o[3 * i + k]), columns[3 + k][i] = float(d[3 * i + k]);
             columns[6][i] = float(length[i]);
         }
     }
@@ -185,8 +184,7 @@ public:
         };
         if (what.rfind("bsdf", 0) == 0) check("bsdf", size_t(scene.n_bsdfs));
         if (what.rfind("phase", 0) == 0) check("phase", data_.layout().records.at("phase").size());
-        if (what == "emitter_sample" && scene.n_emitters == 0)
-            throw std::invalid_argument("the scene has no emitters");
+        if (what == "emitter_sample" && scene.n_emitters == 0) throw std::invalid_argument("the scene has no emitters");
         if (what == "bsdf") return probe.bsdf(index, n);
         if (what == "bsdf_sample") return probe.bsdf_sample(index, n);
         if (what == "emitter_sample") return probe.emitter_sample(n);
@@ -235,8 +233,8 @@ private:
     RenderCall<S> call(const Config &c) {
         const std::vector<Record> &sensors = data_.layout().records.at("sensor");
         if (c.path.sensor >= sensors.size())
-            throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors.size()) +
-                                        ", got " + std::to_string(c.path.sensor));
+            throw std::invalid_argument("sensor: expected a number below " + std::to_string(sensors.size()) + ", got " +
+                                        std::to_string(c.path.sensor));
         const Record &sensor = sensors[c.path.sensor];
         const bool meter = sensor.kind == IrradianceMeterKind;
         if (!c.light && meter) throw std::invalid_argument("sensor: an irradiancemeter is measured by light tracing");

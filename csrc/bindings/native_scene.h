@@ -4,7 +4,7 @@
 #include <memory>
 
 #include "config.h"
-#include "derivative_call.h"
+#include "cpu/derivative_call.h"
 
 namespace tr {
 

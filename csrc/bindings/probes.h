@@ -15,7 +15,7 @@ template <class S>
 struct Probe {
     const SceneView<S> &scene;
     const Accel &accel;
-    int channels;                              // of colours
+    int channels;                                    // of colours
     const std::map<std::string, uintptr_t> &arrays;  // by name
 
     S *at(const char *name) const { return reinterpret_cast<S *>(arrays.at(name)); }

@@ -17,9 +17,7 @@ public:
     const MaskOf<F> active;
 
     PacketRows(size_t first, size_t n)
-        : begin(first),
-          count(std::min(n - first, W)),
-          active(mask<F>(lane_index<F>() < UIntOf<F>(uint32_t(count)))) {}
+        : begin(first), count(std::min(n - first, W)), active(mask<F>(lane_index<F>() < UIntOf<F>(uint32_t(count)))) {}
 
     F number(const S *from, size_t columns = 1, size_t column = 0) const {
         alignas(64) S lanes[W];

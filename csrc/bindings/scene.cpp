@@ -116,8 +116,8 @@ void declare_scene(py::module_ &m) {
         .def("aov_jvp", rendering(&NativeScene::aov_forward))
         .def(
             "ray_intersect",
-            [](NativeScene &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax,
-               const Arrays &out, const Addresses &params,
+            [](NativeScene &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax, const Arrays &out,
+               const Addresses &params,
                const std::vector<bool> &dirty) { self.intersect(n, {o, d, tmax}, out, values(params, dirty)); },
             Release())
         .def(
@@ -135,8 +135,8 @@ void declare_scene(py::module_ &m) {
         .def("record_rays", &NativeScene::record_rays, py::arg("record").none(true), Release())
         .def(
             "replay_rays",
-            [](NativeScene &self, const RayRecord &record, const std::string &kind, int width, bool coherent, int threads,
-               int rounds) {
+            [](NativeScene &self, const RayRecord &record, const std::string &kind, int width, bool coherent,
+               int threads, int rounds) {
                 const auto *found = std::find_if(std::begin(ray_kinds), std::end(ray_kinds),
                                                  [&](const auto &known) { return kind == known.first; });
                 if (found == std::end(ray_kinds))

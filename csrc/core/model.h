@@ -57,8 +57,8 @@ enum ModelFlags : uint32_t {
     WrapsBsdfs = 1 << 5,       // resolved to one of those it contains, where a path meets it
     PerturbsNormals = 1 << 6,  // ... and turns the shading normal
     // emitters
-    IsEnvironment = 1 << 8,     // light from all around, which the camera sees
-    IsInfinite = 1 << 9,        // from infinitely far away
+    IsEnvironment = 1 << 8,      // light from all around, which the camera sees
+    IsInfinite = 1 << 9,         // from infinitely far away
     HasDeltaPosition = 1 << 10,  // from a point
     IsOnShape = 1 << 11,         // the light of a shape, whose index its records hold
     HasImageAspect = 1 << 13,    // the host adds the aspect of its image, a number at ImageAspect
@@ -79,8 +79,7 @@ struct Model {
 
 // Fields by their names, when the program is compiled: a name that is not declared does not compile.
 constexpr bool same_name(const char *a, const char *b) {
-    for (; *a && *a == *b; ++a, ++b) {
-    }
+    for (; *a && *a == *b; ++a, ++b) {}
     return *a == *b;
 }
 template <int N>

@@ -20,9 +20,9 @@ constexpr double AllocationFloor = 0.25;
 // at least 1 where it is positive, 0 elsewhere. Deterministic. Empty if all are equal, or if one is not finite.
 std::vector<uint32_t> allocate_counts(const std::vector<double> &importance, double total);
 
-// What samples can see, for every sampled pixel in the order of TileSchedule::allocate: the sum of `adjoint`, one number a
-// wanted pixel, weighted by the filter's mean over the sampled pixel. Positive wherever a filter may reach a positive
-// one.
+// What samples can see, for every sampled pixel in the order of TileSchedule::allocate: the sum of `adjoint`, one
+// number a wanted pixel, weighted by the filter's mean over the sampled pixel. Positive wherever a filter may reach a
+// positive one.
 std::vector<double> seen_adjoint(const TileSchedule &schedule, const Filter &filter, const Film &adjoint);
 
 // Allocates the schedule's spp times the number of its sampled pixels by d loss / d image, (results, channels).

@@ -20,11 +20,9 @@ template <class S>
 RenderStats render_aov(const RenderCall<S> &call, const AovOutput<S> &out);
 // out.data: derivatives of the loss with respect to the outputs, read only.
 template <class S>
-RenderStats reverse_aov(const RenderCall<S> &call, const AovOutput<S> &out,
-                        DerivativeCall<S> &derivative);
+RenderStats reverse_aov(const RenderCall<S> &call, const AovOutput<S> &out, DerivativeCall<S> &derivative);
 // out.data: derivatives of the outputs along the tangent.
 template <class S>
-RenderStats forward_aov(const RenderCall<S> &call, const AovOutput<S> &out,
-                        const DerivativeCall<S> &derivative);
+RenderStats forward_aov(const RenderCall<S> &call, const AovOutput<S> &out, const DerivativeCall<S> &derivative);
 
 }  // namespace tr

@@ -1,4 +1,5 @@
-// Memory of structures of arrays: columns of one allocation, aligned for packets, that live as long as a thread renders.
+// Memory of structures of arrays: columns of one allocation, aligned for packets, that live as long as a thread
+// renders.
 #pragma once
 
 #include <cstdlib>

@@ -27,9 +27,9 @@ class FirstHits {
     static constexpr size_t W = size_t(Lanes<F>::Width);
 
 public:
-    SampleColumns<S> samples;     // pixel, row, column and sample are set before `trace`
-    S *value[MaxAovChannels];     // by ray, one column a channel of the layout
-    RayQueries<S> queries;        // what was hit
+    SampleColumns<S> samples;  // pixel, row, column and sample are set before `trace`
+    S *value[MaxAovChannels];  // by ray, one column a channel of the layout
+    RayQueries<S> queries;     // what was hit
     RenderStats stats;
     RenderStats take_stats() { return std::exchange(stats, {}); }
 
@@ -66,12 +66,11 @@ public:
             CameraRay<F> r = camera_ray(context_.scene, sensor, at, context_.width, context_.height);
             // a ray of negative length hits nothing
             write(rays_, i,
-                  FirstRay<F>{r.ray.o, r.ray.d, select(r.exists, r.length, F(-1)), r.ray.o, r.center,
-                              {at.lens_x, at.lens_y}});
+                  FirstRay<F>{
+                      r.ray.o, r.ray.d, select(r.exists, r.length, F(-1)), r.ray.o, r.center, {at.lens_x, at.lens_y}});
         }
         query(n);
-        if (config.hide_emitters)
-            pass_emitters(context_.scene, rays_of(rays_), queries.hits, n, [&] { query(n); });
+        if (config.hide_emitters) pass_emitters(context_.scene, rays_of(rays_), queries.hits, n, [&] { query(n); });
     }
 
     // The values of the layout's channels; zero at misses.
@@ -116,8 +115,12 @@ private:
             at.primitive = select(mask<U>(active), at.primitive, U(0u));
             FirstRay<F> r;
             read(rays_, from, r);
-            FirstHit<F> hit{{from(samples.film_x), from(samples.film_y), r.lens.x, r.lens.y}, {r.o, r.d}, r.first,
-                            r.center, {}, wavelengths_of<F>(call_.config, from(samples.pixel), from(samples.sample))};
+            FirstHit<F> hit{{from(samples.film_x), from(samples.film_y), r.lens.x, r.lens.y},
+                            {r.o, r.d},
+                            r.first,
+                            r.center,
+                            {},
+                            wavelengths_of<F>(call_.config, from(samples.pixel), from(samples.sample))};
             hit.si = make_interaction<F>(context_.scene, hit.ray, at, from(queries.hits.t), active);
             visit(i, active, hit);
         }

@@ -1,6 +1,6 @@
-// A tile of light paths on one thread, a step at a time: rays are traced, hits grouped by model and shaded. In the place
-// of shadow rays to lights there are connections to the camera, which end anywhere on the film: those that are free go
-// to visit(level, connections), the emitters' own first.
+// A tile of light paths on one thread, a step at a time: rays are traced, hits grouped by model and shaded. In the
+// place of shadow rays to lights there are connections to the camera, which end anywhere on the film: those that are
+// free go to visit(level, connections), the emitters' own first.
 #pragma once
 
 #include <utility>
@@ -49,7 +49,7 @@ public:
     // Over the tape from its end. What `visit` has written into it are the connections' adjoints.
     void sweep(GradientSink<F> &sink) {
         Tape<S> &tape = wavefront.tape;
-        const SweepContext<F> c{wavefront.scene(),     config_, slots, wavefront.needs(), S(call_.film_width),
+        const SweepContext<F> c{wavefront.scene(),   config_, slots, wavefront.needs(), S(call_.film_width),
                                 S(call_.film_height)};
         for (int l = tape.size() - 1; l >= 0; --l) {
             const TapeLevel<S> &level = tape[l];

@@ -55,8 +55,7 @@ public:
             }
             if (n > 0) tracker_.fly(m, rays, media.flight, order, n, media.keeps_points());
         }
-        for (uint32_t i = 0; i < queue.n; i += W)
-            finish_flight(c, media, queue, w_.queries.hits, !recording, i);
+        for (uint32_t i = 0; i < queue.n; i += W) finish_flight(c, media, queue, w_.queries.hits, !recording, i);
     }
 
     // Shadow rays of a step, whose radiance is added up or, `recording`, written onto the tape.
@@ -171,9 +170,7 @@ private:
         }
         return left;
     }
-    U pending(uint32_t j, const M &active) const {
-        return select(mask<U>(active), load_uint<F>(pending_ + j), U(0u));
-    }
+    U pending(uint32_t j, const M &active) const { return select(mask<U>(active), load_uint<F>(pending_ + j), U(0u)); }
 
     void write_to_tape(uint32_t k) {
         const ShadowQueue<S> &shadows = w_.shadows;

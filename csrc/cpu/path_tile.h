@@ -1,6 +1,6 @@
 // A tile of paths on one thread: all of them take a step, then the next. A step traces all rays, shades the hits model
-// by model, and traces the shadow rays. Where they are recorded the vertices are on the path tape, and `sweep` runs over
-// it backwards.
+// by model, and traces the shadow rays. Where they are recorded the vertices are on the path tape, and `sweep` runs
+// over it backwards.
 #pragma once
 
 #include <optional>
@@ -126,7 +126,8 @@ private:
         wavefront.trace(current);
         media_->fly(current, level, recording);
         int parents = tape.size() > 0 ? tape.size() - 1
-                                      : level > 0 ? TapeLevel<S>::InBlockBefore : TapeLevel<S>::NoParent;
+                      : level > 0     ? TapeLevel<S>::InBlockBefore
+                                      : TapeLevel<S>::NoParent;
         step(current, next, {int(level), 0, true}, recording, parents);
     }
 
@@ -152,8 +153,7 @@ private:
         ShadowQueue<S> &shadows = wavefront.shadows;
         next.n = shadows.n = 0;
         std::vector<KindRange> *ranges = &ranges_;
-        if (recording)
-            ranges = &wavefront.tape.add(wavefront.entries(current.n), parent_level, step.scatters).ranges;
+        if (recording) ranges = &wavefront.tape.add(wavefront.entries(current.n), parent_level, step.scatters).ranges;
         wavefront.sort(step, current, true, recording, *ranges);
         PathContext<F> c = wavefront.context(recording);
         const HitColumns<S> &hits = wavefront.queries.hits;
@@ -183,8 +183,7 @@ private:
                 wavefront.tape.last().columns.outgoing.light_weight[shadows.position[k]] *= visible;
             } else {
                 uint32_t slot = shadows.slot[k];
-                for (int c = 0; c < SpectrumSize; ++c)
-                    slots.radiance[c][slot] += visible * shadows.contribution[c][k];
+                for (int c = 0; c < SpectrumSize; ++c) slots.radiance[c][slot] += visible * shadows.contribution[c][k];
             }
         }
     }
@@ -226,7 +225,7 @@ private:
 
     void sweep_levels(GradientSink<F> &sink, bool unit_adjoint, size_t block) {
         Tape<S> &tape = wavefront.tape;
-        SweepContext<F> c{wavefront.scene(), config_,           slots,  wavefront.needs(), S(call_.film_width),
+        SweepContext<F> c{wavefront.scene(),    config_, slots,       wavefront.needs(), S(call_.film_width),
                           S(call_.film_height), nullptr, unit_adjoint};
         if (media_ && media_->media.differential) c.branches = &media_->media.branch;
         for (int l = tape.size() - 1; l >= 0; --l) {
@@ -238,8 +237,7 @@ private:
                     M active = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
                     Spectrum<F> r = sweep_vertex(c, level.columns, parents, uint32_t(tape.first_level + l), range.kind,
                                                  level.scatters, i, active, sink);
-                    if (hands_on)
-                        tape.boundary.keep(&level.columns.vertex.parent[i], r, size_t(count(active)));
+                    if (hands_on) tape.boundary.keep(&level.columns.vertex.parent[i], r, size_t(count(active)));
                 }
         }
     }

@@ -54,8 +54,10 @@ public:
     }
     // Where hits are written; `widen` converts the first n of them.
     HitBatch hit_batch() const {
-        if constexpr (Single) return {hits.at.shape, hits.at.primitive, hits.t.at, hits.at.b1, hits.at.b2};
-        else return {hits.at.shape, hits.at.primitive, hit_[0], hit_[1], hit_[2]};
+        if constexpr (Single)
+            return {hits.at.shape, hits.at.primitive, hits.t.at, hits.at.b1, hits.at.b2};
+        else
+            return {hits.at.shape, hits.at.primitive, hit_[0], hit_[1], hit_[2]};
     }
     void widen(size_t n) {
         if constexpr (!Single)

@@ -12,8 +12,8 @@
 #include "core/integrator/config.h"
 #include "film.h"
 #include "host/gradient.h"
-#include "tile_schedule.h"
 #include "stored_hits.h"
+#include "tile_schedule.h"
 
 namespace tr {
 
@@ -91,8 +91,8 @@ struct RenderStats {
     }
 };
 
-// Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha` (n) and
-// `variance` (n, values), the variance of the image's values.
+// Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha`
+// (n) and `variance` (n, values), the variance of the image's values.
 template <class S>
 struct RenderOutput {
     S *image, *alpha = nullptr, *variance = nullptr;

@@ -34,24 +34,24 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const TileSchedule &s
         const PathConfig config = config_of_pass(call, seed);
         OrderedMerge merge(schedule, film, call.threads);
         auto make = [&](int) { return std::make_unique<Tile>(call, layout, capacity); };
-        run_tiles(schedule.n_items(), call, Assignment::Dynamic, stats, make,
-                  [&](Tile &hits, size_t item, int, auto &&stop) {
-            const auto &at = hits.samples;
-            std::vector<FilmBlock> blocks = blocks_of(schedule, item, values);
-            for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                hits.trace(config, n, false);
-                fill(hits, n);
-                for (const Span &span : spans)
-                    for (size_t k = span.begin; k < span.end; ++k) {
-                        double v[MaxAovChannels + 1];
-                        for (int c = 0; c < layout.n; ++c) v[c] = double(hits.value[c][k]);
-                        v[layout.n] = hits.is_hit(k) ? 1 : 0;
-                        blocks[span.unit].splat(filter, int32_t(at.row[k]), int32_t(at.column[k]),
-                                                double(at.film_y[k]), double(at.film_x[k]), v);
-                    }
+        run_tiles(
+            schedule.n_items(), call, Assignment::Dynamic, stats, make, [&](Tile &hits, size_t item, int, auto &&stop) {
+                const auto &at = hits.samples;
+                std::vector<FilmBlock> blocks = blocks_of(schedule, item, values);
+                for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                    hits.trace(config, n, false);
+                    fill(hits, n);
+                    for (const Span &span : spans)
+                        for (size_t k = span.begin; k < span.end; ++k) {
+                            double v[MaxAovChannels + 1];
+                            for (int c = 0; c < layout.n; ++c) v[c] = double(hits.value[c][k]);
+                            v[layout.n] = hits.is_hit(k) ? 1 : 0;
+                            blocks[span.unit].splat(filter, int32_t(at.row[k]), int32_t(at.column[k]),
+                                                    double(at.film_y[k]), double(at.film_x[k]), v);
+                        }
+                });
+                merge.push(item, std::move(blocks), stop);
             });
-            merge.push(item, std::move(blocks), stop);
-        });
         if (stats.interrupted) return;
     }
 }
@@ -88,21 +88,21 @@ void identify(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
     auto make = [&](int) { return std::make_unique<Tile>(call, none, capacity); };
     run_tiles((schedule.n_results() + capacity - 1) / capacity, call, Assignment::Dynamic, stats, make,
               [&](Tile &hits, size_t item, int, auto &&stop) {
-        if (stop()) return;
-        size_t first = item * capacity, n = std::min(capacity, schedule.n_results() - first);
-        for (size_t k = 0; k < n; ++k) {
-            Pixel at = schedule.target(schedule.target_of(first + k));
-            hits.samples.row[k] = uint32_t(at.y), hits.samples.column[k] = uint32_t(at.x);
-        }
-        hits.trace(call.config, n, true);
-        const auto &at = hits.queries.hits.at;
-        for (size_t k = 0; k < n; ++k) {
-            bool hit = hits.is_hit(k);
-            if (out.shape) out.shape[first + k] = hit ? int32_t(at.shape[k]) : -1;
-            if (out.primitive) out.primitive[first + k] = hit ? int32_t(at.primitive[k]) : -1;
-            if (out.material) out.material[first + k] = hit ? call.scene->shapes[at.shape[k]].bsdf : -1;
-        }
-    });
+                  if (stop()) return;
+                  size_t first = item * capacity, n = std::min(capacity, schedule.n_results() - first);
+                  for (size_t k = 0; k < n; ++k) {
+                      Pixel at = schedule.target(schedule.target_of(first + k));
+                      hits.samples.row[k] = uint32_t(at.y), hits.samples.column[k] = uint32_t(at.x);
+                  }
+                  hits.trace(call.config, n, true);
+                  const auto &at = hits.queries.hits.at;
+                  for (size_t k = 0; k < n; ++k) {
+                      bool hit = hits.is_hit(k);
+                      if (out.shape) out.shape[first + k] = hit ? int32_t(at.shape[k]) : -1;
+                      if (out.primitive) out.primitive[first + k] = hit ? int32_t(at.primitive[k]) : -1;
+                      if (out.material) out.material[first + k] = hit ? call.scene->shapes[at.shape[k]].bsdf : -1;
+                  }
+              });
 }
 
 template <class S>
@@ -194,21 +194,22 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
             };
             run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
                       [&](Tile &hits, size_t item, int thread, auto &&stop) {
-                const auto &at = hits.samples;
-                std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, layout.n);
-                for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                    hits.trace(config, n, false);
-                    for (const Span &span : spans)
-                        for (size_t k = span.begin; k < span.end; ++k) {
-                            double v[MaxAovChannels];
-                            blocks[span.unit].collect(filter, int32_t(at.row[k]), int32_t(at.column[k]),
-                                                      double(at.film_y[k]), double(at.film_x[k]), v);
-                            for (int c = 0; c < layout.n; ++c) hits.value[c][k] = S(v[c]);
-                        }
-                    GradientSink<F> sink = buffers[size_t(thread)].template sink<F>(derivative);
-                    hits.sweep(n, derivative.gradient_needs(), sink);
-                });
-            });
+                          const auto &at = hits.samples;
+                          std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, layout.n);
+                          for_batches(
+                              at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                                  hits.trace(config, n, false);
+                                  for (const Span &span : spans)
+                                      for (size_t k = span.begin; k < span.end; ++k) {
+                                          double v[MaxAovChannels];
+                                          blocks[span.unit].collect(filter, int32_t(at.row[k]), int32_t(at.column[k]),
+                                                                    double(at.film_y[k]), double(at.film_x[k]), v);
+                                          for (int c = 0; c < layout.n; ++c) hits.value[c][k] = S(v[c]);
+                                      }
+                                  GradientSink<F> sink = buffers[size_t(thread)].template sink<F>(derivative);
+                                  hits.sweep(n, derivative.gradient_needs(), sink);
+                              });
+                      });
         }
         if (!stats.interrupted) add_buffers(buffers, derivative);
     }
@@ -230,8 +231,8 @@ RenderStats forward_aov(const RenderCall<S> &call, const AovOutput<S> &out, cons
     return tangent_aovs<PacketOf<S>>(call, out, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                                \
-    template RenderStats render_aov(const RenderCall<S> &, const AovOutput<S> &);                        \
+#define TR_INSTANTIATE(S)                                                                               \
+    template RenderStats render_aov(const RenderCall<S> &, const AovOutput<S> &);                       \
     template RenderStats reverse_aov(const RenderCall<S> &, const AovOutput<S> &, DerivativeCall<S> &); \
     template RenderStats forward_aov(const RenderCall<S> &, const AovOutput<S> &, const DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

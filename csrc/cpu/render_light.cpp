@@ -1,6 +1,6 @@
-// Light paths, and their derivatives: as render_paths.cpp, but what a path brings may be anywhere on the film. The items
-// of the schedule are divided into groups, as many whatever the number of threads; a group has a film of its own, and
-// films are added, in double precision, in the order of their groups.
+// Light paths, and their derivatives: as render_paths.cpp, but what a path brings may be anywhere on the film. The
+// items of the schedule are divided into groups, as many whatever the number of threads; a group has a film of its own,
+// and films are added, in double precision, in the order of their groups.
 #include <optional>
 
 #include "light_tile.h"
@@ -214,9 +214,9 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             for (size_t item = schedule.n_items() * group / groups; item < end && !stop(); ++item)
                 for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
                             [&](size_t n, const std::vector<Span> &) {
-                    tile.paths.run(n, derivative != nullptr, stop, visit);
-                    if (derivative) tile.tangents->sweep(tile.paths, n, *film);
-                });
+                                tile.paths.run(n, derivative != nullptr, stop, visit);
+                                if (derivative) tile.tangents->sweep(tile.paths, n, *film);
+                            });
             films.push(group, std::move(film));
         });
         const LightScale<S> scale(call);
@@ -254,30 +254,31 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             locals[size_t(thread)].allocate(derivative, thread);
             return std::make_unique<Tile>(call, capacity, &derivative);
         };
-        run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
-                  [&](Tile &tile, size_t item, int thread, auto &&stop) {
-            SplatAxes<F> &axes = tile.axes;
-            auto collect = [&](int number, const ShadowQueue<S> &free) {
-                const TapeColumns<S> &level = tile.paths.wavefront.tape[number].columns;
-                axes.for_places(call.filter, free.film_x.at, free.film_y.at, free.n, true, [&](size_t k, int lane) {
-                    typename AdjointFilm::Vector sum, by_x, by_y;
-                    adjoint.collect(axes.x, axes.y, lane, sum, by_x, by_y);
-                    uint32_t at = free.position[k];
-                    S x_bar(0), y_bar(0);
-                    for (int c = 0; c < SpectrumSize; ++c) {
-                        level.outgoing.emitted[c][at] = sum[c];
-                        x_bar += by_x[c] * free.contribution[c][k], y_bar += by_y[c] * free.contribution[c][k];
-                    }
-                    level.connection.x_bar[at] = x_bar, level.connection.y_bar[at] = y_bar;
-                });
-            };
-            for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
-                        [&](size_t n, const std::vector<Span> &) {
-                tile.paths.run(n, true, stop, collect);
-                GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
-                tile.paths.sweep(sink);
+        run_tiles(
+            schedule.n_items(), call, Assignment::Interleaved, stats, make,
+            [&](Tile &tile, size_t item, int thread, auto &&stop) {
+                SplatAxes<F> &axes = tile.axes;
+                auto collect = [&](int number, const ShadowQueue<S> &free) {
+                    const TapeColumns<S> &level = tile.paths.wavefront.tape[number].columns;
+                    axes.for_places(call.filter, free.film_x.at, free.film_y.at, free.n, true, [&](size_t k, int lane) {
+                        typename AdjointFilm::Vector sum, by_x, by_y;
+                        adjoint.collect(axes.x, axes.y, lane, sum, by_x, by_y);
+                        uint32_t at = free.position[k];
+                        S x_bar(0), y_bar(0);
+                        for (int c = 0; c < SpectrumSize; ++c) {
+                            level.outgoing.emitted[c][at] = sum[c];
+                            x_bar += by_x[c] * free.contribution[c][k], y_bar += by_y[c] * free.contribution[c][k];
+                        }
+                        level.connection.x_bar[at] = x_bar, level.connection.y_bar[at] = y_bar;
+                    });
+                };
+                for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
+                            [&](size_t n, const std::vector<Span> &) {
+                                tile.paths.run(n, true, stop, collect);
+                                GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
+                                tile.paths.sweep(sink);
+                            });
             });
-        });
         add_buffers(locals, derivative);
     }
     return stats;
@@ -298,9 +299,9 @@ RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &de
     return reverse_light<PacketOf<S>>(call, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                          \
-    template RenderStats trace_light(const RenderCall<S> &, S *);                                  \
-    template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &);          \
+#define TR_INSTANTIATE(S)                                                                 \
+    template RenderStats trace_light(const RenderCall<S> &, S *);                         \
+    template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &); \
     template RenderStats trace_light_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -25,28 +25,28 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
         StoredHits *record = derivative ? nullptr : call.keep_hits;
         if (record) record->prepare(schedule.n_items(), capacity);
         auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
-        run_tiles(schedule.n_items(), call, Assignment::Dynamic, stats, make,
-                  [&](Tile &tile, size_t item, int, auto &&stop) {
-            const auto &slots = tile.slots;
-            std::vector<FilmBlock> blocks = blocks_of(schedule, item, values, moments);
-            for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                tile.start(n, false);
-                HitRecorder &recorder = tile.wavefront.recorder;
-                if (record && record->wants_more()) recorder.begin(n, size_t(tile.splits(call.config)));
-                tile.run(derivative != nullptr, stop);
-                if (record) record->keep(item, recorder.finish());
-                if (derivative) {
-                    GradientSink<F> sink = derivative->template forward_sink<F>();
-                    tile.sweep(sink, true);
-                }
-                S *columns[SpectrumSize + 1];
-                for (int c = 0; c < pixel; ++c) columns[c] = slots.radiance[c];
-                columns[pixel] = slots.alpha.at;
-                for (const Span &span : spans)
-                    splat_span(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
+        run_tiles(
+            schedule.n_items(), call, Assignment::Dynamic, stats, make, [&](Tile &tile, size_t item, int, auto &&stop) {
+                const auto &slots = tile.slots;
+                std::vector<FilmBlock> blocks = blocks_of(schedule, item, values, moments);
+                for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                    tile.start(n, false);
+                    HitRecorder &recorder = tile.wavefront.recorder;
+                    if (record && record->wants_more()) recorder.begin(n, size_t(tile.splits(call.config)));
+                    tile.run(derivative != nullptr, stop);
+                    if (record) record->keep(item, recorder.finish());
+                    if (derivative) {
+                        GradientSink<F> sink = derivative->template forward_sink<F>();
+                        tile.sweep(sink, true);
+                    }
+                    S *columns[SpectrumSize + 1];
+                    for (int c = 0; c < pixel; ++c) columns[c] = slots.radiance[c];
+                    columns[pixel] = slots.alpha.at;
+                    for (const Span &span : spans)
+                        splat_span(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
+                });
+                merge.push(item, std::move(blocks), stop);
             });
-            merge.push(item, std::move(blocks), stop);
-        });
         for (size_t i = 0; i < schedule.n_results(); ++i) {
             const double *p = film.at(schedule.target_of(i)), *q = p + values + 1;
             double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
@@ -109,22 +109,23 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             locals[size_t(thread)].allocate(derivative, thread);
             return std::make_unique<Tile>(call, capacity, &derivative);
         };
-        run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
-                  [&](Tile &tile, size_t item, int thread, auto &&stop) {
-            const auto &slots = tile.slots;
-            std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, values);
-            size_t done = 0;  // paths of the item
-            for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
-                collect_adjoints(call, blocks, spans, slots);
-                tile.start(n, true);
-                tile.wavefront.replay.begin(call.kept_hits, item, done, n, size_t(tile.splits(call.config)));
-                done += n;
-                tile.run(true, stop);
-                GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
-                tile.sweep(sink, false);
+        run_tiles(
+            schedule.n_items(), call, Assignment::Interleaved, stats, make,
+            [&](Tile &tile, size_t item, int thread, auto &&stop) {
+                const auto &slots = tile.slots;
+                std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, values);
+                size_t done = 0;  // paths of the item
+                for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                    if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
+                    collect_adjoints(call, blocks, spans, slots);
+                    tile.start(n, true);
+                    tile.wavefront.replay.begin(call.kept_hits, item, done, n, size_t(tile.splits(call.config)));
+                    done += n;
+                    tile.run(true, stop);
+                    GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
+                    tile.sweep(sink, false);
+                });
             });
-        });
         add_buffers(locals, derivative);
     }
     return stats;
@@ -145,7 +146,7 @@ RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivat
     return reverse_paths<PacketOf<S>>(call, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                \
+#define TR_INSTANTIATE(S)                                                               \
     template RenderStats render_primal(const RenderCall<S> &, const RenderOutput<S> &); \
     template RenderStats render_reverse(const RenderCall<S> &, DerivativeCall<S> &);    \
     template RenderStats render_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);

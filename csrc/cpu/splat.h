@@ -56,8 +56,8 @@ struct SplatAxes {
     }
 };
 
-// Numbers of type T, those of a spectrum a pixel, of a rectangle of the film. They are kept in vectors, of which a splat needs many and
-// the compiler finds none by itself.
+// Numbers of type T, those of a spectrum a pixel, of a rectangle of the film. They are kept in vectors, of which a
+// splat needs many and the compiler finds none by itself.
 template <class T>
 class SplatFilm {
 public:

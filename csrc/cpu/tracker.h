@@ -26,8 +26,8 @@ public:
     // The entries `order`[0 .. n), ascending, are in the medium. `points`: see FlightEstimator.
     void fly(int32_t medium, const TrackedQueue<S> &rays, const FlightColumns<S> &at, const uint32_t *order, size_t n,
              bool points);
-    void transmit(int32_t medium, const TrackedQueue<S> &rays, const TransmittanceColumns<S> &at,
-                  const uint32_t *order, size_t n);
+    void transmit(int32_t medium, const TrackedQueue<S> &rays, const TransmittanceColumns<S> &at, const uint32_t *order,
+                  size_t n);
 
     uint64_t collisions = 0;  // tentative ones
     uint64_t exceeded = 0;    // of them with an extinction above the majorant: there must be none

@@ -69,8 +69,8 @@ public:
 
     // `recording`: onto the tape's last level.
     PathContext<F> context(bool recording) {
-        return {scene_, call_.config, slots, diagnostics, &needs_,
-                recording ? &tape.last().columns : nullptr, recorder.on()};
+        return {scene_,       call_.config, slots, diagnostics, &needs_, recording ? &tape.last().columns : nullptr,
+                recorder.on()};
     }
 
     // Entries that n hits take at most once they are grouped.

@@ -172,20 +172,18 @@ __global__ void scatter_by_phase(SceneView<S> scene, uint32_t n, const int32_t *
     paths[i].direction = wo;
 }
 
-#define TR_INSTANTIATE(C)                                                                                             \
-    template __global__ void emission(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);    \
-    template __global__ void scatter_paths(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,           \
-                                              Scattering<float> *);                                                \
-    template __global__ void scatter_in_media(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *, \
-                                                 MediumScattering<float> *);                                       \
-    template __global__ void scatter_by_phase(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,        \
-                                                 PathState *, ForwardSink<float> *, S *);                          \
-    template __global__ void move_hits(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,        \
-                                          const HitAdjoint<float> *, const float *, const float *,                    \
-                                          ForwardSink<float> *);                                                   \
-    template __global__ void differentiate_bsdfs(SceneView<S>, uint32_t, const int32_t *,                          \
-                                                    const SurfacePoint<float> *, const Vec3<float> *,                 \
-                                                    const Vec3<float> *, S *, uint32_t);
+#define TR_INSTANTIATE(C)                                                                                              \
+    template __global__ void emission(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);        \
+    template __global__ void scatter_paths(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,               \
+                                           Scattering<float> *);                                                       \
+    template __global__ void scatter_in_media(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *,     \
+                                              MediumScattering<float> *);                                              \
+    template __global__ void scatter_by_phase(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,            \
+                                              PathState *, ForwardSink<float> *, S *);                                 \
+    template __global__ void move_hits(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,            \
+                                       const HitAdjoint<float> *, const float *, const float *, ForwardSink<float> *); \
+    template __global__ void differentiate_bsdfs(SceneView<S>, uint32_t, const int32_t *, const SurfacePoint<float> *, \
+                                                 const Vec3<float> *, const Vec3<float> *, S *, uint32_t);
 TR_INSTANTIATE(1)
 TR_INSTANTIATE(3)
 

@@ -48,8 +48,7 @@ void EnvironmentTables<S>::build(const TensorView<S> &data) {
 
 template double build_cdf(const double *, size_t, float *);
 template double build_cdf(const double *, size_t, double *);
-#define TR_INSTANTIATE(S) \
-    template struct EnvironmentTables<S>;
+#define TR_INSTANTIATE(S) template struct EnvironmentTables<S>;
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

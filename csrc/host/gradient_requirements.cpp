@@ -19,7 +19,9 @@ GradientRequirements::GradientRequirements(const SceneLayout &layout, const std:
         moved_shapes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
 }
 
-bool GradientRequirements::number(int32_t offset) const { return std::binary_search(offsets_.begin(), offsets_.end(), offset); }
+bool GradientRequirements::number(int32_t offset) const {
+    return std::binary_search(offsets_.begin(), offsets_.end(), offset);
+}
 
 bool GradientRequirements::any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const {
     const Record &record = layout_.records.at(category)[index];

@@ -58,8 +58,7 @@ void SceneData<S>::update_bsdfs() {
     coatings_ = std::move(coatings);
 }
 
-#define TR_INSTANTIATE(S) \
-    template void SceneData<S>::update_bsdfs();
+#define TR_INSTANTIATE(S) template void SceneData<S>::update_bsdfs();
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

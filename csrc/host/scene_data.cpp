@@ -288,8 +288,7 @@ void SceneData<S>::refresh_view() {
     view_.bsdf_tables = bsdf_tables_.data();
 }
 
-#define TR_INSTANTIATE(S) \
-    template class SceneData<S>;
+#define TR_INSTANTIATE(S) template class SceneData<S>;
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

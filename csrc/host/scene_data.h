@@ -8,10 +8,10 @@
 
 #include "../accel/accel.h"
 #include "../core/scene.h"
-#include "rough_transmittance.h"
 #include "distribution.h"
 #include "gradient.h"
 #include "layout.h"
+#include "rough_transmittance.h"
 #include "values.h"
 
 namespace tr {

@@ -45,8 +45,7 @@ void SceneData<S>::update_emitters() {
     // lights that have shrunk to nothing are not chosen while there are others
     std::vector<double> seen = weights;
     for (size_t i = 0; i < records.size(); ++i)
-        if (model_of("emitter", records[i]).is(IsOnShape) && dark_[size_t(records[i].field[EmitterShape])])
-            seen[i] = 0;
+        if (model_of("emitter", records[i]).is(IsOnShape) && dark_[size_t(records[i].field[EmitterShape])]) seen[i] = 0;
     double total_seen = build_cdf(seen.data(), seen.size(), by_weight_.cdf.data());
     by_weight_ = EmitterTable(total_seen > 0 ? seen : weights);
 }
@@ -173,7 +172,7 @@ void SceneData<S>::choose_emitters(bool by_power) {
 }
 
 // the other functions of this file are called from these only
-#define TR_INSTANTIATE(S) \
+#define TR_INSTANTIATE(S)                          \
     template void SceneData<S>::update_emitters(); \
     template void SceneData<S>::choose_emitters(bool);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

@@ -91,8 +91,9 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
     }
 }
 
-#define TR_INSTANTIATE(S) \
-    template void SceneData<S>::fill_geometry(const std::vector<const S *> &, const GeometrySizes &, GeometryArrays<S> &) const; \
+#define TR_INSTANTIATE(S)                                                                            \
+    template void SceneData<S>::fill_geometry(const std::vector<const S *> &, const GeometrySizes &, \
+                                              GeometryArrays<S> &) const;                            \
     template void SceneData<S>::spread_geometry(GradientSums &, const std::vector<S *> &) const;
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -116,8 +116,7 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
     }
 }
 
-#define TR_INSTANTIATE(S) \
-    template void SceneData<S>::update_media(const std::vector<uint8_t> &);
+#define TR_INSTANTIATE(S) template void SceneData<S>::update_media(const std::vector<uint8_t> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -280,11 +280,11 @@ void SceneData<S>::update_light_boxes() {
     n_light_boxes_ = int(light_boxes_.size() / 6);
 }
 
-#define TR_INSTANTIATE(S) \
-    template void SceneData<S>::update_light_boxes(); \
-    template void SceneData<S>::update_shapes(const std::vector<const S *> &, const std::vector<uint8_t> &, const std::vector<S> &, bool);
+#define TR_INSTANTIATE(S)                                                                                   \
+    template void SceneData<S>::update_light_boxes();                                                       \
+    template void SceneData<S>::update_shapes(const std::vector<const S *> &, const std::vector<uint8_t> &, \
+                                              const std::vector<S> &, bool);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
-
 
 }  // namespace tr

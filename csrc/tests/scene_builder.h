@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "cpu/derivative_call.h"
 #include "cpu/render.h"
 #include "harness.h"
 #include "host/models.h"
@@ -143,45 +144,37 @@ std::vector<S> render(const SceneData<S> &scene, const Settings &s, RenderStats 
     return image;
 }
 
+// Addresses of what is stored by slot.
 template <class S>
-DerivativeCall<S> make_derivative(const SceneData<S> &scene) {
-    DerivativeCall<S> d;
-    d.n_constants = scene.n_constants();
-    d.sizes = scene.layout().slot_sizes;
-    d.bsdf_wanted.assign(scene.layout().records.at("bsdf").size(), 1);
-    d.wanted = {true, true, true, false, false, {1, 1, 1, 1}};  // no motion
-    return d;
+Addresses addresses_of(const std::vector<std::vector<S>> &values) {
+    Addresses r;
+    for (const auto &v : values) r.push_back(reinterpret_cast<uintptr_t>(v.data()));
+    return r;
 }
 
-// Gradients of all parameters, by slot, for the image's adjoint.
+// Gradients of all parameters, by slot, for the image's adjoint. `light`: of light tracing.
 template <class S>
-std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s, const std::vector<S> &adjoint) {
+std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s, const std::vector<S> &adjoint,
+                                    bool light = false, RenderStats *stats = nullptr) {
     std::vector<std::vector<S>> gradients;
-    DerivativeCall<S> d = make_derivative(scene);
-    for (int64_t n : d.sizes) gradients.emplace_back(size_t(n), S(0));
-    std::vector<bool> large(gradients.size(), false);
-    for (const ParameterUse &use : scene.layout().tensors) large[size_t(use.slot)] = true;
-    for (size_t i = 0; i < gradients.size(); ++i) d.gradients.push_back(large[i] ? gradients[i].data() : nullptr);
+    for (int64_t n : scene.layout().slot_sizes) gradients.emplace_back(size_t(n), S(0));
+    const RenderCall<S> call = make_call(scene, s);
+    DerivativeCall<S> d = reverse_call(scene, call.config, light, addresses_of(gradients));
     d.adjoint = adjoint.data();
-    render_reverse<S>(make_call(scene, s), d);
-    for (const ConstantEntry &e : scene.constant_entries())
-        for (int i = 0; i < e.stored; ++i)
-            gradients[size_t(e.slot)][size_t(e.count == 1 ? 0 : i)] += S(d.sums.constants[size_t(e.offset + i)]);
+    RenderStats result = light ? trace_light_reverse<S>(call, d) : render_reverse<S>(call, d);
+    add_gradients(scene, d, addresses_of(gradients));
+    if (stats) *stats = result;
     return gradients;
 }
 
 // Derivative of the image along tangents of all parameters, by slot.
 template <class S>
-std::vector<S> forward(const SceneData<S> &scene, const Settings &s, const std::vector<std::vector<S>> &tangents) {
-    std::vector<const S *> addresses;
-    for (const auto &t : tangents) addresses.push_back(t.data());
-    std::vector<S> constants;
-    std::vector<TensorView<S>> tensors;
-    scene.fill_values(addresses, constants, tensors);
-    DerivativeCall<S> d = make_derivative(scene);
-    d.tangent = {constants.data(), tensors.data()};
+std::vector<S> forward(const SceneData<S> &scene, const Settings &s, const std::vector<std::vector<S>> &tangents,
+                       bool light = false) {
+    const RenderCall<S> call = make_call(scene, s);
+    const ForwardCall<S> d(scene, call.config, light, addresses_of(tangents));
     std::vector<S> image(n_values(scene, s));
-    render_forward<S>(make_call(scene, s), d, image.data());
+    light ? trace_light_forward<S>(call, d.call, image.data()) : render_forward<S>(call, d.call, image.data());
     return image;
 }
 

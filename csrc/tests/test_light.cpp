@@ -2,15 +2,14 @@
 #include <random>
 
 #include "accel/embree_library.h"
-#include "host/dependence.h"
 #include "scene_builder.h"
 
 namespace tr::testing {
 
 namespace {
 
-// A beam, an area light, lights without a surface and a surrounding shine through a glass ball onto a wall; the camera,
-// or a meter on the wall, looks.
+// A beam, an area light, lights without a surface and an environment shine through a glass ball onto a wall; the
+// camera, or a meter on the wall, looks.
 template <class S>
 void add_scene(SceneBuilder<S> &b, bool meter) {
     int64_t black = b.diffuse(0, 0, 0), wall = b.diffuse(S(0.5), S(0.6), S(0.7));
@@ -55,50 +54,23 @@ void compare_modes(bool meter) {
     s.filter = Filter(FilterKind::Gaussian, 0.5);
     std::mt19937 random(1);
     std::normal_distribution<double> normal;
-    const std::vector<int64_t> &sizes = scene.layout().slot_sizes;
-    std::vector<std::vector<S>> tangents, gradients;
-    std::vector<const S *> addresses;
-    for (int64_t n : sizes) {
+    std::vector<std::vector<S>> tangents;
+    for (int64_t n : scene.layout().slot_sizes) {
         tangents.emplace_back();
         for (int64_t i = 0; i < n; ++i) tangents.back().push_back(n == 16 && i >= 12 ? S(0) : S(normal(random)));
-        gradients.emplace_back(size_t(n), S(0));
     }
-    for (const auto &t : tangents) addresses.push_back(t.data());
-
-    Dependence depends(scene.layout(), std::vector<bool>(sizes.size(), true));
-    DerivativeCall<S> d = make_derivative(scene);
-    d.wanted = {true, true, true, true, !meter, {}};
-    for (size_t i = 0; i < scene.layout().shapes.size(); ++i) d.shape_wanted.push_back(depends.shape(i));
-    d.geometry_sizes = depends.geometry_sizes();
-    d.matrices = uint32_t(scene.n_constants());
-    d.n_constants = scene.n_constants() + 12 * scene.layout().shapes.size();
-
-    DerivativeCall<S> forward = d;
-    GeometryArrays<S> arrays;
-    std::vector<TensorView<S>> tensors;
-    scene.fill_values(addresses, arrays.constants, tensors);
-    scene.fill_geometry(addresses, d.geometry_sizes, arrays);
-    auto table = [](const std::vector<S> &v) { return v.empty() ? nullptr : v.data(); };
-    forward.tangent = {arrays.constants.data(), tensors.data()};
-    forward.geometry_tangent = {table(arrays.positions), table(arrays.normals), table(arrays.texcoords), d.matrices,
-                                d.shape_wanted.data()};
-    size_t n = size_t(s.height * s.width * 3);
-    std::vector<S> image(n), adjoint(n);
-    trace_light_forward<S>(make_call(scene, s), forward, image.data());
-    for (S &x : adjoint) x = S(normal(random));
-
-    d.adjoint = adjoint.data();
-    d.gradients.assign(sizes.size(), nullptr);
-    RenderStats stats = trace_light_reverse<S>(make_call(scene, s), d);
+    const std::vector<S> image = forward<S>(scene, s, tangents, true);
+    std::vector<S> adjoint;
+    for (size_t i = 0; i < image.size(); ++i) adjoint.push_back(S(normal(random)));
+    RenderStats stats;
+    const auto gradients = reverse<S>(scene, s, adjoint, true, &stats);
     CHECK(stats.non_finite == 0);
-    scene.spread_geometry(d.sums, d.gradients);
     double by_image = 0, by_parameters = 0, size = 0;
-    for (size_t i = 0; i < n; ++i)
+    for (size_t i = 0; i < image.size(); ++i)
         by_image += double(image[i]) * double(adjoint[i]), size += std::abs(double(image[i]));
-    for (const ConstantEntry &e : scene.constant_entries())
-        for (int i = 0; i < e.stored; ++i)
-            by_parameters +=
-                d.sums.constants[size_t(e.offset + i)] * double(tangents[size_t(e.slot)][size_t(e.count == 1 ? 0 : i)]);
+    for (size_t k = 0; k < tangents.size(); ++k)
+        for (size_t i = 0; i < tangents[k].size(); ++i)
+            by_parameters += double(gradients[k][i]) * double(tangents[k][i]);
     CHECK(size > 0);
     CHECK_NEAR(by_image, by_parameters, tolerance * (1 + size));
 }
@@ -128,7 +100,7 @@ TR_TEST(light_images_are_the_same_for_any_threads_and_crop) {
     RenderCall<float> call = make_call(scene, s);
     call.crop = {3, 2, 9, 11};
     std::vector<float> part(6 * 9 * 3);
-    trace_light(call, true, part.data());
+    trace_light(call, part.data());
     bool same = true;
     for (int y = 0; y < 6; ++y)
         for (int x = 0; x < 27; ++x)

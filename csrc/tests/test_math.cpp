@@ -11,7 +11,7 @@
 #include "core/math/warp.h"
 #include "core/sampler/sobol.h"
 #include "core/sampler/stratified.h"
-#include "cpu/columns.h"
+#include "core/state/columns.h"
 #include "harness.h"
 
 namespace tr {

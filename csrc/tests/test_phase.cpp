@@ -1,7 +1,7 @@
 // Phase functions where their tables end: directions straight ahead and back, the first and the last uniform number.
 // (Their values, samples and derivatives are tested from Python; this runs under sanitizers, too.)
 #include "accel/embree_library.h"
-#include "core/adjoint/sink.h"
+#include "core/adjoint/gradient_sink.h"
 #include "core/phase/phase.h"
 #include "scene_builder.h"
 
@@ -36,8 +36,9 @@ static void check_ends(std::vector<ScalarOf<F>> values) {
     std::vector<S> by_value(values.size(), S(0)), by_voxel(6, S(0));
     std::vector<S *> tensors(s.scene.n_params(), nullptr);
     tensors[size_t(s.table)] = by_value.data(), tensors[size_t(s.grid)] = by_voxel.data();
-    ReverseSink<F> sink{};
+    GradientSink<F> sink;
     sink.constants = constants.data(), sink.tensors = tensors.data();
+    sink.begin();
     const MaskOf<F> active(true);
     const Vec3<F> d{F(0), F(0), F(1)};
     for (int32_t phase = 0; phase < 4; ++phase)
@@ -45,7 +46,7 @@ static void check_ends(std::vector<ScalarOf<F>> values) {
             for (S at : {S(-3), S(0), S(1), S(7)}) {
                 Vec3<F> p{F(at), F(at), F(at)}, along = d * F(sign);
                 CHECK(all(mask<F>(eval_phase(view, phase, p, along, d, active) >= F(0))));
-                sweep_phase(view, phase, p, along, d, uniform_spectrum<3>(F(1)), active, sink);
+                sweep_phase(view, phase, p, along, d, uniform_spectrum(F(1)), active, sink);
                 for (S u : {S(0), S(0.5), S(1) - S(1.0 / (1 << 24))}) {
                     Vec3<F> wo = sample_phase(view, phase, p, along, F(u), F(u), F(u), active);
                     CHECK(all(mask<F>(abs(squared_norm(wo) - F(1)) < F(1e-5))));

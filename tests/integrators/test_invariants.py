@@ -6,7 +6,6 @@ edge or in a roulette, hence the quantiles.
 
 from __future__ import annotations
 
-
 import pytest
 import reference_scenes
 import torch

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import light_scenes as ls
 import pytest
 import torch

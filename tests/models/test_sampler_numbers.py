@@ -35,7 +35,9 @@ def draw(
     p, s = np.ascontiguousarray(p, np.uint32), np.ascontiguousarray(s, np.uint32)
     out = np.empty((*p.shape, 4))
     addresses = (p.ctypes.data, s.ctypes.data, out.ctypes.data)
-    tr.backends.core(f"torch.{dtype}").draw(sampler, first, count, seed, sensor, block, wanted, dtype, p.size, *addresses)
+    tr.backends.core(f"torch.{dtype}").draw(
+        sampler, first, count, seed, sensor, block, wanted, dtype, p.size, *addresses
+    )
     return out
 
 

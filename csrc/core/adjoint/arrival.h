@@ -56,7 +56,7 @@ TR_INLINE Vec3<F> sweep_parallel(const Arrival<F> &in, const Vec3<F> &area, cons
 // Adjoints of three numbers of a vertex.
 template <class F>
 TR_INLINE void sweep_mesh_vertex(VertexArray array, const UIntOf<F> &vertex, const Vec3<F> &g, const MaskOf<F> &active,
-                            GradientSink<F> &sink) {
+                                 GradientSink<F> &sink) {
     UIntOf<F> i = vertex * 3u;
     sink.vertex(array, i, g.x, active);
     sink.vertex(array, i + 1u, g.y, active);

@@ -8,8 +8,8 @@ namespace {
 // things begin to be seen. The matrix takes o to M o + t and d to M d, of length |M d|; the few numbers of the model
 // reach both, in the camera's frame, through dual numbers.
 template <class Model, class F, class S>
-void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSample<F> &sample, S width,
-                            S height, const RayAdjoint<F> &g, const F &start_bar, const MaskOf<F> &active, GradientSink<F> &sink) {
+void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSample<F> &sample, S width, S height,
+                const RayAdjoint<F> &g, const F &start_bar, const MaskOf<F> &active, GradientSink<F> &sink) {
     constexpr int N = Model::N + Model::Entries;
     using T = std::conditional_t<(N > 0), Dual<F, (N > 0 ? N : 1)>, F>;
     CameraNumbers<Model, T, F, S> numbers(scene, record);
@@ -99,10 +99,10 @@ void sweep_camera(const SceneOf<F> &scene, const Record &record, const CameraSam
     });
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template void sweep_pinhole(const SceneView<S> &, const Record &, const F &, const F &, S, S,                  \
-                                const RayAdjoint<F> &, const Vec3<F> &, const MaskOf<F> &, GradientSink<F> &);      \
-    template void sweep_camera(const SceneView<S> &, const Record &, const CameraSample<F> &, S, S,                \
+#define TR_INSTANTIATE(F, S)                                                                                   \
+    template void sweep_pinhole(const SceneView<S> &, const Record &, const F &, const F &, S, S,              \
+                                const RayAdjoint<F> &, const Vec3<F> &, const MaskOf<F> &, GradientSink<F> &); \
+    template void sweep_camera(const SceneView<S> &, const Record &, const CameraSample<F> &, S, S,            \
                                const RayAdjoint<F> &, const F &, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

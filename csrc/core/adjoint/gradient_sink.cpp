@@ -105,8 +105,7 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
         if (!any(usable)) return;
         int32_t first = first_lane(offset, usable);
         if (!any(usable && mask<F>(offset != first))) {  // adding lane by lane would wait for every addition
-            for (int c = 0; c < SpectrumSize; ++c)
-                constants[first + c] += double(lane_sum(select(usable, g[c], F(0))));
+            for (int c = 0; c < SpectrumSize; ++c) constants[first + c] += double(lane_sum(select(usable, g[c], F(0))));
             return;
         }
     }

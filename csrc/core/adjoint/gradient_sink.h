@@ -1,9 +1,9 @@
 // Where derivatives go. Reverse and forward mode are the same sweep: in reverse mode the sink adds g * d(look-up) /
-// d(parameter) to the parameter's gradient, in forward mode g * (look-up of the tangent) to the derivative of the pixel.
-// Look-ups are linear in the parameters, so both walk the same footprints.
+// d(parameter) to the parameter's gradient, in forward mode g * (look-up of the tangent) to the derivative of the
+// pixel. Look-ups are linear in the parameters, so both walk the same footprints.
 //
-// Two kinds of adjoints come in: a spectrum, component by component, for what multiplies radiance; and a number, the sum
-// over components, for what moves points and directions. Numbers in forward mode need a sweep a component, see
+// Two kinds of adjoints come in: a spectrum, component by component, for what multiplies radiance; and a number, the
+// sum over components, for what moves points and directions. Numbers in forward mode need a sweep a component, see
 // `component`.
 #pragma once
 

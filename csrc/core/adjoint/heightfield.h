@@ -27,7 +27,8 @@ TR_INLINE void sweep_heights(const HeightView<S> &heights, const F &u, const F &
 
 template <class F, class S>
 TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const SurfacePoint<F> &at, const Arrival<F> &in,
-                                        const HitAdjoint<F> &g, const MaskOf<F> &active, Vec3<F> &d_bar, GradientSink<F> &sink) {
+                                        const HitAdjoint<F> &g, const MaskOf<F> &active, Vec3<F> &d_bar,
+                                        GradientSink<F> &sink) {
     Vec3<F> zero{F(0), F(0), F(0)}, r = zero;
     auto any_wanted = sink.wants_shape(at.shape, active);
     each_height_field<F>(scene, at.shape, active, [&](uint32_t one, const HeightView<S> &heights, MaskOf<F> lanes) {

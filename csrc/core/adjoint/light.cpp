@@ -91,8 +91,7 @@ Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<Sc
     Vec3<F> wi = -v.d, wo = frame.frame.to_world(v.wo), to_camera = frame.frame.to_world(v.wo_light);
     StackAdjoint<F> stack;
     if (has_stack) stack = StackAdjoint<F>(scene, sink.waves, v, needs, Transport::Importance, active);
-    auto interpolated =
-        has_shading_normal(ShapeLanes<F>(scene.shapes, v.at.shape, active), stack.bsdf.stack, active);
+    auto interpolated = has_shading_normal(ShapeLanes<F>(scene.shapes, v.at.shape, active), stack.bsdf.stack, active);
     auto lit = active && mask<F>(v.light_weight > F(0)), scattered_lit = lit && !MaskOf<F>(measured);
     F path_correction = shading_correction(wi, wo, v.normal, connection.ng, interpolated);
     F correction = shading_correction(wi, to_camera, v.normal, connection.ng, interpolated);
@@ -150,7 +149,8 @@ void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sen
                     GradientSink<F> &sink) {
     if (!needs.emitter && !needs.geometry) return;
     const VertexRecord<F> &v = e.v;
-    Spectrum<F> by_path = next.radiance * v.inverse_pdf, by_camera = v.emitted * v.light_weight, g = by_path + by_camera;
+    Spectrum<F> by_path = next.radiance * v.inverse_pdf, by_camera = v.emitted * v.light_weight,
+                g = by_path + by_camera;
     Vec3<F> light_d_bar{F(0), F(0), F(0)};  // of -v.d
     CoordinateAdjoint<F> at;
     for_each_emitter_kind<F>(e.kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {

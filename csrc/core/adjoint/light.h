@@ -1,6 +1,6 @@
 // The derivative of a light path, one vertex at a time, from its end to its beginning: as scattering.h, with the roles
-// of camera and light exchanged. A connection to the camera brings v = beta f W, W the camera's importance, to the place
-// u on the film: with the image's adjoint g and the filter h the loss changes by
+// of camera and light exchanged. A connection to the camera brings v = beta f W, W the camera's importance, to the
+// place u on the film: with the image's adjoint g and the filter h the loss changes by
 //     dv sum_p g_p h(p - u) - v sum_p g_p grad h(p - u) . du.
 // So every connection has an adjoint of its own, in each component for v and one for u, and they are part of what the
 // vertices hand on: the path's adjoint is one.
@@ -16,8 +16,8 @@
 
 namespace tr {
 
-// One scattering vertex of this kind. Returns what the light that arrives along v.d brings, divided by its throughput a,
-// every connection being weighted with its adjoint; adds the adjoints of the hit and of the direction.
+// One scattering vertex of this kind. Returns what the light that arrives along v.d brings, divided by its throughput
+// a, every connection being weighted with its adjoint; adds the adjoints of the hit and of the direction.
 template <class F>
 Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, int kind,
                                    const VertexRecord<F> &v, const ConnectionRecord<F> &connection, Spectrum<F> a,

@@ -88,7 +88,9 @@ struct SlopesAdjoint {
         if (!motion) return;
         Footprint<F, 4> mixed = at;
         mixed.weight[0] = mixed.weight[3] = F(1), mixed.weight[1] = mixed.weight[2] = F(-1);
-        auto height = [&](const Footprint<F, 4> &taps) { return luminance(gather_footprint(tensor, sink.waves, taps, lanes)); };
+        auto height = [&](const Footprint<F, 4> &taps) {
+            return luminance(gather_footprint(tensor, sink.waves, taps, lanes));
+        };
         F twist = height(mixed) * columns * rows, x = height(slope.x) * columns, y = height(slope.y) * rows;
         F by_u = y_bar * twist, by_v = x_bar * twist;
         to.uv.x = select(lanes, to.uv.x + by_u * m[0] + by_v * m[3], to.uv.x);
@@ -124,13 +126,13 @@ void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const Textur
     visit_texture<F>(scene, texture, at, active, visitor);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                        \
+#define TR_INSTANTIATE(F, S)                                                                                          \
     template void sweep_lookup(const SceneView<S> &, const IntOf<F> &, const TexturedPoint<F> &, const Spectrum<F> &, \
-                               const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                       \
-    template void sweep_lookup(const SceneView<S> &, const IntOf<F> &, const SurfacePoint<F> &, const Spectrum<F> &, \
-                               const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                       \
-    template void sweep_slopes(const SceneView<S> &, const IntOf<F> &, const TexturedPoint<F> &, const Vec2<F> &, bool, \
-                               bool, const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);
+                               const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                         \
+    template void sweep_lookup(const SceneView<S> &, const IntOf<F> &, const SurfacePoint<F> &, const Spectrum<F> &,  \
+                               const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                         \
+    template void sweep_slopes(const SceneView<S> &, const IntOf<F> &, const TexturedPoint<F> &, const Vec2<F> &,     \
+                               bool, bool, const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

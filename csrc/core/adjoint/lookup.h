@@ -16,8 +16,9 @@ struct CoordinateAdjoint {
 
 // Colours of a mesh, times `scale`, as a function of the barycentric coordinates.
 template <class F>
-TR_INLINE void sweep_attribute(const SceneOf<F> &scene, const Wavelengths<F> &waves, const AttributeInfo &info, const Footprint<F, 3> &at,
-                               const F &scale, const Spectrum<F> &g, const MaskOf<F> &lanes, CoordinateAdjoint<F> &to) {
+TR_INLINE void sweep_attribute(const SceneOf<F> &scene, const Wavelengths<F> &waves, const AttributeInfo &info,
+                               const Footprint<F, 3> &at, const F &scale, const Spectrum<F> &g, const MaskOf<F> &lanes,
+                               CoordinateAdjoint<F> &to) {
     if (info.per_face) return;
     const auto &tensor = scene.values.tensors[info.tensor];
     Footprint<F, 3> b1 = at, b2 = at;
@@ -36,9 +37,9 @@ template <class F>
 void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at, const Spectrum<F> &g,
                   const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
 
-// `g` is the adjoint of the slopes of its luminance along u and v (texture/slopes.h): `values`, to its texels; `motion`,
-// to the map of its coordinates and to where it is looked up, where bilinear heights have the mixed second derivative
-// alone.
+// `g` is the adjoint of the slopes of its luminance along u and v (texture/slopes.h): `values`, to its texels;
+// `motion`, to the map of its coordinates and to where it is looked up, where bilinear heights have the mixed second
+// derivative alone.
 template <class F>
 void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at, const Vec2<F> &g,
                   bool values, bool motion, const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);

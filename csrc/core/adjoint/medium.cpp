@@ -72,19 +72,19 @@ Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, c
         if (needs.emitter && any(lit)) {
             CoordinateAdjoint<F> at;
             Vec3<F> d_bar{F(0), F(0), F(0)};
-            sweep_emitter(scene, v.light, v.wo_light, pull(at_phase, v.through) * (phase_light * v.light_weight),
-                          needs, lit, at, d_bar, sink);
+            sweep_emitter(scene, v.light, v.wo_light, pull(at_phase, v.through) * (phase_light * v.light_weight), needs,
+                          lit, at, d_bar, sink);
         }
     });
     return total;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                    \
-    template Spectrum<F> sweep_segment(const SceneView<S> &, const SegmentPacket<F> &, const Spectrum<F> &,     \
-                                       const Spectrum<F> &, const Spectrum<F> &, const Spectrum<F> &,           \
-                                       const MediumNeeds &, const MaskOf<F> &, GradientSink<F> &);              \
-    template Spectrum<F> sweep_collision(const SceneView<S> &, const VertexRecord<F> &, const IntOf<F> &,       \
-                                         const Spectrum<F> &, const Spectrum<F> &, const GradientNeeds &,       \
+#define TR_INSTANTIATE(F, S)                                                                                \
+    template Spectrum<F> sweep_segment(const SceneView<S> &, const SegmentPacket<F> &, const Spectrum<F> &, \
+                                       const Spectrum<F> &, const Spectrum<F> &, const Spectrum<F> &,       \
+                                       const MediumNeeds &, const MaskOf<F> &, GradientSink<F> &);          \
+    template Spectrum<F> sweep_collision(const SceneView<S> &, const VertexRecord<F> &, const IntOf<F> &,   \
+                                         const Spectrum<F> &, const Spectrum<F> &, const GradientNeeds &,   \
                                          const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -1,13 +1,14 @@
 // The derivative of a segment through a medium. With the segment's transmittance T from its beginning, the light Ls
 // scattered into the ray at u (the albedo's factor apart), and the light Lc arriving there from behind,
-//     dL / d sigma(u) = T(u) (albedo(u) Ls(u) - Lc(u)),   dL / d albedo(u) = T(u) sigma(u) Ls(u),   dL / d eps(u) = T(u).
-// The extinction's is estimated at one point u a segment, its differential sample, uniform between its beginning and the
-// collision (or its end), where both terms are taken: with l the length, E[l g(u)] is the integral of T g, and the path
-// beyond u is a sample of Lc(u). No division by sigma: the estimate is unbiased where the density is zero. Ls(u) is an
-// emitter sample at u, and for one segment a path, drawn with probability in proportion to what it may bring, a path
-// that goes on from u (see Yu et al., "Sample Matching for Differentiable Volume Rendering", 2026; Nimier-David et al.,
-// "Unbiased Inverse Volume Rendering with Differential Trackers", SIGGRAPH 2022).
-// The transmittance of a shadow ray has one uniform point a ray: d T = -T times the integral of d sigma.
+//     dL / d sigma(u) = T(u) (albedo(u) Ls(u) - Lc(u)),   dL / d albedo(u) = T(u) sigma(u) Ls(u),   dL / d eps(u) =
+//     T(u).
+// The extinction's is estimated at one point u a segment, its differential sample, uniform between its beginning and
+// the collision (or its end), where both terms are taken: with l the length, E[l g(u)] is the integral of T g, and the
+// path beyond u is a sample of Lc(u). No division by sigma: the estimate is unbiased where the density is zero. Ls(u)
+// is an emitter sample at u, and for one segment a path, drawn with probability in proportion to what it may bring, a
+// path that goes on from u (see Yu et al., "Sample Matching for Differentiable Volume Rendering", 2026; Nimier-David et
+// al., "Unbiased Inverse Volume Rendering with Differential Trackers", SIGGRAPH 2022). The transmittance of a shadow
+// ray has one uniform point a ray: d T = -T times the integral of d sigma.
 #pragma once
 
 #include "../integrator/medium.h"

@@ -79,9 +79,9 @@ void sweep_outputs(const SceneOf<F> &scene, const Record &record, const CameraFr
                   sink);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                     \
+#define TR_INSTANTIATE(F, S)                                                                                           \
     template void sweep_outputs(const SceneView<S> &, const Record &, const CameraFrame<S> &, const CameraSample<F> &, \
-                                S, S, const Vec3<F> &, const Vec3<F> &, const Interaction<F> &,                   \
+                                S, S, const Vec3<F> &, const Vec3<F> &, const Interaction<F> &,                        \
                                 const OutputAdjoint<F> &, bool, bool, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -63,18 +63,13 @@ template <class F>
 TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &v, const BsdfAdjoint<F> &bsdf,
                                 const Spectrum<F> &a, const Spectrum<F> &light_factor, const MaskOf<F> &lit,
                                 const Vec3<F> &light_d_bar, const CoordinateAdjoint<F> &light_at,
-                                const GradientNeeds &needs, VertexFrame<F> &frame, Vec3<F> &wi_bar,
-                                HitAdjoint<F> &hit, GradientSink<F> &sink) {
+                                const GradientNeeds &needs, VertexFrame<F> &frame, Vec3<F> &wi_bar, HitAdjoint<F> &hit,
+                                GradientSink<F> &sink) {
     wi_bar = wi_bar + bsdf.light.wi_bar;
     Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + light_d_bar, x_bar{F(0), F(0), F(0)};
-    DirectAdjoint<F> g{v.light,
-                       v.p,
-                       frame.frame.to_world(v.wo_light),
-                       v.light_distance,
-                       w_bar,
-                       contract(a, apply(bsdf.light.f, light_factor)),
-                       light_at,
-                       needs.geometry};
+    DirectAdjoint<F> g{v.light,          v.p,           frame.frame.to_world(v.wo_light),
+                       v.light_distance, w_bar,         contract(a, apply(bsdf.light.f, light_factor)),
+                       light_at,         needs.geometry};
     IntOf<F> kind = record_kind<F>(scene.emitters, v.light.emitter, lit);
     for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (emitter.direct_vjp) emitter.direct_vjp(scene, g, lanes, x_bar, sink);
@@ -132,14 +127,14 @@ Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexReco
     return total;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                     \
-    template struct BsdfAdjoint<F>;                                                                              \
-    template void sweep_emitter(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &,                  \
-                                const Spectrum<F> &, const GradientNeeds &, const MaskOf<F> &,                   \
-                                CoordinateAdjoint<F> &, Vec3<F> &, GradientSink<F> &);                           \
-    template Spectrum<F> sweep_scattering(const SceneView<S> &, int, const VertexRecord<F> &, Spectrum<F>,       \
-                                          NextVertex<F>, const GradientNeeds &, const MaskOf<F> &,               \
-                                          HitAdjoint<F> &, Vec3<F> &, GradientSink<F> &);
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template struct BsdfAdjoint<F>;                                                                                  \
+    template void sweep_emitter(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Spectrum<F> &, \
+                                const GradientNeeds &, const MaskOf<F> &, CoordinateAdjoint<F> &, Vec3<F> &,         \
+                                GradientSink<F> &);                                                                  \
+    template Spectrum<F> sweep_scattering(const SceneView<S> &, int, const VertexRecord<F> &, Spectrum<F>,           \
+                                          NextVertex<F>, const GradientNeeds &, const MaskOf<F> &, HitAdjoint<F> &,  \
+                                          Vec3<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -44,10 +44,9 @@ struct BsdfAdjoint {
     bool connected;  // `light` is there
 
     // `lit`: lanes with a connection
-    BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport,
-                const Spectrum<F> &a, const Spectrum<F> &path_factor, const Spectrum<F> &light_factor,
-                const GradientNeeds &needs, const MaskOf<F> &lit, const MaskOf<F> &active, HitAdjoint<F> &hit,
-                GradientSink<F> &sink);
+    BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport, const Spectrum<F> &a,
+                const Spectrum<F> &path_factor, const Spectrum<F> &light_factor, const GradientNeeds &needs,
+                const MaskOf<F> &lit, const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
 
     // What moves on along the path. Adds to `hit` and to the adjoint of the local wi.
     void sweep_continuation(const SceneOf<F> &scene, const VertexRecord<F> &v, const NextVertex<F> &next,

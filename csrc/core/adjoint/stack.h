@@ -12,8 +12,8 @@ template <class F>
 struct StackAdjoint {
     ResolvedBsdf<F> bsdf;
     PerturbationFactor<F> factor;
-    Vec3<F> wi, wo, wo_light;                            // in the world
-    F light_factor{1}, path_factor{1};                   // of `factor`
+    Vec3<F> wi, wo, wo_light;                             // in the world
+    F light_factor{1}, path_factor{1};                    // of `factor`
     Vec3<F> base_bar{F(0), F(0), F(0)}, n_bar{base_bar};  // what the shadowing function adds
 
     StackAdjoint() = default;  // of a scene without stacks

@@ -1,7 +1,7 @@
 #include "surface.h"
 
-#include "heightfield.h"
 #include "../shape/partials.h"
+#include "heightfield.h"
 
 namespace tr {
 

@@ -110,8 +110,8 @@ Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>
         r = r + sweep_scattering(c.scene, kind, v, a, read_next<F>(tape, i, needs.geometry), needs, active, hit, d_bar,
                                  sink);
     if (collided)
-        r = r + sweep_collision(c.scene, v, segment.medium, a, read_next<F>(tape, i, false).radiance, needs, active,
-                                sink);
+        r = r +
+            sweep_collision(c.scene, v, segment.medium, a, read_next<F>(tape, i, false).radiance, needs, active, sink);
     if (c.config.volumetric)
         r = sweep_segment(c.scene, segment, delta, v.beta, r, branch_radiance(c, level, i, slot, active), needs.medium,
                           active, sink);
@@ -161,8 +161,8 @@ void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>>
         HitAdjoint<F> hit;
         Vec3<F> d_bar{F(0), F(0), F(0)};
         const Spectrum<F> a = v.beta;
-        Spectrum<F> r = sweep_light_scattering(c.scene, sensor, kind, v, connection, a, next, needs, active, hit, d_bar,
-                                               sink);
+        Spectrum<F> r =
+            sweep_light_scattering(c.scene, sensor, kind, v, connection, a, next, needs, active, hit, d_bar, sink);
         UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
         hand_radiance(*parents, parent, r, active);
         if (needs.geometry) {
@@ -174,10 +174,10 @@ void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>>
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,       \
-                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);          \
-    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,        \
+#define TR_INSTANTIATE(F, S)                                                                                   \
+    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
+                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);    \
+    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,  \
                                      const TapeColumns<S> *, int, uint32_t, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -13,14 +13,14 @@ struct SweepContext {
     const PathConfig &config;
     const SlotColumns<S> &slots;
     const GradientNeeds &needs;
-    S width, height;                            // of the film
+    S width, height;                             // of the film
     const BranchColumns<S> *branches = nullptr;  // of media, where there are any
-    bool unit_adjoint = false;                  // the radiance itself is differentiated, in all components
+    bool unit_adjoint = false;                   // the radiance itself is differentiated, in all components
 };
 
-// A vertex of a camera path; kind as in classify.h, `scatters`: not the last one. `parents`: the level that the vertices
-// before are on; null: there are none, or they are not on the tape. `level` is the number of this one. Returns the radiance at the vertex,
-// which the one before receives.
+// A vertex of a camera path; kind as in classify.h, `scatters`: not the last one. `parents`: the level that the
+// vertices before are on; null: there are none, or they are not on the tape. `level` is the number of this one. Returns
+// the radiance at the vertex, which the one before receives.
 template <class F>
 Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                          const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters, uint32_t i,

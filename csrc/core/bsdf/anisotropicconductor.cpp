@@ -15,9 +15,16 @@ struct AnisotropicConductor : MicrofacetConductor<AnisotropicConductor> {
         {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
     };
     static constexpr int AlphaU = number_index(fields, "alpha_u"), AlphaV = number_index(fields, "alpha_v");
-    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"), Reflectance = color_index(fields, "specular_reflectance");
+    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"),
+                         Reflectance = color_index(fields, "specular_reflectance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {"bsdf", "anisotropicconductor", "Rough conductor, brushed, one-sided.", fields, 6, HasSmoothLobes | FollowsTangent, "AnisotropicConductor"};
+    static constexpr Model model = {"bsdf",
+                                    "anisotropicconductor",
+                                    "Rough conductor, brushed, one-sided.",
+                                    fields,
+                                    6,
+                                    HasSmoothLobes | FollowsTangent,
+                                    "AnisotropicConductor"};
     static constexpr int Albedo = field_index(fields, "specular_reflectance");
 
     template <class T, class P>

@@ -14,10 +14,18 @@ struct AnisotropicDielectric : MicrofacetDielectric<AnisotropicDielectric> {
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
         {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
     };
-    static constexpr int Eta = number_index(fields, "eta"), AlphaU = number_index(fields, "alpha_u"), AlphaV = number_index(fields, "alpha_v");
-    static constexpr int Reflectance = color_index(fields, "specular_reflectance"), Transmittance = color_index(fields, "specular_transmittance");
+    static constexpr int Eta = number_index(fields, "eta"), AlphaU = number_index(fields, "alpha_u"),
+                         AlphaV = number_index(fields, "alpha_v");
+    static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
+                         Transmittance = color_index(fields, "specular_transmittance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {"bsdf", "anisotropicdielectric", "Rough dielectric interface, brushed.", fields, 6, HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric, "AnisotropicDielectric"};
+    static constexpr Model model = {"bsdf",
+                                    "anisotropicdielectric",
+                                    "Rough dielectric interface, brushed.",
+                                    fields,
+                                    6,
+                                    HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric,
+                                    "AnisotropicDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 
     template <class T, class P>

@@ -1,7 +1,7 @@
 // What integrators know of a BSDF: a table of functions on packets. Each model is one translation unit that fills in
-// such a table (kernels.h); the registry lists them. Directions are local: +z is the shading normal, x and y are any two
-// axes unless the model FollowsTangent; wi points to where the path came from, wo along the new ray, both away from the
-// surface. Radiance is transported along wo -> wi. Values include |cos(theta_o)|.
+// such a table (kernels.h); the registry lists them. Directions are local: +z is the shading normal, x and y are any
+// two axes unless the model FollowsTangent; wi points to where the path came from, wo along the new ray, both away from
+// the surface. Radiance is transported along wo -> wi. Values include |cos(theta_o)|.
 #pragma once
 
 #include "../color/spectrum.h"
@@ -14,9 +14,9 @@ enum class Transport { Radiance, Importance };  // of importance wi is where lig
 template <class F>
 struct BsdfSample {
     Vec3<F> wo;
-    F pdf;           // density, or the probability of a delta lobe; 0: the sample failed
-    F eta;           // index of refraction along wo over that along wi
-    IntOf<F> lobe;   // 0 is the smooth part of a model that has one
+    F pdf;                  // density, or the probability of a delta lobe; 0: the sample failed
+    F eta;                  // index of refraction along wo over that along wi
+    IntOf<F> lobe;          // 0 is the smooth part of a model that has one
     MaskOf<F> delta, null;  // a delta lobe; passed through unchanged
 };
 
@@ -40,10 +40,11 @@ struct BsdfInfo {
     const Model *model;
     Use use[MaxFields];
     int n_continuous, n_differentiable, n_variables, n_colors, n_numbers, n_choices;
-    int luminance_of;                 // the field whose luminance is a further number, -1: none
+    int luminance_of;  // the field whose luminance is a further number, -1: none
     bool tabulated;
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
-    int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always does
+    int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always
+                     // does
 
     bool is(uint32_t flag) const { return model->is(flag); }
 };

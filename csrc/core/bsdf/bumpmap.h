@@ -14,12 +14,14 @@ struct BumpMap {
          "interior, without the jumps of slopes between texels, and where a normal begins to hide from the viewer",
          "heights, in units of the scene; of a colour its luminance"},
         {"nested_bsdf", Kind::Bsdf, None, 0, INFINITY, "", "what is seen with the turned normal"},
-        {"flip_invalid_normals", Kind::Int, 1, 0, 1, "", "turn normals that face away from the viewer towards it", Boolean},
+        {"flip_invalid_normals", Kind::Int, 1, 0, 1, "", "turn normals that face away from the viewer towards it",
+         Boolean},
         {"use_shadowing_function", Kind::Int, 1, 0, 1, "", "dim light near the terminator", Boolean},
         {"scale", Kind::Float, 1, -INFINITY, INFINITY, "interior, without the jump where a normal begins to hide",
          "factor of the heights"},
     };
-    static constexpr Model model = {"bsdf", "bumpmap", "A BSDF with normals from heights.", fields, 5, WrapsBsdfs | PerturbsNormals, "BumpMap"};
+    static constexpr Model model = {
+        "bsdf", "bumpmap", "A BSDF with normals from heights.", fields, 5, WrapsBsdfs | PerturbsNormals, "BumpMap"};
 
     // `z`, `side` and `sign` as in NormalMap::turn; `u`, `v`: dp/du and dp/dv; (hu, hv): the slopes of the heights.
     template <class T, class F>

@@ -10,7 +10,8 @@ struct Conductor {
         {"k", Kind::Texture, 1, 0, INFINITY, "interior", "imaginary part (absorption)"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical"},
     };
-    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"), Reflectance = color_index(fields, "specular_reflectance");
+    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"),
+                         Reflectance = color_index(fields, "specular_reflectance");
     static constexpr Model model = {"bsdf", "conductor", "Smooth conductor, one-sided.", fields, 3, HasDeltaLobes};
     static constexpr int Albedo = field_index(fields, "specular_reflectance");
 

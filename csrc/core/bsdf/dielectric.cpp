@@ -14,8 +14,10 @@ struct Dielectric {
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
     };
     static constexpr int Eta = number_index(fields, "eta");
-    static constexpr int Reflectance = color_index(fields, "specular_reflectance"), Transmittance = color_index(fields, "specular_transmittance");
-    static constexpr Model model = {"bsdf", "dielectric", "Smooth dielectric interface.", fields, 3, HasDeltaLobes | Transmits | IsAsymmetric};
+    static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
+                         Transmittance = color_index(fields, "specular_transmittance");
+    static constexpr Model model = {
+        "bsdf", "dielectric", "Smooth dielectric interface.", fields, 3, HasDeltaLobes | Transmits | IsAsymmetric};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 
     // Radiance is divided by the squared relative index when it enters the denser side (solid angles shrink): Veach,

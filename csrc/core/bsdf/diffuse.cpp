@@ -8,7 +8,8 @@ struct Diffuse {
     static constexpr Field fields[] = {
         {"reflectance", Kind::Texture, 0.5, 0, 1, "interior", "albedo"},
     };
-    static constexpr Model model = {"bsdf", "diffuse", "Ideal diffuse (Lambertian) reflection, one-sided.", fields, 1, HasSmoothLobes};
+    static constexpr Model model = {"bsdf", "diffuse", "Ideal diffuse (Lambertian) reflection, one-sided.",
+                                    fields, 1,         HasSmoothLobes};
     static constexpr int Albedo = field_index(fields, "reflectance");
 
     template <class P, class F>

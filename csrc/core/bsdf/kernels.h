@@ -2,7 +2,8 @@
 //
 //   static constexpr Field fields[];  static constexpr Model model;
 //   static constexpr int Albedo;              the field, a texture, that is the output `albedo`; -1: white
-//   static constexpr int LuminanceOf = i;     (optional) the luminance of this colour is a further number, the last, and
+//   static constexpr int LuminanceOf = i;     (optional) the luminance of this colour is a further number, the last,
+//   and
 //                                             a variable of its own, since all components depend on it
 //   static constexpr bool Tabulated = true;   (optional) the host makes a table for its records
 //   eval(params, wi, wo, lobe)    f |cos| of a smooth lobe, or of a delta lobe its weight times the probability with
@@ -45,7 +46,9 @@ constexpr BsdfInfo bsdf_info() {
     r.n_continuous = model.n_fields - r.n_choices;
     for (int i = 0; i < r.n_continuous; ++i) {
         Kind kind = model.fields[i].kind;
-        r.use[i] = kind == Kind::Float ? BsdfInfo::Number : kind == Kind::Scalar ? BsdfInfo::Luminance : BsdfInfo::Color;
+        r.use[i] = kind == Kind::Float    ? BsdfInfo::Number
+                   : kind == Kind::Scalar ? BsdfInfo::Luminance
+                                          : BsdfInfo::Color;
         (r.use[i] == BsdfInfo::Color ? r.n_colors : r.n_numbers)++;
     }
     while (r.n_differentiable < r.n_continuous && model.fields[r.n_differentiable].derivative[0] != 'n')
@@ -134,7 +137,8 @@ TR_INLINE ParamsOf<M, F> unpack(const BsdfParameters<F> &from) {
 // Derivatives by many variables are taken a block of them at a time: more numbers in flight do not fit into registers.
 template <class M>
 struct VariableBlocks {
-    static constexpr int N = bsdf_info<M>().n_variables, Count = (N + 5) / 6, Size = Count ? (N + Count - 1) / Count : 0;
+    static constexpr int N = bsdf_info<M>().n_variables, Count = (N + 5) / 6,
+                         Size = Count ? (N + Count - 1) / Count : 0;
 };
 
 // The same with the variables from `first` on, as many as a block has, as independent ones. Colours need one variable,

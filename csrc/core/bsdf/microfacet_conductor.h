@@ -1,6 +1,6 @@
-// Metals of microscopic facets, each of which reflects like `conductor`. Walter, Marschner, Li and Torrance, "Microfacet
-// Models for Refraction through Rough Surfaces", EGSR 2007, equation 20, with the Fresnel equations for a complex index.
-// Light is scattered once: what facets throw onto others is lost.
+// Metals of microscopic facets, each of which reflects like `conductor`. Walter, Marschner, Li and Torrance,
+// "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equation 20, with the Fresnel equations for a
+// complex index. Light is scattered once: what facets throw onto others is lost.
 #pragma once
 
 #include "../math/fresnel.h"
@@ -9,7 +9,8 @@
 
 namespace tr {
 
-// `Surface`, the model, says where its parameters are and how rough it is: alpha(params) is a number, or a pair of them.
+// `Surface`, the model, says where its parameters are and how rough it is: alpha(params) is a number, or a pair of
+// them.
 template <class Surface>
 struct MicrofacetConductor {
     template <class P, class F>
@@ -29,8 +30,8 @@ struct MicrofacetConductor {
 
     template <class P, class F>
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
-        FacetReflection<F> r(is_ggx<F>(params.choice[Surface::Distribution]), clamp_alpha(Surface::template alpha<F>(params)), wi,
-                             wo);
+        FacetReflection<F> r(is_ggx<F>(params.choice[Surface::Distribution]),
+                             clamp_alpha(Surface::template alpha<F>(params)), wi, wo);
         return select(r.possible, r.density * F(0.25), F(0));
     }
 

@@ -1,6 +1,6 @@
 // Interfaces between two transparent media with microscopic facets, each of which reflects and refracts like
-// `dielectric`. Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007.
-// Light is scattered once: what facets throw onto others is lost.
+// `dielectric`. Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR
+// 2007. Light is scattered once: what facets throw onto others is lost.
 #pragma once
 
 #include "dielectric_microfacet.h"
@@ -8,12 +8,14 @@
 
 namespace tr {
 
-// `Surface`, the model, says where its parameters are and how rough it is: alpha(params) is a number, or a pair of them.
+// `Surface`, the model, says where its parameters are and how rough it is: alpha(params) is a number, or a pair of
+// them.
 template <class Surface>
 struct MicrofacetDielectric {
     template <class P>
     TR_INLINE static auto ggx(const P &params) {
-        return mask<std::decay_t<decltype(value_of(params.number[0]))>>(params.choice[Surface::Distribution] == int32_t(Microfacets::Ggx));
+        return mask<std::decay_t<decltype(value_of(params.number[0]))>>(params.choice[Surface::Distribution] ==
+                                                                        int32_t(Microfacets::Ggx));
     }
 
     // What `eval` and `pdf` share: F D G1(wi) / (4 |cos_i|) of reflection, and of refraction (1 - F) D G1(wi) |wi.h|
@@ -65,8 +67,7 @@ struct MicrofacetDielectric {
     template <class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
         Vec3<F> seen = select(mask<F>(wi.z < F(0)), -wi, wi);
-        Vec3<F> m =
-            sample_visible_normal(ggx(params), clamp_alpha(Surface::template alpha<F>(params)), seen, u1, u2);
+        Vec3<F> m = sample_visible_normal(ggx(params), clamp_alpha(Surface::template alpha<F>(params)), seen, u1, u2);
         F cos_i = dot(wi, m);
         Fresnel<F> fresnel = fresnel_dielectric(cos_i, clamp_eta(params.number[Surface::Eta]));
         auto reflects = mask<F>(u0 < fresnel.reflectance);

@@ -17,10 +17,13 @@ struct NormalMap {
         {"normalmap", Kind::Texture, None, -INFINITY, INFINITY,
          "interior, without the jump where a normal begins to hide from the viewer", "normals as colours, (n + 1) / 2"},
         {"nested_bsdf", Kind::Bsdf, None, 0, INFINITY, "", "what is seen with the turned normal"},
-        {"flip_invalid_normals", Kind::Int, 1, 0, 1, "", "turn normals that face away from the viewer towards it", Boolean},
+        {"flip_invalid_normals", Kind::Int, 1, 0, 1, "", "turn normals that face away from the viewer towards it",
+         Boolean},
         {"use_shadowing_function", Kind::Int, 1, 0, 1, "", "dim light near the terminator", Boolean},
     };
-    static constexpr Model model = {"bsdf", "normalmap", "A BSDF with normals from an image.", fields, 4, WrapsBsdfs | PerturbsNormals, "NormalMap"};
+    static constexpr Model model = {"bsdf",     "normalmap", "A BSDF with normals from an image.",
+                                    fields,     4,           WrapsBsdfs | PerturbsNormals,
+                                    "NormalMap"};
 
     // `z`: the shading normal on the side that is shaded, `side` -1 where that is the back; `tangent`: dp/du;
     // `sign` -1 reverses the tangential part.

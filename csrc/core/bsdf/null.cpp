@@ -5,7 +5,8 @@ namespace tr {
 
 struct NullBsdf {
     static constexpr Field fields[] = {{nullptr, Kind::Int, 0, 0, 0, "", ""}};
-    static constexpr Model model = {"bsdf", "null", "Rays pass through unchanged.", fields, 0, HasDeltaLobes | Transmits};
+    static constexpr Model model = {"bsdf", "null", "Rays pass through unchanged.",
+                                    fields, 0,      HasDeltaLobes | Transmits};
     static constexpr int Albedo = -1;
 
     template <class P, class F>

@@ -52,17 +52,16 @@ template <class F>
 void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
                    const MaskOf<F> &active, GradientSink<F> &sink) {
     for (int i = 0; i < model.n_continuous; ++i)
-        if (model.use[i] == BsdfInfo::Number)
-            sink.scalar(record_field<F>(scene.bsdfs, i, bsdf, active), *g++, active);
+        if (model.use[i] == BsdfInfo::Number) sink.scalar(record_field<F>(scene.bsdfs, i, bsdf, active), *g++, active);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                      \
-    template void load_parameters(const SceneView<S> &, const Wavelengths<F> &, const BsdfInfo &, const IntOf<F> &, \
-                                  const TexturedPoint<F> &, const MaskOf<F> &, BsdfParameters<F> &);              \
-    template void sweep_parameters(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &,                      \
-                                   const TexturedPoint<F> &, const Spectrum<F> *, const GradientNeeds &,          \
-                                   const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                 \
-    template void sweep_numbers(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const F *,              \
+#define TR_INSTANTIATE(F, S)                                                                                           \
+    template void load_parameters(const SceneView<S> &, const Wavelengths<F> &, const BsdfInfo &, const IntOf<F> &,    \
+                                  const TexturedPoint<F> &, const MaskOf<F> &, BsdfParameters<F> &);                   \
+    template void sweep_parameters(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const TexturedPoint<F> &, \
+                                   const Spectrum<F> *, const GradientNeeds &, const MaskOf<F> &,                      \
+                                   CoordinateAdjoint<F> &, GradientSink<F> &);                                         \
+    template void sweep_numbers(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const F *,                   \
                                 const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

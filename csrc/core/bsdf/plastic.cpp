@@ -15,9 +15,11 @@ struct Plastic {
         {"nonlinear", Kind::Int, 0, 0, 1, "", "whether colours deepen with every reflection inside", Boolean},
     };
     static constexpr int Eta = number_index(fields, "eta");
-    static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"), Specular = color_index(fields, "specular_reflectance");
+    static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"),
+                         Specular = color_index(fields, "specular_reflectance");
     static constexpr int Nonlinear = choice_index(fields, "nonlinear");
-    static constexpr Model model = {"bsdf", "plastic", "Smooth plastic, one-sided.", fields, 4, HasSmoothLobes | HasDeltaLobes};
+    static constexpr Model model = {"bsdf", "plastic", "Smooth plastic, one-sided.",
+                                    fields, 4,         HasSmoothLobes | HasDeltaLobes};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
 
     template <class P, class F>
@@ -42,8 +44,8 @@ struct Plastic {
 
     template <class P, class F>
     TR_INLINE static F chance(const P &params, const F &cosine) {
-        return specular_sampling_weight(fresnel_dielectric(cosine, params.number[Eta]).reflectance, params.color[Specular],
-                              params.color[Diffuse]);
+        return specular_sampling_weight(fresnel_dielectric(cosine, params.number[Eta]).reflectance,
+                                        params.color[Specular], params.color[Diffuse]);
     }
 
     template <class P, class F>

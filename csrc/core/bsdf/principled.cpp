@@ -12,21 +12,28 @@ struct Principled {
     static constexpr Field fields[] = {
         {"base_color", Kind::Texture, 0.5, 0, 1, "interior", "colour of the base, of metal and of tints"},
         {"roughness", Kind::Scalar, 0.5, 0, 1, "interior", "square root of the facets' alpha, which is at least 0.001"},
-        {"metallic", Kind::Scalar, 0, 0, 1, "interior", "0: dielectric over a diffuse base, 1: metal", nullptr, Optional},
+        {"metallic", Kind::Scalar, 0, 0, 1, "interior", "0: dielectric over a diffuse base, 1: metal", nullptr,
+         Optional},
         {"spec_trans", Kind::Scalar, 0, 0, 1,
          "interior, without the light that would come through where it is 0; zero where it is larger",
          "0: opaque, 1: clear", nullptr, Optional | Transmits},
-        {"eta", Kind::Float, 0, 0, 1e3, "interior", "index of refraction inside over outside; 0: as `specular` says", nullptr, Optional},
+        {"eta", Kind::Float, 0, 0, 1e3, "interior", "index of refraction inside over outside; 0: as `specular` says",
+         nullptr, Optional},
         {"specular", Kind::Float, 0.5, 0, 1, "interior",
-         "the index, as 12.5 times the reflectance at normal incidence; counts if there is no `eta`", nullptr, Optional},
-        {"spec_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue reflections take on", nullptr, Optional},
+         "the index, as 12.5 times the reflectance at normal incidence; counts if there is no `eta`", nullptr,
+         Optional},
+        {"spec_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue reflections take on", nullptr,
+         Optional},
         {"sheen", Kind::Scalar, 0, 0, 1, "interior", "reflection of cloth at grazing angles", nullptr, Optional},
-        {"sheen_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue that takes on", nullptr, Optional},
-        {"flatness", Kind::Scalar, 0, 0, 1, "interior", "0: diffuse, 1: the flatter look of light from below", nullptr, Optional},
+        {"sheen_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue that takes on", nullptr,
+         Optional},
+        {"flatness", Kind::Scalar, 0, 0, 1, "interior", "0: diffuse, 1: the flatter look of light from below", nullptr,
+         Optional},
         {"clearcoat", Kind::Scalar, 0, 0, 1, "interior", "a second reflection, of index 1.5", nullptr, Optional},
         {"clearcoat_gloss", Kind::Scalar, 0, 0, 1, "interior", "0: satin, 1: gloss", nullptr, Optional},
         {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
-         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr, Optional | FollowsTangent},
+         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
+         Optional | FollowsTangent},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often the base is sampled, relative to the other two"},
         {"main_specular_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
@@ -51,7 +58,8 @@ struct Principled {
     static constexpr int SpecularRate = number_index(fields, "main_specular_sampling_rate");
     static constexpr int CoatRate = number_index(fields, "clearcoat_sampling_rate");
     static constexpr int Luminance = CoatRate + 1;  // behind the fields' numbers
-    static constexpr Model model = {"bsdf", "principled", "Principled BSDF of Burley.", fields, 16, HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric};
+    static constexpr Model model = {"bsdf", "principled", "Principled BSDF of Burley.",
+                                    fields, 16,           HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric};
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;
 

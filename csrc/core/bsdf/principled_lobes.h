@@ -1,6 +1,6 @@
-// The parts that `principled` and its variant for thin sheets are made of: Burley, "Physically Based Shading at Disney",
-// SIGGRAPH 2012 course, and "Extending the Disney BRDF to a BSDF with Integrated Subsurface Scattering", SIGGRAPH 2015
-// course.
+// The parts that `principled` and its variant for thin sheets are made of: Burley, "Physically Based Shading at
+// Disney", SIGGRAPH 2012 course, and "Extending the Disney BRDF to a BSDF with Integrated Subsurface Scattering",
+// SIGGRAPH 2015 course.
 #pragma once
 
 #include "dielectric_microfacet.h"

@@ -15,15 +15,19 @@ struct PrincipledThin {
          "interior, without the light that would come through where it is 0; zero where it is larger",
          "0: diffuse, 1: facets that reflect and let through", nullptr, Optional},
         {"eta", Kind::Scalar, 1.5, 1e-3, 1e3, "interior", "index of refraction of the sheet over that around it"},
-        {"spec_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue reflections take on", nullptr, Optional},
+        {"spec_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue reflections take on", nullptr,
+         Optional},
         {"sheen", Kind::Scalar, 0, 0, 1, "interior", "reflection of cloth at grazing angles", nullptr, Optional},
-        {"sheen_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue that takes on", nullptr, Optional},
-        {"flatness", Kind::Scalar, 0, 0, 1, "interior", "0: diffuse, 1: the flatter look of light from below", nullptr, Optional},
+        {"sheen_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue that takes on", nullptr,
+         Optional},
+        {"flatness", Kind::Scalar, 0, 0, 1, "interior", "0: diffuse, 1: the flatter look of light from below", nullptr,
+         Optional},
         {"diff_trans", Kind::Scalar, 0, 0, 2,
          "interior, without the light that would come through where it is 0; zero where it is larger",
          "twice the part of diffuse light that goes through", nullptr, Optional},
         {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
-         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr, Optional | FollowsTangent},
+         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
+         Optional | FollowsTangent},
         {"specular_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often reflection off facets is sampled, relative to the others"},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
@@ -48,7 +52,12 @@ struct PrincipledThin {
     static constexpr int SpecularTransmitted = number_index(fields, "specular_transmittance_sampling_rate");
     static constexpr int DiffuseTransmitted = number_index(fields, "diffuse_transmittance_sampling_rate");
     static constexpr int Luminance = DiffuseTransmitted + 1;  // behind the fields' numbers
-    static constexpr Model model = {"bsdf", "principledthin", "Principled BSDF of a thin sheet.", fields, 14, HasSmoothLobes | FollowsTangent | Transmits};
+    static constexpr Model model = {"bsdf",
+                                    "principledthin",
+                                    "Principled BSDF of a thin sheet.",
+                                    fields,
+                                    14,
+                                    HasSmoothLobes | FollowsTangent | Transmits};
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;
 

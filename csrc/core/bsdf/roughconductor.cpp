@@ -13,7 +13,8 @@ struct RoughConductor : MicrofacetConductor<RoughConductor> {
         {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
     };
     static constexpr int Alpha = number_index(fields, "alpha");
-    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"), Reflectance = color_index(fields, "specular_reflectance");
+    static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"),
+                         Reflectance = color_index(fields, "specular_reflectance");
     static constexpr int Distribution = choice_index(fields, "distribution");
     static constexpr Model model = {"bsdf", "roughconductor", "Rough conductor, one-sided.", fields, 5, HasSmoothLobes};
     static constexpr int Albedo = field_index(fields, "specular_reflectance");

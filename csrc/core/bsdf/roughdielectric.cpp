@@ -14,9 +14,11 @@ struct RoughDielectric : MicrofacetDielectric<RoughDielectric> {
         {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
     };
     static constexpr int Eta = number_index(fields, "eta"), Alpha = number_index(fields, "alpha");
-    static constexpr int Reflectance = color_index(fields, "specular_reflectance"), Transmittance = color_index(fields, "specular_transmittance");
+    static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
+                         Transmittance = color_index(fields, "specular_transmittance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {"bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5, HasSmoothLobes | Transmits | IsAsymmetric};
+    static constexpr Model model = {
+        "bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5, HasSmoothLobes | Transmits | IsAsymmetric};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 
     template <class T, class P>

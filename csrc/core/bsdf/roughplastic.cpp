@@ -22,8 +22,10 @@ struct RoughPlastic {
         {"nonlinear", Kind::Int, 0, 0, 1, "", "whether colours deepen with every reflection inside", Boolean},
     };
     static constexpr int Eta = number_index(fields, "eta"), Alpha = number_index(fields, "alpha");
-    static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"), Specular = color_index(fields, "specular_reflectance");
-    static constexpr int Distribution = choice_index(fields, "distribution"), Nonlinear = choice_index(fields, "nonlinear");
+    static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"),
+                         Specular = color_index(fields, "specular_reflectance");
+    static constexpr int Distribution = choice_index(fields, "distribution"),
+                         Nonlinear = choice_index(fields, "nonlinear");
     static constexpr Model model = {"bsdf", "roughplastic", "Rough plastic, one-sided.", fields, 6, HasSmoothLobes};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
     static constexpr bool Tabulated = true;  // of what the coating lets through, see rough_transmittance.h
@@ -52,8 +54,10 @@ struct RoughPlastic {
 
     template <class P, class F>
     TR_INLINE static F chance(const P &params, const F &cosine) {
-        RoughTransmittance<F> table{params.table, params.row, params.number[Eta], params.number[Alpha], mask<F>(cosine > F(0))};
-        return specular_sampling_weight(F(1) - table.transmittance(cosine), params.color[Specular], params.color[Diffuse]);
+        RoughTransmittance<F> table{params.table, params.row, params.number[Eta], params.number[Alpha],
+                                    mask<F>(cosine > F(0))};
+        return specular_sampling_weight(F(1) - table.transmittance(cosine), params.color[Specular],
+                                        params.color[Diffuse]);
     }
     template <class P, class F>
     TR_INLINE static F mixed_pdf(const P &params, const F &p, const Vec3<F> &wi, const Vec3<F> &wo) {

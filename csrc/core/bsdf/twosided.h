@@ -13,7 +13,8 @@ struct TwoSided {
         {"brdf_0", Kind::Bsdf, None, 0, INFINITY, "", "front; and back, if there is no second"},
         {"brdf_1", Kind::Bsdf, -1, 0, INFINITY, "", "back"},
     };
-    static constexpr Model model = {"bsdf", "twosided", "Reflection from both sides of a surface.", fields, 2, WrapsBsdfs, "TwoSided"};
+    static constexpr Model model = {"bsdf",     "twosided", "Reflection from both sides of a surface.", fields, 2,
+                                    WrapsBsdfs, "TwoSided"};
 };
 
 }  // namespace tr

@@ -90,8 +90,8 @@ TR_INLINE F component_sum(const Spectrum<F, N> &a) {
 }
 
 // Adjoints are rows and radiance is a column. apply(f, x): what a factor f of a path makes of radiance that arrives
-// there; pull(a, f): what it makes of the adjoint of what leaves; contract(a, x): the number that an adjoint and a value
-// make. Components of rgb do not mix: all of these are products component by component.
+// there; pull(a, f): what it makes of the adjoint of what leaves; contract(a, x): the number that an adjoint and a
+// value make. Components of rgb do not mix: all of these are products component by component.
 template <class F>
 TR_INLINE Spectrum<F> apply(const Spectrum<F> &f, const Spectrum<F> &x) {
     return f * x;

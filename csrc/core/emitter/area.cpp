@@ -158,7 +158,8 @@ struct Area : OnShape<AreaEmitter, F> {
     }
 
     static EmitterKernels<F> table() {
-        return {&AreaEmitter::model, Base::eval, sample_direct, pdf_direct, nullptr, sample_emission, Base::vjp, direct_vjp, emission_vjp, power};
+        return {&AreaEmitter::model, Base::eval, sample_direct, pdf_direct,   nullptr,
+                sample_emission,     Base::vjp,  direct_vjp,    emission_vjp, power};
     }
 };
 

@@ -52,7 +52,16 @@ struct Constant : Environment<ConstantEmitter, F> {
     }
 
     static EmitterKernels<F> table() {
-        return {&ConstantEmitter::model, eval, Base::sample_direct, pdf_direct, point_of_direction, Base::sample_emission, vjp, nullptr, nullptr, power};
+        return {&ConstantEmitter::model,
+                eval,
+                Base::sample_direct,
+                pdf_direct,
+                point_of_direction,
+                Base::sample_emission,
+                vjp,
+                nullptr,
+                nullptr,
+                power};
     }
 };
 

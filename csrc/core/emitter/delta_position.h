@@ -185,7 +185,8 @@ struct DeltaPosition {
     }
 
     static EmitterKernels<F> table() {
-        return {&Model::model, eval, sample_direct, nullptr, nullptr, sample_emission, vjp, direct_vjp, emission_vjp, power};
+        return {&Model::model,   eval, sample_direct, nullptr,      nullptr,
+                sample_emission, vjp,  direct_vjp,    emission_vjp, power};
     }
 
 private:

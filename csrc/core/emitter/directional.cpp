@@ -18,7 +18,8 @@ struct DirectionalEmitter {
     };
     static constexpr int Irradiance = field_index(fields, "irradiance"), ToWorld = field_index(fields, "to_world");
     static constexpr Model model = {
-        "emitter", "directional", "Parallel light from infinitely far away.", fields, 3, IsInfinite, "DirectionalLight"};
+        "emitter",  "directional",     "Parallel light from infinitely far away.", fields, 3,
+        IsInfinite, "DirectionalLight"};
 };
 
 namespace {
@@ -77,7 +78,16 @@ struct Directional {
     }
 
     static EmitterKernels<F> table() {
-        return {&DirectionalEmitter::model, eval, sample_direct, nullptr, nullptr, sample_emission, vjp, direct_vjp, emission_vjp, power};
+        return {&DirectionalEmitter::model,
+                eval,
+                sample_direct,
+                nullptr,
+                nullptr,
+                sample_emission,
+                vjp,
+                direct_vjp,
+                emission_vjp,
+                power};
     }
 
 private:

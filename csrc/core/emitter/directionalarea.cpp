@@ -13,8 +13,8 @@ struct DirectionalAreaEmitter {
     };
     static constexpr int Radiance = field_index(fields, "radiance");
     static constexpr Model model = {
-        "emitter", "directionalarea", "A shape that emits along its normal.", fields, 2, IsOnShape | IsBeam,
-        "DirectionalAreaLight"};
+        "emitter",          "directionalarea",     "A shape that emits along its normal.", fields, 2,
+        IsOnShape | IsBeam, "DirectionalAreaLight"};
 };
 
 namespace {
@@ -49,7 +49,16 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
     }
 
     static EmitterKernels<F> table() {
-        return {&DirectionalAreaEmitter::model, Base::eval, nullptr, nullptr, nullptr, sample_emission, Base::vjp, nullptr, emission_vjp, power};
+        return {&DirectionalAreaEmitter::model,
+                Base::eval,
+                nullptr,
+                nullptr,
+                nullptr,
+                sample_emission,
+                Base::vjp,
+                nullptr,
+                emission_vjp,
+                power};
     }
 };
 

@@ -97,16 +97,16 @@ EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, cons
     return r;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                      \
-    template const EmitterKernels<F> &emitter_kernels(int);                                                       \
-    template Spectrum<F> eval_emitter(const SceneView<S> &, const Wavelengths<F> &, const EmitterPoint<F> &,      \
-                                      const MaskOf<F> &, bool);                                                   \
-    template EmitterSample<F> sample_emitter(const SceneView<S> &, const Vec3<F> &, const F &, const F &,         \
-                                             const F &, const MaskOf<F> &);                                       \
-    template F shape_emitter_pdf(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Vec3<F> &, \
-                                 const Vec3<F> &, const MaskOf<F> &);                                             \
-    template EmitterPoint<F> environment_point(const SceneView<S> &, const Vec3<F> &, F &, const MaskOf<F> &);    \
-    template EmissionSample<F> sample_emission(const SceneView<S> &, const F &, const F &, const F &, const F &,  \
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template const EmitterKernels<F> &emitter_kernels(int);                                                          \
+    template Spectrum<F> eval_emitter(const SceneView<S> &, const Wavelengths<F> &, const EmitterPoint<F> &,         \
+                                      const MaskOf<F> &, bool);                                                      \
+    template EmitterSample<F> sample_emitter(const SceneView<S> &, const Vec3<F> &, const F &, const F &, const F &, \
+                                             const MaskOf<F> &);                                                     \
+    template F shape_emitter_pdf(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Vec3<F> &,    \
+                                 const Vec3<F> &, const MaskOf<F> &);                                                \
+    template EmitterPoint<F> environment_point(const SceneView<S> &, const Vec3<F> &, F &, const MaskOf<F> &);       \
+    template EmissionSample<F> sample_emission(const SceneView<S> &, const F &, const F &, const F &, const F &,     \
                                                const F &, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

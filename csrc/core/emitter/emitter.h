@@ -1,6 +1,6 @@
-// What integrators know of an emitter: a table of functions on packets. Each model is one translation unit that fills in
-// such a table; the registry below lists them. A packet may have several emitters: `lanes` are those of the model that
-// is called, and results are written there alone.
+// What integrators know of an emitter: a table of functions on packets. Each model is one translation unit that fills
+// in such a table; the registry below lists them. A packet may have several emitters: `lanes` are those of the model
+// that is called, and results are written there alone.
 #pragma once
 
 #include "../adjoint/needs.h"
@@ -91,7 +91,7 @@ struct DirectAdjoint {
 struct EmitterMeans {
     virtual ~EmitterMeans() = default;
     virtual double number(int32_t offset) const = 0;
-    virtual double color(int32_t offset) const = 0;  // luminance, as the following
+    virtual double color(int32_t offset) const = 0;            // luminance, as the following
     virtual double texture(int32_t index, int32_t shape) = 0;  // on a shape, or -1
     virtual double environment(int32_t slot) = 0;              // of an image over directions
     virtual double area(int32_t shape) const = 0;
@@ -121,8 +121,8 @@ struct EmitterKernels {
     // the surface (of an environment: over its directions), (c, d) gives the direction (of an environment: the place).
     void (*sample_emission)(const Scene &, const F &left, const F &a, const F &b, const F &c, const F &d,
                             const F &inverse_pmf, const M &lanes, EmissionSample<F> &);
-    // Derivative of what is sent, of which g is the adjoint, in the unit direction -d. `at` and `d_bar` receive those of
-    // the point and of d where something moves.
+    // Derivative of what is sent, of which g is the adjoint, in the unit direction -d. `at` and `d_bar` receive those
+    // of the point and of d where something moves.
     void (*vjp)(const Scene &, const Point &, const Vec3<F> &d, const Spectrum<F> &g, const GradientNeeds &,
                 const M &lanes, CoordinateAdjoint<F> &at, Vec3<F> &d_bar, GradientSink<F> &);
     // Derivative of where it comes from: the adjoint of the reference point. Null where nothing of it depends on that.

@@ -58,7 +58,16 @@ struct Map : Environment<EnvironmentMap, F> {
     }
 
     static EmitterKernels<F> table() {
-        return {&EnvironmentMap::model, eval, Base::sample_direct, pdf_direct, point_of_direction, Base::sample_emission, vjp, nullptr, nullptr, power};
+        return {&EnvironmentMap::model,
+                eval,
+                Base::sample_direct,
+                pdf_direct,
+                point_of_direction,
+                Base::sample_emission,
+                vjp,
+                nullptr,
+                nullptr,
+                power};
     }
 
 private:
@@ -70,7 +79,8 @@ private:
         F scale(scene.values.constants[record.field[EnvironmentMap::Scale]]);
         Slopes<F> slope = slopes(EnvironmentMap::footprint(tensor, uv));
         F u = component_sum(g * gather_footprint(tensor, sink.waves, slope.x, lanes)) * (F(S(tensor.shape[1])) * scale);
-        F v = component_sum(g * gather_footprint(tensor, sink.waves, slope.y, lanes)) * (F(S(tensor.shape[0] - 1)) * scale);
+        F v = component_sum(g * gather_footprint(tensor, sink.waves, slope.y, lanes)) *
+              (F(S(tensor.shape[0] - 1)) * scale);
         Vec3<F> m = transform_vector(scene.env_to_local, d);
         F length = norm(m);
         Vec3<F> l = m * (F(1) / length);

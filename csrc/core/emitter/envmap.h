@@ -22,7 +22,8 @@ struct EnvironmentMap {
     };
     static constexpr int Data = field_index(fields, "data"), Scale = field_index(fields, "scale"),
                          ToWorld = field_index(fields, "to_world");
-    static constexpr Model model = {"emitter", "envmap", "An environment map.", fields, 4, IsEnvironment | IsInfinite, "EnvironmentMap"};
+    static constexpr Model model = {
+        "emitter", "envmap", "An environment map.", fields, 4, IsEnvironment | IsInfinite, "EnvironmentMap"};
 
     template <class F, class S>
     TR_INLINE static Vec2<F> to_uv(const SceneView<S> &scene, const Vec3<F> &d) {

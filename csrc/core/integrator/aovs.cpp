@@ -177,8 +177,8 @@ void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const GradientNe
     }
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                     \
-    template void eval_aovs(const AovContext<F> &, const FirstHit<F> &, const MaskOf<F> &, F *);                 \
+#define TR_INSTANTIATE(F, S)                                                                                       \
+    template void eval_aovs(const AovContext<F> &, const FirstHit<F> &, const MaskOf<F> &, F *);                   \
     template void sweep_aovs(const AovContext<F> &, const FirstHit<F> &, const GradientNeeds &, const MaskOf<F> &, \
                              F *, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)

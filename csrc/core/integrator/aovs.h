@@ -1,5 +1,5 @@
-// Outputs besides radiance: what is known of the first surface that the camera sees ("arbitrary output variables"). They
-// are functions of the camera's samples alone, the same that radiance is estimated from.
+// Outputs besides radiance: what is known of the first surface that the camera sees ("arbitrary output variables").
+// They are functions of the camera's samples alone, the same that radiance is estimated from.
 #pragma once
 
 #include <array>
@@ -86,7 +86,11 @@ struct AovContext {
     S width, height;  // of the film
 
     AovContext(const SceneView<S> &scene_, const AovLayout &layout_, uint32_t sensor_, S width_, S height_)
-        : scene(scene_), layout(layout_), sensor(scene.sensors[sensor_]), camera(scene, sensor), width(width_),
+        : scene(scene_),
+          layout(layout_),
+          sensor(scene.sensors[sensor_]),
+          camera(scene, sensor),
+          width(width_),
           height(height_) {}
 };
 

@@ -99,8 +99,8 @@ Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, 
 
 template <class F>
 void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &root, const MaskOf<F> &back,
-                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion,
-                    const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth) {
+                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion, const MaskOf<F> &active,
+                    CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth) {
     const bool scalar = output == BsdfAov::Roughness;
     IntOf<F> bsdf = below_sides<F>(scene, root, back, active);
     ShownParameter<F> of(scene, output, bsdf, active);
@@ -137,11 +137,11 @@ void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &roo
     if (motion) sweep_lookup(scene, mixture.weight, at, luminance_adjoint(by_weight), free, to, sink);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template Spectrum<F> eval_bsdf_aov(const SceneView<S> &, const Wavelengths<F> &, BsdfAov, const IntOf<F> &,      \
-                                       const MaskOf<F> &, const TexturedPoint<F> &, const MaskOf<F> &, int);         \
-    template void sweep_bsdf_aov(const SceneView<S> &, BsdfAov, const IntOf<F> &, const MaskOf<F> &,                 \
-                                 const TexturedPoint<F> &, const Spectrum<F> &, bool, bool, const MaskOf<F> &,       \
+#define TR_INSTANTIATE(F, S)                                                                                    \
+    template Spectrum<F> eval_bsdf_aov(const SceneView<S> &, const Wavelengths<F> &, BsdfAov, const IntOf<F> &, \
+                                       const MaskOf<F> &, const TexturedPoint<F> &, const MaskOf<F> &, int);    \
+    template void sweep_bsdf_aov(const SceneView<S> &, BsdfAov, const IntOf<F> &, const MaskOf<F> &,            \
+                                 const TexturedPoint<F> &, const Spectrum<F> &, bool, bool, const MaskOf<F> &,  \
                                  CoordinateAdjoint<F> &, GradientSink<F> &, int);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -17,7 +17,7 @@ Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, 
 // to the sink, with `motion` that of where they are looked up is added to `to`.
 template <class F>
 void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &back,
-                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion,
-                    const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth = 0);
+                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion, const MaskOf<F> &active,
+                    CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth = 0);
 
 }  // namespace tr

@@ -110,20 +110,19 @@ ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &wav
     auto perturbed = active && mask<F>(r.stack.perturbed >= 0);
     if (any(perturbed)) {
         F side = select(r.stack.mirrored, F(-1), F(1));
-        Vec3<F> n =
-            perturbed_normal(scene, waves, si.at, si.frame.n * side, side, -d, viewed, r.stack, perturbed);
+        Vec3<F> n = perturbed_normal(scene, waves, si.at, si.frame.n * side, side, -d, viewed, r.stack, perturbed);
         si.frame = make_frame(select(perturbed, n, si.frame.n));
         r.mirrored = r.mirrored && !perturbed;
     }
     return r;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template ResolvedBsdf<F> walk_stack(const SceneView<S> &, const Wavelengths<F> &, const IntOf<F> &,            \
-                                        const MaskOf<F> &, const TexturedPoint<F> &, const F &, const int32_t *,   \
-                                        const MaskOf<F> &, Branches<F> *);                                         \
-    template struct NormalPerturbation<F>;                                                                         \
-    template ResolvedBsdf<F> resolve_stack(const SceneView<S> &, const Wavelengths<F> &, Interaction<F> &,         \
+#define TR_INSTANTIATE(F, S)                                                                                     \
+    template ResolvedBsdf<F> walk_stack(const SceneView<S> &, const Wavelengths<F> &, const IntOf<F> &,          \
+                                        const MaskOf<F> &, const TexturedPoint<F> &, const F &, const int32_t *, \
+                                        const MaskOf<F> &, Branches<F> *);                                       \
+    template struct NormalPerturbation<F>;                                                                       \
+    template ResolvedBsdf<F> resolve_stack(const SceneView<S> &, const Wavelengths<F> &, Interaction<F> &,       \
                                            const Vec3<F> &, const F &, bool, const int32_t *, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

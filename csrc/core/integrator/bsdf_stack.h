@@ -1,7 +1,7 @@
 // What of a tree of BSDFs a hit is scattered by. `twosided` goes by the side that is met; `blendbsdf` and `mask` by
 // chance, with the last number of the scattering's block; `normalmap` and `bumpmap` turn the frame; the BSDF below all
-// of them scatters. That a branch is taken with a probability q and has a weight w multiplies what comes of it by w / q:
-// the image is that of the mixture, every model may be in it, and one at a time is evaluated.
+// of them scatters. That a branch is taken with a probability q and has a weight w multiplies what comes of it by w /
+// q: the image is that of the mixture, every model may be in it, and one at a time is evaluated.
 //
 // While rendering q = w. For a derivative in w both branches need a chance even where w is 0 or 1: with a branch's
 // radiance R_i the mixture changes by dw (R_1 - R_0).
@@ -16,12 +16,12 @@ namespace tr {
 // What the BSDFs above the resolved one make of it.
 template <class F>
 struct BsdfStack {
-    F weight{1};                    // the product of the weights of the branches
-    F inverse_probability{1};       // of taking them
-    MaskOf<F> hole{false};          // the hole of a mask, with the record of that
+    F weight{1};                      // the product of the weights of the branches
+    F inverse_probability{1};         // of taking them
+    MaskOf<F> hole{false};            // the hole of a mask, with the record of that
     MaskOf<F> differentiated{false};  // a weight on the way is
-    IntOf<F> perturbed{-1};         // the record of a normal map
-    MaskOf<F> mirrored{false};      // the side of `base_normal` that it perturbs
+    IntOf<F> perturbed{-1};           // the record of a normal map
+    MaskOf<F> mirrored{false};        // the side of `base_normal` that it perturbs
 };
 
 // The BSDF of a hit: its record, and whether directions are mirrored. `choice` and `base_normal` are what it was found
@@ -124,8 +124,8 @@ struct NormalPerturbation {
     }
 };
 
-// Resolves the stack at a hit that a ray along d has come to, and perturbs its frame. `viewed`: the ray comes from where
-// the image is seen from, so that normals which hide from it are reversed.
+// Resolves the stack at a hit that a ray along d has come to, and perturbs its frame. `viewed`: the ray comes from
+// where the image is seen from, so that normals which hide from it are reversed.
 template <class F>
 ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, Interaction<F> &si,
                               const Vec3<F> &d, const F &choice, bool viewed, const int32_t *differentiated,

@@ -60,8 +60,8 @@ IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const Path
     return kind;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                            \
-    template IntOf<F> classify_hits(const PathContext<F> &, const PathStep &, const PathQueue<S> &,     \
+#define TR_INSTANTIATE(F, S)                                                                        \
+    template IntOf<F> classify_hits(const PathContext<F> &, const PathStep &, const PathQueue<S> &, \
                                     const HitColumns<S> &, const int32_t *, bool, uint32_t);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -19,9 +19,9 @@ struct PathConfig {
     bool volumetric;  // through media
 };
 
-// Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths the
-// place on the emitter. Scattering j takes block 1 + 2 j (an emitter: 3 numbers, roulette: 1) and 2 + 2 j (a BSDF: 3
-// numbers, the choice in its stack: 1). Of light paths block 1 chooses the emitter and the direction besides.
+// Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths
+// the place on the emitter. Scattering j takes block 1 + 2 j (an emitter: 3 numbers, roulette: 1) and 2 + 2 j (a BSDF:
+// 3 numbers, the choice in its stack: 1). Of light paths block 1 chooses the emitter and the direction besides.
 constexpr uint32_t EmitterBlock = 1, BsdfBlock = 2, BlocksPerScattering = 2, EmissionBlock = 1;
 
 // Those of volumetric paths besides: blocks far from the others, `BlocksPerSegment` a segment. The first one seeds free

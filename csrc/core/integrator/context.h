@@ -1,5 +1,5 @@
-// What all stages of a path tracer share: the scene and the settings, where paths leave what they bring, and the tape if
-// there is one. With a tape vertices are written down, for a derivative, in place of adding up radiance.
+// What all stages of a path tracer share: the scene and the settings, where paths leave what they bring, and the tape
+// if there is one. With a tape vertices are written down, for a derivative, in place of adding up radiance.
 #pragma once
 
 #include "../adjoint/needs.h"
@@ -22,9 +22,9 @@ struct PathContext {
     const PathConfig &config;
     const SlotColumns<S> &slots;
     Diagnostics &diagnostics;
-    const GradientNeeds *needs;                  // of the tape
-    const TapeColumns<S> *tape = nullptr;        // the level of this step; null: radiance is added up
-    bool keeps_black = false;                    // shadow rays that bring nothing are traced, too
+    const GradientNeeds *needs;            // of the tape
+    const TapeColumns<S> *tape = nullptr;  // the level of this step; null: radiance is added up
+    bool keeps_black = false;              // shadow rays that bring nothing are traced, too
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
 };
@@ -71,8 +71,7 @@ TR_INLINE void mark_seen(const PathContext<F> &c, const UIntOf<F> &slot, const U
 // Russian roulette: paths of little throughput end, the others count for them. Returns the factor of those that go on.
 // `counted`: lanes in which it is played; u: a number of each.
 template <class F>
-TR_INLINE F play_roulette(const F &throughput, const F &eta, const F &u, const MaskOf<F> &counted,
-                          MaskOf<F> &alive) {
+TR_INLINE F play_roulette(const F &throughput, const F &eta, const F &u, const MaskOf<F> &counted, MaskOf<F> &alive) {
     F q = min(throughput * eta * eta, F(0.95));
     alive = alive && (!counted || mask<F>(u < q));
     return select(alive && counted, F(1) / select(alive, q, F(1)), F(1));

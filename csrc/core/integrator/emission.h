@@ -1,5 +1,5 @@
-// Emission, found in two ways that are combined by the power heuristic (Veach 1997, section 9.2): by sampling an emitter
-// from a vertex, and where a ray happens to meet one.
+// Emission, found in two ways that are combined by the power heuristic (Veach 1997, section 9.2): by sampling an
+// emitter from a vertex, and where a ray happens to meet one.
 #pragma once
 
 #include "context.h"

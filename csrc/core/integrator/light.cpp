@@ -79,8 +79,7 @@ void start_light_paths(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &
     F a = (F(IntOf<F>(from(c.slots.column))) + u.u[0]) * F(S(1) / sensor.camera.width);
     F b = (F(IntOf<F>(from(c.slots.row))) + u.u[1]) * F(S(1) / sensor.camera.height);
     write(c.slots.radiance, i, uniform_spectrum(F(0)));
-    EmissionSample<F> e =
-        sample_emission(c.scene, v.u[0], a, b, v.u[1], v.u[2], mask<F>(slot < U(n_slots)));
+    EmissionSample<F> e = sample_emission(c.scene, v.u[0], a, b, v.u[1], v.u[2], mask<F>(slot < U(n_slots)));
     PacketSamples<F> samples(c, slot, e.active);
     Spectrum<F> sent = eval_emitter(c.scene, samples.wavelengths(c.config), e.point, e.active, true);
     e.active = e.active && finite(c, sent, e.active, "emitter", e.point.emitter);
@@ -235,18 +234,18 @@ void shade_light_path(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &s
                         connections);
     if (!any(alive)) return;
     Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo)));
-    append(out,
-           PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p,
-                        select(s.sample.delta, F(0), s.sample.pdf), pull(beta, weight) * keep, F(1), survival * keep,
-                        slot, U(i) + lane_index<F>(), U(1u)},
-           alive);
+    append(
+        out,
+        PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf),
+                     pull(beta, weight) * keep, F(1), survival * keep, slot, U(i) + lane_index<F>(), U(1u)},
+        alive);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template void start_light_paths(const PathContext<F> &, const LightSensor<S> &, uint32_t, uint32_t,            \
-                                    PathQueue<S> &, ShadowQueue<S> &);                                             \
-    template void shade_light_path(const PathContext<F> &, const LightSensor<S> &, int, const PathStep &,          \
-                                   const PathQueue<S> &, const HitColumns<S> &, const LaneSet<F> &, uint32_t,      \
+#define TR_INSTANTIATE(F, S)                                                                                  \
+    template void start_light_paths(const PathContext<F> &, const LightSensor<S> &, uint32_t, uint32_t,       \
+                                    PathQueue<S> &, ShadowQueue<S> &);                                        \
+    template void shade_light_path(const PathContext<F> &, const LightSensor<S> &, int, const PathStep &,     \
+                                   const PathQueue<S> &, const HitColumns<S> &, const LaneSet<F> &, uint32_t, \
                                    PathQueue<S> &, ShadowQueue<S> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

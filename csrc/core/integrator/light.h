@@ -1,7 +1,7 @@
 // Light tracing: paths from an emitter on that are connected to the camera at every vertex that is not a delta lobe
-// (Dutre, Lafortune and Willems 1993; Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997, chapters
-// 4 and 10.2). Caustics that no path from the camera finds are its strength; a surface that is seen through smooth glass
-// its blind spot.
+// (Dutre, Lafortune and Willems 1993; Veach, "Robust Monte Carlo Methods for Light Transport Simulation", 1997,
+// chapters 4 and 10.2). Caustics that no path from the camera finds are its strength; a surface that is seen through
+// smooth glass its blind spot.
 //
 // The point on the emitter is spread evenly over all paths: the pixels of the film are strata of the unit square. For
 // random numbers see config.h.
@@ -40,8 +40,7 @@ TR_INLINE F shading_correction(const Vec3<F> &wi, const Vec3<F> &wo, const Vec3<
 
 // Whether flux sees another cosine than the geometric one, see shading_correction.
 template <class F>
-TR_INLINE MaskOf<F> has_shading_normal(const ShapeLanes<F> &shape, const BsdfStack<F> &stack,
-                                       const MaskOf<F> &active) {
+TR_INLINE MaskOf<F> has_shading_normal(const ShapeLanes<F> &shape, const BsdfStack<F> &stack, const MaskOf<F> &active) {
     return active && (shape.has(HasNormals) || mask<F>(stack.perturbed >= 0));
 }
 

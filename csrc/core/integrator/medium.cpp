@@ -202,8 +202,8 @@ void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue
 // -------------------------------------------------------------------------------------------------------- collisions
 template <class F>
 void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
-                  PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows) {
+                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i, PathQueue<ScalarOf<F>> &out,
+                  ShadowQueue<ScalarOf<F>> &shadows) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using I = IntOf<F>;
@@ -244,8 +244,17 @@ void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue
                                 s.emitted, s.wo, I(0), select(alive, keep / select(alive, s.pdf, F(1)), F(0))});
     if (!any(alive)) return;
     auto weighted = samples_lights<F>(c.scene, medium, alive);
-    PathState<F> next{p, s.wo, F(S(INFINITY)), p, select(weighted, s.pdf, F(0)), pull(beta, s.albedo) * keep, eta,
-                      survival * keep, slot, U(i) + lane_index<F>(), U(1u)};
+    PathState<F> next{p,
+                      s.wo,
+                      F(S(INFINITY)),
+                      p,
+                      select(weighted, s.pdf, F(0)),
+                      pull(beta, s.albedo) * keep,
+                      eta,
+                      survival * keep,
+                      slot,
+                      U(i) + lane_index<F>(),
+                      U(1u)};
     uint32_t at = append(out, next, alive);
     append_lanes(out, at, PathMedium<F>{medium, path_depth + 1u, lanes(in.channel), F(0)}, alive);
 }
@@ -266,8 +275,17 @@ void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>> &in, co
     }
     if (!any(on)) return;
     Vec3<F> o = offset_origin(si.p, si.ng, d);
-    PathState<F> next{o, d, length, lanes(in.from), lanes(in.pdf), lanes(in.beta), lanes(in.eta), lanes(in.survival),
-                      lanes(in.slot), UIntOf<F>(i) + lane_index<F>(), lanes(in.seen)};
+    PathState<F> next{o,
+                      d,
+                      length,
+                      lanes(in.from),
+                      lanes(in.pdf),
+                      lanes(in.beta),
+                      lanes(in.eta),
+                      lanes(in.survival),
+                      lanes(in.slot),
+                      UIntOf<F>(i) + lane_index<F>(),
+                      lanes(in.seen)};
     uint32_t at = append(out, next, on);
     append_lanes(out, at,
                  PathMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, d, lanes(in.medium), on), lanes(in.depth),
@@ -388,25 +406,25 @@ void start_branches(const PathContext<F> &c, const MediumContext<F> &m, uint32_t
         if (!info.enclosed) pdf = select(same, eval_phase(c.scene, info.phase, p, d, wo, same), pdf);
     });
     Spectrum<F> beta = from(branch.beta) * from(branch.total_weight);
-    uint32_t at = append(out, PathState<F>{p, wo, F(S(INFINITY)), p, pdf, beta, F(1), beta, slot, U(0u), U(1u)}, active);
+    uint32_t at =
+        append(out, PathState<F>{p, wo, F(S(INFINITY)), p, pdf, beta, F(1), beta, slot, U(0u), U(1u)}, active);
     append_lanes(out, at, PathMedium<F>{from(branch.medium), from(branch.depth), from(branch.channel), F(0)}, active);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template void begin_media(const PathContext<F> &, PathQueue<S> &, uint32_t);                                     \
-    template void begin_media_slots(const PathContext<F> &, const MediumContext<F> &, uint32_t);                     \
-    template void begin_flight(const PathContext<F> &, const MediumContext<F> &, const PathQueue<S> &,               \
-                               const HitColumns<S> &, uint32_t);                                                     \
-    template void finish_flight(const PathContext<F> &, const MediumContext<F> &, PathQueue<S> &,                    \
-                                const HitColumns<S> &, bool, uint32_t);                                              \
+#define TR_INSTANTIATE(F, S)                                                                                          \
+    template void begin_media(const PathContext<F> &, PathQueue<S> &, uint32_t);                                      \
+    template void begin_media_slots(const PathContext<F> &, const MediumContext<F> &, uint32_t);                      \
+    template void begin_flight(const PathContext<F> &, const MediumContext<F> &, const PathQueue<S> &,                \
+                               const HitColumns<S> &, uint32_t);                                                      \
+    template void finish_flight(const PathContext<F> &, const MediumContext<F> &, PathQueue<S> &,                     \
+                                const HitColumns<S> &, bool, uint32_t);                                               \
     template void shade_medium(const PathContext<F> &, const PathStep &, const PathQueue<S> &, const HitColumns<S> &, \
-                               const LaneSet<F> &, uint32_t, PathQueue<S> &, ShadowQueue<S> &);                      \
-    template void pass_boundary(const PathContext<F> &, const PathQueue<S> &, const HitColumns<S> &,                 \
-                                const LaneSet<F> &, uint32_t, const Interaction<F> &, PathQueue<S> &);               \
-    template void record_segment(const PathContext<F> &, const MediumContext<F> &, const PathStep &,                 \
-                                 const PathQueue<S> &, const LaneSet<F> &, uint32_t, ShadowQueue<S> &);              \
-    template void start_branches(const PathContext<F> &, const MediumContext<F> &, uint32_t, uint32_t,               \
-                                 PathQueue<S> &);
+                               const LaneSet<F> &, uint32_t, PathQueue<S> &, ShadowQueue<S> &);                       \
+    template void pass_boundary(const PathContext<F> &, const PathQueue<S> &, const HitColumns<S> &,                  \
+                                const LaneSet<F> &, uint32_t, const Interaction<F> &, PathQueue<S> &);                \
+    template void record_segment(const PathContext<F> &, const MediumContext<F> &, const PathStep &,                  \
+                                 const PathQueue<S> &, const LaneSet<F> &, uint32_t, ShadowQueue<S> &);               \
+    template void start_branches(const PathContext<F> &, const MediumContext<F> &, uint32_t, uint32_t, PathQueue<S> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -48,8 +48,8 @@ void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue
 // A collision.
 template <class F>
 void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
-                  PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows);
+                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i, PathQueue<ScalarOf<F>> &out,
+                  ShadowQueue<ScalarOf<F>> &shadows);
 
 // A boundary that does not scatter: the ray goes on behind it, as if from where it came.
 template <class F>

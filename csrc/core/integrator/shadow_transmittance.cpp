@@ -4,8 +4,8 @@ namespace tr {
 
 template <class F>
 void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round,
-                      const UIntOf<F> &id, const MaskOf<F> &active) {
+                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round, const UIntOf<F> &id,
+                      const MaskOf<F> &active) {
     using U = UIntOf<F>;
     Gathered<F> ray(id, active);
     Gathered<F> sample(ray(shadows.slot), active);
@@ -39,12 +39,11 @@ MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>>
     return active && lit && mask<F>(length > F(0));
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template void seed_shadow_rays(const PathContext<F> &, const ShadowQueue<S> &, const TransmittanceColumns<S> &, \
-                                   uint32_t, uint32_t, const UIntOf<F> &, const MaskOf<F> &);                      \
-    template MaskOf<F> cross_boundary(const PathContext<F> &, const ShadowQueue<S> &,                              \
-                                      const TransmittanceColumns<S> &, const SurfacePoint<F> &, const F &,         \
-                                      const UIntOf<F> &, const MaskOf<F> &);
+#define TR_INSTANTIATE(F, S)                                                                                           \
+    template void seed_shadow_rays(const PathContext<F> &, const ShadowQueue<S> &, const TransmittanceColumns<S> &,    \
+                                   uint32_t, uint32_t, const UIntOf<F> &, const MaskOf<F> &);                          \
+    template MaskOf<F> cross_boundary(const PathContext<F> &, const ShadowQueue<S> &, const TransmittanceColumns<S> &, \
+                                      const SurfacePoint<F> &, const F &, const UIntOf<F> &, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -6,12 +6,12 @@
 
 namespace tr {
 
-// The part of a shadow ray in front of what it has met. `round` counts the parts, `level` the segments of the path; `id`
-// are entries of the queue.
+// The part of a shadow ray in front of what it has met. `round` counts the parts, `level` the segments of the path;
+// `id` are entries of the queue.
 template <class F>
 void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round,
-                      const UIntOf<F> &id, const MaskOf<F> &active);
+                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round, const UIntOf<F> &id,
+                      const MaskOf<F> &active);
 
 // Whether rays go on behind this shape.
 template <class S>

@@ -8,8 +8,7 @@ namespace tr {
 template <class F>
 ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
                             const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active) {
-    if (!c.scene.has_stacks)
-        return resolve_bsdf<F>(c.scene, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
+    if (!c.scene.has_stacks) return resolve_bsdf<F>(c.scene, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
     Random4<F> u = samples.draw(c.config, BsdfBlock + BlocksPerScattering * scattering, 4);
     const int32_t *differentiated = c.differentiates(&GradientNeeds::bsdf) ? c.needs->bsdfs : nullptr;
     return resolve_stack(c.scene, samples.wavelengths(c.config), si, d, u.u[3], viewed, differentiated, active);
@@ -198,8 +197,16 @@ void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, cons
                           s.emitted, s.sample.wo, s.sample.lobe, select(alive, s.inverse_pdf * keep, F(0))});
     if (!any(alive)) return;
     Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo))), o = offset_origin(si.p, si.ng, d);
-    PathState<F> next{o, d, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf),
-                      pull(beta, weight) * keep, eta, survival * keep, slot, U(i) + lane_index<F>(),
+    PathState<F> next{o,
+                      d,
+                      F(S(INFINITY)),
+                      si.p,
+                      select(s.sample.delta, F(0), s.sample.pdf),
+                      pull(beta, weight) * keep,
+                      eta,
+                      survival * keep,
+                      slot,
+                      U(i) + lane_index<F>(),
                       invisible ? seen : U(1u)};
     uint32_t at = append(out, next, alive);
     if (volumetric)
@@ -231,13 +238,13 @@ void shade_environment(const PathContext<F> &c, const PathStep &step, const Path
     write_arrival(c, i, lanes(in.d), zero, zero, F(0), arrival_kind<F>(mask<F>(lanes(in.pdf) == F(0))));
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                        \
-    template ResolvedBsdf<F> resolve_hit(const PathContext<F> &, const PacketSamples<F> &, Interaction<F> &,        \
-                                         const Vec3<F> &, uint32_t, bool, const MaskOf<F> &);                       \
-    template void shade_surface(const PathContext<F> &, int, const PathStep &, const PathQueue<S> &,                \
-                                const HitColumns<S> &, const LaneSet<F> &, uint32_t, PathQueue<S> &,                \
-                                ShadowQueue<S> &);                                                                  \
-    template void shade_environment(const PathContext<F> &, const PathStep &, const PathQueue<S> &,                 \
+#define TR_INSTANTIATE(F, S)                                                                                 \
+    template ResolvedBsdf<F> resolve_hit(const PathContext<F> &, const PacketSamples<F> &, Interaction<F> &, \
+                                         const Vec3<F> &, uint32_t, bool, const MaskOf<F> &);                \
+    template void shade_surface(const PathContext<F> &, int, const PathStep &, const PathQueue<S> &,         \
+                                const HitColumns<S> &, const LaneSet<F> &, uint32_t, PathQueue<S> &,         \
+                                ShadowQueue<S> &);                                                           \
+    template void shade_environment(const PathContext<F> &, const PathStep &, const PathQueue<S> &,          \
                                     const LaneSet<F> &, uint32_t);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

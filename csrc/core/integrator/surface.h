@@ -79,8 +79,7 @@ template <class F>
 TR_INLINE void write_vertex(const PathContext<F> &c, size_t i, const UIntOf<F> &slot, const UIntOf<F> &parent,
                             const Spectrum<F> &beta, const SurfacePoint<F> &at, const FoundEmission<F> &e) {
     Spectrum<F> none = uniform_spectrum(F(0));
-    write(c.tape->vertex, i,
-          VertexPacket<F>{slot, parent, at, beta, e.point.emitter, e.weight, e.radiance, none});
+    write(c.tape->vertex, i, VertexPacket<F>{slot, parent, at, beta, e.point.emitter, e.weight, e.radiance, none});
 }
 
 template <class F>

@@ -26,7 +26,8 @@ struct TrackedRay {
         F zero(0);
         Vec3<F> none{zero, zero, zero};
         walk.o = walk.d = none;
-        for (F *p : {&walk.enter, &walk.t, &walk.end, &walk.majorant, &depth, &last, &differential, &emission}) *p = zero;
+        for (F *p : {&walk.enter, &walk.t, &walk.end, &walk.majorant, &depth, &last, &differential, &emission})
+            *p = zero;
         for (int k = 0; k < 3; ++k) {
             walk.border[k] = walk.width[k] = zero;
             walk.at[k] = walk.step[k] = IntOf<F>(0);
@@ -150,8 +151,7 @@ struct TransmittanceEstimator {
         M lost = small && mask<F>(s.random.next(small) >= keep);
         M survives = small && !lost;
         F up = F(1) / select(survives, keep, F(1));
-        for (int c = 0; c < N; ++c)
-            s.weight[c] = select(lost, F(0), select(survives, s.weight[c] * up, s.weight[c]));
+        for (int c = 0; c < N; ++c) s.weight[c] = select(lost, F(0), select(survives, s.weight[c] * up, s.weight[c]));
         if (any(lost)) finish(s, lost, lost);
         return stopped && !lost;
     }
@@ -222,8 +222,8 @@ TR_INLINE void transmit_constant(const Spectrum<F> &sigma, const NumberColumn<Sc
     auto near = mask<F>(end < F(S(1e30)));
     Spectrum<F> before = lanes(at.transmittance);
     for (int c = 0; c < SpectrumSize; ++c) {
-        F through = select(near, exp(-sigma[c] * select(near, end, F(0))),
-                           select(mask<F>(sigma[c] > F(0)), F(0), F(1)));
+        F through =
+            select(near, exp(-sigma[c] * select(near, end, F(0))), select(mask<F>(sigma[c] > F(0)), F(0), F(1)));
         scatter_lanes<F>(at.transmittance[c], entry, before[c] * through, lanes.active);
     }
     put(at.start, entry, -ahead, lanes.active);

@@ -133,7 +133,7 @@ private:
 // The extinction of a gridded medium at a point of its unit cube.
 template <int N, class F, class S>
 TR_INLINE Spectrum<F, N> grid_extinction(const SceneView<S> &scene, const MediumInfo &medium, const Vec3<F> &local,
-                                      const MaskOf<F> &active) {
+                                         const MaskOf<F> &active) {
     Spectrum<F> all = eval_grid(scene.values, Wavelengths<F>{}, scene.volumes[medium.extinction], local, active);
     Spectrum<F, N> r;
     for (int c = 0; c < N; ++c) r[c] = all[c] * F(scene.values.constants[medium.scale]);

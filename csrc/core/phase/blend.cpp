@@ -37,8 +37,7 @@ Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &record, const 
     Vec3<F> wo = d;
     for (int i = 0; i < 2; ++i) {
         auto lanes = active && (i ? second : !second);
-        if (any(lanes))
-            wo = select(lanes, parts.kernels(i).sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes), wo);
+        if (any(lanes)) wo = select(lanes, parts.kernels(i).sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes), wo);
     }
     return wo;
 }

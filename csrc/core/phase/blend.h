@@ -16,7 +16,8 @@ struct BlendPhase {
     };
     static constexpr int Weight = field_index(fields, "weight"), First = field_index(fields, "phase_0"),
                          Second = field_index(fields, "phase_1");
-    static constexpr Model model = {"phase", "blendphase", "Two phase functions, blended by a volume.", fields, 3, 0, "BlendPhase"};
+    static constexpr Model model = {"phase", "blendphase", "Two phase functions, blended by a volume.", fields, 3,
+                                    0,       "BlendPhase"};
 
     // see PhaseKernels
     template <class F>

@@ -14,7 +14,8 @@ struct HenyeyGreenstein {
         {"g", Kind::Float, 0.8, -0.9999, 0.9999, "interior", "mean cosine; positive scatters forward"},
     };
     static constexpr int G = field_index(fields, "g");
-    static constexpr Model model = {"phase", "hg", "Henyey and Greenstein's phase function.", fields, 1, 0, "HenyeyGreenstein"};
+    static constexpr Model model = {"phase",           "hg", "Henyey and Greenstein's phase function.", fields, 1, 0,
+                                    "HenyeyGreenstein"};
 
     template <class S>
     TR_INLINE static S g_of(const SceneView<S> &scene, const Record &record) {
@@ -31,8 +32,8 @@ struct HenyeyGreenstein {
     }
 
     template <class F>
-    static F eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
-                  const Vec3<F> &wo, const MaskOf<F> &) {
+    static F eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
+                  const MaskOf<F> &) {
         return value(F(g_of(scene, record)), d, wo);
     }
 

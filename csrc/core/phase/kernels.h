@@ -1,5 +1,5 @@
-// From a model's functions to its table. A model has eval, sample and, if it has parameters, vjp as PhaseKernels says, as
-// static templates over the Float, and ends with TR_PHASE(Model).
+// From a model's functions to its table. A model has eval, sample and, if it has parameters, vjp as PhaseKernels says,
+// as static templates over the Float, and ends with TR_PHASE(Model).
 #pragma once
 
 #include "../adjoint/gradient_sink.h"

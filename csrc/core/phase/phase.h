@@ -7,11 +7,11 @@
 #include "../volume/volume.h"
 
 // One line a model, each a file here; the position is the model's kind.
-#define TR_PHASES(X)     \
-    X(Isotropic)         \
-    X(HenyeyGreenstein)  \
-    X(Rayleigh)          \
-    X(TabulatedPhase)    \
+#define TR_PHASES(X)    \
+    X(Isotropic)        \
+    X(HenyeyGreenstein) \
+    X(Rayleigh)         \
+    X(TabulatedPhase)   \
     X(BlendPhase)
 
 namespace tr {

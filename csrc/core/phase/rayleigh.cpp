@@ -10,8 +10,8 @@ struct Rayleigh {
                                     fields, 0};
 
     template <class F>
-    static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d,
-                  const Vec3<F> &wo, const MaskOf<F> &) {
+    static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
+                  const MaskOf<F> &) {
         F cosine = dot(d, wo);
         return fmadd(cosine, cosine, F(1)) * F(3 / (16 * Pi));
     }

@@ -17,7 +17,8 @@ struct TabulatedPhase {
          "at cosines at equal distances from -1 to 1, of any scale"},
     };
     static constexpr int Data = field_index(fields, "values");
-    static constexpr Model model = {"phase", "tabphase", "A table over the cosine, interpolated linearly.", fields, 1, 0, "TabulatedPhase"};
+    static constexpr Model model = {
+        "phase", "tabphase", "A table over the cosine, interpolated linearly.", fields, 1, 0, "TabulatedPhase"};
 
     // Where the host's table begins.
     TR_INLINE static int32_t first(const Record &record) { return record.field[Record::Extra]; }

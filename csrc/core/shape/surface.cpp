@@ -167,10 +167,10 @@ SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, co
     return r;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template Interaction<F> make_interaction(const SceneView<S> &, const Ray<F> &, SurfacePoint<F>, F,               \
-                                             const MaskOf<F> &);                                                     \
-    template Vec3<F> surface_position(const SceneView<S> &, const SurfacePoint<F> &, const MaskOf<F> &);             \
+#define TR_INSTANTIATE(F, S)                                                                                        \
+    template Interaction<F> make_interaction(const SceneView<S> &, const Ray<F> &, SurfacePoint<F>, F,              \
+                                             const MaskOf<F> &);                                                    \
+    template Vec3<F> surface_position(const SceneView<S> &, const SurfacePoint<F> &, const MaskOf<F> &);            \
     template SampledPoint<F> sample_shape(const SceneView<S> &, const UIntOf<F> &, const F &, const F &, const F &, \
                                           const MaskOf<F> &, bool);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)

@@ -95,23 +95,23 @@ using Point = SurfacePoint<F>;
 #define TR_COLUMN_READ(type, name) packet.name = from(columns.name);
 
 // The members of a struct of columns, template parameter S.
-#define TR_COLUMNS(LIST)                                             \
-    LIST(TR_COLUMN_MEMBER)                                           \
-    template <class Visit>                                           \
-    void for_columns(Visit &&visit) {                                \
-        LIST(TR_COLUMN_VISIT)                                        \
-    }                                                                \
-    template <class Visit>                                           \
-    void for_columns(Visit &&visit) const {                          \
-        LIST(TR_COLUMN_VISIT)                                        \
-    }                                                                \
-    /* visit(pointer) for every array; allocation assigns to it */   \
-    template <class Visit>                                           \
-    void for_arrays(Visit &&visit) {                                 \
-        for_columns([&](auto &column) { column.each(visit); });      \
-    }                                                                \
-    template <class Visit>                                           \
-    void for_arrays(Visit &&visit) const {                           \
+#define TR_COLUMNS(LIST)                                              \
+    LIST(TR_COLUMN_MEMBER)                                            \
+    template <class Visit>                                            \
+    void for_columns(Visit &&visit) {                                 \
+        LIST(TR_COLUMN_VISIT)                                         \
+    }                                                                 \
+    template <class Visit>                                            \
+    void for_columns(Visit &&visit) const {                           \
+        LIST(TR_COLUMN_VISIT)                                         \
+    }                                                                 \
+    /* visit(pointer) for every array; allocation assigns to it */    \
+    template <class Visit>                                            \
+    void for_arrays(Visit &&visit) {                                  \
+        for_columns([&](auto &column) { column.each(visit); });       \
+    }                                                                 \
+    template <class Visit>                                            \
+    void for_arrays(Visit &&visit) const {                            \
         for_columns([&](const auto &column) { column.each(visit); }); \
     }
 
@@ -209,9 +209,7 @@ struct Gathered : Accessor<F, Gathered<F>> {
     MaskOf<F> active;
     TR_INLINE Gathered(const UIntOf<F> &index_, const MaskOf<F> &active_) : index(index_), active(active_) {}
     TR_INLINE F get(const ScalarOf<F> *p) const { return gather<F>(p, index, active); }
-    TR_INLINE UIntOf<F> get(const uint32_t *p) const {
-        return gather<UIntOf<F>>(p, index, mask<UIntOf<F>>(active));
-    }
+    TR_INLINE UIntOf<F> get(const uint32_t *p) const { return gather<UIntOf<F>>(p, index, mask<UIntOf<F>>(active)); }
 };
 
 // ------------------------------------------------------------------------------------------------- writing packets
@@ -321,22 +319,22 @@ TR_INLINE void add_to_entries(const SpectrumColumn<S> &column, const UIntOf<F> &
 
 // -------------------------------------------------------------------------------------------------- whole entries
 // What a packet holds of a list of columns, and how it is written, appended and read, whatever else is beside them.
-#define TR_PACKET(Name, LIST)                                                                            \
-    template <class F>                                                                                   \
-    struct Name {                                                                                        \
-        LIST(TR_PACKET_MEMBER)                                                                           \
-    };                                                                                                   \
-    template <class F, class Columns>                                                                    \
-    TR_INLINE void write(const Columns &columns, size_t at, const Name<F> &packet) {                     \
-        LIST(TR_COLUMN_WRITE)                                                                            \
-    }                                                                                                    \
-    template <class F, class Columns>                                                                    \
+#define TR_PACKET(Name, LIST)                                                                                   \
+    template <class F>                                                                                          \
+    struct Name {                                                                                               \
+        LIST(TR_PACKET_MEMBER)                                                                                  \
+    };                                                                                                          \
+    template <class F, class Columns>                                                                           \
+    TR_INLINE void write(const Columns &columns, size_t at, const Name<F> &packet) {                            \
+        LIST(TR_COLUMN_WRITE)                                                                                   \
+    }                                                                                                           \
+    template <class F, class Columns>                                                                           \
     TR_INLINE void append_lanes(const Columns &columns, size_t at, const Name<F> &packet, const MaskOf<F> &m) { \
-        LIST(TR_COLUMN_APPEND)                                                                           \
-    }                                                                                                    \
-    template <class F, class Columns, class From>                                                        \
-    TR_INLINE void read(const Columns &columns, const From &from, Name<F> &packet) {                     \
-        LIST(TR_COLUMN_READ)                                                                             \
+        LIST(TR_COLUMN_APPEND)                                                                                  \
+    }                                                                                                           \
+    template <class F, class Columns, class From>                                                               \
+    TR_INLINE void read(const Columns &columns, const From &from, Name<F> &packet) {                            \
+        LIST(TR_COLUMN_READ)                                                                                    \
     }
 
 // Appends the lanes of m to a queue, which counts its entries in `n`; returns where they begin.

@@ -52,11 +52,11 @@ TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> 
     return visitor.result;
 }
 
-#define TR_INSTANTIATE(S)                                                                                   \
-    template Spectrum<PacketOf<S>> lookup_texture(const SceneView<S> &, const Values<S> &,                  \
-                                                  const Wavelengths<PacketOf<S>> &, const IntOf<PacketOf<S>> &, \
-                                                  const TexturedPoint<PacketOf<S>> &, const MaskOf<PacketOf<S>> &); \
-    template TextureSlopes<PacketOf<S>> texture_slopes(const SceneView<S> &, const Wavelengths<PacketOf<S>> &, \
+#define TR_INSTANTIATE(S)                                                                                              \
+    template Spectrum<PacketOf<S>> lookup_texture(const SceneView<S> &, const Values<S> &,                             \
+                                                  const Wavelengths<PacketOf<S>> &, const IntOf<PacketOf<S>> &,        \
+                                                  const TexturedPoint<PacketOf<S>> &, const MaskOf<PacketOf<S>> &);    \
+    template TextureSlopes<PacketOf<S>> texture_slopes(const SceneView<S> &, const Wavelengths<PacketOf<S>> &,         \
                                                        const IntOf<PacketOf<S>> &, const TexturedPoint<PacketOf<S>> &, \
                                                        const MaskOf<PacketOf<S>> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

@@ -25,8 +25,8 @@ TR_INLINE bool volume_is_grey(const SceneView<S> &scene, int32_t volume) {
 
 // The weighted sum of voxels. A grey grid with its neighbours next to each other is read two voxels at a time.
 template <class F, class S>
-TR_INLINE Spectrum<F> gather_voxels(const TensorView<S> &grid, const Wavelengths<F> &waves, const Footprint<F, 8> &at, bool adjacent,
-                                    const MaskOf<F> &active) {
+TR_INLINE Spectrum<F> gather_voxels(const TensorView<S> &grid, const Wavelengths<F> &waves, const Footprint<F, 8> &at,
+                                    bool adjacent, const MaskOf<F> &active) {
     if (!adjacent || grid.shape[2] != 1) return gather_footprint(grid, waves, at, active);
     F sum(0);
     for (int k = 0; k < 8; k += 2) {
@@ -39,8 +39,8 @@ TR_INLINE Spectrum<F> gather_voxels(const TensorView<S> &grid, const Wavelengths
 
 // A grid at a point of its unit cube.
 template <class F, class S>
-TR_INLINE Spectrum<F> eval_grid(const Values<S> &values, const Wavelengths<F> &waves, const Record &record, const Vec3<F> &local,
-                                const MaskOf<F> &active) {
+TR_INLINE Spectrum<F> eval_grid(const Values<S> &values, const Wavelengths<F> &waves, const Record &record,
+                                const Vec3<F> &local, const MaskOf<F> &active) {
     const TensorView<S> &grid = values.tensors[record.field[GridVolume::Data]];
     if (!grid.data) return uniform_spectrum(F(0));  // a tangent that was not given
     const bool adjacent =
@@ -52,8 +52,7 @@ TR_INLINE Spectrum<F> eval_grid(const Values<S> &values, const Wavelengths<F> &w
 // data.
 template <class F, class S>
 TR_INLINE Spectrum<F> eval_volume(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
-                                  int32_t volume, const Vec3<F> &p,
-                                  const MaskOf<F> &active) {
+                                  int32_t volume, const Vec3<F> &p, const MaskOf<F> &active) {
     const Record &record = scene.volumes[volume];
     Spectrum<F> r;
     if (record.kind == int32_t(VolumeKind::Constant)) {

@@ -1,10 +1,10 @@
-// What a derivative needs of a scene: which parts of it, from the addresses of gradients or tangents that are given, and
-// these in the layouts that the core uses.
+// What a derivative needs of a scene: which parts of it, from the addresses of gradients or tangents that are given,
+// and these in the layouts that the core uses.
 #pragma once
 
-#include "cpu/render.h"
 #include "host/gradient_requirements.h"
 #include "host/scene_data.h"
+#include "render.h"
 
 namespace tr {
 

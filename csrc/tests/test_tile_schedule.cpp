@@ -1,10 +1,10 @@
-// What is rendered and in which order: plans, items on threads, merging, filters.
+// What is rendered and in which order: tile schedules, items on threads, merging, filters.
 #include <map>
 #include <random>
 #include <stdexcept>
 
 #include "cpu/allocation.h"
-#include "cpu/items.h"
+#include "cpu/work_items.h"
 #include "harness.h"
 
 namespace tr::testing {
@@ -32,16 +32,16 @@ RenderCall<float> call_of(const Rect &crop, const Rect &window, int64_t spp, con
 
 // All samples of a call in their order, with the number of the unit that each is summed into.
 std::vector<std::pair<Sample, size_t>> samples_of(const RenderCall<float> &call, size_t capacity, size_t *items) {
-    Plan plan = detail::make_plan(call);
+    TileSchedule schedule = make_schedule(call);
     Columns to(capacity);
     std::vector<std::pair<Sample, size_t>> all;
     size_t units = 0;
-    for (size_t item = 0; item < plan.n_items(); ++item) {
-        detail::for_batches(
-            to, call, plan, item, capacity, [] { return false; },
-            [&](size_t n, const std::vector<detail::Span> &spans) {
+    for (size_t item = 0; item < schedule.n_items(); ++item) {
+        for_batches(
+            to, call, schedule, item, capacity, [] { return false; },
+            [&](size_t n, const std::vector<Span> &spans) {
                 size_t covered = 0;
-                for (const detail::Span &s : spans) {
+                for (const Span &s : spans) {
                     CHECK(s.begin == covered && s.end > s.begin);
                     covered = s.end;
                     for (size_t k = s.begin; k < s.end; ++k)
@@ -49,9 +49,9 @@ std::vector<std::pair<Sample, size_t>> samples_of(const RenderCall<float> &call,
                 }
                 CHECK(covered == n && n <= capacity);
             });
-        units += plan.units(item).size();
+        units += schedule.work_item(item).size();
     }
-    if (items) *items = plan.n_items();
+    if (items) *items = schedule.n_items();
     return all;
 }
 
@@ -78,28 +78,28 @@ TR_TEST(pixels_with_numbers_of_their_own_draw_as_many) {
         for (uint32_t most : {0u, 1u, 3u, 500u, 100000u}) {
             RenderCall<float> call = call_of({11, 14, 20, 36}, film, 5, tent);
             if (as_list) call.pixels = &list;
-            Plan plan = detail::make_plan(call);
+            TileSchedule schedule = make_schedule(call);
             std::map<std::array<int, 2>, uint32_t> wanted;
             std::vector<uint32_t> counts;
-            for (size_t t = 0; t < plan.n_tiles(); ++t)
-                for (size_t i = 0; i < plan.tile(t).n; ++i) {
-                    Pixel p = plan.tile(t).pixel(i);
+            for (size_t t = 0; t < schedule.n_tiles(); ++t)
+                for (size_t i = 0; i < schedule.tile(t).n; ++i) {
+                    Pixel p = schedule.tile(t).pixel(i);
                     // one pixel in sixteen has many
                     counts.push_back(most ? uint32_t(random()) % (random() % 16 ? 3 : most) : 0);
                     wanted[{p.y, p.x}] = counts.back();
                 }
-            plan.allocate(counts);
+            schedule.allocate(counts);
             Columns to(256);
             std::map<Sample, int> times;
             std::map<std::array<int, 2>, double> weights;
-            for (size_t item = 0; item < plan.n_items(); ++item) {
+            for (size_t item = 0; item < schedule.n_items(); ++item) {
                 size_t paths = 0;
-                detail::for_batches(
-                    to, call, plan, item, 256, [] { return false; },
-                    [&](size_t n, const std::vector<detail::Span> &spans) {
+                for_batches(
+                    to, call, schedule, item, 256, [] { return false; },
+                    [&](size_t n, const std::vector<Span> &spans) {
                         paths += n;
                         size_t covered = 0;
-                        for (const detail::Span &s : spans) {
+                        for (const Span &s : spans) {
                             CHECK(s.begin == covered && s.end > s.begin);
                             covered = s.end;
                             for (size_t k = s.begin; k < s.end; ++k) {
@@ -182,10 +182,10 @@ TR_TEST(a_list_has_what_its_pixels_need) {
     std::vector<Pixel> list = {{299, 299}, {7, 100}, {7, 100}, {0, 0}, {8, 101}};
     RenderCall<float> call = call_of(film, film, 2, tent);
     call.pixels = &list;
-    Plan plan = detail::make_plan(call);
-    CHECK(plan.n_results() == 5 && plan.n_targets() == 4);
+    TileSchedule schedule = make_schedule(call);
+    CHECK(schedule.n_results() == 5 && schedule.n_targets() == 4);
     for (size_t i = 0; i < list.size(); ++i) {
-        Pixel p = plan.target(plan.target_of(i));
+        Pixel p = schedule.target(schedule.target_of(i));
         CHECK(p.y == list[i].y && p.x == list[i].x);
     }
     std::map<Sample, int> drawn;
@@ -211,9 +211,9 @@ TR_TEST(items_are_neither_tiny_nor_many) {
     CHECK(samples_of(call, 1024, &items).size() == 4000);
     CHECK(items <= 8);
     // one pixel with many samples is divided, without a table of its parts
-    Plan plan({0, 0, 1, 1}, {0, 0, 1, 1}, 0, int64_t(1) << 32);
-    CHECK(plan.n_items() == (size_t(1) << 32) / BatchSize);
-    Units last = plan.units(plan.n_items() - 1);
+    TileSchedule schedule({0, 0, 1, 1}, {0, 0, 1, 1}, 0, int64_t(1) << 32);
+    CHECK(schedule.n_items() == (size_t(1) << 32) / BatchSize);
+    WorkItem last = schedule.work_item(schedule.n_items() - 1);
     CHECK((last.chunk + last.chunks) * ChunkSize == int64_t(1) << 32);
 }
 
@@ -253,8 +253,8 @@ TR_TEST(an_exception_on_any_thread_is_the_callers) {
         bool interrupted = false;
         std::atomic<size_t> done{0};
         auto run = [&] {
-            detail::run_items(
-                1 << 20, 4, detail::Schedule::Interleaved, [] { return false; }, interrupted,
+            run_items(
+                1 << 20, 4, Assignment::Interleaved, [] { return false; }, interrupted,
                 [&](int thread) {
                     return [&, thread](size_t, auto &&) {
                         if (thread == thrower) throw std::runtime_error("of a thread");
@@ -272,8 +272,8 @@ TR_TEST(an_idle_caller_polls) {
     bool interrupted = false;
     std::atomic<bool> asked{false};
     auto begin = std::chrono::steady_clock::now();
-    detail::run_items(
-        2, 2, detail::Schedule::Interleaved, [&] { return asked = true; }, interrupted,
+    run_items(
+        2, 2, Assignment::Interleaved, [&] { return asked = true; }, interrupted,
         [&](int thread) {
             return [&, thread](size_t, auto &&stop) {
                 if (thread == 1)
