@@ -79,7 +79,8 @@ private:
     void step(const PathQueue<S> &current, PathQueue<S> &next, const PathStep &step, bool recording) {
         next.n = wavefront.shadows.n = 0;
         std::vector<KindRange> *ranges = recording ? &add_level(wavefront.entries(current.n)).ranges : &ranges_;
-        wavefront.sort(step, current, false, recording, *ranges);
+        // the last vertex, too, is connected and therefore sorted by its BSDF
+        wavefront.sort({step.depth, step.split, true}, current, false, recording, *ranges);
         auto missed = [](const KindRange &range) { return range.kind == MissKind; };
         ranges->erase(std::remove_if(ranges->begin(), ranges->end(), missed), ranges->end());
         PathContext<F> c = wavefront.context(recording);

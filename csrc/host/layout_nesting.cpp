@@ -76,7 +76,7 @@ bool LayoutBuilder::is_bsdf(int bsdf, uint32_t flag) const {
     for (int f = 0; f < model.n_fields; ++f) {
         if (!(model.fields[f].traits & flag)) continue;
         depends = true;
-        given |= value("bsdf", bsdf, f) != -1;
+        given |= list("bsdf")[size_t(bsdf)].ints[size_t(f)] != -1;
     }
     return given || !depends;
 }

@@ -11,7 +11,7 @@ import torch
 import torchrender as tr
 from torchrender.scene.materials import REFRACTIVE_INDICES
 
-LUMINANCE = [0.212671, 0.715160, 0.072169]
+LUMINANCE = [0.2126, 0.7152, 0.0722]
 
 
 def reflectance(value, **settings) -> torch.Tensor:

@@ -10,8 +10,8 @@ from typing import Any, NoReturn
 
 import torch
 
-# Rec. 709 luminance: what makes one channel out of red, green and blue. csrc/core/color/color.h has other digits.
-LUMINANCE = (0.212671, 0.715160, 0.072169)
+# Rec. 709 luminance, with the digits of csrc/core/color/spectrum.h: what makes one channel out of red, green and blue.
+LUMINANCE = (0.2126, 0.7152, 0.0722)
 
 
 @dataclass(frozen=True)

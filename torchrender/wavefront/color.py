@@ -1,4 +1,4 @@
-"""Luminance, with the digits that csrc/core/color/color.h has."""
+"""Luminance, with the digits that csrc/core/color/spectrum.h has."""
 
 from __future__ import annotations
 

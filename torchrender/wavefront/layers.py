@@ -1,6 +1,6 @@
 """Which BSDF of a tree of them scatters at a hit, and with which normal.
 
-The native counterparts are csrc/core/integrator/layers.h, bsdf/{normalmap,bumpmap}.h and shape/partials.h.
+The native counterparts are csrc/core/integrator/bsdf_stack.h, bsdf/{normalmap,bumpmap}.h and shape/partials.h.
 
 What is attached. The weights of the branches that were taken; the probabilities of taking them are not. A perturbed
 normal is an attached function of the map, of where that is looked up, of the shading normal and of dp/du; so is what

@@ -1,4 +1,4 @@
-"""The path tracer: csrc/core/integrator/path.h and csrc/cpu/path_tile.h, N paths a segment at a time.
+"""The path tracer: csrc/core/integrator/surface.h and csrc/cpu/path_tile.h, N paths a segment at a time.
 
 What is attached where things move (`World.moving`). The first point is the attached intersection of the attached camera
 ray: it slides over the surface when that or the camera moves. The point that a ray sampled at a smooth vertex hits, or

@@ -1,4 +1,4 @@
-"""Light through a rough coating, by Gaussian quadrature over visible normals: csrc/host/coat_table.cpp."""
+"""Light through a rough coating, by Gaussian quadrature over visible normals: csrc/host/rough_transmittance.cpp."""
 
 from __future__ import annotations
 
