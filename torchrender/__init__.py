@@ -6,56 +6,42 @@
 from __future__ import annotations
 
 import importlib
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from . import backends, integrators
+from . import backends as backends
+from . import integrators as integrators
 from ._version import __version__ as __version__
-from .autograd import reattach
-from .backends import show_config
-from .errors import MissingTermWarning, NotDifferentiableError, RenderError, SubstitutionWarning
-from .integrators import (
-    AOV,
-    DirectIllumination,
-    Integrator,
-    ParticleTracer,
-    PathTracer,
-    VolumetricPathTracer,
-    WavefrontPathTracer,
-)
-from .loaders.colmap import load_colmap
-from .loaders.dict import from_trimesh, load_dict, load_file, variants
-from .progress import progress
-from .render import Renderer, render
-from .scene import Scene
-from .scene.camera import PerspectiveCamera
-from .scene.cameras import FisheyeCamera, OrthographicCamera, PanoramaCamera, ThinLensCamera
-from .scene.emitters import DirectionalLight, EnvironmentMap, PointLight, Projector, SpotLight
-from .scene.film import SAMPLERS, Film, ReconstructionFilter, Sampler
-from .scene.heightfield import HeightField
-from .scene.layers import BlendBSDF, BumpMap, Mask, NormalMap, TwoSided
-from .scene.materials import (
-    Conductor,
-    Dielectric,
-    Plastic,
-    Principled,
-    PrincipledThin,
-    RednerMaterial,
-    RoughConductor,
-    RoughDielectric,
-    RoughPlastic,
-    ThinDielectric,
-)
-from .scene.media import HeterogeneousMedium, HomogeneousMedium
-from .scene.mesh import Cube, Mesh
-from .scene.phases import BlendPhase, TabulatedPhase
-from .scene.point_sensors import DistantSensor, RadianceMeter
-from .scene.sensor import IrradianceMeter
-from .scene.shapes import Disk, Rectangle, Sphere
-from .scene.textures import Bitmap, Checkerboard, MeshAttribute
-from .scene.torch_bsdf import TorchBSDF
-from .scene.volumes import ConstantVolume, GridVolume
-from .transform import Transform
-from .versions import count_fused_steps
+from .autograd import reattach as reattach
+from .backends import show_config as show_config
+from .errors import MissingTermWarning as MissingTermWarning
+from .errors import NotDifferentiableError as NotDifferentiableError
+from .errors import RenderError as RenderError
+from .errors import SubstitutionWarning as SubstitutionWarning
+from .integrators import AOV as AOV
+from .integrators import DirectIllumination as DirectIllumination
+from .integrators import Integrator as Integrator
+from .integrators import ParticleTracer as ParticleTracer
+from .integrators import PathTracer as PathTracer
+from .integrators import VolumetricPathTracer as VolumetricPathTracer
+from .integrators import WavefrontPathTracer as WavefrontPathTracer
+from .loaders.colmap import load_colmap as load_colmap
+from .loaders.dict import from_trimesh as from_trimesh
+from .loaders.dict import load_dict as load_dict
+from .loaders.dict import load_file as load_file
+from .loaders.dict import variants as variants
+from .progress import progress as progress
+from .render import Renderer as Renderer
+from .render import render as render
+from .scene import Scene as Scene
+from .scene.film import SAMPLERS as SAMPLERS
+from .scene.film import Film as Film
+from .scene.film import ReconstructionFilter as ReconstructionFilter
+from .scene.film import Sampler as Sampler
+from .scene.mesh import Cube as Cube
+from .scene.torch_bsdf import TorchBSDF as TorchBSDF
+from .transform import Transform as Transform
+from .versions import count_fused_steps as _count_fused_steps
 
 if TYPE_CHECKING:  # what __getattr__ below finds
     from . import constraints as constraints
@@ -73,86 +59,11 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from .queries import ray_intersect as ray_intersect
     from .queries import ray_occluded as ray_occluded
 
-count_fused_steps()
-
-__all__ = [
-    "AOV",
-    "SAMPLERS",
-    "Bitmap",
-    "BlendBSDF",
-    "BlendPhase",
-    "BumpMap",
-    "Checkerboard",
-    "Conductor",
-    "ConstantVolume",
-    "Cube",
-    "Dielectric",
-    "DirectIllumination",
-    "DirectionalLight",
-    "Disk",
-    "DistantSensor",
-    "EnvironmentMap",
-    "Film",
-    "FisheyeCamera",
-    "GridVolume",
-    "HeightField",
-    "HeterogeneousMedium",
-    "HomogeneousMedium",
-    "Integrator",
-    "IrradianceMeter",
-    "Mask",
-    "Mesh",
-    "MeshAttribute",
-    "MissingTermWarning",
-    "NormalMap",
-    "NotDifferentiableError",
-    "OrthographicCamera",
-    "PanoramaCamera",
-    "ParticleTracer",
-    "PathTracer",
-    "PerspectiveCamera",
-    "Plastic",
-    "PointLight",
-    "Principled",
-    "PrincipledThin",
-    "Projector",
-    "RadianceMeter",
-    "ReconstructionFilter",
-    "Rectangle",
-    "RednerMaterial",
-    "RenderError",
-    "Renderer",
-    "RoughConductor",
-    "RoughDielectric",
-    "RoughPlastic",
-    "Sampler",
-    "Scene",
-    "Sphere",
-    "SpotLight",
-    "SubstitutionWarning",
-    "TabulatedPhase",
-    "ThinDielectric",
-    "ThinLensCamera",
-    "TorchBSDF",
-    "Transform",
-    "TwoSided",
-    "VolumetricPathTracer",
-    "WavefrontPathTracer",
-    "backends",
-    "from_trimesh",
-    "integrators",
-    "load_colmap",
-    "load_dict",
-    "load_file",
-    "progress",
-    "reattach",
-    "render",
-    "show_config",
-    "variants",
-]
+_count_fused_steps()
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
 _LAZY_MODULES = ("constraints", "daylight", "heightfield", "io", "optim", "rotation", "testing", "typing")
+_MODULES = ("backends", "integrators")
 _LAZY_NAMES = {
     "tonemap": "image",
     "show": "image",
@@ -169,8 +80,9 @@ def __getattr__(name: str) -> Any:
         value = getattr(importlib.import_module(f".{_LAZY_NAMES[name]}", __name__), name)
         globals()[name] = value
         return value
-    if name[:1].isupper() and not name.startswith("_"):
-        # Classes generated from the native declaration: tr.Diffuse, tr.AreaLight, ...
+    if name == "__all__":  # with the classes of all models, which the native declaration names
+        return [n for n in __dir__() if not n.startswith("_")]
+    if name[:1].isupper():
         from .scene import registry
 
         known = registry.public_classes()
@@ -184,4 +96,6 @@ def __getattr__(name: str) -> Any:
 def __dir__() -> list[str]:
     from .scene import registry
 
-    return sorted({*globals(), *_LAZY_MODULES, *_LAZY_NAMES, *registry.public_classes()})
+    own = (name for name, value in globals().items() if not isinstance(value, ModuleType) or name in _MODULES)
+    found = {*own, *_LAZY_MODULES, *_LAZY_NAMES, *registry.public_classes()}
+    return sorted(found - {"Any", "ModuleType", "TYPE_CHECKING", "annotations"})

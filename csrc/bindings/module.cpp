@@ -56,6 +56,28 @@ const char *kind_name(Kind kind) {
 // None where there is no such number.
 py::object number(double x) { return std::isfinite(x) ? py::object(py::float_(x)) : py::object(py::none()); }
 
+// None where any number is one.
+py::object choices(Choices names) {
+    if (!names) return py::none();
+    py::list r;
+    for (; *names; ++names) r.append(*names);
+    return py::tuple(r);
+}
+
+// Those of ModelFlags that Python asks for.
+py::tuple flag_names(uint32_t flags) {
+    py::list r;
+    constexpr std::pair<uint32_t, const char *> names[] = {{Transmits, "transmits"},
+                                                           {WrapsBsdfs, "wraps_bsdfs"},
+                                                           {PerturbsNormals, "perturbs_normals"},
+                                                           {FollowsTangent, "follows_tangent"},
+                                                           {HasDeltaLobes, "has_delta_lobes"},
+                                                           {HasSmoothLobes, "has_smooth_lobes"}};
+    for (const auto &[flag, name] : names)
+        if (flags & flag) r.append(name);
+    return py::tuple(r);
+}
+
 py::list models() {
     py::list all;
     for (const ModelEntry &entry : all_models()) {
@@ -71,6 +93,9 @@ py::list models() {
             d["max"] = number(f.maximum);
             d["derivative"] = *f.derivative ? f.derivative : "none";
             d["doc"] = f.doc;
+            d["choices"] = choices(f.choices);
+            d["optional"] = (f.traits & Optional) != 0;
+            d["traits"] = flag_names(f.traits);
             fields.append(d);
         }
         py::dict d;
@@ -78,6 +103,8 @@ py::list models() {
         d["type"] = model.type;
         d["doc"] = model.doc;
         d["fields"] = fields;
+        d["flags"] = flag_names(model.flags);
+        d["class_name"] = model.class_name ? py::object(py::str(model.class_name)) : py::object(py::none());
         all.append(d);
     }
     return all;

@@ -32,6 +32,7 @@ constexpr double None = std::numeric_limits<double>::quiet_NaN();
 // The names of an Int's values, from 0 on; null ends them.
 using Choices = const char *const *;
 inline constexpr const char *Boolean[] = {"false", "true", nullptr};
+inline constexpr const char *WrapModes[] = {"repeat", "mirror", "clamp", nullptr};
 inline constexpr const char *MicrofacetDistributions[] = {"beckmann", "ggx", nullptr};
 
 struct Field {

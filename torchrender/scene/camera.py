@@ -324,7 +324,6 @@ class PerspectiveCamera(ProjectiveCamera):
     type = "perspective"
     # A pinhole is in focus everywhere; scenes written for lenses say a distance nevertheless.
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {**Camera.inert, "focus_distance": ()}
-    optional: ClassVar[frozenset[str]] = frozenset({"distortion"})
 
     def convert_tensor(self, field: Any, value: Any, ctx: Context) -> torch.Tensor:
         return coefficients(value, (4, 5, 8), 8, "k1 k2 p1 p2 (k3 (k4 k5 k6))", ctx)

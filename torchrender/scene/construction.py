@@ -72,7 +72,7 @@ def check_required(plugin: Plugin, ctx: Context) -> None:
             plugin._modules.get(name) is None and plugin._parameters.get(name) is None and name not in plugin.__dict__
         )
         required = field.default is None and field.kind in ("texture", "spectrum", "float")
-        if missing and required and name not in plugin.optional and not plugin._waits_for(name):
+        if missing and required and not field.optional and not plugin._waits_for(name):
             ctx.error(f"{plugin.type}: {name!r} is missing")
 
 
@@ -130,7 +130,7 @@ def _install_default(plugin: Plugin, name: str, field: Field, ctx: Context) -> N
         plugin._modules[name] = None
     elif field.kind == "int":
         plugin.__dict__[name] = plugin.decode(name, 0 if field.default is None else int(field.default))
-    elif name in plugin.optional or (field.default is None and field.kind not in ("transform", "transform2")):
+    elif field.optional or (field.default is None and field.kind not in ("transform", "transform2")):
         if field.kind in ("texture", "spectrum") and not plugin._holds(field):
             plugin._modules[name] = None
         else:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
@@ -10,14 +9,6 @@ import torch
 from . import spectra, values
 from .context import Context
 from .declaration import Field
-
-BOOLEANS = frozenset("flip_normals face_normals per_face nonlinear flip_invalid_normals use_shadowing_function".split())
-ENUMERATIONS: dict[str, tuple[str, ...]] = {
-    "filter_type": ("bilinear", "nearest"),
-    "wrap_mode": ("repeat", "mirror", "clamp"),
-    "distribution": ("beckmann", "ggx"),
-}
-"""Fields that are integers natively and words here, by name; the position of a word is its integer."""
 
 
 def tensor_of(field: Field, value: Any, ctx: Context) -> torch.Tensor:
@@ -35,22 +26,22 @@ def tensor_of(field: Field, value: Any, ctx: Context) -> torch.Tensor:
     return values.floating(value, ctx).contiguous()
 
 
-def static_value(name: str, value: Any, enumerations: Mapping[str, Sequence[str]], ctx: Context) -> bool | str | int:
+def static_value(field: Field, value: Any, ctx: Context) -> bool | str | int:
     """The value of a static field, checked."""
-    if name in BOOLEANS:
+    if field.boolean:
         return values.boolean(value, ctx)
-    if name in enumerations:
-        return enumerations[name][values.choice(value, enumerations[name], ctx)]
+    if field.choices:
+        return field.choices[values.choice(value, field.choices, ctx)]
     return values.integer(value, ctx)
 
 
-def encode(name: str, value: Any, enumerations: Mapping[str, Sequence[str]]) -> int:
-    """The value of a static field as the integer that the core takes."""
-    return enumerations[name].index(value) if name in enumerations else int(value)
+def encode(field: Field, value: Any) -> int:
+    """The value of a static field as the integer that the core takes: the position of a word among the choices."""
+    return field.choices.index(value) if field.choices and not field.boolean else int(value)
 
 
-def decode(name: str, number: int, enumerations: Mapping[str, Sequence[str]]) -> bool | str | int:
+def decode(field: Field, number: int) -> bool | str | int:
     """The reverse."""
-    if name in BOOLEANS:
+    if field.boolean:
         return bool(number)
-    return enumerations[name][number] if name in enumerations else number
+    return field.choices[number] if field.choices else number

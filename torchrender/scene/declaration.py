@@ -26,10 +26,17 @@ class Field:
     max: float | None
     derivative: str
     doc: str
+    choices: tuple[str, ...] | None = None  # of an "int": words for its values, from 0 on
+    optional: bool = False  # absent unless given: the default applies natively
+    traits: frozenset[str] = frozenset()  # flags of the model that hold only where this field is given
 
     @property
     def differentiable(self) -> bool:
         return self.derivative not in ("none", "")
+
+    @property
+    def boolean(self) -> bool:
+        return self.choices == ("false", "true")
 
 
 @dataclass(frozen=True)
@@ -40,6 +47,8 @@ class Model:
     type: str
     doc: str
     fields: tuple[Field, ...]
+    flags: frozenset[str] = frozenset()
+    class_name: str | None = None  # where that is not the type in capitals
 
 
 def _number(value: float | None) -> float | None:
@@ -61,10 +70,15 @@ def models() -> dict[tuple[str, str], Model]:
                 max=_number(f.get("max")),
                 derivative=f.get("derivative") or "none",
                 doc=f.get("doc", ""),
+                choices=f["choices"],
+                optional=f["optional"],
+                traits=frozenset(f["traits"]),
             )
             for f in entry["fields"]
         )
-        found[entry["category"], entry["type"]] = Model(entry["category"], entry["type"], entry.get("doc", ""), fields)
+        category, kind = entry["category"], entry["type"]
+        flags = frozenset(entry["flags"])
+        found[category, kind] = Model(category, kind, entry.get("doc", ""), fields, flags, entry["class_name"])
     return found
 
 

@@ -21,7 +21,7 @@ def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
     """``plugin.name = value``, converted and checked as when the object was built; an error leaves it as it was."""
     ctx = Context(plugin._color, plugin._dtype(), path=(type(plugin).__name__, name))
     if value is None:
-        if plugin._holds(field) and name not in plugin.optional:
+        if plugin._holds(field) and not field.optional:
             ctx.error("None removes a parameter, but this one is required")
         (plugin._parameters if plugin._holds(field) else plugin._modules)[name] = None
     elif isinstance(value, torch.Tensor) and value.requires_grad and not value.is_leaf:

@@ -143,7 +143,6 @@ class SpotLight(Plugin):
     """
 
     category, type = "emitter", "spot"
-    optional: ClassVar[frozenset[str]] = frozenset({"texture"})
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         check_rigid("spot light", properties, ctx)

@@ -7,10 +7,8 @@ from typing import Any, ClassVar
 import torch
 
 from ..errors import describe
-from ..heightfield import INTERPOLATIONS
 from . import values
 from .context import Context
-from .conversion import ENUMERATIONS
 from .declaration import Field
 from .registry import register
 from .shapes import Shape
@@ -36,7 +34,6 @@ class HeightField(Shape):
     """
 
     type = "heightfield"
-    enumerations: ClassVar[dict[str, tuple[str, ...]]] = {**ENUMERATIONS, "interpolation": INTERPOLATIONS}
     wrap_mode: ClassVar[str] = "clamp"  # what lies beyond the border, for those who resample the heights
 
     @classmethod

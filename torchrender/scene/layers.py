@@ -11,8 +11,6 @@ from .context import Context
 from .plugin import Plugin
 from .registry import register
 
-TRANSMITTING = ("dielectric", "null", "thindielectric", "roughdielectric", "principledthin", "mask")
-
 
 def _inside(bsdf: Plugin) -> list[Plugin]:
     """`bsdf` and all that is nested in it."""
@@ -62,9 +60,10 @@ class TwoSided(_Layer):
         for name in ("brdf_0", "brdf_1"):
             child = self._child(name)
             for inner in _inside(child) if child is not None else []:
-                clear = inner._modules.get("spec_trans") is not None
-                if inner.type in TRANSMITTING or inner.type == "twosided" or clear:
-                    what = f"{inner.type} with spec_trans" if clear else inner.type
+                by = [n for n, field in inner.fields().items() if "transmits" in field.traits]  # only where given
+                given = [n for n in by if inner._child(n) is not None]
+                if inner.type == "twosided" or ("transmits" in inner.model().flags and (given or not by)):
+                    what = f"{inner.type} with {given[0]}" if given else inner.type
                     ctx.at(name).error(f"a {what} cannot be made two-sided: only one-sided reflection can")
 
 

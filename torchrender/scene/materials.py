@@ -111,7 +111,6 @@ class Dielectric(Plugin):
 
     category, type = "bsdf", "dielectric"
     inside = "bk7"
-    optional = frozenset({"specular_reflectance", "specular_transmittance"})
 
     @classmethod
     def parameter_names(cls) -> list[str]:
@@ -247,7 +246,6 @@ class RoughConductor(Conductor):
     """
 
     category, type = "bsdf", "roughconductor"
-    optional = frozenset({"specular_reflectance"})
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
 
     def __new__(cls, **properties: Any) -> RoughConductor:
@@ -311,7 +309,6 @@ class Plastic(Dielectric):
 
     category, type = "bsdf", "plastic"
     inside = "polypropylene"
-    optional = frozenset({"specular_reflectance"})
 
 
 @register
@@ -332,7 +329,6 @@ class RoughPlastic(RoughDielectric):
     category, type = "bsdf", "roughplastic"
     inside = "polypropylene"
     unsupported = DIRECTIONS
-    optional = frozenset({"specular_reflectance"})
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         if isinstance(properties.get("alpha"), (Plugin, Mapping)):
@@ -365,10 +361,6 @@ class Principled(Plugin):
     """
 
     category, type = "bsdf", "principled"
-    optional = frozenset(
-        "metallic anisotropic spec_trans eta specular spec_tint sheen sheen_tint flatness clearcoat "
-        "clearcoat_gloss".split()
-    )
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         if "eta" in properties and "specular" in properties:
@@ -399,7 +391,6 @@ class PrincipledThin(Plugin):
     """
 
     category, type = "bsdf", "principledthin"
-    optional = frozenset("spec_trans spec_tint sheen sheen_tint flatness diff_trans anisotropic".split())
 
 
 @register

@@ -49,7 +49,6 @@ class Mesh(Shape):
         "normals": "vertex_normals",
         "texcoords": "vertex_texcoords",
     }
-    optional = frozenset({"vertex_normals", "vertex_texcoords"})
 
     def __init__(
         self,

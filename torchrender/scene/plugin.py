@@ -36,8 +36,6 @@ class Plugin(nn.Module):
     native: ClassVar[str] = ""  # the native model, where that is not named as `type` is
     renames: ClassVar[dict[str, str]] = {}  # native field -> name in Python
     aliases: ClassVar[dict[str, str]] = {}  # further names, those of a scene dict -> name in Python
-    enumerations: ClassVar[dict[str, tuple[str, ...]]] = conversion.ENUMERATIONS
-    optional: ClassVar[frozenset[str]] = frozenset()  # absent unless given: the native default applies
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
 
@@ -126,16 +124,16 @@ class Plugin(nn.Module):
 
     def convert_static(self, name: str, value: Any, ctx: Context) -> bool | str | int:
         """The value of a static field, checked."""
-        return conversion.static_value(name, value, self.enumerations, ctx)
+        return conversion.static_value(self.fields()[name], value, ctx)
 
     def encode(self, name: str) -> int:
         """The static field `name` as the integer that the core takes."""
-        return conversion.encode(name, getattr(self, name), self.enumerations)
+        return conversion.encode(self.fields()[name], getattr(self, name))
 
     @classmethod
     def decode(cls, name: str, number: int) -> bool | str | int:
         """The reverse: what the attribute `name` is for an integer of the core."""
-        return conversion.decode(name, number, cls.enumerations)
+        return conversion.decode(cls.fields()[name], number)
 
     def derivative_of(self, field: Field) -> str:
         """The declaration of the derivative with respect to a field, as it holds for this object."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any
 
 import torch
 
@@ -94,7 +94,6 @@ class DistantSensor(DirectedSensor):
     """
 
     type = "distant"
-    optional: ClassVar[frozenset[str]] = frozenset({"target"})
 
     @classmethod
     def parameter_names(cls) -> list[str]:

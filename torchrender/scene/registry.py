@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeGuard, TypeVar
 
 from ..errors import describe, nearest
 from .context import Context
-from .declaration import categories, models
+from .declaration import Model, categories, models
 
 if TYPE_CHECKING:  # objects are built by way of this file, so that it is imported first
     from .plugin import Plugin
@@ -19,41 +19,6 @@ _classes: dict[tuple[str, str], type[Plugin]] = {}  # by category and native mod
 _builders: dict[str, tuple[str, Builder]] = {}  # scene types that are no native model: name -> (category, function)
 _builder_names: dict[str, tuple[str, ...]] = {}
 
-# Class names that are not the type name in capitals, so that a class says what it is.
-CLASS_NAMES: dict[tuple[str, str], str] = {
-    ("texture", "constant"): "ConstantTexture",
-    ("texture", "volume"): "VolumeTexture",
-    ("phase", "tabphase"): "TabulatedPhase",
-    ("phase", "blendphase"): "BlendPhase",
-    ("bsdf", "anisotropicconductor"): "AnisotropicConductor",
-    ("bsdf", "anisotropicdielectric"): "AnisotropicDielectric",
-    ("bsdf", "twosided"): "TwoSided",
-    ("bsdf", "blendbsdf"): "BlendBSDF",
-    ("bsdf", "normalmap"): "NormalMap",
-    ("bsdf", "bumpmap"): "BumpMap",
-    ("emitter", "area"): "AreaLight",
-    ("emitter", "directionalarea"): "DirectionalAreaLight",
-    ("emitter", "constant"): "ConstantLight",
-    ("emitter", "envmap"): "EnvironmentMap",
-    ("emitter", "point"): "PointLight",
-    ("emitter", "directional"): "DirectionalLight",
-    ("emitter", "spot"): "SpotLight",
-    ("sensor", "perspective"): "PerspectiveCamera",
-    ("sensor", "irradiancemeter"): "IrradianceMeter",
-    ("sensor", "thinlens"): "ThinLensCamera",
-    ("sensor", "orthographic"): "OrthographicCamera",
-    ("sensor", "fisheye"): "FisheyeCamera",
-    ("sensor", "panorama"): "PanoramaCamera",
-    ("sensor", "radiancemeter"): "RadianceMeter",
-    ("sensor", "distant"): "DistantSensor",
-    ("shape", "mesh"): "Mesh",
-    ("shape", "heightfield"): "HeightField",
-    ("volume", "constvolume"): "ConstantVolume",
-    ("volume", "gridvolume"): "GridVolume",
-    ("phase", "hg"): "HenyeyGreenstein",
-    ("medium", "homogeneous"): "HomogeneousMedium",
-    ("medium", "heterogeneous"): "HeterogeneousMedium",
-}
 INTERNAL = frozenset({"attribute"})  # categories that have no class of their own
 
 # What Mitsuba 3 documents, to tell "not supported here" from "unknown".
@@ -116,7 +81,7 @@ def plugin_class(category: str, kind: str) -> type[Plugin]:
     found = _classes.get((category, kind))
     if found is None:
         model = models()[category, kind]
-        name = CLASS_NAMES.get((category, kind)) or _camel(kind)
+        name = class_name(model)
         lines = [f"{model.doc}\n\nArgs:"] + [f"    {f.name}: {f.doc} ({f.kind})" for f in model.fields]
         found = type(
             name,
@@ -133,6 +98,11 @@ def plugin_class(category: str, kind: str) -> type[Plugin]:
     return found
 
 
+def class_name(model: Model) -> str:
+    """Of the class in Python: the declared name, or the type in capitals."""
+    return model.class_name or _camel(model.type)
+
+
 def _camel(kind: str) -> str:
     return "".join(part.capitalize() for part in kind.split("_"))
 
@@ -140,10 +110,10 @@ def _camel(kind: str) -> str:
 def public_classes() -> dict[str, tuple[str, str]]:
     """Names of all generated and hand-written classes, and for each its category and type."""
     names: dict[str, tuple[str, str]] = {}
-    for category, kind in models():
+    for (category, kind), model in models().items():
         if category in INTERNAL:
             continue
-        names[CLASS_NAMES.get((category, kind)) or _camel(kind)] = (category, kind)
+        names[class_name(model)] = (category, kind)
     for category, kind in models():  # the type name in capitals works too where it is free: tr.Envmap
         if category not in INTERNAL and (category, kind) != ("texture", "constant"):
             names.setdefault(_camel(kind), (category, kind))

@@ -100,7 +100,7 @@ def annotation_of(name: str, field: Field | None, cls: type[Plugin]) -> str:
 
 def default_of(name: str, field: Field | None, cls: type[Plugin]) -> Any:
     """The declared default where it is a plain value; None where the class finds one, or where there is none."""
-    if field is None or field.default is None or name in cls.optional:
+    if field is None or field.default is None or field.optional:
         return None
     if name in OTHERS and field.kind != "texture":
         return None

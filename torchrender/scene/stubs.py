@@ -1,4 +1,4 @@
-"""The stub file of the classes that exist only as declarations, ``torchrender/_plugins.pyi``, which `main` writes."""
+"""The stub file of the models' classes, ``torchrender/_plugins.pyi``, which `main` writes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .declaration import CHILD_KINDS, Field
 from .plugin import Plugin
 from .signatures import signature_of
 
-HEADER = """# Types of the classes that are generated from the native declaration, made by:
+HEADER = """# The classes of all models; those that no file defines are generated from the native declaration. Made by:
 #     python -c "from torchrender.scene import stubs; stubs.main()"
 """
 
@@ -22,6 +22,16 @@ def generated_classes() -> dict[str, type[Plugin]]:
         if cls.__module__ == "torchrender" and cls.__name__ == name:
             found[name] = cls
     return dict(sorted(found.items()))
+
+
+def written_classes() -> list[str]:
+    """Import statements of the others, which `torchrender` gives under their own names."""
+    found = set()
+    for name, (category, kind) in registry.public_classes().items():
+        cls = registry.plugin_class(category, kind)
+        if cls.__module__ != "torchrender" and cls.__name__ == name:
+            found.add(f"from {cls.__module__.removeprefix('torchrender')} import {name} as {name}")
+    return sorted(found)
 
 
 def stub() -> str:
@@ -43,7 +53,7 @@ def stub() -> str:
     imports = ["from typing import Any\n"]
     if "torch.Tensor" in body:
         imports.append("import torch\n")
-    imports.append("from .scene.plugin import Plugin")
+    imports += sorted([*written_classes(), "from .scene.plugin import Plugin"])
     imports.append(f"from .typing import {', '.join(names)}")
     return HEADER + "\n" + "\n".join(imports) + "\n" + body + "\n"
 

@@ -55,10 +55,6 @@ class GridVolume(Plugin):
 
     category, type = "volume", "gridvolume"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "raw": (True, False)}
-    enumerations: ClassVar[dict[str, tuple[str, ...]]] = {
-        "filter_type": ("trilinear", "nearest"),
-        "wrap_mode": ("repeat", "mirror", "clamp"),
-    }
 
     @classmethod
     def parameter_names(cls) -> list[str]:

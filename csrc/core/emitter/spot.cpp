@@ -15,7 +15,7 @@ struct SpotEmitter {
         {"cutoff_angle", Kind::Float, 20, 0, 180, Rim, "angle between the axis and the end of the light, degrees"},
         {"beam_width", Kind::Float, None, 0, 180, Rim,
          "angle between the axis and where the intensity begins to fall, degrees; 3/4 of cutoff_angle"},
-        {"texture", Kind::Texture, 1, 0, INFINITY, "interior", "factor of the intensity"},
+        {"texture", Kind::Texture, 1, 0, INFINITY, "interior", "factor of the intensity", nullptr, Optional},
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
          "interior, without moving shadow edges; zero where nothing casts a shadow of it",
          "the light's frame to the world, no scale; it looks along +z"},

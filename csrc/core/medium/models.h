@@ -18,13 +18,15 @@ struct MediumFields {
 };
 
 struct HomogeneousMedium : MediumFields {
-    static constexpr Model model = {"medium", "homogeneous", "A medium whose extinction is the same everywhere.",
-                                    MediumFields::fields, 5};
+    static constexpr Model model = {
+        "medium", "homogeneous",      "A medium whose extinction is the same everywhere.", MediumFields::fields, 5,
+        0,        "HomogeneousMedium"};
 };
 
 struct HeterogeneousMedium : MediumFields {
-    static constexpr Model model = {"medium", "heterogeneous", "A medium whose extinction may be a grid.",
-                                    MediumFields::fields, 5};
+    static constexpr Model model = {
+        "medium", "heterogeneous",      "A medium whose extinction may be a grid.", MediumFields::fields, 5,
+        0,        "HeterogeneousMedium"};
 };
 
 }  // namespace tr

@@ -13,9 +13,10 @@ struct Distant {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Perspective::Edges,
          "its z axis is the direction in which rays travel; its place does not matter"},
         {"target", Kind::Tensor, -1, -INFINITY, INFINITY, Perspective::Edges,
-         "(3,) the point that all rays meet; without it they cover the scene"},
+         "(3,) the point that all rays meet; without it they cover the scene", nullptr, Optional},
     };
-    static constexpr Model model = {"sensor", "distant", "Radiance that leaves the scene in a direction.", fields, 2};
+    static constexpr Model model = {
+        "sensor", "distant", "Radiance that leaves the scene in a direction.", fields, 2, 0, "DistantSensor"};
 
     static constexpr bool Lens = true;
     static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;

@@ -31,7 +31,8 @@ struct Fisheye {
         {"max_angle", Kind::Float, 180, 0, 180, "none: where the image ends",
          "angle to the axis, degrees, beyond which nothing is seen"},
     };
-    static constexpr Model model = {"sensor", "fisheye", "A camera with a fisheye lens.", fields, 10};
+    static constexpr Model model = {"sensor", "fisheye",      "A camera with a fisheye lens.", fields, 10,
+                                    0,        "FisheyeCamera"};
 
     static constexpr bool Lens = false;
     static constexpr int N = 4, Numbers[] = {Fov, OffsetX, OffsetY, Aspect}, Table = Distortion, Entries = 4;

@@ -12,7 +12,8 @@ struct IrradianceMeter {
     static constexpr Field fields[] = {
         {"shape", Kind::Shape, None, 0, INFINITY, "", "the rectangle, or mesh with texture coordinates, it lies on"},
     };
-    static constexpr Model model = {"sensor", "irradiancemeter", "Irradiance on a surface.", fields, 1};
+    static constexpr Model model = {"sensor", "irradiancemeter", "Irradiance on a surface.", fields, 1,
+                                    0,        "IrradianceMeter"};
 
     // What light that travels along d brings to the film where it has hit `shape`. Importance is texels per area.
     template <class F, class S>

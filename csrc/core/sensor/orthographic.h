@@ -16,7 +16,8 @@ struct Orthographic {
         {"far_clip", Kind::Float, 1e4, 0, INFINITY, "none: a clipping plane", "distance of the far plane"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the camera is in"},
     };
-    static constexpr Model model = {"sensor", "orthographic", "A camera of parallel rays.", fields, 4};
+    static constexpr Model model = {"sensor", "orthographic",      "A camera of parallel rays.", fields, 4,
+                                    0,        "OrthographicCamera"};
 
     static constexpr bool Lens = false;
     static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;

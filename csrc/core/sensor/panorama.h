@@ -16,7 +16,8 @@ struct Panorama {
         {"far_clip", Kind::Float, 1e4, 0, INFINITY, "none: a clipping surface", "where they end to be seen"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the camera is in"},
     };
-    static constexpr Model model = {"sensor", "panorama", "A camera that sees all around.", fields, 4};
+    static constexpr Model model = {"sensor", "panorama",      "A camera that sees all around.", fields, 4,
+                                    0,        "PanoramaCamera"};
 
     static constexpr bool Lens = false;
     static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;

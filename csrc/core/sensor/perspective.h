@@ -23,9 +23,10 @@ struct Perspective {
          "focal length in pixels along x over that along y; 1 for square pixels"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the camera is in"},
         {"distortion", Kind::Tensor, -1, -INFINITY, INFINITY, Edges,
-         "(8,) coefficients of the lens, in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; see distorted.h"},
+         "(8,) coefficients of the lens, in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6; see distorted.h", nullptr,
+         Optional},
     };
-    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 9};
+    static constexpr Model model = {"sensor", "perspective", "A pinhole camera.", fields, 9, 0, "PerspectiveCamera"};
 
     // (x, y): position on the film in pixels, the whole film being width x height. The direction in the camera's frame
     // is (a x slope, b y slope, 1), normalised.

@@ -13,7 +13,7 @@ struct RadianceMeter {
          "the ray starts at the frame's origin and goes along its z axis"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the ray starts in"},
     };
-    static constexpr Model model = {"sensor", "radiancemeter", "Radiance along a ray.", fields, 2};
+    static constexpr Model model = {"sensor", "radiancemeter", "Radiance along a ray.", fields, 2, 0, "RadianceMeter"};
 
     static constexpr bool Lens = false;
     static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;

@@ -26,7 +26,8 @@ struct ThinLens {
         {"focus_distance", Kind::Float, None, 1e-6, INFINITY, Perspective::Edges,
          "distance of the plane that is in focus, along the camera's axis"},
     };
-    static constexpr Model model = {"sensor", "thinlens", "A camera with a thin lens.", fields, 10};
+    static constexpr Model model = {"sensor", "thinlens",      "A camera with a thin lens.", fields, 10,
+                                    0,        "ThinLensCamera"};
 
     static constexpr bool Lens = true;
     static constexpr int N = 6, Numbers[] = {Fov, OffsetX, OffsetY, Aspect, ApertureRadius, FocusDistance};

@@ -16,14 +16,13 @@ struct MeshModel {
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
         {"normals", Kind::Tensor, -1, -INFINITY, INFINITY,
          "interior, without the motion of edges seen through smooth reflection or refraction; zero where there are "
-         "none "
-         "or both sides of them are of equal colour",
-         "vertex normals (V, 3), world space"},
+         "none or both sides of them are of equal colour",
+         "vertex normals (V, 3), world space", nullptr, Optional},
         {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY,
          "interior, without the jumps of nearest and checkerboard textures; zero where textures are bilinear",
-         "texture coordinates (V, 2)"},
-        {"face_normals", Kind::Int, 0, 0, 1, "", "shade flat although there are vertex normals"},
-        {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round"},
+         "texture coordinates (V, 2)", nullptr, Optional},
+        {"face_normals", Kind::Int, 0, 0, 1, "", "shade flat although there are vertex normals", Boolean},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "turn all normals round", Boolean},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
         {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
@@ -39,7 +38,7 @@ struct SphereModel {
          "applied after center and radius; uniform scale only"},
         {"center", Kind::Point, 0, -INFINITY, INFINITY, GeometryEdges, ""},
         {"radius", Kind::Float, 1, 0, INFINITY, GeometryEdges, ""},
-        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside", Boolean},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
         {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
@@ -56,7 +55,7 @@ struct CylinderModel {
         {"p0", Kind::Point, 0, -INFINITY, INFINITY, GeometryEdges, "where the axis begins"},
         {"p1", Kind::Point, None, -INFINITY, INFINITY, GeometryEdges, "where the axis ends; (0, 0, 1) unless given"},
         {"radius", Kind::Float, 1, 0, INFINITY, GeometryEdges, ""},
-        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point inside", Boolean},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
         {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
@@ -66,21 +65,23 @@ struct CylinderModel {
 };
 
 struct HeightFieldModel {
+    static constexpr const char *Interpolations[] = {"bspline", "bilinear", nullptr};
     enum { ToWorld, Heights, Interpolation, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "from the square [-1, 1]^2 and heights along +z to the world"},
         {"heights", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges,
          "(H, W), over the square like the texels of a bitmap: row 0 at v = 0, clamped outside"},
-        {"interpolation", Kind::Int, 0, 0, 1, "",
-         "0: bspline, a cubic B-spline with these control values, 1: bilinear"},
-        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
+        {"interpolation", Kind::Int, 0, 0, 1, "", "bspline: a cubic B-spline with these control values",
+         Interpolations},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z", Boolean},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", "refused: height fields cannot emit"},
         {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
         {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
     };
-    static constexpr Model model = {"shape", "heightfield", "Heights over the square [-1, 1]^2.", fields, 8};
+    static constexpr Model model = {"shape", "heightfield", "Heights over the square [-1, 1]^2.", fields, 8,
+                                    0,       "HeightField"};
 };
 
 // Disk and rectangle have the same fields.
@@ -89,7 +90,7 @@ struct PlanarFields {
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "from the unit shape, facing +z, to the world"},
-        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z"},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "face -z", Boolean},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", ""},
         {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
@@ -112,7 +113,7 @@ struct AttributeModel {
         {"name", Kind::Int, None, 0, INFINITY, "", "number of the name"},
         {"shape", Kind::Shape, None, 0, INFINITY, "", "the mesh that has it"},
         {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior", "(V, C) or (F, C)"},
-        {"per_face", Kind::Int, 0, 0, 1, "", "a row a face instead of a vertex"},
+        {"per_face", Kind::Int, 0, 0, 1, "", "a row a face instead of a vertex", Boolean},
     };
     static constexpr Model model = {"attribute", "attribute", "Values on the vertices or faces of a mesh.", fields, 4};
 };

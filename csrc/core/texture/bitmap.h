@@ -45,14 +45,15 @@ TR_INLINE Slopes<F> slopes(const Footprint<F, 4> &at) {
 }
 
 struct Bitmap {
+    static constexpr const char *Filters[] = {"bilinear", "nearest", nullptr};
     enum { Data, ToUv, Filter, Wrap };
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior",
          "texels (rows, columns, channels), linear; 1 channel is grey"},
         {"to_uv", Kind::Transform2, None, -INFINITY, INFINITY, "interior",
          "homogeneous 3x3 map of the texture coordinates, (u, v) -> image coordinates"},
-        {"filter_type", Kind::Int, 0, 0, 1, "", "0: bilinear, 1: nearest"},
-        {"wrap_mode", Kind::Int, 0, 0, 2, "", "0: repeat, 1: mirror, 2: clamp"},
+        {"filter_type", Kind::Int, 0, 0, 1, "", "between texels", Filters},
+        {"wrap_mode", Kind::Int, 0, 0, 2, "", "beyond the image", WrapModes},
     };
     static constexpr Model model = {"texture", "bitmap",
                                     "An image, bilinear or nearest, repeated, mirrored or clamped.", fields, 4};

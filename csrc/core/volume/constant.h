@@ -10,7 +10,8 @@ struct ConstantVolume {
     static constexpr Field fields[] = {
         {"value", Kind::Spectrum, 1, -INFINITY, INFINITY, "interior", "the value, a number or one a channel"},
     };
-    static constexpr Model model = {"volume", "constvolume", "The same value everywhere.", fields, 1};
+    static constexpr Model model = {"volume", "constvolume",   "The same value everywhere.", fields, 1,
+                                    0,        "ConstantVolume"};
 };
 
 }  // namespace tr

@@ -7,15 +7,17 @@
 namespace tr {
 
 struct GridVolume {
+    static constexpr const char *Filters[] = {"trilinear", "nearest", nullptr};
     enum { Data, ToWorld, Filter, Wrap };
     static constexpr Field fields[] = {
         {"data", Kind::Tensor, None, -INFINITY, INFINITY, "interior", "voxels (Z, Y, X, channels)"},
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, "interior",
          "from the unit cube that the grid fills to the world"},
-        {"filter_type", Kind::Int, 0, 0, 1, "", "0: trilinear, 1: nearest"},
-        {"wrap_mode", Kind::Int, 2, 0, 2, "", "beyond the cube; 0: repeat, 1: mirror, 2: clamp"},
+        {"filter_type", Kind::Int, 0, 0, 1, "", "between voxels", Filters},
+        {"wrap_mode", Kind::Int, 2, 0, 2, "", "beyond the cube", WrapModes},
     };
-    static constexpr Model model = {"volume", "gridvolume", "Voxels, trilinear or nearest.", fields, 4};
+    static constexpr Model model = {"volume", "gridvolume", "Voxels, trilinear or nearest.", fields, 4,
+                                    0,        "GridVolume"};
 
     // One axis: the voxels on both sides of x (in units of the cube) and the fraction between them. With `clamp` the
     // second always follows the first.
