@@ -21,6 +21,7 @@ from .errors import SubstitutionWarning as SubstitutionWarning
 from .integrators import AOV as AOV
 from .integrators import DirectIllumination as DirectIllumination
 from .integrators import Integrator as Integrator
+from .integrators import Moment as Moment
 from .integrators import ParticleTracer as ParticleTracer
 from .integrators import PathTracer as PathTracer
 from .integrators import VolumetricPathTracer as VolumetricPathTracer
@@ -34,6 +35,7 @@ from .progress import progress as progress
 from .render import Renderer as Renderer
 from .render import render as render
 from .scene import Scene as Scene
+from .scene import written as _written  # noqa: F401
 from .scene.film import SAMPLERS as SAMPLERS
 from .scene.film import Film as Film
 from .scene.film import ReconstructionFilter as ReconstructionFilter
@@ -97,5 +99,5 @@ def __dir__() -> list[str]:
     from .scene import registry
 
     own = (name for name, value in globals().items() if not isinstance(value, ModuleType) or name in _MODULES)
-    found = {*own, *_LAZY_MODULES, *_LAZY_NAMES, *registry.public_classes()}
+    found = {*own, *_LAZY_MODULES, *_LAZY_NAMES, *registry.declared_classes()}
     return sorted(found - {"Any", "ModuleType", "TYPE_CHECKING", "annotations"})

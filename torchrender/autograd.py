@@ -26,16 +26,14 @@ With 0 none are kept. A rendering takes the value that this has when it begins.
 
 
 class RenderFunction(UnbatchedFunction):
-    """``image[, alpha][, variance] = RenderFunction.apply(call, *parameters)``."""
+    """``image[, alpha][, variance][, second_moment] = RenderFunction.apply(call, *parameters)``."""
 
     @staticmethod
     def forward(call: RenderCall, *params: torch.Tensor) -> Any:
         real = {"dtype": call.native.dtype, "device": "cpu"}
         shapes = {"image": call.shape()}
-        if call.alpha:
-            shapes["alpha"] = call.size
-        if call.variance:
-            shapes["variance"] = call.shape()
+        for name in call.extra:
+            shapes[name] = call.size if name == "alpha" else call.shape()
         total = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
         all_stats = []
         out = total
@@ -67,8 +65,8 @@ class RenderFunction(UnbatchedFunction):
         ctx.save_for_forward(*params)
         ctx.set_materialize_grads(False)
         if isinstance(output, tuple):
-            # All of the derivative of coverage is the term of moving silhouettes, which is missing; that of variance
-            # is not implemented.
+            # All of the derivative of coverage is the term of moving silhouettes, which is missing; those of variance
+            # and second moment are not implemented.
             ctx.mark_non_differentiable(*output[1:])
 
     @staticmethod
@@ -85,7 +83,7 @@ class RenderFunction(UnbatchedFunction):
         params = ctx.saved_tensors
         call.requirements.check(i for i, given in enumerate(tangents) if given is not None)
         tangent = RenderJvpFunction.apply(call, *params, *tangents)
-        return (tangent, *(None,) * (call.alpha + call.variance)) if call.alpha or call.variance else tangent
+        return (tangent, *(None,) * len(call.extra)) if call.extra else tangent
 
 
 class RenderJvpFunction(DerivativeFunction):

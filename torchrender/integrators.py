@@ -247,7 +247,65 @@ class DirectIllumination(Integrator):
         )
 
 
-class AOV(Integrator):
+class Stack(Integrator):
+    """Base of integrators whose image has further channels besides those of a nested integrator."""
+
+    integrator: Integrator | None
+    second_moment = False  # whether the nested one's is wanted
+
+    def config(self) -> dict[str, Any]:
+        return (self.integrator or PathTracer()).config()
+
+    def outputs(self) -> list[str]:
+        """The names of `torchrender.outputs` of first hits that the channels are made of."""
+        return []
+
+    def wants_alpha(self, film: Any) -> bool:
+        """Whether coverage follows radiance: the film's pixel format says so."""
+        return self.integrator is not None and film.formats.get("pixel_format") in ("rgba", "luminance_alpha", "xyza")
+
+    def stacked(self, found: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        """One image of the outputs by name, channels last."""
+        raise NotImplementedError
+
+
+class Moment(Stack):
+    """An image and, as further channels, the second moment of its samples: (H, W, 2 C).
+
+    The second moment is ``sum(w x^2) / sum(w)`` over the samples x of a pixel, of weights w by the reconstruction
+    filter. Only the image has a derivative. ``render(..., outputs=("rgb", "second_moment"))`` gives the two apart, and
+    ``"variance"`` that of the image's values.
+
+    Args:
+        integrator: the nested one, `PathTracer` if none is given. Light tracing has no moments of a pixel.
+    """
+
+    kind = "moment"
+    second_moment = True
+
+    def __init__(self, integrator: Integrator | None = None) -> None:
+        super().__init__()
+        integrator = PathTracer() if integrator is None else integrator
+        if not isinstance(integrator, (PathTracer, VolumetricPathTracer, DirectIllumination)):
+            raise TypeError(f"Moment: integrator: expected one such as PathTracer(), got {describe(integrator)}")
+        self.integrator = integrator
+
+    def stacked(self, found: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return torch.cat([found["rgb"], found["second_moment"]], dim=-1)
+
+    def wants_alpha(self, film: Any) -> bool:
+        return False
+
+    def channel_names(self, channels: int = 3) -> list[str]:
+        """Names of the image's channels: ``"R"``, ``"G"``, ``"B"``, ``"m2.R"``, ``"m2.G"``, ``"m2.B"``."""
+        color = "RGB" if channels == 3 else "Y"
+        return [*color, *(f"m2.{c}" for c in color)]
+
+    def __repr__(self) -> str:
+        return f"Moment({self.integrator!r})"
+
+
+class AOV(Stack):
     """Outputs besides radiance as further channels of the image, in Mitsuba's way of asking for them.
 
     The image is (H, W, C + n): that of the nested integrator, if there is one, then the channels of `aovs` in their
@@ -283,7 +341,7 @@ class AOV(Integrator):
     def __init__(self, aovs: str, integrator: Integrator | None = None) -> None:
         super().__init__()
         self.aovs = aovs
-        if integrator is not None and (not isinstance(integrator, Integrator) or isinstance(integrator, AOV)):
+        if integrator is not None and (not isinstance(integrator, Integrator) or isinstance(integrator, Stack)):
             raise TypeError(f"AOV: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
         self.integrator = integrator
         self.pairs()
@@ -306,16 +364,9 @@ class AOV(Integrator):
             found.append((name, kind))
         return found
 
-    def config(self) -> dict[str, Any]:
-        return (self.integrator or PathTracer()).config()
-
     def outputs(self) -> list[str]:
         """The names of `torchrender.outputs` that the channels are made of."""
         return [self.QUANTITIES[kind][0] for _, kind in self.pairs()]
-
-    def wants_alpha(self, film: Any) -> bool:
-        """Whether coverage follows radiance: the film's pixel format says so."""
-        return self.integrator is not None and film.formats.get("pixel_format") in ("rgba", "luminance_alpha", "xyza")
 
     def stacked(self, found: Mapping[str, torch.Tensor]) -> torch.Tensor:
         """One image of the outputs by name, channels last."""
@@ -355,8 +406,9 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "direct": (DirectIllumination, _DIRECT, {}),
     "direct_projective": (DirectIllumination, ("hide_emitters",), {}),
     "aov": (AOV, ("aovs",), {}),
+    "moment": (Moment, (), {}),
 }
-DOCUMENTED = ("depth emission moment stokes direct_reparam prb_reparam bdpt").split()
+DOCUMENTED = ("depth emission stokes direct_reparam prb_reparam bdpt").split()
 
 
 def from_dict(properties: dict[str, Any], path: str) -> Integrator:
@@ -365,10 +417,10 @@ def from_dict(properties: dict[str, Any], path: str) -> Integrator:
     kind = properties.pop("type")
     cls, accepted, defaults = TYPES[kind]
     nested = {}
-    if kind == "aov":
+    if issubclass(cls, Stack):
         nested = _nested(properties, path)
         properties = {k: v for k, v in properties.items() if k not in nested}
-        if "aovs" not in properties:
+        if kind == "aov" and "aovs" not in properties:
             raise ValueError(f"{path}: aov needs the parameter 'aovs', such as 'dd:depth,nn:sh_normal'")
     for name in properties:
         if name not in accepted:
@@ -387,7 +439,7 @@ def _nested(properties: Mapping[str, Any], path: str) -> dict[str, Integrator]:
             found[name] = value
         elif isinstance(value, Mapping):
             kind = value.get("type")
-            if kind not in TYPES or kind == "aov":
+            if kind not in TYPES or issubclass(TYPES[kind][0], Stack):
                 raise ValueError(f"{path}.{name}: expected an integrator, one of {', '.join(TYPES)}, got {kind!r}")
             found[name] = from_dict(dict(value), f"{path}.{name}")
     if len(found) > 1:

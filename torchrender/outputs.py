@@ -19,6 +19,7 @@ average. Filters that reach over several pixels make it too large at edges (abou
 pixel has its fixed number of samples, which varies less than samples drawn from all of them would. With the samplers
 ``"stratified"`` and ``"sobol"`` it is an upper estimate: about what independent samples would have, since the spread of
 samples does not show how well they complement each other. Their actual variance is seen in images of several seeds.
+``second_moment`` is the mean of squared samples, sum(w x^2) / sum(w).
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from .scene.packing import Layout
 from .scene.scene import Scene
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
-PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1}
+PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1, "second_moment": -1}
 FIRST_HIT_OUTPUTS = {
     "depth": 0,
     "distance": 0,

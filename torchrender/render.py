@@ -15,7 +15,7 @@ from .autograd import RenderFunction
 from .compiling import opaque
 from .errors import describe, nearest
 from .functions import refuse_batches
-from .integrators import AOV, WavefrontPathTracer
+from .integrators import Stack, WavefrontPathTracer
 from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
 from .progress import steps
 from .render_arguments import (
@@ -94,21 +94,21 @@ def render(
         passes: number of independent passes, each of `spp` and `spp_grad`, that are averaged in constant memory.
         params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
         outputs: names of what is wanted; a named tuple of tensors comes back. Radiance ``"rgb"`` (H, W, C), coverage
-            ``"alpha"`` (H, W), and ``"variance"`` (H, W, C) of the values of rgb; alpha and variance carry no
-            derivative: that of coverage consists of moving silhouettes alone. Of the first surface that is seen:
-            ``"depth"`` along the camera's axis and ``"distance"`` from the camera (H, W); ``"position"``, geometric
-            ``"normal"`` and ``"shading_normal"`` in world space, ``"normal_camera"`` and ``"shading_normal_camera"`` in
-            the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"`` and ``"barycentric"``
-            coordinates (H, W, 2); ``"dp_du"`` and ``"dp_dv"``, derivatives of the position by uv (H, W, 3);
-            ``"albedo"`` (H, W, C): reflectance of diffuse surfaces, ``specular_reflectance`` of conductors,
+            ``"alpha"`` (H, W), ``"variance"`` (H, W, C) of the values of rgb and ``"second_moment"`` (H, W, C) of its
+            samples, which carry no derivative: that of coverage consists of moving silhouettes alone. Of the first
+            surface that is seen: ``"depth"`` along the camera's axis and ``"distance"`` from the camera (H, W);
+            ``"position"``, geometric ``"normal"`` and ``"shading_normal"`` in world space, ``"normal_camera"`` and
+            ``"shading_normal_camera"`` in the camera's frame (x left, y up, z into the image), all (H, W, 3); ``"uv"``
+            and ``"barycentric"`` coordinates (H, W, 2); ``"dp_du"`` and ``"dp_dv"``, derivatives of the position by uv
+            (H, W, 3); ``"albedo"`` (H, W, C): reflectance of diffuse surfaces, ``specular_reflectance`` of conductors,
             ``specular_transmittance`` of dielectrics, 1 for null; ``"specular_reflectance"`` (H, W, C) and
-            ``"roughness"`` (H, W) of the material; colours of meshes by their names, such as ``"vertex_color"``
-            (H, W, C). These are averages over the samples that hit something, weighted by the filter; where none does,
-            depth, distance and position are infinite, the others 0. ``"shape_id"``, ``"prim_id"`` and
-            ``"material_id"`` (H, W), int32, belong to the ray through the pixel's centre: position among the scene's
-            shapes, face, and a number that surfaces of one material share, -1 at a miss; so do ``"duv_dx"`` and
-            ``"duv_dy"`` (H, W, 2), derivatives of uv by the place on the film, per pixel to the right and down, 0 at a
-            miss. See `torchrender.outputs`.
+            ``"roughness"`` (H, W) of the material; colours of meshes by their names, such as ``"vertex_color"`` (H, W,
+            C). These are averages over the samples that hit something, weighted by the filter; where none does, depth,
+            distance and position are infinite, the others 0. ``"shape_id"``, ``"prim_id"`` and ``"material_id"`` (H,
+            W), int32, belong to the ray through the pixel's centre: position among the scene's shapes, face, and a
+            number that surfaces of one material share, -1 at a miss; so do ``"duv_dx"`` and ``"duv_dy"`` (H, W, 2),
+            derivatives of uv by the place on the film, per pixel to the right and down, 0 at a miss. See
+            `torchrender.outputs`.
         features: what the output ``"features"`` (H, W, N) shows, for any N: by a shape's name, a texture (H, W, N),
             bilinear and repeated, row 0 at v = 0, or for a mesh one row a vertex (V, N), interpolated. Other shapes
             carry zeros. For a decoder that turns features into colours, or for labels; differentiable in the features,
@@ -140,7 +140,7 @@ def render(
     chosen_integrator = as_integrator(scene, integrator)
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
-    stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, AOV) else None
+    stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, Stack) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     check_words(layout, nan, sampler)
@@ -214,6 +214,7 @@ def render(
             pixels=chosen,
             alpha=alpha,
             variance="variance" in names,
+            second_moment="second_moment" in names or (stack is not None and stack.second_moment),
             statistics=scene.statistics,
             requirements=GradientRequirements(
                 packed, scene.warned, alpha, volumetric, steady=light and film.filter.type == "box"
@@ -255,7 +256,7 @@ def _view(
     scene: Scene,
     call: RenderCall,
     names: Sequence[str],
-    stack: AOV | None,
+    stack: Stack | None,
     tensors: list[torch.Tensor],
     radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
 ) -> dict[str, Any]:
@@ -265,7 +266,7 @@ def _view(
         found.update(first_hits(scene, call, stack.outputs(), tensors, zero_at_misses=True))
     if (stack is None and any(n in PATH_OUTPUTS for n in names)) or (stack is not None and stack.integrator):
         result = radiance()
-        kinds = ("rgb", *(("alpha",) if call.alpha else ()), *(("variance",) if call.variance else ()))
+        kinds = ("rgb", *call.extra)
         found.update(zip(kinds, result if isinstance(result, tuple) else (result,), strict=True))
     others = [n for n in names if n not in PATH_OUTPUTS]
     if others:

@@ -33,6 +33,7 @@ class RenderCall:
     pixels: Any  # the array to whose memory `config` points
     alpha: bool
     variance: bool
+    second_moment: bool
     statistics: dict[str, Any]
     requirements: GradientRequirements  # which derivatives there are
     film: Film
@@ -41,6 +42,11 @@ class RenderCall:
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
     kept: torch.Tensor | None = None  # keeps it alive until autograd does
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Outputs of paths besides the image, none of which has a derivative."""
+        return tuple(name for name in ("alpha", "variance", "second_moment") if getattr(self, name))
 
     @property
     def layout(self) -> Layout:

@@ -9,7 +9,7 @@ from typing import Any
 import torch
 
 from .errors import NotDifferentiableError, depth_outside
-from .integrators import AOV, WavefrontPathTracer
+from .integrators import Stack, WavefrontPathTracer
 from .scene.boundaries import check_phases, warn_of_open_boundaries
 from .scene.packing import Layout
 from .scene.scene import Scene
@@ -34,7 +34,7 @@ def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> No
             "render: integrator: ParticleTracer does not trace through media, which the scene has; "
             "VolumetricPathTracer ('volpath') does"
         )
-    for name in ("alpha", "variance"):
+    for name in ("alpha", "variance", "second_moment"):
         if name in names:
             raise ValueError(f"render: outputs: ParticleTracer has no {name!r}; a path tracer has it")
     if adaptive_grad:
@@ -44,7 +44,7 @@ def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> No
 
 
 def check_torch_bsdfs(
-    packed: Layout, params: Any, names: Sequence[str], stack: AOV | None, integrator: Any, shows_radiance: bool
+    packed: Layout, params: Any, names: Sequence[str], stack: Stack | None, integrator: Any, shows_radiance: bool
 ) -> tuple[Any, dict[str, torch.Tensor]]:
     """Refuses what BSDFs written in PyTorch are no part of; else `params` without theirs, and theirs."""
     from .wavefront.function import refuse_torch_bsdfs, split_params
@@ -62,14 +62,15 @@ def check_wavefront(packed: Layout, names: Sequence[str], adaptive_grad: bool) -
     from .wavefront.function import check_scene
 
     check_scene(packed)
-    if "variance" in names:
-        raise ValueError("render: outputs: WavefrontPathTracer has no 'variance'; PathTracer has it")
+    for name in ("variance", "second_moment"):
+        if name in names:
+            raise ValueError(f"render: outputs: WavefrontPathTracer has no {name!r}; PathTracer has it")
     if adaptive_grad:
         raise ValueError("render: adaptive_grad: WavefrontPathTracer has no such choice; PathTracer has it")
 
 
 def check_sensor(
-    camera: Sensor, light: bool, names: Sequence[str], stack: AOV | None, tensors: list[torch.Tensor], packed: Layout
+    camera: Sensor, light: bool, names: Sequence[str], stack: Stack | None, tensors: list[torch.Tensor], packed: Layout
 ) -> None:
     """Sensors that the integrator has no way to: `light` says whether it is light tracing."""
     if isinstance(camera, IrradianceMeter):

@@ -51,6 +51,7 @@ if TYPE_CHECKING:
         rgb: torch.Tensor
         alpha: torch.Tensor
         variance: torch.Tensor
+        second_moment: torch.Tensor
         depth: torch.Tensor
         distance: torch.Tensor
         position: torch.Tensor

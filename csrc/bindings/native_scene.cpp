@@ -66,7 +66,7 @@ public:
         RenderCall<S> primal = call(c);
         if (c.light) return trace_light<S>(primal, at("image"));
         if (c.hits) primal.keep_hits = c.hits->add_pass();
-        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance")});
+        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment")});
     }
 
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,

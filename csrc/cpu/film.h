@@ -19,13 +19,13 @@ inline Rect intersect(const Rect &a, const Rect &b) {
 }
 
 // Sums over a rectangle: of the channels' values times filter weights and, last, of the weights themselves. With
-// `moments` also of the values' squares and of the values times squared weights, and of squared weights (see variance).
+// `moments` also of squares x^2 of values with weights w: w^2 x^2, w^2 x, w x^2 and w^2 (see variance_of_mean).
 struct FilmBlock {
     Rect rect{0, 0, 0, 0};
     int values = 0, moments = 0;  // channels of values; how many of them, from the first, have moments
     std::vector<double> sum;
 
-    static int channels(int values, int moments) { return values + 1 + (moments ? 2 * moments + 1 : 0); }
+    static int channels(int values, int moments) { return values + 1 + (moments ? 3 * moments + 1 : 0); }
     int channels() const { return channels(values, moments); }
 
     void reset(const Rect &r, int n_values, int n_moments = 0) {
@@ -49,7 +49,8 @@ struct FilmBlock {
             double *q = p + values + 1, w2 = w * w;
             for (int c = 0; c < moments; ++c) q[c] += w2 * (value[c] * value[c]);
             for (int c = 0; c < moments; ++c) q[moments + c] += w2 * value[c];
-            q[2 * moments] += w2;
+            for (int c = 0; c < moments; ++c) q[2 * moments + c] += w * (value[c] * value[c]);
+            q[3 * moments] += w2;
         });
     }
 
@@ -69,8 +70,9 @@ struct FilmBlock {
                 double v = double(value[c][i]);
                 q[c] += v * v;
                 q[moments + c] += v;
+                q[2 * moments + c] += v * v;
             }
-        if (moments) q[2 * moments] += double(end - k);
+        if (moments) q[3 * moments] += double(end - k);
     }
 
     // Adds the weights alone of a sample that counts `times` times.

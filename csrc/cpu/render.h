@@ -92,10 +92,11 @@ struct RenderStats {
 };
 
 // Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha`
-// (n) and `variance` (n, values), the variance of the image's values.
+// (n), `variance` (n, values), that of the image's values, and `second_moment` (n, values), the mean of squared
+// samples.
 template <class S>
 struct RenderOutput {
-    S *image, *alpha = nullptr, *variance = nullptr;
+    S *image, *alpha = nullptr, *variance = nullptr, *second_moment = nullptr;
 };
 
 template <class S>

@@ -18,7 +18,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = make_schedule(call);
         const int pixel = call.values, values = pixel + 1;  // radiance, alpha
-        const int moments = out.variance ? pixel : 0;
+        const int moments = out.variance || out.second_moment ? pixel : 0;
         Film film(schedule, FilmBlock::channels(values, moments));
         OrderedMerge merge(schedule, film, call.threads);
         const size_t capacity = derivative ? 512 : 1024;
@@ -52,10 +52,12 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
             for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
             if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
-            if (!out.variance) continue;
-            for (int c = 0; c < pixel; ++c)
-                out.variance[i * size_t(pixel) + size_t(c)] =
-                    S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[2 * pixel]));
+            for (int c = 0; c < moments; ++c) {
+                const size_t at = i * size_t(pixel) + size_t(c);
+                if (out.second_moment) out.second_moment[at] = S(q[2 * pixel + c] * inverse);
+                if (out.variance)
+                    out.variance[at] = S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[3 * pixel]));
+            }
         }
     }
     return stats;

@@ -107,13 +107,14 @@ def _camel(kind: str) -> str:
     return "".join(part.capitalize() for part in kind.split("_"))
 
 
-def public_classes() -> dict[str, tuple[str, str]]:
+def declared_classes() -> dict[str, tuple[str, str]]:
     """Names of all generated and hand-written classes, and for each its category and type."""
-    names: dict[str, tuple[str, str]] = {}
-    for (category, kind), model in models().items():
-        if category in INTERNAL:
-            continue
-        names[class_name(model)] = (category, kind)
+    return {class_name(model): key for key, model in models().items() if model.category not in INTERNAL}
+
+
+def public_classes() -> dict[str, tuple[str, str]]:
+    """The same with further names."""
+    names = declared_classes()
     for category, kind in models():  # the type name in capitals works too where it is free: tr.Envmap
         if category not in INTERNAL and (category, kind) != ("texture", "constant"):
             names.setdefault(_camel(kind), (category, kind))

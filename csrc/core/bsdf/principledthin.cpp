@@ -57,7 +57,8 @@ struct PrincipledThin {
                                     "Principled BSDF of a thin sheet.",
                                     fields,
                                     14,
-                                    HasSmoothLobes | FollowsTangent | Transmits};
+                                    HasSmoothLobes | FollowsTangent | Transmits,
+                                    "PrincipledThin"};
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;
 

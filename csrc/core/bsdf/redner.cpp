@@ -20,8 +20,9 @@ struct RednerMaterial {
     static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"),
                          Specular = color_index(fields, "specular_reflectance");
     static constexpr int Roughness = number_index(fields, "roughness");
-    static constexpr Model model = {"bsdf", "redner", "Diffuse and Blinn-Phong reflection, one-sided.",
-                                    fields, 3,        HasSmoothLobes};
+    static constexpr Model model = {"bsdf",          "redner", "Diffuse and Blinn-Phong reflection, one-sided.",
+                                    fields,          3,        HasSmoothLobes,
+                                    "RednerMaterial"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
 
     // The rational fit to Smith's masking of Beckmann facets of alpha^2 = roughness: Walter et al., EGSR 2007, section

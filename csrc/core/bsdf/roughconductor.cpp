@@ -16,7 +16,8 @@ struct RoughConductor : MicrofacetConductor<RoughConductor> {
     static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"),
                          Reflectance = color_index(fields, "specular_reflectance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {"bsdf", "roughconductor", "Rough conductor, one-sided.", fields, 5, HasSmoothLobes};
+    static constexpr Model model = {"bsdf",         "roughconductor", "Rough conductor, one-sided.", fields, 5,
+                                    HasSmoothLobes, "RoughConductor"};
     static constexpr int Albedo = field_index(fields, "specular_reflectance");
 
     template <class T, class P>

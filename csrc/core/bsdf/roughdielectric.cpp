@@ -17,8 +17,13 @@ struct RoughDielectric : MicrofacetDielectric<RoughDielectric> {
     static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
                          Transmittance = color_index(fields, "specular_transmittance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {
-        "bsdf", "roughdielectric", "Rough dielectric interface.", fields, 5, HasSmoothLobes | Transmits | IsAsymmetric};
+    static constexpr Model model = {"bsdf",
+                                    "roughdielectric",
+                                    "Rough dielectric interface.",
+                                    fields,
+                                    5,
+                                    HasSmoothLobes | Transmits | IsAsymmetric,
+                                    "RoughDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 
     template <class T, class P>

@@ -15,8 +15,8 @@ struct ThinDielectric {
     static constexpr int Eta = number_index(fields, "eta");
     static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
                          Transmittance = color_index(fields, "specular_transmittance");
-    static constexpr Model model = {"bsdf", "thindielectric",         "Thin pane of glass.", fields,
-                                    3,      HasDeltaLobes | Transmits};
+    static constexpr Model model = {"bsdf", "thindielectric",          "Thin pane of glass.", fields,
+                                    3,      HasDeltaLobes | Transmits, "ThinDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 
     // Between both faces, light that is reflected r, leaves in t r t, t r^3 t, ...: r + t^2 r / (1 - r^2) = 2 r / (1 +
