@@ -17,12 +17,14 @@ class Comparison:
 
     Attributes:
         sizes: relative difference by the name of the array, 0 being bit-equal.
+        rounding: of arrays in single precision that differ, how far the other state's is from its own in double.
         refused: what is refused in one state only, or as another kind of error.
         reworded: refused in both, in other words.
         only_here, only_before: what the other state does not know.
     """
 
     sizes: dict[str, float] = field(default_factory=dict)
+    rounding: dict[str, float] = field(default_factory=dict)
     refused: list[str] = field(default_factory=list)
     reworded: list[str] = field(default_factory=list)
     only_here: list[str] = field(default_factory=list)
@@ -75,7 +77,11 @@ def compare(
     for key, values in before.items():
         scales[group(key)] = max(scales.get(group(key), 0.0), largest(values))
     for key in now.keys() & before.keys():
-        found.sizes[key] = difference(now[key], before[key], HARDLY * scales[group(key)])
+        least = HARDLY * scales[group(key)]
+        found.sizes[key] = difference(now[key], before[key], least)
+        exact = before.get("float64" + key.removeprefix("float32"))
+        if found.sizes[key] > 0 and key.startswith("float32") and exact is not None:
+            found.rounding[key] = difference(before[key], exact.astype(before[key].dtype), least)
     for key, text in said.items():
         other = said_before.get(key)
         if other is None:
