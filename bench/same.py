@@ -142,9 +142,8 @@ def report(found: dict[str, Comparison], limits: dict[str, float]) -> bool:
     large = [entry for entry in every if entry[0] > limits[entry[1]]]
     beyond = [f"{size:.2e} {what}" for size, _, what in large if size > rounding.get(what, 0)]
     if len(beyond) < len(large):
-        print(
-            f"beyond its limit, but nearer to the other state than that is to double precision: {len(large) - len(beyond)}"
-        )
+        near = len(large) - len(beyond)
+        print(f"beyond its limit, but nearer to the other state than that is to double precision: {near}")
     refused = [f"{name}: {text}" for name, c in found.items() for text in c.refused]
     listed("Beyond the limits", beyond)
     listed("Refused in one state alone, or for another reason", refused)

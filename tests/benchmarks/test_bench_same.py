@@ -43,6 +43,16 @@ def test_rounding_that_is_left_of_a_sum_counts_by_the_size_of_the_others():
     assert found.worst("float64", "forward") is None and found.worst("float32", "reverse") is None
 
 
+def test_single_precision_has_the_distance_to_double_as_a_measure():
+    names = ["float32/rgb/own/reverse all/a", "float64/rgb/own/reverse all/a"]
+    before = dict(zip(names, (np.array([1.001], "f4"), np.array([1.0]))))
+    for size, beyond in ((2e-4, False), (2e-3, True)):
+        now = {names[0]: (before[names[0]] + np.float32(size)).astype("f4"), names[1]: before[names[1]]}
+        found = compare(now, before, {}, {})
+        assert found.rounding == {names[0]: pytest.approx(1e-3, rel=1e-2)}
+        assert same.report({"scene": found}, {"float32": 1e-5, "float64": 1e-12}) is not beyond
+
+
 def test_what_is_refused_in_one_state_alone_is_a_difference():
     a, b = f"{HERE}/reverse all/ball.a", f"{HERE}/reverse all/ball.b"
     both = {a: np.ones(2), b: np.ones(2)}
