@@ -175,16 +175,19 @@ private:
 
     void trace_shadows(int depth, bool recording) {
         wavefront.trace_shadows(depth == 0 ? RayKind::CameraShadow : RayKind::BounceShadow);
-        const ShadowQueue<S> &shadows = wavefront.shadows;
-        // half of them hit, at random: no branches
+        // Half of them hit, at random: no branches. Pointers are copied, since what is stored could change them.
+        const ShadowQueue<S> shadows = wavefront.shadows;
+        const uint8_t *occluded = wavefront.queries.occluded;
+        if (recording) {
+            S *weight = wavefront.tape.last().columns.outgoing.light_weight.at;
+            for (uint32_t k = 0; k < shadows.n; ++k) weight[shadows.position[k]] *= S(occluded[k] ? 0 : 1);
+            return;
+        }
+        const auto radiance = slots.radiance;
         for (uint32_t k = 0; k < shadows.n; ++k) {
-            S visible(wavefront.queries.occluded[k] ? 0 : 1);
-            if (recording) {
-                wavefront.tape.last().columns.outgoing.light_weight[shadows.position[k]] *= visible;
-            } else {
-                uint32_t slot = shadows.slot[k];
-                for (int c = 0; c < SpectrumSize; ++c) slots.radiance[c][slot] += visible * shadows.contribution[c][k];
-            }
+            const S visible(occluded[k] ? 0 : 1);
+            const uint32_t slot = shadows.slot[k];
+            for (int c = 0; c < SpectrumSize; ++c) radiance[c][slot] += visible * shadows.contribution[c][k];
         }
     }
 

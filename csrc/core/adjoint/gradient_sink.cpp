@@ -109,9 +109,10 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
             return;
         }
     }
+    double *const to = constants;  // not read again after every addition
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
-            for (int c = 0; c < SpectrumSize; ++c) constants[lane(offset, i) + c] += double(lane(g[c], i));
+            for (int c = 0; c < SpectrumSize; ++c) to[lane(offset, i) + c] += double(lane(g[c], i));
 }
 
 template <class F>

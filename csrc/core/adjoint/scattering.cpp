@@ -6,7 +6,7 @@ template <class F>
 void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
                    const GradientNeeds &needs, const MaskOf<F> &active, CoordinateAdjoint<F> &at, Vec3<F> &d_bar,
                    GradientSink<F> &sink) {
-    IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
+    IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (!emitter.model->is(IsBeam)) emitter.vjp(scene, point, d, g, needs, lanes, at, d_bar, sink);
     });
@@ -70,7 +70,7 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
     DirectAdjoint<F> g{v.light,          v.p,           frame.frame.to_world(v.wo_light),
                        v.light_distance, w_bar,         contract(a, apply(bsdf.light.f, light_factor)),
                        light_at,         needs.geometry};
-    IntOf<F> kind = record_kind<F>(scene.emitters, v.light.emitter, lit);
+    IntOf<F> kind = emitter_kind<F>(scene, v.light.emitter, lit);
     for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (emitter.direct_vjp) emitter.direct_vjp(scene, g, lanes, x_bar, sink);
     });

@@ -14,7 +14,7 @@ template <class F>
 Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
                          const MaskOf<F> &active, bool beams) {
     Spectrum<F> r = uniform_spectrum(F(0));
-    IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
+    IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (beams || !emitter.model->is(IsBeam)) emitter.eval(scene, waves, point, lanes, r);
     });
@@ -51,7 +51,7 @@ EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const
     EmitterSample<F> r = no_emitter_sample<F>();
     ChosenEmitter<F> chosen(scene, u0, active);
     r.point.emitter = IntOf<F>(chosen.index);
-    IntOf<F> kind = record_kind<F>(scene.emitters, r.point.emitter, active);
+    IntOf<F> kind = emitter_kind<F>(scene, r.point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (emitter.sample_direct) emitter.sample_direct(scene, p, chosen.left, u1, u2, lanes, r);
     });
@@ -63,7 +63,7 @@ template <class F>
 F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
                     const Vec3<F> &n, const MaskOf<F> &active) {
     F r(0);
-    IntOf<F> kind = record_kind<F>(scene.emitters, point.emitter, active);
+    IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (emitter.pdf_direct) r = select(lanes, emitter.pdf_direct(scene, point, from, p, n, lanes), r);
     });
@@ -85,7 +85,7 @@ EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, cons
     EmissionSample<F> r;
     ChosenEmitter<F> chosen(scene, choice, active);
     r.point = {IntOf<F>(chosen.index), {UIntOf<F>(0u), UIntOf<F>(0u), F(0), F(0)}};
-    r.kind = record_kind<F>(scene.emitters, r.point.emitter, active);
+    r.kind = emitter_kind<F>(scene, r.point.emitter, active);
     r.p = {F(0), F(0), F(0)};
     r.n = r.d = {F(0), F(0), F(1)};
     r.weight = r.inverse_pdf = F(0);

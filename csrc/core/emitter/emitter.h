@@ -158,6 +158,12 @@ TR_INLINE void for_each_emitter_kind(const IntOf<F> &kind, const MaskOf<F> &acti
     for_each_distinct<F>(kind, active, [&](int32_t k, const MaskOf<F> &lanes) { visit(emitter_kernels<F>(k), lanes); });
 }
 
+template <class F>
+TR_INLINE IntOf<F> emitter_kind(const SceneOf<F> &scene, const IntOf<F> &emitter, const MaskOf<F> &active) {
+    if (scene.n_emitters == 1) return IntOf<F>(scene.emitters[0].kind);
+    return record_kind<F>(scene.emitters, emitter, active);
+}
+
 // The lanes whose emitters have one of these flags.
 template <class F>
 TR_INLINE MaskOf<F> emitters_with(const IntOf<F> &kind, uint32_t flags) {

@@ -36,6 +36,8 @@ TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&
 template <class F, class S, class Point, class Visitor>
 TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const MaskOf<F> &active,
                          Visitor &visitor, int depth = 0) {
+    if (!scene.textured)
+        return visitor.constant(record_field<F>(scene.textures, ConstantTexture::Value, id, active), active);
     RecordLanes<F> record(scene.textures, id, active);
     auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
     if (any(constant)) visitor.constant(record.field(ConstantTexture::Value), constant);
@@ -83,6 +85,9 @@ Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, c
 template <template <class> class Point, class F, class S>
 TR_INLINE Spectrum<F> eval_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
                                    const IntOf<F> &id, const Point<F> &at, const MaskOf<F> &active) {
+    if (!scene.textured)
+        return constant_spectrum<F>(values, waves, record_field<F>(scene.textures, ConstantTexture::Value, id, active),
+                                    active);
     RecordLanes<F> record(scene.textures, id, active);
     auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
     Spectrum<F> r = uniform_spectrum(F(0));
