@@ -99,13 +99,16 @@ native-test: $(VENV)/.installed
 sanitize: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
 
-# Compiles the renderer's core for CUDA and stops there: that it compiles is what is checked, and not optimised, which
-# would take minutes.
+# Compiles the renderer's core for CUDA and links it: nothing runs, and no GPU is needed. Device code that calls a host
+# function is an error. Relocatable, so that each function is compiled once: a whole program's are copied for the kernels
+# that call them, which takes ptxas many minutes and gigabytes of memory.
 NVCC ?= nvcc
 CUDA_ARCH ?= sm_80
 cuda:
 	@mkdir -p build/cuda
-	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Xptxas -O0 -Icsrc -c csrc/cuda/instantiate.cu -o build/cuda/instantiate.o
+	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Werror cross-execution-space-call -Icsrc \
+	  -dc csrc/cuda/instantiate.cu -o build/cuda/instantiate.o
+	$(NVCC) -arch=$(CUDA_ARCH) -Xnvlink -suppress-stack-size-warning -dlink build/cuda/instantiate.o -o build/cuda/linked.o
 
 clean:
 	rm -rf build dist *.egg-info torchrender/_core_*.so .pytest_cache .ruff_cache $(VENV)/.tools $(VENV)/.installed

@@ -78,6 +78,16 @@ struct Model {
     constexpr bool is(uint32_t flag) const { return (flags & flag) != 0; }
 };
 
+// What a table of functions says of its model: the flags, and for the host the declaration.
+struct ModelInfo {
+    const Model *model = nullptr;
+    uint32_t flags = 0;
+
+    constexpr ModelInfo() = default;
+    constexpr ModelInfo(const Model &declared) : model(TR_HOST_POINTER(&declared)), flags(declared.flags) {}
+    constexpr bool is(uint32_t flag) const { return (flags & flag) != 0; }
+};
+
 // Fields by their names, when the program is compiled: a name that is not declared does not compile.
 constexpr bool same_name(const char *a, const char *b) {
     for (; *a && *a == *b; ++a, ++b) {}

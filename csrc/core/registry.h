@@ -75,6 +75,6 @@ constexpr bool perturbs_normals(int kind) { return kind == NormalMapKind || kind
 
 // The table of a BSDF, by its kind.
 template <class F>
-const BsdfKernels<F> &bsdf_kernels(int kind);
+TR_HD const BsdfKernels<F> &bsdf_kernels(int kind);
 
 }  // namespace tr

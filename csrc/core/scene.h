@@ -135,7 +135,7 @@ template <class F>
 struct ShapeLanes {
     IntOf<F> flags, face_offset, bsdf, emitter;
 
-    TR_INLINE ShapeLanes() = default;
+    ShapeLanes() = default;
     TR_INLINE ShapeLanes(const ShapeInfo *table, const UIntOf<F> &shape, const MaskOf<F> &active) {
         IntOf<F> row[4];
         gather_few_rows<F>(&table->flags, shape * 16u, active, row);

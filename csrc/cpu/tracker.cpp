@@ -61,18 +61,7 @@ void Tracker<F>::walk_components(const MediumInfo &medium, const TrackedQueue<S>
                 if (!busy[i]) entries[i] = order[taken++], is_fresh[i] = 1;
             M fresh = mask<F>(load_uint<F>(is_fresh) != U(0u));
             s.entry = load_uint<F>(entries);
-            Gathered<F> from(s.entry, fresh);
-            Vec3<F> origin = from(rays.o), along = from(rays.d);
-            F ahead = from(rays.ray_offset);
-            M meets = s.walk.start(scene_, medium, origin - along * ahead, along, from(at.end) + ahead, fresh);
-            s.walk.enter = select(fresh, s.walk.enter - ahead, s.walk.enter);
-            s.random.a = select(mask<U>(fresh), from(at.seed_a), s.random.a);
-            s.random.b = select(mask<U>(fresh), from(at.seed_b), s.random.b);
-            s.depth = select(fresh, optical_depth(s.random.next(fresh)), s.depth);
-            estimator.begin(s, fresh);
-            M apart = fresh && !meets;
-            if (any(apart)) estimator.finish(s, apart, M(false));
-            walking = walking || meets;
+            walking = walking || s.start(scene_, medium, rays, at, estimator, fresh);
         }
         if (!any(walking || stopped)) {
             if (taken >= n) return;
@@ -86,12 +75,9 @@ void Tracker<F>::walk_components(const MediumInfo &medium, const TrackedQueue<S>
         // tentative collisions, once they are most of what is left to do
         if (any(stopped) && (count(stopped) * 2 >= count(walking || stopped))) {
             collisions += uint64_t(count(stopped));
-            Spectrum<F, N> sigma = grid_extinction<N>(scene_, medium, s.walk.local(), stopped);
-            M above = stopped && mask<F>(max_component(sigma) > s.walk.majorant);
+            M above;
+            walking = walking || s.collide(scene_, medium, estimator, stopped, above);
             if (any(above)) exceeded += uint64_t(count(above));
-            M goes_on = estimator.collide(s, sigma, stopped);
-            s.depth = select(goes_on, optical_depth(s.random.next(goes_on)), s.depth);
-            walking = walking || goes_on;
             stopped = M(false);
         }
     }

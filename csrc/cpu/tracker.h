@@ -6,13 +6,6 @@
 
 namespace tr {
 
-// Rays by entry.
-template <class S>
-struct TrackedQueue {
-    VectorColumn<S> o, d;
-    NumberColumn<S> ray_offset;  // they begin before their origins
-};
-
 template <class F>
 class Tracker {
     using S = ScalarOf<F>;

@@ -1,190 +1,349 @@
-// The renderer's core compiled for a CUDA device, with Float = float: every stage of the path tracer as a kernel over
-// paths. Nothing launches these kernels yet (that needs ray queries on the device and a scheduler); compiling them is
-// what keeps the core free of everything that a device cannot do. `make cuda` does that.
-#include "core/adjoint/camera.h"
-#include "core/bsdf/diffuse.h"
-#include "core/integrator/medium.h"
+// The renderer's core compiled for a device, with F = float: every function that a schedule calls for a packet becomes
+// a kernel that calls it for one lane. A kernel builds the context and the accessors from its arguments and does
+// nothing else; how kernels follow each other is a schedule's matter, as in csrc/cpu.
+//
+// Nothing launches these kernels yet: that needs ray queries on the device and a schedule. `make cuda` compiles and
+// links them, which shows that the core needs nothing that device code does not have: functions and data of the host,
+// static variables that are initialised when the program runs, exceptions, virtual functions. It says nothing about
+// results.
+#include "core/adjoint/camera.cpp"
+#include "core/adjoint/gradient_sink.cpp"
+#include "core/adjoint/light.cpp"
+#include "core/adjoint/lookup.cpp"
+#include "core/adjoint/medium.cpp"
+#include "core/adjoint/outputs.cpp"
+#include "core/adjoint/scattering.cpp"
+#include "core/adjoint/stack.cpp"
+#include "core/adjoint/surface.cpp"
+#include "core/adjoint/sweep.cpp"
+#include "core/bsdf/anisotropicconductor.cpp"
+#include "core/bsdf/anisotropicdielectric.cpp"
+#include "core/bsdf/bsdf.cpp"
+#include "core/bsdf/conductor.cpp"
+#include "core/bsdf/dielectric.cpp"
+#include "core/bsdf/diffuse.cpp"
+#include "core/bsdf/null.cpp"
+#include "core/bsdf/parameters.cpp"
+#include "core/bsdf/plastic.cpp"
+#include "core/bsdf/principled.cpp"
+#include "core/bsdf/principledthin.cpp"
+#include "core/bsdf/redner.cpp"
+#include "core/bsdf/roughconductor.cpp"
+#include "core/bsdf/roughdielectric.cpp"
+#include "core/bsdf/roughplastic.cpp"
+#include "core/bsdf/thindielectric.cpp"
+#include "core/emitter/area.cpp"
+#include "core/emitter/constant.cpp"
+#include "core/emitter/directional.cpp"
+#include "core/emitter/directionalarea.cpp"
+#include "core/emitter/emitter.cpp"
+#include "core/emitter/envmap.cpp"
+#include "core/emitter/point.cpp"
+#include "core/emitter/projector.cpp"
+#include "core/emitter/spot.cpp"
+#include "core/integrator/aovs.cpp"
+#include "core/integrator/bsdf_aovs.cpp"
+#include "core/integrator/bsdf_stack.cpp"
+#include "core/integrator/camera.cpp"
+#include "core/integrator/classify.cpp"
+#include "core/integrator/light.cpp"
+#include "core/integrator/medium.cpp"
+#include "core/integrator/shadow_transmittance.cpp"
+#include "core/integrator/surface.cpp"
+#include "core/medium/estimators.h"
+#include "core/phase/blend.cpp"
+#include "core/phase/hg.cpp"
+#include "core/phase/isotropic.cpp"
+#include "core/phase/phase.cpp"
+#include "core/phase/rayleigh.cpp"
+#include "core/phase/tabulated.cpp"
+#include "core/shape/surface.cpp"
+#include "core/texture/texture.cpp"
 
 namespace tr {
+namespace stages {
 
-using S = float;
+using F = float;
+using S = ScalarOf<F>;
 
-// A path between two kernels.
-struct PathState {
-    Vec3<float> origin, direction;
-    Origin<float> from;
-    uint32_t pixel, sample;
-    int32_t depth;
+// What a PathContext refers to. The tables lie in the device's memory, and so do queues, which count their entries.
+struct Stage {
+    SceneView<S> scene;
+    PathConfig config;
+    SlotColumns<S> slots;
+    GradientNeeds needs;
+    TapeColumns<S> tape;
+    S width, height;  // of the film
+    Diagnostics *diagnostics;
+    bool recording, keeps_black;
+
+    __device__ PathContext<F> context() const {
+        return {scene, config, slots, *diagnostics, &needs, recording ? &tape : nullptr, keeps_black};
+    }
+    __device__ LightSensor<S> light_sensor() const { return {scene, config.sensor, width, height}; }
 };
 
-// What a ray query found: t < 0 at a miss.
-struct Hit {
-    SurfacePoint<float> at;
-    float t;
+// A range of hits of one kind, from `begin` on: there `order` has their entries in the queue, and a tape their
+// vertices.
+struct Hits {
+    int kind;
+    PathStep step;
+    const uint32_t *order;
+    uint32_t begin, count;
+    const PathQueue<S> *queue;
+    HitColumns<S> hits;
+
+    __device__ LaneSet<F> lanes(uint32_t i) const { return {order + i, 1}; }
 };
 
 __device__ inline uint32_t thread_index() { return blockIdx.x * blockDim.x + threadIdx.x; }
 
-__global__ void start_paths(SceneView<S> scene, PathConfig config, uint32_t n, uint32_t width, uint32_t height,
-                            PathState *paths) {
-    uint32_t i = thread_index();
-    if (i >= n) return;
-    uint32_t pixel = i % (width * height), sample = i / (width * height);
-    Random4<float> u = draw4<float>(config, pixel, sample, 0, 2);
-    float length;
-    Vec3<float> center;
-    Ray<float> ray = Perspective::ray(scene, scene.sensors[config.sensor], float(pixel % width) + u.u[0],
-                                      float(pixel / width) + u.u[1], S(width), S(height), length, center);
-    paths[i] = {ray.o, ray.d, {center, 0.f}, pixel, sample, 0};
+// Calls f with the thread's number if it is below n.
+template <class Do>
+__device__ void each(uint32_t n, Do &&f) {
+    const uint32_t i = thread_index();
+    if (i < n) f(i);
+}
+template <class Do>
+__device__ void each(const Hits &at, Do &&f) {
+    const uint32_t i = thread_index();
+    if (i < at.count) f(at.begin + i, at.lanes(at.begin + i));
 }
 
-template <>
-__global__ void emission(SceneView<S> scene, PathConfig config, uint32_t n, const PathState *paths, const Hit *hits,
-                         S *radiance) {
-    uint32_t i = thread_index();
-    if (i >= n) return;
-    const PathState &path = paths[i];
-    Emission<float> found;
-    found.radiance = uniform_spectrum(0.f);
-    if (hits[i].t < 0) {
-        if (scene.environment >= 0)
-            found = environment_emission(scene, config, path.direction, path.from, true, path.depth == 1);
-    } else {
-        Ray<float> ray{path.origin, path.direction};
-        Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
-        float cos_i = -dot(ray.d, si.frame.n);
-        found = surface_emission(scene, config, si, cos_i, path.from, true, path.depth == 1);
-    }
-    for (int c = 0; c < SpectrumSize; ++c) radiance[i * C + c] = found.radiance[c];
-}
+#define TR_STAGE __grid_constant__ const Stage stage
+#define TR_HITS __grid_constant__ const Hits at
 
-template <>
-__global__ void scatter_paths(SceneView<S> scene, PathConfig config, uint32_t n, PathState *paths, const Hit *hits,
-                              Scattering<float> *out) {
-    uint32_t i = thread_index();
-    if (i >= n || hits[i].t < 0) return;
-    PathState &path = paths[i];
-    Ray<float> ray{path.origin, path.direction};
-    Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
-    Vec3<float> wi = si.frame.to_local(-ray.d);
-    int32_t bsdf = si.shape.bsdf;
-    Leaf<float> leaf = resolve_bsdf<float>(scene, bsdf, wi.z < 0, true);
-    wi.z = leaf.mirrored ? -wi.z : wi.z;
-    uint32_t block = BlocksPerScattering * uint32_t(path.depth);
-    Random4<float> ue = draw4<float>(config, path.pixel, path.sample, EmitterBlock + block, 4);
-    Random4<float> ub = draw4<float>(config, path.pixel, path.sample, BsdfBlock + block, 3);
-    dispatch(Bsdfs{}, scene.bsdfs[leaf.bsdf].kind, [&](auto model) {
-        scatter<decltype(model)>(scene, config, si, wi, leaf, 0, path.depth, ue, ub, true, out[i]);
-    });
-    Vec3<float> wo = out[i].sample.wo;
-    wo.z = leaf.mirrored ? -wo.z : wo.z;
-    path.origin = si.p;
-    path.direction = si.frame.to_world(wo);
-    path.from = {si.p, out[i].sample.delta ? 0.f : out[i].sample.pdf};
-    ++path.depth;
-}
-
-// Delta tracking to the next collision in a gridded medium, and scattering there.
-template <>
-__global__ void scatter_in_media(SceneView<S> scene, PathConfig config, uint32_t n, int32_t medium, PathState *paths,
-                                 const S *length, MediumScattering<float> *out) {
-    uint32_t i = thread_index();
-    if (i >= n) return;
-    PathState &path = paths[i];
-    const MediumInfo &info = scene.media[medium];
-    uint32_t block = SegmentBlock + BlocksPerSegment * uint32_t(path.depth);
-    auto bits = random_bits4<float>(config.seed, config.sensor, path.pixel, path.sample, block);
-    TrackingRandom<float> random{bits.bits[0] | 1u, bits.bits[1]};
-    MajorantWalk<float, S> walk{};
-    bool walking = walk.start(scene, info, path.origin, path.direction, length[i], true), stopped = false, left = false;
-    float depth = optical_depth(random.next(true));
-    while (walking) {
-        walk.advance(scene, info, depth, walking, stopped, left);
-        if (!stopped) continue;
-        float sigma = grid_extinction<1>(scene, info, walk.local(), true)[0];
-        if (random.next(true) * walk.majorant < sigma) break;
-        depth = optical_depth(random.next(true));
-        walking = true, stopped = false;
-    }
-    out[i] = no_medium_scattering<float>();
-    if (!stopped) return;
-    Vec3<float> p = path.origin + path.direction * (walk.enter + walk.t);
-    block = BlocksPerScattering * uint32_t(path.depth);
-    Random4<float> ue = draw4<float>(config, path.pixel, path.sample, EmitterBlock + block, 4);
-    Random4<float> ub = draw4<float>(config, path.pixel, path.sample, BsdfBlock + block, 3);
-    scatter_in_medium(scene, medium, p, path.direction, ue, ub, true, out[i]);
-    path.origin = p;
-    path.direction = out[i].wo;
-    path.from = {p, out[i].pdf};
-    ++path.depth;
-}
-
-// The derivative of a BSDF's value in each of its parameters, by dual numbers.
-template <class Model>
-__device__ void differentiate(const SceneView<S> &scene, int32_t bsdf, const SurfacePoint<float> &at,
-                              const Vec3<float> &wi, const Vec3<float> &wo, S *out) {
-    if constexpr (ParamCount<Model>::All > 0) {
-        auto params = seed_params<Model, float>(load_params<Model>(scene, bsdf, at, true));
-        auto value = Model::eval(params, wi, wo, 0);
-        for (int c = 0; c < SpectrumSize; ++c)
-            for (int k = 0; k < ParamCount<Model>::All; ++k) out[c * ParamCount<Model>::All + k] = value[c].d[k];
-    }
-}
-
-template <>
-__global__ void differentiate_bsdfs(SceneView<S> scene, uint32_t n, const int32_t *bsdfs, const SurfacePoint<float> *at,
-                                    const Vec3<float> *wi, const Vec3<float> *wo, S *out, uint32_t stride) {
-    uint32_t i = thread_index();
-    if (i >= n) return;
-    dispatch(Bsdfs{}, scene.bsdfs[bsdfs[i]].kind, [&](auto model) {
-        differentiate<decltype(model)>(scene, bsdfs[i], at[i], wi[i], wo[i], out + i * stride);
+// ------------------------------------------------------------------------------------------------------------- paths
+__global__ void start_paths(TR_STAGE, bool skip_zero_adjoint, uint32_t n_slots, PathQueue<S> *out) {
+    each(n_slots, [&](uint32_t i) {
+        tr::start_paths(stage.context(), stage.width, stage.height, skip_zero_adjoint, i, n_slots, *out);
     });
 }
 
-// Forward-mode derivative of where camera rays hit, for adjoints of position, normal and coordinates.
-template <>
-__global__ void move_hits(SceneView<S> scene, PathConfig config, uint32_t n, uint32_t width, uint32_t height,
-                          const Hit *hits, const HitAdjoint<float> *adjoints, const float *x, const float *y,
-                          ForwardSink<float> *sinks) {
-    uint32_t i = thread_index();
-    if (i >= n || hits[i].t < 0) return;
-    const Record &camera = scene.sensors[config.sensor];
-    float length;
-    Vec3<float> center, zero{0.f, 0.f, 0.f};
-    Ray<float> ray = Perspective::ray(scene, camera, x[i], y[i], S(width), S(height), length, center);
-    Interaction<float> si = make_interaction(scene, ray, hits[i].at, hits[i].t, true);
-    Vec3<float> segment = si.p - center;
-    Arrival<float> in{true, ray.d, norm(segment), segment, zero, 0.f};
-    RayAdjoint<float> g = sweep_surface(scene, si.at, si.p, in, adjoints[i], true, sinks[i]);
-    sweep_pinhole(scene, camera, x[i], y[i], S(width), S(height), g, zero, true, sinks[i]);
+__global__ void classify_hits(TR_STAGE, TR_HITS, const int32_t *kinds, bool viewed, int32_t *kind) {
+    each(at.queue->n, [&](uint32_t i) {
+        kind[i] = tr::classify_hits(stage.context(), at.step, *at.queue, at.hits, kinds, viewed, i);
+    });
 }
 
-// Scattering in a medium: a new direction, and the forward-mode derivative of its density.
-template <>
-__global__ void scatter_by_phase(SceneView<S> scene, uint32_t n, const int32_t *phases, const Vec3<float> *u,
-                                 PathState *paths, ForwardSink<float> *sinks, S *density) {
-    uint32_t i = thread_index();
-    if (i >= n) return;
-    const Vec3<float> p = paths[i].origin, d = paths[i].direction;
-    Vec3<float> wo = sample_phase(scene, phases[i], p, d, u[i].x, u[i].y, u[i].z, true);
-    density[i] = eval_phase(scene, phases[i], p, d, wo, true);
-    sweep_phase(scene, phases[i], p, d, wo, uniform_spectrum(1.f), true, sinks[i]);
-    paths[i].direction = wo;
+__global__ void shade_surfaces(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *shadows) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        shade_surface(stage.context(), at.kind, at.step, *at.queue, at.hits, lanes, i, *out, *shadows);
+    });
 }
 
-#define TR_INSTANTIATE(C)                                                                                              \
-    template __global__ void emission(SceneView<S>, PathConfig, uint32_t, const PathState *, const Hit *, S *);        \
-    template __global__ void scatter_paths(SceneView<S>, PathConfig, uint32_t, PathState *, const Hit *,               \
-                                           Scattering<float> *);                                                       \
-    template __global__ void scatter_in_media(SceneView<S>, PathConfig, uint32_t, int32_t, PathState *, const S *,     \
-                                              MediumScattering<float> *);                                              \
-    template __global__ void scatter_by_phase(SceneView<S>, uint32_t, const int32_t *, const Vec3<float> *,            \
-                                              PathState *, ForwardSink<float> *, S *);                                 \
-    template __global__ void move_hits(SceneView<S>, PathConfig, uint32_t, uint32_t, uint32_t, const Hit *,            \
-                                       const HitAdjoint<float> *, const float *, const float *, ForwardSink<float> *); \
-    template __global__ void differentiate_bsdfs(SceneView<S>, uint32_t, const int32_t *, const SurfacePoint<float> *, \
-                                                 const Vec3<float> *, const Vec3<float> *, S *, uint32_t);
-TR_INSTANTIATE(1)
-TR_INSTANTIATE(3)
+__global__ void shade_environments(TR_STAGE, TR_HITS) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        shade_environment(stage.context(), at.step, *at.queue, lanes, i);
+    });
+}
 
+__global__ void find_rays_to_lights(TR_STAGE, TR_HITS, uint8_t *may_meet) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        may_meet[i] = may_meet_light(stage.scene, lanes(at.queue->o), lanes(at.queue->d));
+    });
+}
+
+// ------------------------------------------------------------------------------------------------------------- media
+__global__ void begin_media(TR_STAGE, PathQueue<S> *queue) {
+    each(queue->n, [&](uint32_t i) { tr::begin_media(stage.context(), *queue, i); });
+}
+
+__global__ void begin_media_slots(TR_STAGE, MediumContext<F> media, uint32_t n_slots) {
+    each(n_slots, [&](uint32_t i) { tr::begin_media_slots(stage.context(), media, i); });
+}
+
+__global__ void begin_flight(TR_STAGE, MediumContext<F> media, const PathQueue<S> *queue, HitColumns<S> hits) {
+    each(queue->n, [&](uint32_t i) { tr::begin_flight(stage.context(), media, *queue, hits, i); });
+}
+
+__global__ void finish_flight(TR_STAGE, MediumContext<F> media, PathQueue<S> *queue, HitColumns<S> hits,
+                              bool add_radiance) {
+    each(queue->n, [&](uint32_t i) { tr::finish_flight(stage.context(), media, *queue, hits, add_radiance, i); });
+}
+
+__global__ void shade_media(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *shadows) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        shade_medium(stage.context(), at.step, *at.queue, at.hits, lanes, i, *out, *shadows);
+    });
+}
+
+__global__ void record_segments(TR_STAGE, TR_HITS, MediumContext<F> media, ShadowQueue<S> *shadows) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        record_segment(stage.context(), media, at.step, *at.queue, lanes, i, *shadows);
+    });
+}
+
+__global__ void start_branches(TR_STAGE, MediumContext<F> media, uint32_t n_slots, PathQueue<S> *out) {
+    each(n_slots, [&](uint32_t i) { tr::start_branches(stage.context(), media, i, n_slots, *out); });
+}
+
+// Entries of a queue that are in one medium.
+struct Tracked {
+    const MediumInfo *medium;
+    const uint32_t *order;
+    uint32_t n;
+    TrackedQueue<S> rays;
+};
+
+__global__ void fly_through_constant(TR_STAGE, Tracked tracked, FlightColumns<S> at, bool colored, bool points) {
+    each(tracked.n, [&](uint32_t i) {
+        const Spectrum<F> sigma = constant_extinction<F>(stage.scene, {}, *tracked.medium);
+        const uint32_t *entry = tracked.order + i;
+        fly_constant(sigma, tracked.rays.ray_offset, at, colored, points, LaneSet<F>(entry, 1), *entry);
+    });
+}
+
+__global__ void transmit_through_constant(TR_STAGE, Tracked tracked, TransmittanceColumns<S> at) {
+    each(tracked.n, [&](uint32_t i) {
+        const Spectrum<F> sigma = constant_extinction<F>(stage.scene, {}, *tracked.medium);
+        const uint32_t *entry = tracked.order + i;
+        transmit_constant(sigma, tracked.rays.ray_offset, at, LaneSet<F>(entry, 1), *entry);
+    });
+}
+
+// Steps of rays through a grid: they start, advance to a tentative collision or to the end, collide and advance again.
+struct Progress {
+    bool walking, stopped;
+};
+
+template <int N, class Columns, class Estimator>
+__global__ void start_tracking(TR_STAGE, Tracked tracked, Columns at, Estimator estimator, TrackedRay<F, N> *rays,
+                               Progress *progress) {
+    each(tracked.n, [&](uint32_t i) {
+        rays[i].entry = tracked.order[i];
+        progress[i] = {rays[i].start(stage.scene, *tracked.medium, tracked.rays, at, estimator, true), false};
+    });
+}
+
+template <int N, class Estimator>
+__global__ void advance_tracking(TR_STAGE, Tracked tracked, Estimator estimator, TrackedRay<F, N> *rays,
+                                 Progress *progress) {
+    each(tracked.n, [&](uint32_t i) {
+        Progress &p = progress[i];
+        bool left = false;
+        rays[i].walk.advance(stage.scene, *tracked.medium, rays[i].depth, p.walking, p.stopped, left);
+        if (left) estimator.finish(rays[i], left, false);
+    });
+}
+
+template <int N, class Estimator>
+__global__ void collide_tracking(TR_STAGE, Tracked tracked, Estimator estimator, TrackedRay<F, N> *rays,
+                                 Progress *progress, uint32_t *exceeded) {
+    each(tracked.n, [&](uint32_t i) {
+        Progress &p = progress[i];
+        bool above;
+        p.walking |= rays[i].collide(stage.scene, *tracked.medium, estimator, p.stopped, above);
+        p.stopped = false;
+        accumulate(exceeded, uint32_t(count(above)));
+    });
+}
+
+#define TR_TRACKING(N, Columns, Estimator)                                                                      \
+    template __global__ void start_tracking(TR_STAGE, Tracked, Columns<S>, Estimator<F>, TrackedRay<F, N> *,    \
+                                            Progress *);                                                        \
+    template __global__ void advance_tracking(TR_STAGE, Tracked, Estimator<F>, TrackedRay<F, N> *, Progress *); \
+    template __global__ void collide_tracking(TR_STAGE, Tracked, Estimator<F>, TrackedRay<F, N> *, Progress *,  \
+                                              uint32_t *);
+TR_TRACKING(1, FlightColumns, FlightEstimator)
+TR_TRACKING(SpectrumSize, FlightColumns, FlightEstimator)
+TR_TRACKING(1, TransmittanceColumns, TransmittanceEstimator)
+TR_TRACKING(SpectrumSize, TransmittanceColumns, TransmittanceEstimator)
+#undef TR_TRACKING
+
+__global__ void seed_shadow_rays(TR_STAGE, ShadowQueue<S> *shadows, TransmittanceColumns<S> transmittance,
+                                 uint32_t level, uint32_t round, const uint32_t *pending, uint32_t n) {
+    each(n, [&](uint32_t i) {
+        tr::seed_shadow_rays<F>(stage.context(), *shadows, transmittance, level, round, pending[i], true);
+    });
+}
+
+__global__ void cross_boundaries(TR_STAGE, ShadowQueue<S> *shadows, TransmittanceColumns<S> transmittance,
+                                 HitColumns<S> hits, const uint32_t *pending, uint32_t n, bool *goes_on) {
+    each(n, [&](uint32_t i) {
+        Entries<F> from(i);
+        goes_on[i] =
+            cross_boundary<F>(stage.context(), *shadows, transmittance, from(hits.at), from(hits.t), pending[i], true);
+    });
+}
+
+// ------------------------------------------------------------------------------------------------------- light paths
+__global__ void start_light_paths(TR_STAGE, uint32_t n_slots, PathQueue<S> *out, ShadowQueue<S> *connections) {
+    each(n_slots, [&](uint32_t i) {
+        tr::start_light_paths(stage.context(), stage.light_sensor(), i, n_slots, *out, *connections);
+    });
+}
+
+__global__ void shade_light_paths(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *connections) {
+    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
+        shade_light_path(stage.context(), stage.light_sensor(), at.kind, at.step, *at.queue, at.hits, lanes, i, *out,
+                         *connections);
+    });
+}
+
+// --------------------------------------------------------------------------------------------------- the derivative
+// Entries of one kind of a tape's level, the level of those before them, and where their gradients go: all lanes add to
+// one gradient, each through a sink of its own.
+struct Sweep {
+    int kind;
+    uint32_t begin, count, level;
+    bool scatters, has_parents, has_branches, unit_adjoint;
+    TapeColumns<S> parents;
+    BranchColumns<S> branches;
+    GradientSink<F> sink;
+    uint32_t *non_finite;
+
+    __device__ SweepContext<F> context(const Stage &stage) const {
+        return {stage.scene,
+                stage.config,
+                stage.slots,
+                stage.needs,
+                stage.width,
+                stage.height,
+                has_branches ? &branches : nullptr,
+                unit_adjoint};
+    }
+    template <class Do>
+    __device__ void each(Do &&f) const {
+        const uint32_t i = thread_index();
+        if (i >= count) return;
+        GradientSink<F> own = sink;
+        f(begin + i, has_parents ? &parents : nullptr, own);
+        accumulate(non_finite, own.non_finite);
+    }
+};
+
+// `radiance`: at the vertices, see sweep_vertex.
+__global__ void sweep_vertices(TR_STAGE, __grid_constant__ const Sweep sweep, SpectrumColumn<S> radiance) {
+    sweep.each([&](uint32_t i, const TapeColumns<S> *parents, GradientSink<F> &sink) {
+        write(radiance, i,
+              sweep_vertex(sweep.context(stage), stage.tape, parents, sweep.level, sweep.kind, sweep.scatters, i, true,
+                           sink));
+    });
+}
+
+__global__ void sweep_light_vertices(TR_STAGE, __grid_constant__ const Sweep sweep) {
+    sweep.each([&](uint32_t i, const TapeColumns<S> *parents, GradientSink<F> &sink) {
+        sweep_light_vertex(sweep.context(stage), stage.light_sensor(), stage.tape, parents, sweep.kind, i, true, sink);
+    });
+}
+
+// ----------------------------------------------------------------------------------------- outputs besides radiance
+// Of first hits, layout.n numbers each; the layout lies in the device's memory.
+__global__ void eval_outputs(TR_STAGE, const AovLayout *layout, const FirstHit<F> *hits, uint32_t n, F *value) {
+    each(n, [&](uint32_t i) {
+        AovContext<F> context(stage.scene, *layout, stage.config.sensor, stage.width, stage.height);
+        eval_aovs(context, hits[i], true, value + size_t(i) * size_t(layout->n));
+    });
+}
+
+__global__ void sweep_outputs(TR_STAGE, __grid_constant__ const Sweep sweep, const AovLayout *layout,
+                              const FirstHit<F> *hits, F *value) {
+    sweep.each([&](uint32_t i, const TapeColumns<S> *, GradientSink<F> &sink) {
+        AovContext<F> context(stage.scene, *layout, stage.config.sensor, stage.width, stage.height);
+        sweep_aovs(context, hits[i], stage.needs, true, value + size_t(i) * size_t(layout->n), sink);
+    });
+}
+
+}  // namespace stages
 }  // namespace tr

@@ -8,8 +8,9 @@ namespace {
 // things begin to be seen. The matrix takes o to M o + t and d to M d, of length |M d|; the few numbers of the model
 // reach both, in the camera's frame, through dual numbers.
 template <class Model, class F, class S>
-void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSample<F> &sample, S width, S height,
-                const RayAdjoint<F> &g, const F &start_bar, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSample<F> &sample, S width,
+                         S height, const RayAdjoint<F> &g, const F &start_bar, const MaskOf<F> &active,
+                         GradientSink<F> &sink) {
     constexpr int N = Model::N + Model::Entries;
     using T = std::conditional_t<(N > 0), Dual<F, (N > 0 ? N : 1)>, F>;
     CameraNumbers<Model, T, F, S> numbers(scene, record);
@@ -43,8 +44,8 @@ void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSam
                    local.d.x.d[i] * d_bar.x + local.d.y.d[i] * d_bar.y + local.d.z.d[i] * d_bar.z +
                    local.start.d[i] * s_bar;
         };
-        for (int i = 0; i < Model::N; ++i)
-            sink.scalar(IntOf<F>(record.field[Model::Numbers[i]]), derivative(i), active);
+        static constexpr auto fields = Model::Numbers;
+        for (int i = 0; i < Model::N; ++i) sink.scalar(IntOf<F>(record.field[fields[i]]), derivative(i), active);
         if constexpr (Model::Entries > 0) {
             Footprint<F, Model::Entries> table;
             for (int i = 0; i < Model::Entries; ++i)
@@ -57,9 +58,9 @@ void sweep_lens(const SceneView<S> &scene, const Record &record, const CameraSam
 }  // namespace
 
 template <class F>
-void sweep_pinhole(const SceneOf<F> &scene, const Record &record, const F &x, const F &y, ScalarOf<F> width,
-                   ScalarOf<F> height, const RayAdjoint<F> &g, const Vec3<F> &direction_bar, const MaskOf<F> &active,
-                   GradientSink<F> &sink) {
+TR_LARGE void sweep_pinhole(const SceneOf<F> &scene, const Record &record, const F &x, const F &y, ScalarOf<F> width,
+                            ScalarOf<F> height, const RayAdjoint<F> &g, const Vec3<F> &direction_bar,
+                            const MaskOf<F> &active, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     Perspective::FilmPoint<F, S> film(scene, record, x, y, width, height);
     Vec3<F> u = film.direction();
@@ -88,9 +89,9 @@ void sweep_pinhole(const SceneOf<F> &scene, const Record &record, const F &x, co
 }
 
 template <class F>
-void sweep_camera(const SceneOf<F> &scene, const Record &record, const CameraSample<F> &sample, ScalarOf<F> width,
-                  ScalarOf<F> height, const RayAdjoint<F> &g, const F &start_bar, const MaskOf<F> &active,
-                  GradientSink<F> &sink) {
+TR_LARGE void sweep_camera(const SceneOf<F> &scene, const Record &record, const CameraSample<F> &sample,
+                           ScalarOf<F> width, ScalarOf<F> height, const RayAdjoint<F> &g, const F &start_bar,
+                           const MaskOf<F> &active, GradientSink<F> &sink) {
     if (is_pinhole(record))
         return sweep_pinhole(scene, record, sample.x, sample.y, width, height, g, Vec3<F>{F(0), F(0), F(0)}, active,
                              sink);

@@ -26,7 +26,7 @@ template <class F>
 TR_INLINE void GradientSink<F>::add(double *to, const U &index, const F &g, const M &active) {
     auto usable = count_finite(active && is_finite(Spectrum<F, 1>{{g}}), active);
     for (int i = 0; i < Lanes<F>::Width; ++i)
-        if (lane_is_set(usable, i)) to[lane(index, i)] += double(lane(g, i));
+        if (lane_is_set(usable, i)) accumulate(&to[lane(index, i)], double(lane(g, i)));
 }
 template <class F>
 TR_INLINE void GradientSink<F>::add_derivative(const Spectrum<F> &d, const M &active) {
@@ -82,15 +82,15 @@ TR_NOINLINE void GradientSink<F>::texture(const Scene &scene, const I &id, const
 }
 
 template <class F>
-void GradientSink<F>::scalar_texture(const Scene &scene, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g,
-                                     const M &active) {
+TR_LARGE void GradientSink<F>::scalar_texture(const Scene &scene, const I &id, const TexturedPoint<F> &at,
+                                              const Spectrum<F> &g, const M &active) {
     if (!forward) return texture(scene, id, at, luminance_adjoint(g), active);
     add_derivative(g * luminance(eval_texture(scene, tangent, waves, id, at, active)), active);
 }
 
 template <class F>
-void GradientSink<F>::vector_texture(const Scene &scene, const I &id, const TexturedPoint<F> &at, const Vec3<F> &g,
-                                     const M &active) {
+TR_LARGE void GradientSink<F>::vector_texture(const Scene &scene, const I &id, const TexturedPoint<F> &at,
+                                              const Vec3<F> &g, const M &active) {
     Spectrum<F> channels{{g.x, g.y, g.z}};
     if (!forward) return texture(scene, id, at, channels, active);
     add_derivative(component_sum(channels * eval_texture(scene, tangent, waves, id, at, active)), active);
@@ -105,14 +105,15 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
         if (!any(usable)) return;
         int32_t first = first_lane(offset, usable);
         if (!any(usable && mask<F>(offset != first))) {  // adding lane by lane would wait for every addition
-            for (int c = 0; c < SpectrumSize; ++c) constants[first + c] += double(lane_sum(select(usable, g[c], F(0))));
+            for (int c = 0; c < SpectrumSize; ++c)
+                accumulate(&constants[first + c], double(lane_sum(select(usable, g[c], F(0)))));
             return;
         }
     }
     double *const to = constants;  // not read again after every addition
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
-            for (int c = 0; c < SpectrumSize; ++c) to[lane(offset, i) + c] += double(lane(g[c], i));
+            for (int c = 0; c < SpectrumSize; ++c) accumulate(&to[lane(offset, i) + c], double(lane(g[c], i)));
 }
 
 template <class F>
@@ -145,13 +146,14 @@ TR_NOINLINE void GradientSink<F>::footprint(const Scene &scene, int32_t slot, co
         for (int k = 0; k < at.n; ++k) {
             S w = lane(at.weight[k], i);
             S *texel = gradient + size_t(lane(at.texel[k], i)) * size_t(channels);
-            for (int c = 0; c < SpectrumSize; ++c) texel[channels == 1 ? 0 : c] += w * lane(g[c], i);
+            for (int c = 0; c < SpectrumSize; ++c) accumulate(&texel[channels == 1 ? 0 : c], w * lane(g[c], i));
         }
     }
 }
 
 template <class F>
-void GradientSink<F>::luminance_footprint(const Scene &scene, int32_t slot, const Taps<F> &at, const M &active) {
+TR_LARGE void GradientSink<F>::luminance_footprint(const Scene &scene, int32_t slot, const Taps<F> &at,
+                                                   const M &active) {
     if (!forward) {
         Spectrum<F> one = uniform_spectrum(F(0));
         one[0] = F(1);
@@ -162,7 +164,7 @@ void GradientSink<F>::luminance_footprint(const Scene &scene, int32_t slot, cons
 }
 
 template <class F>
-void GradientSink<F>::taps(int32_t slot, const Taps<F> &at, const M &active) {
+TR_LARGE void GradientSink<F>::taps(int32_t slot, const Taps<F> &at, const M &active) {
     if (forward) {
         const S *data = tangent.tensors[slot].data;
         if (!data) return;
@@ -184,12 +186,12 @@ void GradientSink<F>::taps(int32_t slot, const Taps<F> &at, const M &active) {
     }
     for (int i = 0; i < W; ++i) {
         if (!lane_is_set(usable, i)) continue;
-        for (int k = 0; k < at.n; ++k) gradient[texel[k][i]] += weight[k][i];
+        for (int k = 0; k < at.n; ++k) accumulate(&gradient[texel[k][i]], weight[k][i]);
     }
 }
 
 template <class F>
-void GradientSink<F>::trapezoid(int32_t slot, int32_t n, S inner, const Spectrum<F> &g, const M &active) {
+TR_LARGE void GradientSink<F>::trapezoid(int32_t slot, int32_t n, S inner, const Spectrum<F> &g, const M &active) {
     auto weight = [&](int32_t i) { return i == 0 || i == n - 1 ? S(0.5) * inner : inner; };
     if (forward) {
         const S *data = tangent.tensors[slot].data;
@@ -203,7 +205,7 @@ void GradientSink<F>::trapezoid(int32_t slot, int32_t n, S inner, const Spectrum
     auto usable = count_finite(active && is_finite(g), active);
     S total(0);
     for (int c = 0; c < SpectrumSize; ++c) total += lane_sum(select(usable, g[c], F(0)));
-    for (int32_t i = 0; i < n; ++i) gradient[i] += total * weight(i);
+    for (int32_t i = 0; i < n; ++i) accumulate(&gradient[i], total * weight(i));
 }
 
 template <class F>
@@ -217,8 +219,8 @@ TR_NOINLINE void GradientSink<F>::vertex(VertexArray array, const U &index, cons
 }
 
 template <class F>
-void GradientSink<F>::volume(const Scene &scene, int32_t index, const Vec3<F> &p, const Spectrum<F> &g,
-                             const M &active) {
+TR_LARGE void GradientSink<F>::volume(const Scene &scene, int32_t index, const Vec3<F> &p, const Spectrum<F> &g,
+                                      const M &active) {
     const Record &record = scene.volumes[index];
     if (record.kind == int32_t(VolumeKind::Constant))
         return spectrum(I(record.field[ConstantVolume::Value]), g, active);

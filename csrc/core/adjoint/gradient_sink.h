@@ -63,27 +63,30 @@ public:
     }
 
     // Of a texture's value, of its luminance, and of one whose channels are the components of a vector.
-    void texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g, const M &active);
-    void texture(const Scene &, const I &id, const SurfacePoint<F> &at, const Spectrum<F> &g, const M &active);
-    void scalar_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g, const M &active);
-    void vector_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Vec3<F> &g, const M &active);
+    TR_LARGE void texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g,
+                          const M &active);
+    TR_LARGE void texture(const Scene &, const I &id, const SurfacePoint<F> &at, const Spectrum<F> &g, const M &active);
+    TR_LARGE void scalar_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g,
+                                 const M &active);
+    TR_LARGE void vector_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Vec3<F> &g,
+                                 const M &active);
     // Of a colour in the block of small parameters, a number that is the same for all components, and a number whose
     // adjoint is one.
-    void spectrum(const I &offset, const Spectrum<F> &g, const M &active);
-    void number(const I &offset, const Spectrum<F> &g, const M &active);
-    void scalar(const I &offset, const F &g, const M &active);
+    TR_LARGE void spectrum(const I &offset, const Spectrum<F> &g, const M &active);
+    TR_LARGE void number(const I &offset, const Spectrum<F> &g, const M &active);
+    TR_LARGE void scalar(const I &offset, const F &g, const M &active);
     // Of rows of a tensor, with weights.
-    void footprint(const Scene &, int32_t slot, const Taps<F> &at, const Spectrum<F> &g, const M &active);
+    TR_LARGE void footprint(const Scene &, int32_t slot, const Taps<F> &at, const Spectrum<F> &g, const M &active);
     // ... of their luminance, and of numbers in a tensor of one channel; the weights are multiplied by the adjoint.
-    void luminance_footprint(const Scene &, int32_t slot, const Taps<F> &at, const M &active);
-    void taps(int32_t slot, const Taps<F> &at, const M &active);
+    TR_LARGE void luminance_footprint(const Scene &, int32_t slot, const Taps<F> &at, const M &active);
+    TR_LARGE void taps(int32_t slot, const Taps<F> &at, const M &active);
     // Of the trapezoidal rule over all n numbers of a tensor of one channel: `inner` times each but the first and the
     // last, which count half.
-    void trapezoid(int32_t slot, int32_t n, S inner, const Spectrum<F> &g, const M &active);
+    TR_LARGE void trapezoid(int32_t slot, int32_t n, S inner, const Spectrum<F> &g, const M &active);
     // Of a number in a vertex array.
-    void vertex(VertexArray, const U &index, const F &g, const M &active);
+    TR_LARGE void vertex(VertexArray, const U &index, const F &g, const M &active);
     // Of a volume's data at p.
-    void volume(const Scene &, int32_t index, const Vec3<F> &p, const Spectrum<F> &g, const M &active);
+    TR_LARGE void volume(const Scene &, int32_t index, const Vec3<F> &p, const Spectrum<F> &g, const M &active);
 
     TR_INLINE M wants_shape(const U &shape, const M &active) const {
         return active && mask<F>(gather<I>(shape_wanted, shape, mask<I>(active)) != 0);
@@ -91,11 +94,11 @@ public:
 
 private:
     template <class Point>
-    void any_texture(const Scene &, const I &id, const Point &at, const Spectrum<F> &g, const M &active);
-    M count_finite(const M &usable, const M &active);
-    void add(double *to, const U &index, const F &g, const M &active);
-    void add_derivative(const Spectrum<F> &d, const M &active);
-    void add_derivative(const F &d, const M &active);
+    TR_HD void any_texture(const Scene &, const I &id, const Point &at, const Spectrum<F> &g, const M &active);
+    TR_HD M count_finite(const M &usable, const M &active);
+    TR_HD void add(double *to, const U &index, const F &g, const M &active);
+    TR_HD void add_derivative(const Spectrum<F> &d, const M &active);
+    TR_HD void add_derivative(const F &d, const M &active);
 
     struct Scatter;
 };

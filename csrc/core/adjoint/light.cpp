@@ -82,10 +82,11 @@ TR_NOINLINE void sweep_measurement(const SceneOf<F> &scene, const Pinhole<Scalar
 }  // namespace
 
 template <class F>
-Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, int kind,
-                                   const VertexRecord<F> &v, const ConnectionRecord<F> &connection, Spectrum<F> a,
-                                   NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
-                                   HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, int kind,
+                                            const VertexRecord<F> &v, const ConnectionRecord<F> &connection,
+                                            Spectrum<F> a, NextVertex<F> next, const GradientNeeds &needs,
+                                            const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar,
+                                            GradientSink<F> &sink) {
     const bool has_stack = scene.has_stacks, measured = sensor.meter >= 0;  // what arrives, not what is scattered
     VertexFrame<F> frame(scene, v, bsdf_kernels<F>(kind).is(FollowsTangent));
     Vec3<F> wi = -v.d, wo = frame.frame.to_world(v.wo), to_camera = frame.frame.to_world(v.wo_light);
@@ -144,9 +145,9 @@ Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<Sc
 }
 
 template <class F>
-void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, const EmissionRecord<F> &e,
-                    const NextVertex<F> &next, const GradientNeeds &needs, const MaskOf<F> &active,
-                    GradientSink<F> &sink) {
+TR_LARGE void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor,
+                             const EmissionRecord<F> &e, const NextVertex<F> &next, const GradientNeeds &needs,
+                             const MaskOf<F> &active, GradientSink<F> &sink) {
     if (!needs.emitter && !needs.geometry) return;
     const VertexRecord<F> &v = e.v;
     Spectrum<F> by_path = next.radiance * v.inverse_pdf, by_camera = v.emitted * v.light_weight,

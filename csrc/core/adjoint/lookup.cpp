@@ -107,21 +107,24 @@ struct SlopesAdjoint {
 }  // namespace
 
 template <class F>
-void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at, const Spectrum<F> &g,
-                  const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,
+                           const Spectrum<F> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                           GradientSink<F> &sink) {
     LookupVisitor<F, ScalarOf<F>> visitor{scene, g, to, sink};
     visit_texture<F>(scene, texture, at, active, visitor);
 }
 template <class F>
-void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at, const Spectrum<F> &g,
-                  const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at,
+                           const Spectrum<F> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                           GradientSink<F> &sink) {
     LookupVisitor<F, ScalarOf<F>> visitor{scene, g, to, sink};
     visit_texture<F>(scene, texture, at, active, visitor);
 }
 
 template <class F>
-void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at, const Vec2<F> &g,
-                  bool values, bool motion, const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+TR_LARGE void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,
+                           const Vec2<F> &g, bool values, bool motion, const MaskOf<F> &active,
+                           CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
     SlopesAdjoint<F, ScalarOf<F>> visitor{scene, g, values, motion, to, sink};
     visit_texture<F>(scene, texture, at, active, visitor);
 }

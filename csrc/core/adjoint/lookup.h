@@ -31,17 +31,20 @@ TR_INLINE void sweep_attribute(const SceneOf<F> &scene, const Wavelengths<F> &wa
 
 // `g` is the adjoint of the texture's value at `at`.
 template <class F>
-void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at, const Spectrum<F> &g,
-                  const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,
+                           const Spectrum<F> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                           GradientSink<F> &sink);
 template <class F>
-void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at, const Spectrum<F> &g,
-                  const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const SurfacePoint<F> &at,
+                           const Spectrum<F> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                           GradientSink<F> &sink);
 
 // `g` is the adjoint of the slopes of its luminance along u and v (texture/slopes.h): `values`, to its texels;
 // `motion`, to the map of its coordinates and to where it is looked up, where bilinear heights have the mixed second
 // derivative alone.
 template <class F>
-void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at, const Vec2<F> &g,
-                  bool values, bool motion, const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+TR_LARGE void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,
+                           const Vec2<F> &g, bool values, bool motion, const MaskOf<F> &active,
+                           CoordinateAdjoint<F> &to, GradientSink<F> &sink);
 
 }  // namespace tr

@@ -19,9 +19,9 @@ TR_INLINE void sweep_extinction(const SceneOf<F> &scene, const MediumInfo &mediu
 }  // namespace
 
 template <class F>
-Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Spectrum<F> &delta,
-                          const Spectrum<F> &beta, const Spectrum<F> &r, const Spectrum<F> &branch,
-                          const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Spectrum<F> &delta,
+                                   const Spectrum<F> &beta, const Spectrum<F> &r, const Spectrum<F> &branch,
+                                   const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink) {
     Spectrum<F> total = apply(r, v.weight), none = uniform_spectrum(F(0));
     auto behind_emission = mask<F>(v.emission_behind != UIntOf<F>(0u));
     for_each_distinct<F>(v.medium, active && mask<F>(v.medium >= 0), [&](int32_t m, const MaskOf<F> &lanes) {
@@ -50,9 +50,9 @@ Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, co
 }
 
 template <class F>
-Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
-                            const Spectrum<F> &a, const Spectrum<F> &next, const GradientNeeds &needs,
-                            const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
+                                     const Spectrum<F> &a, const Spectrum<F> &next, const GradientNeeds &needs,
+                                     const MaskOf<F> &active, GradientSink<F> &sink) {
     Spectrum<F> total = uniform_spectrum(F(0));
     for_each_distinct<F>(medium, active, [&](int32_t m, const MaskOf<F> &lanes) {
         const MediumInfo &info = scene.media[m];

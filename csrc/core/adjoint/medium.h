@@ -18,15 +18,15 @@ namespace tr {
 // `r`: radiance from the segment's end, `beta` the throughput there, `delta` the path's adjoint, `branch` the light of
 // the path that goes on from the differential sample. Returns the radiance at the segment's beginning.
 template <class F>
-Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Spectrum<F> &delta,
-                          const Spectrum<F> &beta, const Spectrum<F> &r, const Spectrum<F> &branch,
-                          const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Spectrum<F> &delta,
+                                   const Spectrum<F> &beta, const Spectrum<F> &r, const Spectrum<F> &branch,
+                                   const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // One collision; `a` is the adjoint times the throughput. `v.p` is the point, `v.d` the direction of travel. Returns
 // N + albedo phase / (p q) R.
 template <class F>
-Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
-                            const Spectrum<F> &a, const Spectrum<F> &next, const GradientNeeds &needs,
-                            const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
+                                     const Spectrum<F> &a, const Spectrum<F> &next, const GradientNeeds &needs,
+                                     const MaskOf<F> &active, GradientSink<F> &sink);
 
 }  // namespace tr

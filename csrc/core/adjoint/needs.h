@@ -1,14 +1,14 @@
 // What a derivative asks for.
 #pragma once
 
-#include <cstdint>
+#include "../math/config.h"
 
 namespace tr {
 
 // Of the properties of media.
 struct MediumNeeds {
     uint8_t extinction, albedo, emission, phase;
-    bool any() const { return extinction || albedo || emission || phase; }
+    TR_HD bool any() const { return extinction || albedo || emission || phase; }
 };
 
 struct GradientNeeds {
@@ -18,7 +18,7 @@ struct GradientNeeds {
     MediumNeeds medium{};
     bool lookups = true;             // with `geometry`: what BSDFs look up varies over surfaces
     const int32_t *bsdfs = nullptr;  // by bsdf, whether a parameter of it is differentiated; null if `bsdf` is not set
-    bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
+    TR_HD bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
 };
 
 }  // namespace tr

@@ -25,10 +25,10 @@ TR_INLINE void sweep_face_normal(const SceneView<S> &scene, const Interaction<F>
 }  // namespace
 
 template <class F>
-void sweep_outputs(const SceneOf<F> &scene, const Record &record, const CameraFrame<ScalarOf<F>> &camera,
-                   const CameraSample<F> &sample, ScalarOf<F> width, ScalarOf<F> height, const Vec3<F> &center,
-                   const Vec3<F> &d, const Interaction<F> &si, const OutputAdjoint<F> &g, bool camera_wanted,
-                   bool partials, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void sweep_outputs(const SceneOf<F> &scene, const Record &record, const CameraFrame<ScalarOf<F>> &camera,
+                            const CameraSample<F> &sample, ScalarOf<F> width, ScalarOf<F> height, const Vec3<F> &center,
+                            const Vec3<F> &d, const Interaction<F> &si, const OutputAdjoint<F> &g, bool camera_wanted,
+                            bool partials, const MaskOf<F> &active, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     const Vec3<F> zero{F(0), F(0), F(0)};
     Vec3<F> axis[3] = {widen<F>(camera.axis[0]), widen<F>(camera.axis[1]), widen<F>(camera.axis[2])};

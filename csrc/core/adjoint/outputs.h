@@ -11,7 +11,7 @@ struct CameraFrame {
     Vec3<S> origin, axis[3];
     S length[3];  // of the matrix's columns, 1 up to rounding
 
-    CameraFrame(const SceneView<S> &scene, const Record &record) {
+    TR_HD CameraFrame(const SceneView<S> &scene, const Record &record) {
         const S *m = scene.values.constants + record.field[Perspective::ToWorld];
         origin = {m[3], m[7], m[11]};
         for (int k = 0; k < 3; ++k) {
@@ -38,9 +38,9 @@ struct OutputAdjoint {
 
 // `d`: the camera ray's direction, `center`: where it comes from; `partials`: their adjoints are not all zero.
 template <class F>
-void sweep_outputs(const SceneOf<F> &scene, const Record &record, const CameraFrame<ScalarOf<F>> &camera,
-                   const CameraSample<F> &sample, ScalarOf<F> width, ScalarOf<F> height, const Vec3<F> &center,
-                   const Vec3<F> &d, const Interaction<F> &si, const OutputAdjoint<F> &g, bool camera_wanted,
-                   bool partials, const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE void sweep_outputs(const SceneOf<F> &scene, const Record &record, const CameraFrame<ScalarOf<F>> &camera,
+                            const CameraSample<F> &sample, ScalarOf<F> width, ScalarOf<F> height, const Vec3<F> &center,
+                            const Vec3<F> &d, const Interaction<F> &si, const OutputAdjoint<F> &g, bool camera_wanted,
+                            bool partials, const MaskOf<F> &active, GradientSink<F> &sink);
 
 }  // namespace tr

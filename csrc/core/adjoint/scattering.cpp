@@ -3,20 +3,20 @@
 namespace tr {
 
 template <class F>
-void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
-                   const GradientNeeds &needs, const MaskOf<F> &active, CoordinateAdjoint<F> &at, Vec3<F> &d_bar,
-                   GradientSink<F> &sink) {
+TR_LARGE void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &d,
+                            const Spectrum<F> &g, const GradientNeeds &needs, const MaskOf<F> &active,
+                            CoordinateAdjoint<F> &at, Vec3<F> &d_bar, GradientSink<F> &sink) {
     IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
-        if (!emitter.model->is(IsBeam)) emitter.vjp(scene, point, d, g, needs, lanes, at, d_bar, sink);
+        if (!emitter.is(IsBeam)) emitter.vjp(scene, point, d, g, needs, lanes, at, d_bar, sink);
     });
 }
 
 template <class F>
-BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport,
-                            const Spectrum<F> &a, const Spectrum<F> &path_factor, const Spectrum<F> &light_factor,
-                            const GradientNeeds &needs, const MaskOf<F> &lit, const MaskOf<F> &active,
-                            HitAdjoint<F> &hit, GradientSink<F> &sink)
+TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport,
+                                     const Spectrum<F> &a, const Spectrum<F> &path_factor,
+                                     const Spectrum<F> &light_factor, const GradientNeeds &needs, const MaskOf<F> &lit,
+                                     const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink)
     : bsdf(bsdf_kernels<F>(kind)), connected(bsdf.is(HasSmoothLobes) && any(lit)) {
     load_parameters(scene, sink.waves, bsdf, v.bsdf, v.at, active, params);
     const BsdfNeeds wanted{needs.bsdf || (needs.geometry && needs.lookups), needs.numbers()};
@@ -33,9 +33,10 @@ BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecor
 }
 
 template <class F>
-void BsdfAdjoint<F>::sweep_continuation(const SceneOf<F> &scene, const VertexRecord<F> &v, const NextVertex<F> &next,
-                                        const MaskOf<F> &active, VertexFrame<F> &frame, Vec3<F> &wi_bar,
-                                        HitAdjoint<F> &hit, GradientSink<F> &sink) const {
+TR_LARGE void BsdfAdjoint<F>::sweep_continuation(const SceneOf<F> &scene, const VertexRecord<F> &v,
+                                                 const NextVertex<F> &next, const MaskOf<F> &active,
+                                                 VertexFrame<F> &frame, Vec3<F> &wi_bar, HitAdjoint<F> &hit,
+                                                 GradientSink<F> &sink) const {
     const bool smooth = bsdf.is(HasSmoothLobes);
     wi_bar = wi_bar + path.wi_bar;
     hit.p = hit.p + next.ray.o;
@@ -80,9 +81,9 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
 }  // namespace
 
 template <class F>
-Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
-                             NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
-                             HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
+                                      NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                                      HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) {
     const bool has_stack = scene.has_stacks;
     Spectrum<F> light_factor = apply(v.through, v.emitted) * v.light_weight;  // N = f_light * light_factor
     Spectrum<F> path_factor = next.radiance * v.inverse_pdf, whole = a;       // above the stack

@@ -23,16 +23,16 @@ namespace tr {
 
 // What an emitter sends from the points of `lanes`, see EmitterKernels::vjp.
 template <class F>
-void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
-                   const GradientNeeds &needs, const MaskOf<F> &active, CoordinateAdjoint<F> &at, Vec3<F> &d_bar,
-                   GradientSink<F> &sink);
+TR_LARGE void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &d,
+                            const Spectrum<F> &g, const GradientNeeds &needs, const MaskOf<F> &active,
+                            CoordinateAdjoint<F> &at, Vec3<F> &d_bar, GradientSink<F> &sink);
 
 // One scattering vertex of this kind; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit
 // and of the arriving ray's direction.
 template <class F>
-Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
-                             NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
-                             HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink);
+TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
+                                      NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                                      HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink);
 
 // The BSDF of a vertex, towards the next vertex and towards what was connected: a light, or the camera of a light path.
 // f_path and f_light with their derivatives, for the number a (f_path path_factor + f_light light_factor).
@@ -44,14 +44,15 @@ struct BsdfAdjoint {
     bool connected;  // `light` is there
 
     // `lit`: lanes with a connection
-    BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport, const Spectrum<F> &a,
-                const Spectrum<F> &path_factor, const Spectrum<F> &light_factor, const GradientNeeds &needs,
-                const MaskOf<F> &lit, const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
+    TR_LARGE BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport,
+                         const Spectrum<F> &a, const Spectrum<F> &path_factor, const Spectrum<F> &light_factor,
+                         const GradientNeeds &needs, const MaskOf<F> &lit, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                         GradientSink<F> &sink);
 
     // What moves on along the path. Adds to `hit` and to the adjoint of the local wi.
-    void sweep_continuation(const SceneOf<F> &scene, const VertexRecord<F> &v, const NextVertex<F> &next,
-                            const MaskOf<F> &active, VertexFrame<F> &frame, Vec3<F> &wi_bar, HitAdjoint<F> &hit,
-                            GradientSink<F> &sink) const;
+    TR_LARGE void sweep_continuation(const SceneOf<F> &scene, const VertexRecord<F> &v, const NextVertex<F> &next,
+                                     const MaskOf<F> &active, VertexFrame<F> &frame, Vec3<F> &wi_bar,
+                                     HitAdjoint<F> &hit, GradientSink<F> &sink) const;
 };
 
 }  // namespace tr

@@ -13,8 +13,8 @@ TR_INLINE Vec3<D> seeded(const Vec3<F> &v, int i) {
 }  // namespace
 
 template <class F>
-StackAdjoint<F>::StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &waves, const VertexRecord<F> &v,
-                              const GradientNeeds &needs, Transport transport, const MaskOf<F> &active) {
+TR_LARGE StackAdjoint<F>::StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &waves, const VertexRecord<F> &v,
+                                       const GradientNeeds &needs, Transport transport, const MaskOf<F> &active) {
     Frame<F> frame = vertex_frame(scene, v);
     frame.n = v.normal * v.mirror;
     wi = frame.to_world(v.wi), wo = frame.to_world(v.wo), wo_light = frame.to_world(v.wo_light);
@@ -30,8 +30,9 @@ StackAdjoint<F>::StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &wav
 }
 
 template <class F>
-void StackAdjoint<F>::sweep_shadowing(const Vec3<F> &normal, Transport transport, const F &by_light, const F &by_path,
-                                      Vec3<F> &light_bar, Vec3<F> &path_bar, Vec3<F> &wi_bar) {
+TR_LARGE void StackAdjoint<F>::sweep_shadowing(const Vec3<F> &normal, Transport transport, const F &by_light,
+                                               const F &by_path, Vec3<F> &light_bar, Vec3<F> &path_bar,
+                                               Vec3<F> &wi_bar) {
     auto add = [&](const Vec3<F> &light, const F &weight, Vec3<F> &direction_bar) {
         using D = Dual<F, 9>;
         D r = NormalMap::shadowing(seeded<D>(factor.base, 0), seeded<D>(normal, 3), seeded<D>(light, 6),
@@ -51,9 +52,9 @@ void StackAdjoint<F>::sweep_shadowing(const Vec3<F> &normal, Transport transport
 
 // `g`: the adjoint of the product of the weights times that product.
 template <class F>
-void StackAdjoint<F>::sweep_weights(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &g,
-                                    const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
-                                    GradientSink<F> &sink) {
+TR_LARGE void StackAdjoint<F>::sweep_weights(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &g,
+                                             const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                                             GradientSink<F> &sink) {
     Branches<F> all;
     ShapeLanes<F> shape(scene.shapes, v.at.shape, active);
     auto back = mask<F>(dot(v.base_normal, wi) < F(0));
@@ -72,8 +73,9 @@ void StackAdjoint<F>::sweep_weights(const SceneOf<F> &scene, const VertexRecord<
 
 // The normal of `hit`, so far the perturbed one, handed on to the texture, to the shading normal and to the tangents.
 template <class F>
-void StackAdjoint<F>::sweep_perturbed_normal(const SceneOf<F> &scene, const VertexRecord<F> &v,
-                                             const GradientNeeds &needs, HitAdjoint<F> &hit, GradientSink<F> &sink) {
+TR_LARGE void StackAdjoint<F>::sweep_perturbed_normal(const SceneOf<F> &scene, const VertexRecord<F> &v,
+                                                      const GradientNeeds &needs, HitAdjoint<F> &hit,
+                                                      GradientSink<F> &sink) {
     const IntOf<F> &record = bsdf.stack.perturbed;
     NormalPerturbation<F> turn(scene, sink.waves, v.at, record, factor.perturbed);
     const Vec3<F> normal_bar = hit.n, z = factor.base;
@@ -109,9 +111,9 @@ void StackAdjoint<F>::sweep_perturbed_normal(const SceneOf<F> &scene, const Vert
 }
 
 template <class F>
-void StackAdjoint<F>::finish(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &whole,
-                             const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
-                             GradientSink<F> &sink) {
+TR_LARGE void StackAdjoint<F>::finish(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &whole,
+                                      const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                                      GradientSink<F> &sink) {
     if (needs.bsdf || needs.geometry) sweep_weights(scene, v, whole, needs, active, hit, sink);
     if (needs.geometry && any(factor.perturbed)) {
         F side = select(bsdf.stack.mirrored, F(-1), F(1));

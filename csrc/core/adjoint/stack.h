@@ -17,23 +17,25 @@ struct StackAdjoint {
     Vec3<F> base_bar{F(0), F(0), F(0)}, n_bar{base_bar};  // what the shadowing function adds
 
     StackAdjoint() = default;  // of a scene without stacks
-    StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &waves, const VertexRecord<F> &v,
-                 const GradientNeeds &needs, Transport transport, const MaskOf<F> &active);
+    TR_LARGE StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &waves, const VertexRecord<F> &v,
+                          const GradientNeeds &needs, Transport transport, const MaskOf<F> &active);
 
     // Adds, for contributions of these sizes, the derivative of their factor: to the adjoint of the direction that
     // light comes from, and to those of the normals.
-    void sweep_shadowing(const Vec3<F> &normal, Transport transport, const F &by_light, const F &by_path,
-                         Vec3<F> &light_bar, Vec3<F> &path_bar, Vec3<F> &wi_bar);
+    TR_LARGE void sweep_shadowing(const Vec3<F> &normal, Transport transport, const F &by_light, const F &by_path,
+                                  Vec3<F> &light_bar, Vec3<F> &path_bar, Vec3<F> &wi_bar);
 
     // `whole`: what the resolved BSDF brings, times the adjoint of the vertex above the stack.
-    void finish(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &whole, const GradientNeeds &needs,
-                const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
+    TR_LARGE void finish(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &whole,
+                         const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                         GradientSink<F> &sink);
 
 private:
-    void sweep_weights(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &g,
-                       const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
-    void sweep_perturbed_normal(const SceneOf<F> &scene, const VertexRecord<F> &v, const GradientNeeds &needs,
-                                HitAdjoint<F> &hit, GradientSink<F> &sink);
+    TR_LARGE void sweep_weights(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &g,
+                                const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                                GradientSink<F> &sink);
+    TR_LARGE void sweep_perturbed_normal(const SceneOf<F> &scene, const VertexRecord<F> &v, const GradientNeeds &needs,
+                                         HitAdjoint<F> &hit, GradientSink<F> &sink);
 };
 
 }  // namespace tr

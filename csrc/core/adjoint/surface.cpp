@@ -6,8 +6,9 @@
 namespace tr {
 
 template <class F>
-void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at, const ShapeLanes<F> &shape, const Vec3<F> &gu,
-                    const Vec3<F> &gv, const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at, const ShapeLanes<F> &shape,
+                             const Vec3<F> &gu, const Vec3<F> &gv, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                             GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     auto wanted = sink.wants_shape(at.shape, active);
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
@@ -214,8 +215,9 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
 }
 
 template <class F>
-RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Arrival<F> &in,
-                            HitAdjoint<F> g, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                     const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active,
+                                     GradientSink<F> &sink) {
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
     g.ng = select(shape.has(FlipNormals), -g.ng, g.ng);
@@ -238,8 +240,8 @@ RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, 
 }
 
 template <class F>
-void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &p_bar,
-                    const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &p_bar,
+                             const MaskOf<F> &active, GradientSink<F> &sink) {
     auto wanted = sink.wants_shape(at.shape, active);
     if (!any(wanted)) return;
     ShapeLanes<F> shape(scene.shapes, at.shape, wanted);

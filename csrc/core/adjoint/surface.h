@@ -13,18 +13,20 @@ namespace tr {
 // Hands the adjoint of the point p to the surface; returns that of where the ray came from: of its origin and, where
 // attached or parallel, of its direction.
 template <class F>
-RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Arrival<F> &in,
-                            HitAdjoint<F> g, const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                     const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active,
+                                     GradientSink<F> &sink);
 
 // The same where only the position of a glued point counts.
 template <class F>
-void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &p_bar,
-                    const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &p_bar,
+                             const MaskOf<F> &active, GradientSink<F> &sink);
 
 // Hands the adjoints (gu, gv) of dp/du and dp/dv on: to the surface, and to the coordinates of the point on it.
 template <class F>
-void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at, const ShapeLanes<F> &shape, const Vec3<F> &gu,
-                    const Vec3<F> &gv, const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at, const ShapeLanes<F> &shape,
+                             const Vec3<F> &gu, const Vec3<F> &gv, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                             GradientSink<F> &sink);
 
 // The adjoint of |N.E| / |E|, E from a point that sees it to the point p of a surface, of area vector N; `log_bar` is
 // that of its logarithm. Sums up what the surface gets, `hit` being what comes besides, and returns the adjoint of the

@@ -78,9 +78,9 @@ TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active)
 }  // namespace
 
 template <class F>
-Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                         const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters, uint32_t i,
-                         const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                  const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
+                                  uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     Entries<F> from(i);
     const bool collided = kind == CollisionKind, surface = kind < MissKind && scatters;
@@ -134,9 +134,9 @@ Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>
 }
 
 template <class F>
-void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
-                        const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents, int kind,
-                        uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
+                                 const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents,
+                                 int kind, uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     Entries<F> from(i);
     VertexRecord<F> v = read_vertex<F>(tape, i);

@@ -22,14 +22,14 @@ struct SweepContext {
 // vertices before are on; null: there are none, or they are not on the tape. `level` is the number of this one. Returns
 // the radiance at the vertex, which the one before receives.
 template <class F>
-Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                         const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters, uint32_t i,
-                         const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                  const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
+                                  uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // A vertex of a light path, or its beginning.
 template <class F>
-void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
-                        const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents, int kind,
-                        uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
+                                 const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents,
+                                 int kind, uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
 
 }  // namespace tr

@@ -4,10 +4,10 @@
 namespace tr {
 
 template <class M, class F>
-BsdfKernels<F> bsdf_kernels_of();
+TR_DEVICE_CONSTEXPR BsdfKernels<F> bsdf_kernels_of();
 
 template <class F>
-const BsdfKernels<F> &bsdf_kernels(int kind) {
+TR_HD const BsdfKernels<F> &bsdf_kernels(int kind) {
 #define TR_TABLE(M) bsdf_kernels_of<M, F>(),
     static const BsdfKernels<F> all[] = {TR_BSDFS(TR_TABLE) bsdf_kernels_of<MaskHole, F>()};
 #undef TR_TABLE

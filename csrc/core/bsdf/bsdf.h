@@ -34,10 +34,9 @@ struct BsdfParameters {
 
 // A model's declaration as the loops over its fields need it. Variables of derivatives are the continuous fields that
 // have one, which come first, and then the luminance.
-struct BsdfInfo {
+struct BsdfInfo : ModelInfo {
     static constexpr int MaxFields = 16, MaxVariables = MaxFields + 1;
     enum Use : uint8_t { Color, Number, Luminance };  // of a texture; of a number; of a texture's luminance
-    const Model *model;
     Use use[MaxFields];
     int n_continuous, n_differentiable, n_variables, n_colors, n_numbers, n_choices;
     int luminance_of;  // the field whose luminance is a further number, -1: none
@@ -45,8 +44,6 @@ struct BsdfInfo {
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
     int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always
                      // does
-
-    bool is(uint32_t flag) const { return model->is(flag); }
 };
 
 // f of a smooth lobe and the density of sampling wo.

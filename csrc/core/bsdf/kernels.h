@@ -41,7 +41,7 @@ template <class M>
 constexpr BsdfInfo bsdf_info() {
     const Model &model = M::model;
     BsdfInfo r{};
-    r.model = &model;
+    static_cast<ModelInfo &>(r) = model;
     r.n_choices = count_fields(model, Kind::Int);
     r.n_continuous = model.n_fields - r.n_choices;
     for (int i = 0; i < r.n_continuous; ++i) {
@@ -193,8 +193,8 @@ struct KernelsOf {
     using Parameters = BsdfParameters<F>;
     static constexpr bool Smooth = M::model.is(HasSmoothLobes), Delta = M::model.is(HasDeltaLobes);
 
-    static void eval_pdf(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, Transport transport,
-                         BsdfValue<F> &r) {
+    TR_HD static void eval_pdf(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, Transport transport,
+                               BsdfValue<F> &r) {
         auto params = unpack<M>(at);
         if constexpr (Smooth)
             r.f = eval_model<M>(params, wi, wo, IntOf<F>(0), transport);
@@ -203,16 +203,16 @@ struct KernelsOf {
         r.pdf = M::pdf(params, wi, wo);
     }
 
-    static void sample(const Parameters &at, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2,
-                       Transport transport, BsdfSample<F> &sample, Spectrum<F> &f) {
+    TR_HD static void sample(const Parameters &at, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2,
+                             Transport transport, BsdfSample<F> &sample, Spectrum<F> &f) {
         auto params = unpack<M>(at);
         sample = M::sample(params, wi, u0, u1, u2);
         f = eval_model<M>(params, wi, sample.wo, sample.lobe, transport);
     }
 
-    static void vjp(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe,
-                    Transport transport, const Spectrum<F> &a, const Spectrum<F> &R, BsdfNeeds needs,
-                    BsdfDerivative<F> &r) {
+    TR_HD static void vjp(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe,
+                          Transport transport, const Spectrum<F> &a, const Spectrum<F> &R, BsdfNeeds needs,
+                          BsdfDerivative<F> &r) {
         constexpr int N = VariableBlocks<M>::N, Block = VariableBlocks<M>::Size;
         if (N == 0 || !needs.parameters) r.f = eval_model<M>(unpack<M>(at), wi, wo, lobe, transport);
         if constexpr (N > 0) {
@@ -222,8 +222,8 @@ struct KernelsOf {
         if (needs.directions) by_directions(at, wi, wo, lobe, transport, a * R, r);
     }
 
-    static void direction_vjp(const Parameters &at, const Vec3<F> &wi, const IntOf<F> &lobe, const Vec3<F> &wo_bar,
-                              Vec3<F> &wi_bar, F *number_bar) {
+    TR_HD static void direction_vjp(const Parameters &at, const Vec3<F> &wi, const IntOf<F> &lobe,
+                                    const Vec3<F> &wo_bar, Vec3<F> &wi_bar, F *number_bar) {
         if constexpr (Delta) {
             constexpr BsdfInfo info = bsdf_info<M>();
             static_assert(count_fields(M::model, Kind::Scalar) == 0, "delta lobes are turned by numbers, not textures");
@@ -268,7 +268,7 @@ private:
 };
 
 template <class M, class F>
-BsdfKernels<F> bsdf_kernels_of() {
+TR_DEVICE_CONSTEXPR BsdfKernels<F> bsdf_kernels_of() {
     using K = KernelsOf<M, F>;
     return {bsdf_info<M>(), &K::eval_pdf, &K::sample, &K::vjp, K::Delta ? &K::direction_vjp : nullptr};
 }

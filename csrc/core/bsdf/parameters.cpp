@@ -3,8 +3,9 @@
 namespace tr {
 
 template <class F>
-void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model, const IntOf<F> &bsdf,
-                     const TexturedPoint<F> &at, const MaskOf<F> &active, BsdfParameters<F> &to) {
+TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model,
+                              const IntOf<F> &bsdf, const TexturedPoint<F> &at, const MaskOf<F> &active,
+                              BsdfParameters<F> &to) {
     F *color = to.number, *number = to.number + SpectrumSize * model.n_colors;
     F *luminance_to = number + model.n_numbers;
     for (int i = 0; i < model.n_continuous; ++i) {
@@ -29,9 +30,9 @@ void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const
 }
 
 template <class F>
-void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const TexturedPoint<F> &at,
-                      const Spectrum<F> *g, const GradientNeeds &needs, const MaskOf<F> &active,
-                      CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf,
+                               const TexturedPoint<F> &at, const Spectrum<F> *g, const GradientNeeds &needs,
+                               const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
     for (int i = 0; i < model.n_variables; ++i) {
         const bool is_field = i < model.n_differentiable;
         const BsdfInfo::Use use = is_field ? BsdfInfo::Use(model.use[i]) : BsdfInfo::Luminance;
@@ -49,8 +50,8 @@ void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntO
 }
 
 template <class F>
-void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
-                   const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
+                            const MaskOf<F> &active, GradientSink<F> &sink) {
     for (int i = 0; i < model.n_continuous; ++i)
         if (model.use[i] == BsdfInfo::Number) sink.scalar(record_field<F>(scene.bsdfs, i, bsdf, active), *g++, active);
 }

@@ -10,19 +10,20 @@ namespace tr {
 
 // The parameters of the records `bsdf`, all of this model, at a surface point.
 template <class F>
-void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model, const IntOf<F> &bsdf,
-                     const TexturedPoint<F> &at, const MaskOf<F> &active, BsdfParameters<F> &to);
+TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model,
+                              const IntOf<F> &bsdf, const TexturedPoint<F> &at, const MaskOf<F> &active,
+                              BsdfParameters<F> &to);
 
 // Adds the adjoints of the model's variables, one number a component of the spectrum, to the gradients of the
 // parameters, and to `to` what moving look-ups receive. `g[i]` is that of variable i.
 template <class F>
-void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const TexturedPoint<F> &at,
-                      const Spectrum<F> *g, const GradientNeeds &needs, const MaskOf<F> &active,
-                      CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf,
+                               const TexturedPoint<F> &at, const Spectrum<F> *g, const GradientNeeds &needs,
+                               const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
 
 // The same of the numbers by which delta lobes are turned: `g[i]` is the adjoint of the i-th number.
 template <class F>
-void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
-                   const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
+                            const MaskOf<F> &active, GradientSink<F> &sink);
 
 }  // namespace tr

@@ -106,16 +106,16 @@ TR_INLINE F contract(const Spectrum<F> &a, const Spectrum<F> &x) {
 }
 
 // ITU-R BT.709 luminance of linear red, green and blue.
-constexpr double LuminanceWeights[3] = {0.2126, 0.7152, 0.0722};
+constexpr double LuminanceRed = 0.2126, LuminanceGreen = 0.7152, LuminanceBlue = 0.0722;
 template <class F>
 TR_INLINE F luminance(const Spectrum<F> &a) {
-    return F(LuminanceWeights[0]) * a.c[0] + F(LuminanceWeights[1]) * a.c[1] + F(LuminanceWeights[2]) * a.c[2];
+    return F(LuminanceRed) * a.c[0] + F(LuminanceGreen) * a.c[1] + F(LuminanceBlue) * a.c[2];
 }
 // The adjoint of a colour of whose luminance g is the adjoint, by components of what depends on it.
 template <class F>
 TR_INLINE Spectrum<F> luminance_adjoint(const Spectrum<F> &g) {
     F sum = component_sum(g);
-    return {{F(LuminanceWeights[0]) * sum, F(LuminanceWeights[1]) * sum, F(LuminanceWeights[2]) * sum}};
+    return {{F(LuminanceRed) * sum, F(LuminanceGreen) * sum, F(LuminanceBlue) * sum}};
 }
 
 }  // namespace tr

@@ -100,8 +100,8 @@ struct Area : OnShape<AreaEmitter, F> {
     using typename Base::Scene;
     using U = UIntOf<F>;
 
-    static void sample_direct(const Scene &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
-                              const M &lanes, EmitterSample<F> &r) {
+    TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
+                                    const M &lanes, EmitterSample<F> &r) {
         U shape = Base::shape_of(scene, r.point.emitter, lanes);
         SampledPoint<F> q = sample_area_emitter(scene, shape, p, u0, u1, u2, lanes);
         Direction<F> to_light(q.p - p);
@@ -112,21 +112,21 @@ struct Area : OnShape<AreaEmitter, F> {
         r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing), r.pdf);
     }
 
-    static F pdf_direct(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
-                        const Vec3<F> &n, const M &lanes) {
+    TR_HD static F pdf_direct(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
+                              const Vec3<F> &n, const M &lanes) {
         Direction<F> to_light(p - from);
         return area_emitter_pdf(scene, point.at.shape, from, n, to_light.d, to_light.length, lanes);
     }
 
-    static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &c, const F &d,
-                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+    TR_HD static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &c, const F &d,
+                                      const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         SampledPoint<F> q = Base::sample_point(scene, left, a, b, inverse_pmf, lanes, r);
         r.d = select(lanes, make_frame(q.n).to_world(square_to_cosine_hemisphere(c, d)), r.d);
         r.weight = select(lanes, r.inverse_pdf * F(Pi), r.weight);
     }
 
-    static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &x_bar,
-                           GradientSink<F> &sink) {
+    TR_HD static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &x_bar,
+                                 GradientSink<F> &sink) {
         auto near = lanes && mask<F>(g.distance < F(ScalarOf<F>(1e30)));
         if (!g.shapes || !any(near)) return;
         HitAdjoint<F> hit;
@@ -138,9 +138,9 @@ struct Area : OnShape<AreaEmitter, F> {
     }
 
     // Light that leaves an area meets points that are glued to their surfaces.
-    static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
-                             const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
-                             GradientSink<F> &sink) {
+    TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
+                                   const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
+                                   GradientSink<F> &sink) {
         const VertexRecord<F> &v = e.v;
         Base::sweep_coordinates(scene, v, at, lanes, sink);
         auto leaves = lanes && mask<F>(squared_norm(next.segment) > F(0));
@@ -157,9 +157,9 @@ struct Area : OnShape<AreaEmitter, F> {
         return Pi * means.texture(record.field[AreaEmitter::Radiance], shape) * means.area(shape);
     }
 
-    static EmitterKernels<F> table() {
-        return {&AreaEmitter::model, Base::eval, sample_direct, pdf_direct,   nullptr,
-                sample_emission,     Base::vjp,  direct_vjp,    emission_vjp, power};
+    static constexpr EmitterKernels<F> table() {
+        return {AreaEmitter::model, Base::eval, sample_direct, pdf_direct,   nullptr,
+                sample_emission,    Base::vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
     }
 };
 

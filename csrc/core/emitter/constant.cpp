@@ -31,19 +31,19 @@ struct Constant : Environment<ConstantEmitter, F> {
     using typename Base::M;
     using typename Base::Scene;
 
-    static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point, const M &lanes,
-                     Spectrum<F> &r) {
+    TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                           const M &lanes, Spectrum<F> &r) {
         IntOf<F> offset = record_field<F>(scene.emitters, ConstantEmitter::Radiance, point.emitter, lanes);
         r = select(lanes, constant_spectrum<F>(scene.values, waves, offset, lanes), r);
     }
-    static F pdf_direct(const Scene &, const EmitterPoint<F> &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
-                        const M &) {
+    TR_HD static F pdf_direct(const Scene &, const EmitterPoint<F> &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
+                              const M &) {
         return F(1 / (4 * Pi));
     }
-    static void point_of_direction(const Scene &, const Vec3<F> &, EmitterPoint<F> &) {}
-    static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
-                    const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
-                    GradientSink<F> &sink) {
+    TR_HD static void point_of_direction(const Scene &, const Vec3<F> &, EmitterPoint<F> &) {}
+    TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
+                          const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
+                          GradientSink<F> &sink) {
         if (needs.emitter)
             sink.spectrum(record_field<F>(scene.emitters, ConstantEmitter::Radiance, point.emitter, lanes), g, lanes);
     }
@@ -51,8 +51,8 @@ struct Constant : Environment<ConstantEmitter, F> {
         return 4 * Pi * means.disk * means.color(record.field[ConstantEmitter::Radiance]);
     }
 
-    static EmitterKernels<F> table() {
-        return {&ConstantEmitter::model,
+    static constexpr EmitterKernels<F> table() {
+        return {ConstantEmitter::model,
                 eval,
                 Base::sample_direct,
                 pdf_direct,
@@ -61,7 +61,7 @@ struct Constant : Environment<ConstantEmitter, F> {
                 vjp,
                 nullptr,
                 nullptr,
-                power};
+                TR_HOST_POINTER(power)};
     }
 };
 

@@ -11,6 +11,8 @@
 // and sample(numbers, u1, u2, inverse_pdf): a direction, and 1 / its density per solid angle.
 #pragma once
 
+#include <array>
+
 #include "../math/dual.h"
 #include "../texture/slopes.h"
 #include "kernels.h"
@@ -79,8 +81,8 @@ struct DeltaPosition {
     using Scene = SceneView<S>;
     static constexpr int N = int(Model::Numbers);
 
-    static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point, const M &lanes,
-                     Spectrum<F> &r) {
+    TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                           const M &lanes, Spectrum<F> &r) {
         Spectrum<F> intensity = color(scene, waves, point.emitter, lanes);
         if constexpr (Model::HasFrame) {
             Numbers numbers(scene, point.emitter, lanes);
@@ -98,8 +100,8 @@ struct DeltaPosition {
         r = select(lanes, intensity, r);
     }
 
-    static void sample_direct(const Scene &scene, const Vec3<F> &p, const F &, const F &, const F &, const M &lanes,
-                              EmitterSample<F> &r) {
+    TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &p, const F &, const F &, const F &,
+                                    const M &lanes, EmitterSample<F> &r) {
         LightFrame<F> frame = frame_of(scene, r.point.emitter, lanes);
         Vec3<F> to_light = frame.p - p;
         F distance = norm(to_light);
@@ -122,8 +124,8 @@ struct DeltaPosition {
         r.delta = r.delta || apart;
     }
 
-    static void sample_emission(const Scene &scene, const F &, const F &a, const F &b, const F &, const F &,
-                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+    TR_HD static void sample_emission(const Scene &scene, const F &, const F &a, const F &b, const F &, const F &,
+                                      const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         Numbers numbers(scene, r.point.emitter, lanes);
         F inverse_pdf;
         Vec3<F> local = Model::sample(numbers.value, a, b, inverse_pdf);
@@ -139,9 +141,9 @@ struct DeltaPosition {
         r.d = select(lanes, local, r.d);
     }
 
-    static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
-                    const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &d_bar,
-                    GradientSink<F> &sink) {
+    TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
+                          const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &d_bar,
+                          GradientSink<F> &sink) {
         if constexpr (!Model::HasFrame) {
             if (needs.emitter)
                 sink.spectrum(record_field<F>(scene.emitters, Model::ColorField, point.emitter, lanes), g, lanes);
@@ -151,8 +153,8 @@ struct DeltaPosition {
     }
 
     // Of the falling off with the squared distance, and of the direction.
-    static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &x_bar,
-                           GradientSink<F> &sink) {
+    TR_HD static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &x_bar,
+                                 GradientSink<F> &sink) {
         auto near = lanes && mask<F>(g.distance < F(S(1e30)));
         if (!any(near)) return;
         F inverse = F(1) / select(near, g.distance, F(1));
@@ -161,9 +163,9 @@ struct DeltaPosition {
         sweep_place(scene, g.point.emitter, D_bar, near, sink);
     }
 
-    static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next, const F &,
-                             const CoordinateAdjoint<F> &, const Vec3<F> &d_bar, const M &lanes,
-                             GradientSink<F> &sink) {
+    TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next, const F &,
+                                   const CoordinateAdjoint<F> &, const Vec3<F> &d_bar, const M &lanes,
+                                   GradientSink<F> &sink) {
         Vec3<F> D_bar{F(0), F(0), F(0)};
         if constexpr (Model::HasFrame) {  // the intensity changes with the direction to the next point
             D_bar = direction_adjoint(next.segment, -d_bar);
@@ -184,9 +186,9 @@ struct DeltaPosition {
         return factor;
     }
 
-    static EmitterKernels<F> table() {
-        return {&Model::model,   eval, sample_direct, nullptr,      nullptr,
-                sample_emission, vjp,  direct_vjp,    emission_vjp, power};
+    static constexpr EmitterKernels<F> table() {
+        return {Model::model,    eval, sample_direct, nullptr,      nullptr,
+                sample_emission, vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
     }
 
 private:
@@ -196,11 +198,13 @@ private:
         IntOf<F> offset[N + 1];
 
         TR_INLINE Numbers(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
-            if constexpr (N > 0)
+            if constexpr (N > 0) {
+                static constexpr auto fields = Model::NumberFields;  // device code cannot point into the member
                 for (int i = 0; i < N; ++i) {
-                    offset[i] = record_field<F>(scene.emitters, Model::NumberFields[i], emitter, lanes);
+                    offset[i] = record_field<F>(scene.emitters, fields[i], emitter, lanes);
                     value[i] = gather<F>(scene.values.constants, UIntOf<F>(offset[i]), lanes);
                 }
+            }
             value[N] = F(0);
             offset[N] = IntOf<F>(0);
         }
@@ -229,8 +233,8 @@ private:
     }
 
     // Hands the adjoint of a light's place to its parameter.
-    static void sweep_place(const Scene &scene, const IntOf<F> &emitter, const Vec3<F> &p_bar, const M &lanes,
-                            GradientSink<F> &sink) {
+    TR_HD static void sweep_place(const Scene &scene, const IntOf<F> &emitter, const Vec3<F> &p_bar, const M &lanes,
+                                  GradientSink<F> &sink) {
         IntOf<F> offset = record_field<F>(scene.emitters, Model::PlaceField, emitter, lanes);
         constexpr int first = Model::HasFrame ? 3 : 0, stride = Model::HasFrame ? 4 : 1;
         sink.scalar(offset + first, p_bar.x, lanes);
@@ -239,8 +243,9 @@ private:
     }
 
     // `values`, `motion`: whether derivatives are wanted of what is sent; of the orientation and of d.
-    static void pattern_vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
-                            bool values, bool motion, M lanes, Vec3<F> &d_bar, GradientSink<F> &sink) {
+    TR_HD static void pattern_vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d,
+                                  const Spectrum<F> &g, bool values, bool motion, M lanes, Vec3<F> &d_bar,
+                                  GradientSink<F> &sink) {
         constexpr int Variables = Model::Differentiable;
         using D = Dual<F, 3 + Variables>;
         Numbers numbers(scene, point.emitter, lanes);

@@ -29,47 +29,48 @@ struct Directional {
     using M = MaskOf<F>;
     using Scene = SceneOf<F>;
 
-    static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point, const M &lanes,
-                     Spectrum<F> &r) {
+    TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                           const M &lanes, Spectrum<F> &r) {
         IntOf<F> offset = record_field<F>(scene.emitters, DirectionalEmitter::Irradiance, point.emitter, lanes);
         r = select(lanes, constant_spectrum<F>(scene.values, waves, offset, lanes), r);
     }
 
     // the +z axis, of its length
-    static Vec3<F> axis(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
+    TR_HD static Vec3<F> axis(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
         return gather_frame<F>(scene, record_field<F>(scene.emitters, DirectionalEmitter::ToWorld, emitter, lanes),
                                lanes)
             .z;
     }
 
-    static void sample_direct(const Scene &scene, const Vec3<F> &, const F &, const F &, const F &, const M &lanes,
-                              EmitterSample<F> &r) {
+    TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &, const F &, const F &, const F &,
+                                    const M &lanes, EmitterSample<F> &r) {
         r.d = select(lanes, -normalize(axis(scene, r.point.emitter, lanes)), r.d);
         r.distance = select(lanes, F(INFINITY), r.distance);
         r.pdf = select(lanes, F(1), r.pdf);
         r.delta = r.delta || lanes;
     }
 
-    static void sample_emission(const Scene &scene, const F &, const F &, const F &, const F &c, const F &d,
-                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+    TR_HD static void sample_emission(const Scene &scene, const F &, const F &, const F &, const F &c, const F &d,
+                                      const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         r.inverse_pdf = select(lanes, inverse_pmf, r.inverse_pdf);
         begin_from_afar(scene, -normalize(axis(scene, r.point.emitter, lanes)), c, d, lanes, r);
     }
 
-    static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
-                    const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
-                    GradientSink<F> &sink) {
+    TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
+                          const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
+                          GradientSink<F> &sink) {
         if (needs.emitter)
             sink.spectrum(record_field<F>(scene.emitters, DirectionalEmitter::Irradiance, point.emitter, lanes), g,
                           lanes);
     }
 
-    static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &,
-                           GradientSink<F> &sink) {
+    TR_HD static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &,
+                                 GradientSink<F> &sink) {
         sweep_axis(scene, g.point.emitter, -g.w_bar, lanes, sink);
     }
-    static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next, const F &,
-                             const CoordinateAdjoint<F> &, const Vec3<F> &, const M &lanes, GradientSink<F> &sink) {
+    TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next, const F &,
+                                   const CoordinateAdjoint<F> &, const Vec3<F> &, const M &lanes,
+                                   GradientSink<F> &sink) {
         sweep_axis(scene, e.v.light.emitter, next.ray.d, lanes, sink);
     }
 
@@ -77,23 +78,15 @@ struct Directional {
         return means.disk * means.color(record.field[DirectionalEmitter::Irradiance]);
     }
 
-    static EmitterKernels<F> table() {
-        return {&DirectionalEmitter::model,
-                eval,
-                sample_direct,
-                nullptr,
-                nullptr,
-                sample_emission,
-                vjp,
-                direct_vjp,
-                emission_vjp,
-                power};
+    static constexpr EmitterKernels<F> table() {
+        return {DirectionalEmitter::model, eval, sample_direct, nullptr,      nullptr,
+                sample_emission,           vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
     }
 
 private:
     // Hands the adjoint of the direction of travel to the matrix.
-    static void sweep_axis(const Scene &scene, const IntOf<F> &emitter, const Vec3<F> &d_bar, const M &lanes,
-                           GradientSink<F> &sink) {
+    TR_HD static void sweep_axis(const Scene &scene, const IntOf<F> &emitter, const Vec3<F> &d_bar, const M &lanes,
+                                 GradientSink<F> &sink) {
         Vec3<F> z = axis(scene, emitter, lanes);
         F inverse = F(1) / norm(z);
         Vec3<F> bar = unnormalize(z * inverse, d_bar, inverse);

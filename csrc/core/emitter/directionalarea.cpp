@@ -25,16 +25,16 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
     using typename Base::M;
     using typename Base::Scene;
 
-    static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &, const F &,
-                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+    TR_HD static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &, const F &,
+                                      const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         Base::sample_point(scene, left, a, b, inverse_pmf, lanes, r);
         r.weight = select(lanes, r.inverse_pdf, r.weight);
     }
 
     // A ray that moves with its surface.
-    static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
-                             const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
-                             GradientSink<F> &sink) {
+    TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
+                                   const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
+                                   GradientSink<F> &sink) {
         const VertexRecord<F> &v = e.v;
         Base::sweep_coordinates(scene, v, at, lanes, sink);
         HitAdjoint<F> hit;
@@ -48,8 +48,8 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
         return means.texture(record.field[DirectionalAreaEmitter::Radiance], shape) * means.area(shape);
     }
 
-    static EmitterKernels<F> table() {
-        return {&DirectionalAreaEmitter::model,
+    static constexpr EmitterKernels<F> table() {
+        return {DirectionalAreaEmitter::model,
                 Base::eval,
                 nullptr,
                 nullptr,
@@ -58,7 +58,7 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
                 Base::vjp,
                 nullptr,
                 emission_vjp,
-                power};
+                TR_HOST_POINTER(power)};
     }
 };
 

@@ -3,7 +3,7 @@
 namespace tr {
 
 template <class F>
-const EmitterKernels<F> &emitter_kernels(int kind) {
+TR_HD const EmitterKernels<F> &emitter_kernels(int kind) {
 #define TR_TABLE(M) emitter_kernels_of<M, F>(),
     static const EmitterKernels<F> all[] = {TR_EMITTERS(TR_TABLE)};
 #undef TR_TABLE
@@ -11,12 +11,12 @@ const EmitterKernels<F> &emitter_kernels(int kind) {
 }
 
 template <class F>
-Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
-                         const MaskOf<F> &active, bool beams) {
+TR_LARGE Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                                  const MaskOf<F> &active, bool beams) {
     Spectrum<F> r = uniform_spectrum(F(0));
     IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
-        if (beams || !emitter.model->is(IsBeam)) emitter.eval(scene, waves, point, lanes, r);
+        if (beams || !emitter.is(IsBeam)) emitter.eval(scene, waves, point, lanes, r);
     });
     return r;
 }
@@ -46,8 +46,8 @@ struct ChosenEmitter {
 }  // namespace
 
 template <class F>
-EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
-                                const MaskOf<F> &active) {
+TR_LARGE EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const F &u0, const F &u1,
+                                         const F &u2, const MaskOf<F> &active) {
     EmitterSample<F> r = no_emitter_sample<F>();
     ChosenEmitter<F> chosen(scene, u0, active);
     r.point.emitter = IntOf<F>(chosen.index);
@@ -60,8 +60,8 @@ EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const
 }
 
 template <class F>
-F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
-                    const Vec3<F> &n, const MaskOf<F> &active) {
+TR_LARGE F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from,
+                             const Vec3<F> &p, const Vec3<F> &n, const MaskOf<F> &active) {
     F r(0);
     IntOf<F> kind = emitter_kind<F>(scene, point.emitter, active);
     for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
@@ -71,7 +71,7 @@ F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const
 }
 
 template <class F>
-EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active) {
+TR_LARGE EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active) {
     EmitterPoint<F> r{IntOf<F>(scene.environment), {UIntOf<F>(0u), UIntOf<F>(0u), F(0), F(0)}};
     const EmitterKernels<F> &environment = emitter_kernels<F>(scene.emitters[scene.environment].kind);
     environment.point_of_direction(scene, d, r);
@@ -80,8 +80,8 @@ EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &
 }
 
 template <class F>
-EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, const F &a, const F &b, const F &c,
-                                  const F &d, const MaskOf<F> &active) {
+TR_LARGE EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, const F &a, const F &b, const F &c,
+                                           const F &d, const MaskOf<F> &active) {
     EmissionSample<F> r;
     ChosenEmitter<F> chosen(scene, choice, active);
     r.point = {IntOf<F>(chosen.index), {UIntOf<F>(0u), UIntOf<F>(0u), F(0), F(0)}};

@@ -99,12 +99,11 @@ struct EmitterMeans {
 };
 
 template <class F>
-struct EmitterKernels {
+struct EmitterKernels : ModelInfo {
     using S = ScalarOf<F>;
     using Scene = SceneView<S>;
     using Point = EmitterPoint<F>;
     using M = MaskOf<F>;
-    const Model *model;
 
     // Radiance (of lights at a point: intensity; of parallel light: irradiance).
     void (*eval)(const Scene &, const Wavelengths<F> &, const Point &, const M &lanes, Spectrum<F> &);
@@ -131,11 +130,12 @@ struct EmitterKernels {
     // `d_bar` those of the point and of the direction -d from what is sent. Null where nothing of it moves.
     void (*emission_vjp)(const Scene &, const EmissionRecord<F> &, const NextVertex<F> &, const F &carried,
                          const CoordinateAdjoint<F> &at, const Vec3<F> &d_bar, const M &lanes, GradientSink<F> &);
+    // On the host alone.
     double (*power)(EmitterMeans &, const Record &);
 };
 
 template <class M, class F>
-EmitterKernels<F> emitter_kernels_of();
+TR_DEVICE_CONSTEXPR EmitterKernels<F> emitter_kernels_of();
 
 #define TR_NAME(M) struct M;
 TR_EMITTERS(TR_NAME)
@@ -147,7 +147,7 @@ using Emitters = TypeList<TR_EMITTERS(TR_NAME) NoEmitter>;  // the last stands f
 constexpr int EmitterKinds = Emitters::Size - 1;
 
 template <class F>
-const EmitterKernels<F> &emitter_kernels(int kind);
+TR_HD const EmitterKernels<F> &emitter_kernels(int kind);
 
 // What the host adds to records: of emitters that are on a shape its index; where the aspect of the image is.
 constexpr int EmitterShape = Record::Extra, ImageAspect = Record::Extra;
@@ -169,33 +169,33 @@ template <class F>
 TR_INLINE MaskOf<F> emitters_with(const IntOf<F> &kind, uint32_t flags) {
     MaskOf<F> r(false);
     for (int k = 0; k < EmitterKinds; ++k)
-        if (emitter_kernels<F>(k).model->is(flags)) r = r || mask<F>(kind == k);
+        if (emitter_kernels<F>(k).is(flags)) r = r || mask<F>(kind == k);
     return r;
 }
 
 // What emitters send from these points; beams are black, since nothing else sees them, unless they are `beams`.
 template <class F>
-Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
-                         const MaskOf<F> &active, bool beams = false);
+TR_LARGE Spectrum<F> eval_emitter(const SceneOf<F> &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                                  const MaskOf<F> &active, bool beams = false);
 
 // An emitter and a point on it for the reference point p: u0 chooses the emitter and, with what is left of it, the face
 // of a mesh light; u1, u2 the point or direction.
 template <class F>
-EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
-                                const MaskOf<F> &active);
+TR_LARGE EmitterSample<F> sample_emitter(const SceneOf<F> &scene, const Vec3<F> &p, const F &u0, const F &u1,
+                                         const F &u2, const MaskOf<F> &active);
 
 // Density with which that chooses, for the reference point `from`, the point p of a shape's emitter.
 template <class F>
-F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
-                    const Vec3<F> &n, const MaskOf<F> &active);
+TR_LARGE F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &point, const Vec3<F> &from,
+                             const Vec3<F> &p, const Vec3<F> &n, const MaskOf<F> &active);
 
 // The environment in direction d as an emitter point, and the density with which it is chosen.
 template <class F>
-EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active);
+TR_LARGE EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active);
 
 // Where a path of light begins; `choice` chooses the emitter, for the others see EmitterKernels::sample_emission.
 template <class F>
-EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, const F &a, const F &b, const F &c,
-                                  const F &d, const MaskOf<F> &active);
+TR_LARGE EmissionSample<F> sample_emission(const SceneOf<F> &scene, const F &choice, const F &a, const F &b, const F &c,
+                                           const F &d, const MaskOf<F> &active);
 
 }  // namespace tr

@@ -14,34 +14,34 @@ struct Map : Environment<EnvironmentMap, F> {
     using typename Base::Scene;
 
     // A scene has one environment.
-    static const Record &record_of(const Scene &scene) { return scene.emitters[scene.environment]; }
-    static const TensorView<S> &texels(const Scene &scene) {
+    TR_HD static const Record &record_of(const Scene &scene) { return scene.emitters[scene.environment]; }
+    TR_HD static const TensorView<S> &texels(const Scene &scene) {
         return scene.values.tensors[record_of(scene).field[EnvironmentMap::Data]];
     }
-    static F scale(const Scene &scene) {
+    TR_HD static F scale(const Scene &scene) {
         return F(scene.values.constants[record_of(scene).field[EnvironmentMap::Scale]]);
     }
-    static Vec2<F> coordinates(const EmitterPoint<F> &point) { return {point.at.b1, point.at.b2}; }
+    TR_HD static Vec2<F> coordinates(const EmitterPoint<F> &point) { return {point.at.b1, point.at.b2}; }
 
-    static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point, const M &lanes,
-                     Spectrum<F> &r) {
+    TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                           const M &lanes, Spectrum<F> &r) {
         auto at = EnvironmentMap::footprint(texels(scene), coordinates(point));
         r = select(lanes, gather_footprint(texels(scene), waves, at, lanes) * scale(scene), r);
     }
 
-    static F pdf_direct(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Vec3<F> &,
-                        const Vec3<F> &, const M &lanes) {
+    TR_HD static F pdf_direct(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Vec3<F> &,
+                              const Vec3<F> &, const M &lanes) {
         return EnvironmentMap::pdf(scene, coordinates(point), lanes);
     }
 
-    static void point_of_direction(const Scene &scene, const Vec3<F> &d, EmitterPoint<F> &r) {
+    TR_HD static void point_of_direction(const Scene &scene, const Vec3<F> &d, EmitterPoint<F> &r) {
         Vec2<F> uv = EnvironmentMap::to_uv(scene, d);
         r.at.b1 = uv.x, r.at.b2 = uv.y;
     }
 
-    static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
-                    const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &d_bar,
-                    GradientSink<F> &sink) {
+    TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &d, const Spectrum<F> &g,
+                          const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &d_bar,
+                          GradientSink<F> &sink) {
         Vec2<F> uv = coordinates(point);
         if (needs.emitter) {
             auto at = EnvironmentMap::footprint(texels(scene), uv);
@@ -57,8 +57,8 @@ struct Map : Environment<EnvironmentMap, F> {
                means.environment(record.field[EnvironmentMap::Data]);
     }
 
-    static EmitterKernels<F> table() {
-        return {&EnvironmentMap::model,
+    static constexpr EmitterKernels<F> table() {
+        return {EnvironmentMap::model,
                 eval,
                 Base::sample_direct,
                 pdf_direct,
@@ -67,13 +67,13 @@ struct Map : Environment<EnvironmentMap, F> {
                 vjp,
                 nullptr,
                 nullptr,
-                power};
+                TR_HOST_POINTER(power)};
     }
 
 private:
     // The map as a look-up in a direction: adds to the adjoint of d, and to that of the map's rotation.
-    static void sweep_direction(const Scene &scene, const Vec2<F> &uv, const Vec3<F> &d, const Spectrum<F> &g,
-                                const M &lanes, Vec3<F> &d_bar, GradientSink<F> &sink) {
+    TR_HD static void sweep_direction(const Scene &scene, const Vec2<F> &uv, const Vec3<F> &d, const Spectrum<F> &g,
+                                      const M &lanes, Vec3<F> &d_bar, GradientSink<F> &sink) {
         const Record &record = record_of(scene);
         const TensorView<S> &tensor = scene.values.tensors[record.field[EnvironmentMap::Data]];
         F scale(scene.values.constants[record.field[EnvironmentMap::Scale]]);

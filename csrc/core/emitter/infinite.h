@@ -28,8 +28,8 @@ struct Environment {
     using M = MaskOf<F>;
     using Scene = SceneOf<F>;
 
-    static void sample_direct(const Scene &scene, const Vec3<F> &, const F &, const F &u1, const F &u2, const M &lanes,
-                              EmitterSample<F> &r) {
+    TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &, const F &, const F &u1, const F &u2,
+                                    const M &lanes, EmitterSample<F> &r) {
         Vec2<F> uv;
         F pdf;
         Vec3<F> d = Model::sample(scene, u1, u2, uv, pdf, lanes);
@@ -40,8 +40,8 @@ struct Environment {
         r.pdf = select(lanes, pdf, r.pdf);
     }
 
-    static void sample_emission(const Scene &scene, const F &, const F &a, const F &b, const F &c, const F &d,
-                                const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
+    TR_HD static void sample_emission(const Scene &scene, const F &, const F &a, const F &b, const F &c, const F &d,
+                                      const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         Vec2<F> uv;
         F pdf;
         Vec3<F> from = Model::sample(scene, a, b, uv, pdf, lanes);

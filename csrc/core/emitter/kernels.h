@@ -10,7 +10,7 @@ template <class M>
 struct EmitterFunctions;
 
 template <class M, class F>
-EmitterKernels<F> emitter_kernels_of() {
+TR_DEVICE_CONSTEXPR EmitterKernels<F> emitter_kernels_of() {
     return EmitterFunctions<M>::template Of<F>::table();
 }
 

@@ -10,22 +10,22 @@ struct OnShape {
     using M = MaskOf<F>;
     using Scene = SceneOf<F>;
 
-    static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point, const M &lanes,
-                     Spectrum<F> &r) {
+    TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
+                           const M &lanes, Spectrum<F> &r) {
         IntOf<F> texture = record_field<F>(scene.emitters, Model::Radiance, point.emitter, lanes);
         r = select(lanes, eval_texture(scene, waves, texture, point.at, lanes), r);
     }
 
-    static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
-                    const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &at, Vec3<F> &,
-                    GradientSink<F> &sink) {
+    TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
+                          const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &at, Vec3<F> &,
+                          GradientSink<F> &sink) {
         IntOf<F> texture = record_field<F>(scene.emitters, Model::Radiance, point.emitter, lanes);
         if (needs.emitter) sink.texture(scene, texture, point.at, g, lanes);
         if (needs.geometry) sweep_lookup(scene, texture, point.at, g, lanes, at, sink);
     }
 
 protected:
-    static UIntOf<F> shape_of(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
+    TR_HD static UIntOf<F> shape_of(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
         return UIntOf<F>(record_field<F>(scene.emitters, EmitterShape, emitter, lanes));
     }
 
@@ -38,8 +38,8 @@ protected:
     }
 
     // A point, and light that leaves it along its normal.
-    static SampledPoint<F> sample_point(const Scene &scene, const F &left, const F &a, const F &b, const F &inverse_pmf,
-                                        const M &lanes, EmissionSample<F> &r) {
+    TR_HD static SampledPoint<F> sample_point(const Scene &scene, const F &left, const F &a, const F &b,
+                                              const F &inverse_pmf, const M &lanes, EmissionSample<F> &r) {
         SampledPoint<F> q = sample_shape<F>(scene, shape_of(scene, r.point.emitter, lanes), left, a, b, lanes, true);
         put(q.at, lanes, r.point.at);
         r.p = select(lanes, q.p, r.p);
@@ -50,8 +50,8 @@ protected:
     }
 
     // Of a light path's beginning: the surface's texture coordinates, where nothing else moves.
-    static void sweep_coordinates(const Scene &scene, const VertexRecord<F> &v, const CoordinateAdjoint<F> &at,
-                                  const M &lanes, GradientSink<F> &sink) {
+    TR_HD static void sweep_coordinates(const Scene &scene, const VertexRecord<F> &v, const CoordinateAdjoint<F> &at,
+                                        const M &lanes, GradientSink<F> &sink) {
         if (!scene.textured) return;
         HitAdjoint<F> hit;
         hit.at = at;

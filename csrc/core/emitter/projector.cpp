@@ -24,7 +24,7 @@ struct ProjectorEmitter {
     static constexpr int ColorField = -1, PlaceField = field_index(fields, "to_world");
     static constexpr int TextureField = field_index(fields, "irradiance");
     static constexpr int Numbers = 3, Differentiable = 2;  // the last is the aspect of the image
-    static constexpr int NumberFields[] = {field_index(fields, "scale"), field_index(fields, "x_fov"), ImageAspect};
+    static constexpr std::array NumberFields{field_index(fields, "scale"), field_index(fields, "x_fov"), ImageAspect};
     static constexpr Model model = {"emitter", "projector", "A light that throws an image.",
                                     fields,    5,           HasDeltaPosition | HasImageAspect};
 

@@ -25,7 +25,7 @@ struct SpotEmitter {
     };
     static constexpr int ColorField = field_index(fields, "intensity"), PlaceField = field_index(fields, "to_world");
     static constexpr int TextureField = field_index(fields, "texture"), Numbers = 2, Differentiable = 2;
-    static constexpr int NumberFields[] = {field_index(fields, "cutoff_angle"), field_index(fields, "beam_width")};
+    static constexpr std::array NumberFields{field_index(fields, "cutoff_angle"), field_index(fields, "beam_width")};
     static constexpr Model model = {"emitter", "spot", "A spot light.", fields, 6, HasDeltaPosition, "SpotLight"};
 
     template <class T, int N>

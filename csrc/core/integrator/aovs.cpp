@@ -4,7 +4,8 @@ namespace tr {
 
 namespace {
 
-constexpr int BsdfAovs[] = {AovAlbedo, AovSpecular, AovRoughness};
+// Those of the BSDF follow each other.
+constexpr int FirstBsdfAov = AovAlbedo, LastBsdfAov = AovRoughness;
 TR_INLINE BsdfAov bsdf_aov(int kind) {
     return kind == AovAlbedo ? BsdfAov::Albedo : kind == AovSpecular ? BsdfAov::Specular : BsdfAov::Roughness;
 }
@@ -38,7 +39,7 @@ TR_INLINE void each_attribute(const AovContext<F> &c, int k, const FirstHit<F> &
 }  // namespace
 
 template <class F>
-void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const MaskOf<F> &active, F *value) {
+TR_LARGE void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const MaskOf<F> &active, F *value) {
     const AovLayout &layout = c.layout;
     const Interaction<F> &si = hit.si;
     auto number = [&](int kind, int k, const F &x) { value[layout.offset[kind] + k] = x; };
@@ -67,7 +68,7 @@ void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const MaskOf<F> &
         if (wants(AovPartialU)) vector(AovPartialU, partials.u);
         if (wants(AovPartialV)) vector(AovPartialV, partials.v);
     }
-    for (int kind : BsdfAovs)
+    for (int kind = FirstBsdfAov; kind <= LastBsdfAov; ++kind)
         if (wants(kind))
             color(kind, eval_bsdf_aov(c.scene, hit.waves, bsdf_aov(kind), si.shape.bsdf, met_from_behind(hit), si.at,
                                       active));
@@ -100,7 +101,7 @@ TR_INLINE void sweep_values(const AovContext<F> &c, const FirstHit<F> &hit, cons
         if (sink.forward)
             for (int k = 0; k < channels; ++k) to[k] = sink.derivative[k];
     };
-    for (int kind : BsdfAovs) {
+    for (int kind = FirstBsdfAov; kind <= LastBsdfAov; ++kind) {
         if (!c.layout.wants(kind) || !needs.bsdf) continue;
         CoordinateAdjoint<F> none;
         sweep(kind, [&](const Spectrum<F> &g) {
@@ -145,7 +146,7 @@ TR_INLINE void sweep_motion(const AovContext<F> &c, const FirstHit<F> &hit, cons
     g.partial_u = vector(AovPartialU);
     g.partial_v = vector(AovPartialV);
     const Interaction<F> &si = hit.si;
-    for (int kind : BsdfAovs)
+    for (int kind = FirstBsdfAov; kind <= LastBsdfAov; ++kind)
         if (layout.wants(kind))
             sweep_bsdf_aov(c.scene, bsdf_aov(kind), si.shape.bsdf, met_from_behind(hit), si.at, color(kind), false,
                            true, active, g.at, sink);
@@ -163,8 +164,8 @@ TR_INLINE void sweep_motion(const AovContext<F> &c, const FirstHit<F> &hit, cons
 }  // namespace
 
 template <class F>
-void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const GradientNeeds &needs, const MaskOf<F> &active,
-                F *value, GradientSink<F> &sink) {
+TR_LARGE void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const GradientNeeds &needs,
+                         const MaskOf<F> &active, F *value, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     sweep_values(c, hit, needs, active, value, sink);
     if (!needs.geometry) return;

@@ -61,18 +61,19 @@ constexpr int MaxAovChannels = 49;
 
 // Which are wanted, and where each begins among the channels: -1 where it is not wanted.
 struct AovLayout {
-    int offset[AovCount], n = 0, colors;
+    int offset[AovCount], channels[AovCount], n = 0;
     std::array<int32_t, AovAttributes> attributes{-1, -1, -1, -1};  // see AovOutput
 
     template <class Given>
-    AovLayout(int colors_, Given &&given) : colors(colors_) {
+    AovLayout(int colors, Given &&given) {
         for (int k = 0; k < AovCount; ++k) {
+            channels[k] = aov_names[k].channels ? aov_names[k].channels : colors;
             offset[k] = given(k) ? n : -1;
             if (given(k)) n += count(k);
         }
     }
-    int count(int k) const { return aov_names[k].channels ? aov_names[k].channels : colors; }
-    bool wants(int k) const { return offset[k] >= 0; }
+    TR_HD int count(int k) const { return channels[k]; }
+    TR_HD bool wants(int k) const { return offset[k] >= 0; }
 };
 
 // What is asked, and of which camera.
@@ -85,7 +86,7 @@ struct AovContext {
     CameraFrame<S> camera;
     S width, height;  // of the film
 
-    AovContext(const SceneView<S> &scene_, const AovLayout &layout_, uint32_t sensor_, S width_, S height_)
+    TR_HD AovContext(const SceneView<S> &scene_, const AovLayout &layout_, uint32_t sensor_, S width_, S height_)
         : scene(scene_),
           layout(layout_),
           sensor(scene.sensors[sensor_]),
@@ -106,12 +107,12 @@ struct FirstHit {
 
 // The values of all channels of the layout.
 template <class F>
-void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const MaskOf<F> &active, F *value);
+TR_LARGE void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const MaskOf<F> &active, F *value);
 
 // Their derivative: in reverse mode `value` holds the adjoints of the channels, in forward mode their derivatives are
 // written there.
 template <class F>
-void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const GradientNeeds &needs, const MaskOf<F> &active,
-                F *value, GradientSink<F> &sink);
+TR_LARGE void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const GradientNeeds &needs,
+                         const MaskOf<F> &active, F *value, GradientSink<F> &sink);
 
 }  // namespace tr

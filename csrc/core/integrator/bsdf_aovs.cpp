@@ -20,7 +20,7 @@ struct ShownParameter {
     IntOf<F> texture{-1}, number{-1};
     F value{0};
 
-    ShownParameter(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &active) {
+    TR_HD ShownParameter(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &active) {
         using I = IntOf<F>;
         for_each_distinct<F>(record_kind<F>(scene.bsdfs, bsdf, active), active, [&](int32_t kind, const auto &same) {
             if (kind >= FirstWrapper) return;  // a mixture, see below
@@ -56,7 +56,7 @@ struct ShownMixture {
     MaskOf<F> blend, masked, mixed;
     IntOf<F> weight, first, second;
 
-    ShownMixture(const SceneOf<F> &scene, const IntOf<F> &bsdf, const MaskOf<F> &active) {
+    TR_HD ShownMixture(const SceneOf<F> &scene, const IntOf<F> &bsdf, const MaskOf<F> &active) {
         RecordLanes<F> record(scene.bsdfs, bsdf, active);
         blend = active && mask<F>(record.kind() == BlendKind);
         masked = active && mask<F>(record.kind() == MaskKind);
@@ -75,8 +75,9 @@ TR_INLINE Spectrum<F> hole_value(BsdfAov output) {
 }  // namespace
 
 template <class F>
-Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, BsdfAov output, const IntOf<F> &root,
-                          const MaskOf<F> &back, const TexturedPoint<F> &at, const MaskOf<F> &active, int depth) {
+TR_LARGE Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, BsdfAov output,
+                                   const IntOf<F> &root, const MaskOf<F> &back, const TexturedPoint<F> &at,
+                                   const MaskOf<F> &active, int depth) {
     IntOf<F> bsdf = below_sides<F>(scene, root, back, active);
     ShownParameter<F> of(scene, output, bsdf, active);
     Spectrum<F> r = uniform_spectrum(of.value);
@@ -98,9 +99,9 @@ Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, 
 }
 
 template <class F>
-void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &root, const MaskOf<F> &back,
-                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion, const MaskOf<F> &active,
-                    CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth) {
+TR_LARGE void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &root, const MaskOf<F> &back,
+                             const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion,
+                             const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth) {
     const bool scalar = output == BsdfAov::Roughness;
     IntOf<F> bsdf = below_sides<F>(scene, root, back, active);
     ShownParameter<F> of(scene, output, bsdf, active);

@@ -10,14 +10,15 @@ enum class BsdfAov { Albedo, Specular, Roughness };  // of roughness in the firs
 
 // Of the BSDFs `bsdf`, which are met from behind where `back`.
 template <class F>
-Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, BsdfAov output, const IntOf<F> &bsdf,
-                          const MaskOf<F> &back, const TexturedPoint<F> &at, const MaskOf<F> &active, int depth = 0);
+TR_LARGE Spectrum<F> eval_bsdf_aov(const SceneOf<F> &scene, const Wavelengths<F> &waves, BsdfAov output,
+                                   const IntOf<F> &bsdf, const MaskOf<F> &back, const TexturedPoint<F> &at,
+                                   const MaskOf<F> &active, int depth = 0);
 
 // `g` is the adjoint of the output (of roughness in the first component alone); with `values` that of textures is given
 // to the sink, with `motion` that of where they are looked up is added to `to`.
 template <class F>
-void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &back,
-                    const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion, const MaskOf<F> &active,
-                    CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth = 0);
+TR_LARGE void sweep_bsdf_aov(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &back,
+                             const TexturedPoint<F> &at, const Spectrum<F> &g, bool values, bool motion,
+                             const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink, int depth = 0);
 
 }  // namespace tr

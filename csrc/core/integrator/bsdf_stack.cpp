@@ -3,9 +3,9 @@
 namespace tr {
 
 template <class F>
-ResolvedBsdf<F> walk_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, const IntOf<F> &root,
-                           const MaskOf<F> &back, const TexturedPoint<F> &at, const F &choice,
-                           const int32_t *differentiated, const MaskOf<F> &active, Branches<F> *branches) {
+TR_LARGE ResolvedBsdf<F> walk_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, const IntOf<F> &root,
+                                    const MaskOf<F> &back, const TexturedPoint<F> &at, const F &choice,
+                                    const int32_t *differentiated, const MaskOf<F> &active, Branches<F> *branches) {
     using I = IntOf<F>;
     static_assert(int(BlendBsdf::Weight) == int(MaskBsdf::Opacity), "both are read as one field");
     ResolvedBsdf<F> r{root, MaskOf<F>(false), {}, choice, {}};
@@ -59,9 +59,9 @@ ResolvedBsdf<F> walk_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves,
 }
 
 template <class F>
-NormalPerturbation<F>::NormalPerturbation(const SceneOf<F> &scene, const Wavelengths<F> &waves,
-                                          const TexturedPoint<F> &at, const IntOf<F> &record,
-                                          const MaskOf<F> &perturbed) {
+TR_LARGE NormalPerturbation<F>::NormalPerturbation(const SceneOf<F> &scene, const Wavelengths<F> &waves,
+                                                   const TexturedPoint<F> &at, const IntOf<F> &record,
+                                                   const MaskOf<F> &perturbed) {
     static_assert(int(NormalMap::Map) == int(BumpMap::Heights) && int(NormalMap::Flip) == int(BumpMap::Flip) &&
                       int(NormalMap::Shadowing) == int(BumpMap::Shadowing),
                   "these are read as one");
@@ -100,9 +100,9 @@ TR_INLINE Vec3<F> perturbed_normal(const SceneOf<F> &scene, const Wavelengths<F>
 }  // namespace
 
 template <class F>
-ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, Interaction<F> &si,
-                              const Vec3<F> &d, const F &choice, bool viewed, const int32_t *differentiated,
-                              const MaskOf<F> &active) {
+TR_LARGE ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, Interaction<F> &si,
+                                       const Vec3<F> &d, const F &choice, bool viewed, const int32_t *differentiated,
+                                       const MaskOf<F> &active) {
     auto back = mask<F>(dot(si.frame.n, d) > F(0));
     ResolvedBsdf<F> r = walk_stack(scene, waves, si.shape.bsdf, back, si.at, choice, differentiated, active,
                                    static_cast<Branches<F> *>(nullptr));

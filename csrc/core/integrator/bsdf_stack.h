@@ -90,9 +90,9 @@ struct Branches {
 // Walks down the stack. `differentiated`: by bsdf, whether a value of it is; null while rendering. `branches` may be
 // null.
 template <class F>
-ResolvedBsdf<F> walk_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, const IntOf<F> &root,
-                           const MaskOf<F> &back, const TexturedPoint<F> &at, const F &choice,
-                           const int32_t *differentiated, const MaskOf<F> &active, Branches<F> *branches);
+TR_LARGE ResolvedBsdf<F> walk_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, const IntOf<F> &root,
+                                    const MaskOf<F> &back, const TexturedPoint<F> &at, const F &choice,
+                                    const int32_t *differentiated, const MaskOf<F> &active, Branches<F> *branches);
 
 template <class F>
 TR_INLINE IntOf<F> resolved_kind(const SceneOf<F> &scene, const ResolvedBsdf<F> &r, const MaskOf<F> &active) {
@@ -109,8 +109,8 @@ struct NormalPerturbation {
     F scale{0};
     Vec2<F> slopes{F(0), F(0)};  // without the scale
 
-    NormalPerturbation(const SceneOf<F> &scene, const Wavelengths<F> &waves, const TexturedPoint<F> &at,
-                       const IntOf<F> &record, const MaskOf<F> &perturbed);
+    TR_LARGE NormalPerturbation(const SceneOf<F> &scene, const Wavelengths<F> &waves, const TexturedPoint<F> &at,
+                                const IntOf<F> &record, const MaskOf<F> &perturbed);
 
     // `z`: the normal that is turned; `side`, `sign`: see NormalMap::turn.
     TR_INLINE Vec3<F> operator()(const Vec3<F> &z, const F &side, const F &sign) const {
@@ -127,9 +127,9 @@ struct NormalPerturbation {
 // Resolves the stack at a hit that a ray along d has come to, and perturbs its frame. `viewed`: the ray comes from
 // where the image is seen from, so that normals which hide from it are reversed.
 template <class F>
-ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, Interaction<F> &si,
-                              const Vec3<F> &d, const F &choice, bool viewed, const int32_t *differentiated,
-                              const MaskOf<F> &active);
+TR_LARGE ResolvedBsdf<F> resolve_stack(const SceneOf<F> &scene, const Wavelengths<F> &waves, Interaction<F> &si,
+                                       const Vec3<F> &d, const F &choice, bool viewed, const int32_t *differentiated,
+                                       const MaskOf<F> &active);
 
 // The factor of a value because the normal was perturbed from `base` to n: 0 where one of them sees `w` from the other
 // side, and what is left of light from `light` near the terminator.

@@ -3,8 +3,8 @@
 namespace tr {
 
 template <class F>
-void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F> height, bool skip_zero_adjoint, uint32_t i,
-                 uint32_t n_slots, PathQueue<ScalarOf<F>> &out) {
+TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F> height, bool skip_zero_adjoint,
+                          uint32_t i, uint32_t n_slots, PathQueue<ScalarOf<F>> &out) {
     using U = UIntOf<F>;
     const Record &sensor = c.scene.sensors[c.config.sensor];
     const bool lens = uses_lens(sensor);

@@ -9,8 +9,8 @@ namespace tr {
 // Of the samples in slots i on: their places on the film, and rays in the queue. `skip_zero_adjoint`: not of paths
 // whose adjoint is zero.
 template <class F>
-void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F> height, bool skip_zero_adjoint, uint32_t i,
-                 uint32_t n_slots, PathQueue<ScalarOf<F>> &out);
+TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F> height, bool skip_zero_adjoint,
+                          uint32_t i, uint32_t n_slots, PathQueue<ScalarOf<F>> &out);
 
 // The place of samples i on on the film, as start_paths chooses it; returns their numbers. `lens`: with those of a
 // lens.

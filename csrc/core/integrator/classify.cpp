@@ -26,8 +26,8 @@ TR_INLINE IntOf<F> surface_kinds(const PathContext<F> &c, const PathStep &step, 
 }  // namespace
 
 template <class F>
-IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &queue,
-                       const HitColumns<ScalarOf<F>> &hits, const int32_t *kinds, bool viewed, uint32_t i) {
+TR_LARGE IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &queue,
+                                const HitColumns<ScalarOf<F>> &hits, const int32_t *kinds, bool viewed, uint32_t i) {
     using U = UIntOf<F>;
     using I = IntOf<F>;
     using M = MaskOf<F>;

@@ -13,7 +13,7 @@ constexpr int DependentKind = -2;  // of a BSDF: it depends on the hit
 
 // The kind of what a BSDF of the scene is resolved to.
 template <class S>
-int resolved_kind(const SceneView<S> &scene, int bsdf) {
+TR_HD int resolved_kind(const SceneView<S> &scene, int bsdf) {
     const Record &r = scene.bsdfs[bsdf];
     auto common = [&](int a, int b) {
         int kind = resolved_kind(scene, a);
@@ -31,7 +31,7 @@ int resolved_kind(const SceneView<S> &scene, int bsdf) {
 
 // The kinds of entries i on of a queue whose rays were traced. `kinds`: by bsdf, resolved_kind.
 template <class F>
-IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &queue,
-                       const HitColumns<ScalarOf<F>> &hits, const int32_t *kinds, bool viewed, uint32_t i);
+TR_LARGE IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &queue,
+                                const HitColumns<ScalarOf<F>> &hits, const int32_t *kinds, bool viewed, uint32_t i);
 
 }  // namespace tr

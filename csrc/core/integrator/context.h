@@ -8,7 +8,8 @@
 
 namespace tr {
 
-// Values that are not finite and were left out: how many, and where the first one was.
+// Values that are not finite and were left out: how many, and where the first one was. (On a device, where lanes share
+// this, the number is right. What is missing there: which lane is the first, and a category that the host can read.)
 struct Diagnostics {
     uint64_t non_finite = 0;
     const char *category = nullptr;  // of scene objects
@@ -54,7 +55,7 @@ TR_INLINE MaskOf<F> finite(const PathContext<F> &c, const Spectrum<F> &value, co
     int lost = count(active) - count(usable);
     if (lost) {
         Diagnostics &d = c.diagnostics;
-        d.non_finite += uint64_t(lost);
+        accumulate(&d.non_finite, uint64_t(lost));
         if (!d.category) d.category = category, d.index = first_lane(index, active && !usable);
     }
     return usable;

@@ -69,8 +69,8 @@ TR_INLINE void write_emission(const PathContext<F> &c, uint32_t i, const UIntOf<
 }  // namespace
 
 template <class F>
-void start_light_paths(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, uint32_t i, uint32_t n_slots,
-                       PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections) {
+TR_LARGE void start_light_paths(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, uint32_t i,
+                                uint32_t n_slots, PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     Entries<F> from(i);
@@ -172,9 +172,10 @@ TR_INLINE UIntOf<F> arrival_of(const F &pdf) {
 }  // namespace
 
 template <class F>
-void shade_light_path(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, int kind, const PathStep &step,
-                      const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes,
-                      uint32_t i, PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections) {
+TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, int kind,
+                               const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                               const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                               PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using M = MaskOf<F>;

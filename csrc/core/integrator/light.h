@@ -19,7 +19,7 @@ struct LightSensor {
     Pinhole<S> camera;
     int32_t meter = -1;  // the shape that an irradiance meter lies on
 
-    LightSensor(const SceneView<S> &scene, uint32_t index, S width, S height)
+    TR_HD LightSensor(const SceneView<S> &scene, uint32_t index, S width, S height)
         : record(scene.sensors[index]), camera(width, height) {
         if (record.kind == IrradianceMeterKind)
             meter = record.field[IrradianceMeter::ShapeIndex];
@@ -46,13 +46,14 @@ TR_INLINE MaskOf<F> has_shading_normal(const ShapeLanes<F> &shape, const BsdfSta
 
 // Paths of slots i on, and the connections of the emitters themselves to the camera.
 template <class F>
-void start_light_paths(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, uint32_t i, uint32_t n_slots,
-                       PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections);
+TR_LARGE void start_light_paths(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, uint32_t i,
+                                uint32_t n_slots, PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections);
 
 // The hits of `lanes`, all of one kind, entry i on of the tape's level. `step.scatters`: paths go on.
 template <class F>
-void shade_light_path(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, int kind, const PathStep &step,
-                      const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes,
-                      uint32_t i, PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections);
+TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<ScalarOf<F>> &sensor, int kind,
+                               const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                               const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                               PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &connections);
 
 }  // namespace tr

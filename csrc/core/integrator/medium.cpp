@@ -91,13 +91,13 @@ TR_INLINE void push_light_ray(const Vec3<F> &p, const EmitterSample<F> &light, c
 
 // ------------------------------------------------------------------------------------------------------- free flight
 template <class F>
-void begin_media(const PathContext<F> &c, PathQueue<ScalarOf<F>> &queue, uint32_t i) {
+TR_LARGE void begin_media(const PathContext<F> &c, PathQueue<ScalarOf<F>> &queue, uint32_t i) {
     int32_t medium = camera_medium(c.scene.sensors[c.config.sensor]);
     write(queue, i, PathMedium<F>{IntOf<F>(medium), UIntOf<F>(0u), uniform_spectrum(F(1)), F(0)});
 }
 
 template <class F>
-void begin_media_slots(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i) {
+TR_LARGE void begin_media_slots(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i) {
     using U = UIntOf<F>;
     Entries<F> from(i);
     auto u = random4<F>(c.config.seed, c.config.sensor, from(c.slots.pixel), from(c.slots.sample), ChannelBlock);
@@ -108,8 +108,8 @@ void begin_media_slots(const PathContext<F> &c, const MediumContext<F> &m, uint3
 }
 
 template <class F>
-void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, const PathQueue<ScalarOf<F>> &queue,
-                  const HitColumns<ScalarOf<F>> &hits, uint32_t i) {
+TR_LARGE void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, const PathQueue<ScalarOf<F>> &queue,
+                           const HitColumns<ScalarOf<F>> &hits, uint32_t i) {
     using U = UIntOf<F>;
     Entries<F> from(i);
     const auto &flight = m.flight;
@@ -188,8 +188,8 @@ TR_INLINE void add_emission(const PathContext<F> &c, const MediumContext<F> &m, 
 }  // namespace
 
 template <class F>
-void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue<ScalarOf<F>> &queue,
-                   const HitColumns<ScalarOf<F>> &hits, bool add_radiance, uint32_t i) {
+TR_LARGE void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue<ScalarOf<F>> &queue,
+                            const HitColumns<ScalarOf<F>> &hits, bool add_radiance, uint32_t i) {
     using U = UIntOf<F>;
     Entries<F> from(i);
     auto collided = mask<F>(from(m.flight.collided) != U(0u));
@@ -201,9 +201,9 @@ void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue
 
 // -------------------------------------------------------------------------------------------------------- collisions
 template <class F>
-void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i, PathQueue<ScalarOf<F>> &out,
-                  ShadowQueue<ScalarOf<F>> &shadows) {
+TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                           const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                           PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using I = IntOf<F>;
@@ -260,8 +260,9 @@ void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue
 }
 
 template <class F>
-void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits,
-                   const LaneSet<F> &lanes, uint32_t i, const Interaction<F> &si, PathQueue<ScalarOf<F>> &out) {
+TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>> &in,
+                            const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                            const Interaction<F> &si, PathQueue<ScalarOf<F>> &out) {
     Vec3<F> d = lanes(in.d);
     F length = lanes(in.length) - lanes(hits.t);
     auto on = lanes.active && mask<F>(length > F(0));
@@ -329,9 +330,9 @@ TR_INLINE void choose_branch(const MediumContext<F> &m, const PathQueue<ScalarOf
 }  // namespace
 
 template <class F>
-void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
-                    const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
-                    ShadowQueue<ScalarOf<F>> &shadows) {
+TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
+                             const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
+                             ShadowQueue<ScalarOf<F>> &shadows) {
     using I = IntOf<F>;
     const auto &tape = c.tape->segment;
     I medium = lanes(in.medium);
@@ -387,8 +388,8 @@ void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const Pa
 }
 
 template <class F>
-void start_branches(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i, uint32_t n_slots,
-                    PathQueue<ScalarOf<F>> &out) {
+TR_LARGE void start_branches(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i, uint32_t n_slots,
+                             PathQueue<ScalarOf<F>> &out) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     Entries<F> from(i);

@@ -20,7 +20,7 @@ struct MediumContext {
     uint32_t level = 0;                        // of the segments
 
     // Whether tracking keeps points on the segments.
-    bool keeps_points() const { return differential || emissive; }
+    TR_HD bool keeps_points() const { return differential || emissive; }
 };
 
 // Whether a path may scatter once more after `depth` scatterings.
@@ -32,40 +32,41 @@ TR_INLINE MaskOf<F> may_scatter(const PathConfig &config, const UIntOf<F> &depth
 
 // Of entries i on of the queue of camera rays, and of slots i on.
 template <class F>
-void begin_media(const PathContext<F> &c, PathQueue<ScalarOf<F>> &queue, uint32_t i);
+TR_LARGE void begin_media(const PathContext<F> &c, PathQueue<ScalarOf<F>> &queue, uint32_t i);
 template <class F>
-void begin_media_slots(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i);
+TR_LARGE void begin_media_slots(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i);
 
 // Before free flight, entries i on of a queue whose rays were traced: how far they may fly, and their random numbers.
 template <class F>
-void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, const PathQueue<ScalarOf<F>> &queue,
-                  const HitColumns<ScalarOf<F>> &hits, uint32_t i);
+TR_LARGE void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, const PathQueue<ScalarOf<F>> &queue,
+                           const HitColumns<ScalarOf<F>> &hits, uint32_t i);
 // After it: collisions become hits; the components' weights, and with `add_radiance` emission along the segments.
 template <class F>
-void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue<ScalarOf<F>> &queue,
-                   const HitColumns<ScalarOf<F>> &hits, bool add_radiance, uint32_t i);
+TR_LARGE void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, PathQueue<ScalarOf<F>> &queue,
+                            const HitColumns<ScalarOf<F>> &hits, bool add_radiance, uint32_t i);
 
 // A collision.
 template <class F>
-void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                  const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i, PathQueue<ScalarOf<F>> &out,
-                  ShadowQueue<ScalarOf<F>> &shadows);
+TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                           const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                           PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows);
 
 // A boundary that does not scatter: the ray goes on behind it, as if from where it came.
 template <class F>
-void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits,
-                   const LaneSet<F> &lanes, uint32_t i, const Interaction<F> &si, PathQueue<ScalarOf<F>> &out);
+TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>> &in,
+                            const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                            const Interaction<F> &si, PathQueue<ScalarOf<F>> &out);
 
 // What the tape keeps of a segment, whatever it ends with, and the emitter sample of its differential sample.
 template <class F>
-void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
-                    const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
-                    ShadowQueue<ScalarOf<F>> &shadows);
+TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
+                             const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
+                             ShadowQueue<ScalarOf<F>> &shadows);
 
 // The paths that go on from differential samples, slots i on.
 template <class F>
-void start_branches(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i, uint32_t n_slots,
-                    PathQueue<ScalarOf<F>> &out);
+TR_LARGE void start_branches(const PathContext<F> &c, const MediumContext<F> &m, uint32_t i, uint32_t n_slots,
+                             PathQueue<ScalarOf<F>> &out);
 constexpr uint32_t NoLevel = 0xFFFFFFFFu;
 
 }  // namespace tr

@@ -3,9 +3,9 @@
 namespace tr {
 
 template <class F>
-void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round, const UIntOf<F> &id,
-                      const MaskOf<F> &active) {
+TR_LARGE void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
+                               const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round,
+                               const UIntOf<F> &id, const MaskOf<F> &active) {
     using U = UIntOf<F>;
     Gathered<F> ray(id, active);
     Gathered<F> sample(ray(shadows.slot), active);
@@ -19,9 +19,9 @@ void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &s
 }
 
 template <class F>
-MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                         const TransmittanceColumns<ScalarOf<F>> &at, const SurfacePoint<F> &hit, const F &t,
-                         const UIntOf<F> &id, const MaskOf<F> &active) {
+TR_LARGE MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
+                                  const TransmittanceColumns<ScalarOf<F>> &at, const SurfacePoint<F> &hit, const F &t,
+                                  const UIntOf<F> &id, const MaskOf<F> &active) {
     Gathered<F> from(id, active);
     Ray<F> ray{from(shadows.o), from(shadows.d)};
     F length = from(shadows.length) - t;

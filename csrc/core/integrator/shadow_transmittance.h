@@ -9,9 +9,9 @@ namespace tr {
 // The part of a shadow ray in front of what it has met. `round` counts the parts, `level` the segments of the path;
 // `id` are entries of the queue.
 template <class F>
-void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                      const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round, const UIntOf<F> &id,
-                      const MaskOf<F> &active);
+TR_LARGE void seed_shadow_rays(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
+                               const TransmittanceColumns<ScalarOf<F>> &at, uint32_t level, uint32_t round,
+                               const UIntOf<F> &id, const MaskOf<F> &active);
 
 // Whether rays go on behind this shape.
 template <class S>
@@ -21,8 +21,8 @@ TR_INLINE bool passes_shadow_rays(const SceneView<S> &scene, uint32_t shape) {
 
 // Rays that have come to such a boundary begin anew behind it; returns those that still bring something.
 template <class F>
-MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
-                         const TransmittanceColumns<ScalarOf<F>> &at, const SurfacePoint<F> &hit, const F &t,
-                         const UIntOf<F> &id, const MaskOf<F> &active);
+TR_LARGE MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<ScalarOf<F>> &shadows,
+                                  const TransmittanceColumns<ScalarOf<F>> &at, const SurfacePoint<F> &hit, const F &t,
+                                  const UIntOf<F> &id, const MaskOf<F> &active);
 
 }  // namespace tr

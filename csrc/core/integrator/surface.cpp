@@ -6,8 +6,8 @@
 namespace tr {
 
 template <class F>
-ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
-                            const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active) {
+TR_LARGE ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
+                                     const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active) {
     if (!c.scene.has_stacks) return resolve_bsdf<F>(c.scene, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
     Random4<F> u = samples.draw(c.config, BsdfBlock + BlocksPerScattering * scattering, 4);
     const int32_t *differentiated = c.differentiates(&GradientNeeds::bsdf) ? c.needs->bsdfs : nullptr;
@@ -125,9 +125,9 @@ TR_INLINE void push_light_ray(const PathContext<F> &c, const Interaction<F> &si,
 }  // namespace
 
 template <class F>
-void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                   const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
-                   PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows) {
+TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                            const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                            PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using I = IntOf<F>;
@@ -217,8 +217,8 @@ void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, cons
 }
 
 template <class F>
-void shade_environment(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                       const LaneSet<F> &lanes, uint32_t i) {
+TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                                const LaneSet<F> &lanes, uint32_t i) {
     using U = UIntOf<F>;
     // the emission of a split after the first has been counted
     auto shown = step.split == 0 && c.scene.environment >= 0 ? lanes.active : MaskOf<F>(false);

@@ -33,8 +33,8 @@ TR_INLINE Interaction<F> hit_interaction(const PathContext<F> &c, const Ray<F> &
 
 // The BSDF at a hit, whose frame it may perturb. `viewed`: paths come from where the image is seen from.
 template <class F>
-ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
-                            const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active);
+TR_LARGE ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
+                                     const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active);
 
 // The frame in which the model's directions are: that of the hit, or one that follows the tangent.
 template <class F>
@@ -65,14 +65,14 @@ TR_INLINE MaskOf<F> is_differentiated(const PathContext<F> &c, const ResolvedBsd
 
 // The hits of `lanes`, all of one kind (of the registry's BSDFs), entry i on of the tape's level.
 template <class F>
-void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                   const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
-                   PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows);
+TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                            const HitColumns<ScalarOf<F>> &hits, const LaneSet<F> &lanes, uint32_t i,
+                            PathQueue<ScalarOf<F>> &out, ShadowQueue<ScalarOf<F>> &shadows);
 
 // Rays that left the scene.
 template <class F>
-void shade_environment(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
-                       const LaneSet<F> &lanes, uint32_t i);
+TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &in,
+                                const LaneSet<F> &lanes, uint32_t i);
 
 // ------------------------------------------------------------------------------------------------------ tape entries
 template <class F>

@@ -29,6 +29,29 @@
 #define TR_NOINLINE
 #endif
 
+// Functions that are compiled once for all who call them: out of line in device code, too, where they are in the same
+// translation unit.
+#if defined(__CUDACC__)
+#define TR_LARGE TR_HD __noinline__
+#else
+#define TR_LARGE
+#endif
+
+// Tables of functions that host and device have alike. A device's are constant data of the one translation unit that it
+// is compiled from; a CPU's are put together from many when the program starts.
+#if defined(__CUDACC__)
+#define TR_DEVICE_CONSTEXPR constexpr
+#else
+#define TR_DEVICE_CONSTEXPR
+#endif
+
+// A pointer to data or to a function of the host, in a table that a device has, too: null there.
+#if defined(__CUDA_ARCH__)
+#define TR_HOST_POINTER(p) nullptr
+#else
+#define TR_HOST_POINTER(p) p
+#endif
+
 namespace tr {
 
 constexpr double Pi = 3.14159265358979323846, SqrtPi = 1.77245385090551602730;

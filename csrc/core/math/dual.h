@@ -11,7 +11,7 @@ struct Dual {
     F v;
     F d[N];
 
-    TR_INLINE Dual() = default;
+    Dual() = default;
     TR_INLINE Dual(const F &value) : v(value) {
         for (int i = 0; i < N; ++i) d[i] = F(0);
     }

@@ -168,6 +168,22 @@ TR_INLINE auto first_lane(const T &x, [[maybe_unused]] const M &m) {
 #endif
 }
 
+// Adds to a number in memory and returns what it was before. Other lanes of a device may add to it at the same time;
+// threads of a CPU have numbers of their own.
+template <class T>
+TR_INLINE T accumulate(T *to, T value) {
+#if defined(__CUDA_ARCH__)
+    if constexpr (std::is_same_v<T, uint64_t>)
+        return atomicAdd(reinterpret_cast<unsigned long long *>(to), static_cast<unsigned long long>(value));
+    else
+        return atomicAdd(to, value);
+#else
+    T before = *to;
+    *to = before + value;
+    return before;
+#endif
+}
+
 #if TR_HAS_PACKETS
 // ---------------------------------------------------------------------------------------------------- packets
 using FloatPacket = drjit::Packet<float, TR_PACKET_WIDTH>;

@@ -10,6 +10,13 @@
 
 namespace tr {
 
+// Rays by entry.
+template <class S>
+struct TrackedQueue {
+    VectorColumn<S> o, d;
+    NumberColumn<S> ray_offset;  // they begin before their origins
+};
+
 // A ray in a grid: N components of the extinction matter, 1 or those of the spectrum.
 template <class F, int N>
 struct TrackedRay {
@@ -35,6 +42,36 @@ struct TrackedRay {
         random.a = random.b = entry = UIntOf<F>(0u);
         hero = IntOf<F>(0);
         weight = differential_weight = emission_weight = uniform_spectrum<N>(F(1));
+    }
+
+    // Takes the rays `entry` in the lanes of `fresh`; returns those that meet the grid, the others are finished.
+    template <class S, class Columns, class Estimator>
+    TR_INLINE MaskOf<F> start(const SceneView<S> &scene, const MediumInfo &medium, const TrackedQueue<S> &rays,
+                              const Columns &at, const Estimator &estimator, const MaskOf<F> &fresh) {
+        using U = UIntOf<F>;
+        Gathered<F> from(entry, fresh);
+        Vec3<F> origin = from(rays.o), along = from(rays.d);
+        F ahead = from(rays.ray_offset);
+        MaskOf<F> meets = walk.start(scene, medium, origin - along * ahead, along, from(at.end) + ahead, fresh);
+        walk.enter = select(fresh, walk.enter - ahead, walk.enter);
+        random.a = select(mask<U>(fresh), from(at.seed_a), random.a);
+        random.b = select(mask<U>(fresh), from(at.seed_b), random.b);
+        depth = select(fresh, optical_depth(random.next(fresh)), depth);
+        estimator.begin(*this, fresh);
+        MaskOf<F> apart = fresh && !meets;
+        if (any(apart)) estimator.finish(*this, apart, MaskOf<F>(false));
+        return meets;
+    }
+
+    // Tentative collisions; returns the lanes that walk on. `above`: where the extinction is above the majorant.
+    template <class S, class Estimator>
+    TR_INLINE MaskOf<F> collide(const SceneView<S> &scene, const MediumInfo &medium, const Estimator &estimator,
+                                const MaskOf<F> &stopped, MaskOf<F> &above) {
+        Spectrum<F, N> sigma = grid_extinction<N>(scene, medium, walk.local(), stopped);
+        above = stopped && mask<F>(max_component(sigma) > walk.majorant);
+        MaskOf<F> goes_on = estimator.collide(*this, sigma, stopped);
+        depth = select(goes_on, optical_depth(random.next(goes_on)), depth);
+        return goes_on;
     }
 };
 

@@ -21,8 +21,8 @@ struct Parts {
 }  // namespace
 
 template <class F>
-F BlendPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
-                   const MaskOf<F> &active) {
+TR_LARGE F BlendPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                            const Vec3<F> &wo, const MaskOf<F> &active) {
     Parts<F> parts(scene, record, p, active);
     F value[2];
     for (int i = 0; i < 2; ++i) value[i] = parts.kernels(i).eval(scene, *parts.part[i], p, d, wo, active);
@@ -30,8 +30,8 @@ F BlendPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> 
 }
 
 template <class F>
-Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
-                           const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
+TR_LARGE Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                                    const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
     Parts<F> parts(scene, record, p, active);
     auto second = mask<F>(u0 < parts.weight);
     Vec3<F> wo = d;
@@ -43,8 +43,8 @@ Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &record, const 
 }
 
 template <class F>
-void BlendPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
-                     const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void BlendPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                              const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
     Parts<F> parts(scene, record, p, active);
     F value[2];
     for (int i = 0; i < 2; ++i) {

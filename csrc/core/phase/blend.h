@@ -21,14 +21,14 @@ struct BlendPhase {
 
     // see PhaseKernels
     template <class F>
-    static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
-                  const MaskOf<F> &);
+    TR_LARGE static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
+                           const MaskOf<F> &);
     template <class F>
-    static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const F &u0,
-                          const F &u1, const F &u2, const MaskOf<F> &);
+    TR_LARGE static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const F &u0,
+                                   const F &u1, const F &u2, const MaskOf<F> &);
     template <class F>
-    static void vjp(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
-                    const Spectrum<F> &g, const MaskOf<F> &, GradientSink<F> &);
+    TR_LARGE static void vjp(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
+                             const Spectrum<F> &g, const MaskOf<F> &, GradientSink<F> &);
 };
 
 }  // namespace tr

@@ -32,15 +32,15 @@ struct HenyeyGreenstein {
     }
 
     template <class F>
-    static F eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
-                  const MaskOf<F> &) {
+    TR_HD static F eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                        const Vec3<F> &wo, const MaskOf<F> &) {
         return value(F(g_of(scene, record)), d, wo);
     }
 
     // Inverts the cumulative distribution, which is written so that g = 0 is no special case.
     template <class F>
-    static Vec3<F> sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d, const F &,
-                          const F &u1, const F &u2, const MaskOf<F> &) {
+    TR_HD static Vec3<F> sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                                const F &, const F &u1, const F &u2, const MaskOf<F> &) {
         using S = ScalarOf<F>;
         const S g = g_of(scene, record), a = abs(g), rest = S(1) - a;
         const bool backward = g < S(0);
@@ -52,8 +52,8 @@ struct HenyeyGreenstein {
     }
 
     template <class F>
-    static void vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
-                    const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
+    TR_HD static void vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                          const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
         auto dual = value(Dual<F, 1>(F(g_of(scene, record)), 0), d, wo);
         sink.number(IntOf<F>(record.field[G]), g * dual.d[0], active);
     }

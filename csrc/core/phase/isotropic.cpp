@@ -9,14 +9,14 @@ struct Isotropic {
     static constexpr Model model = {"phase", "isotropic", "Scatters alike in all directions.", fields, 0};
 
     template <class F>
-    static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
-                  const MaskOf<F> &) {
+    TR_HD static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
+                        const MaskOf<F> &) {
         return F(1 / (4 * Pi));
     }
 
     template <class F>
-    static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &, const F &, const F &u1,
-                          const F &u2, const MaskOf<F> &) {
+    TR_HD static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &, const F &,
+                                const F &u1, const F &u2, const MaskOf<F> &) {
         return square_to_sphere(u1, u2);
     }
 };

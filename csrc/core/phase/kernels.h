@@ -8,8 +8,8 @@
 namespace tr {
 
 template <class M, class F>
-PhaseKernels<F> phase_kernels_of() {
-    PhaseKernels<F> r{&M::model, &M::template eval<F>, &M::template sample<F>, nullptr};
+TR_DEVICE_CONSTEXPR PhaseKernels<F> phase_kernels_of() {
+    PhaseKernels<F> r{M::model, &M::template eval<F>, &M::template sample<F>, nullptr};
     if constexpr (M::model.n_fields > 0) r.vjp = &M::template vjp<F>;
     return r;
 }

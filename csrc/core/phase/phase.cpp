@@ -3,7 +3,7 @@
 namespace tr {
 
 template <class F>
-const PhaseKernels<F> &phase_kernels(int kind) {
+TR_HD const PhaseKernels<F> &phase_kernels(int kind) {
 #define TR_TABLE(M) phase_kernels_of<M, F>(),
     static const PhaseKernels<F> all[] = {TR_PHASES(TR_TABLE)};
 #undef TR_TABLE

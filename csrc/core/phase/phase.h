@@ -20,10 +20,9 @@ template <class F>
 class GradientSink;
 
 template <class F>
-struct PhaseKernels {
+struct PhaseKernels : ModelInfo {
     using Scene = SceneOf<F>;
     using M = MaskOf<F>;
-    const Model *model;
 
     // The value (and density per solid angle) of scattering at p from the direction of travel `d` into `wo`.
     F (*eval)(const Scene &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo, const M &);
@@ -46,10 +45,10 @@ using Phases = TypeList<TR_PHASES(TR_NAME) NoPhase>;  // the last stands for non
 constexpr int PhaseKinds = Phases::Size - 1;
 
 template <class M, class F>
-PhaseKernels<F> phase_kernels_of();
+TR_DEVICE_CONSTEXPR PhaseKernels<F> phase_kernels_of();
 
 template <class F>
-const PhaseKernels<F> &phase_kernels(int kind);
+TR_HD const PhaseKernels<F> &phase_kernels(int kind);
 
 template <class F>
 TR_INLINE F eval_phase(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,

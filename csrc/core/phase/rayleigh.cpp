@@ -10,8 +10,8 @@ struct Rayleigh {
                                     fields, 0};
 
     template <class F>
-    static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
-                  const MaskOf<F> &) {
+    TR_HD static F eval(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
+                        const MaskOf<F> &) {
         F cosine = dot(d, wo);
         return fmadd(cosine, cosine, F(1)) * F(3 / (16 * Pi));
     }
@@ -19,8 +19,8 @@ struct Rayleigh {
     // The cumulative distribution is a cubic with one real root: Frisvad, "Importance sampling the Rayleigh phase
     // function", Journal of the Optical Society of America A 28 (2011), equation 9.
     template <class F>
-    static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const F &, const F &u1,
-                          const F &u2, const MaskOf<F> &) {
+    TR_HD static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const F &,
+                                const F &u1, const F &u2, const MaskOf<F> &) {
         F z = fmadd(F(4), u1, F(-2)), size = abs(z);
         // of the positive half, where nothing cancels; the argument is at least 1
         F root = exp(log(size + sqrt(fmadd(size, size, F(1)))) * F(1.0 / 3));

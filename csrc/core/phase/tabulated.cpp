@@ -22,8 +22,8 @@ TR_INLINE Footprint<F, 2> table_footprint(int32_t n, const F &cosine) {
 }  // namespace
 
 template <class F>
-F TabulatedPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
-                       const Vec3<F> &wo, const MaskOf<F> &) {
+TR_LARGE F TabulatedPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                                const Vec3<F> &wo, const MaskOf<F> &) {
     auto at = table_footprint(size(scene, record), dot(d, wo));
     F p[2];
     gather_rows<F>(scene.phase_tables + first(record) + 1, at.texel[0], MaskOf<F>(true), p);
@@ -31,8 +31,9 @@ F TabulatedPhase::eval(const SceneOf<F> &scene, const Record &record, const Vec3
 }
 
 template <class F>
-Vec3<F> TabulatedPhase::sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
-                               const F &, const F &u1, const F &u2, const MaskOf<F> &active) {
+TR_LARGE Vec3<F> TabulatedPhase::sample(const SceneOf<F> &scene, const Record &record, const Vec3<F> &,
+                                        const Vec3<F> &d, const F &, const F &u1, const F &u2,
+                                        const MaskOf<F> &active) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     const int32_t n = size(scene, record);
@@ -53,8 +54,9 @@ Vec3<F> TabulatedPhase::sample(const SceneOf<F> &scene, const Record &record, co
 
 // p = v(cos) / (2 pi I): the numerator depends on two values, the integral on all.
 template <class F>
-void TabulatedPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
-                         const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE void TabulatedPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                                  const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active,
+                                  GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     const int32_t n = size(scene, record), slot = record.field[Data];
     const S k = scene.phase_tables[first(record)];

@@ -41,14 +41,14 @@ TR_INLINE void with_lens(const Record &record, Call &&f) {
 }
 
 // Whether there are a third and a fourth number for each ray.
-inline bool uses_lens(const Record &record) {
+TR_HD inline bool uses_lens(const Record &record) {
     bool lens = false;
     if (!is_pinhole(record)) with_lens(record, [&](auto model) { lens = decltype(model)::Lens; });
     return lens;
 }
 
 // The medium that the camera is in, -1: none.
-inline int32_t camera_medium(const Record &record) {
+TR_HD inline int32_t camera_medium(const Record &record) {
     if (is_pinhole(record)) return record.field[Perspective::Medium];
     int32_t medium = -1;
     with_lens(record, [&](auto model) {
@@ -65,8 +65,9 @@ struct CameraNumbers {
     T value[N > 0 ? N : 1];
 
     TR_INLINE CameraNumbers(const SceneView<S> &scene, const Record &record) {
+        static constexpr auto fields = Model::Numbers;  // device code cannot point into the member
         for (int i = 0; i < N; ++i) {
-            F number(i < Model::N ? scene.values.constants[record.field[Model::Numbers[i < Model::N ? i : 0]]]
+            F number(i < Model::N ? scene.values.constants[record.field[fields[i < Model::N ? i : 0]]]
                                   : scene.values.tensors[record.field[Model::Table]].data[i - Model::N]);
             if constexpr (std::is_same_v<T, F>)
                 value[i] = number;

@@ -14,9 +14,10 @@ struct Pinhole {
     Vec3<S> origin{S(0), S(0), S(0)};
     S slope{}, rise{}, offset_x{}, offset_y{}, near{}, far{}, width, height;
 
-    Pinhole(S width_, S height_) : width(width_), height(height_) {}  // a film without a camera
+    TR_HD Pinhole(S width_, S height_) : width(width_), height(height_) {}  // a film without a camera
 
-    Pinhole(const SceneView<S> &scene, const Record &record, S width_, S height_) : width(width_), height(height_) {
+    TR_HD Pinhole(const SceneView<S> &scene, const Record &record, S width_, S height_)
+        : width(width_), height(height_) {
         Perspective::FilmPoint<S, S> film(scene, record, S(0), S(0), width, height);
         const S *m = film.to_world;
         const double a[9] = {m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]};

@@ -19,7 +19,8 @@ struct Distant {
         "sensor", "distant", "Radiance that leaves the scene in a direction.", fields, 2, 0, "DistantSensor"};
 
     static constexpr bool Lens = true;
-    static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;
+    static constexpr int N = 0, Table = -1, Entries = 0;
+    static constexpr std::array Numbers{-1};
 
     // Relative to the target, or to the middle of the scene. `near` is the radius of what is covered, and `limit` how
     // far off rays start.

@@ -63,7 +63,8 @@ TR_NOINLINE Undistorted<F> undistort(const F *k, const Vec2<F> &seen) {
 
 struct DistortedPerspective : Perspective {
     static constexpr bool Lens = false;
-    static constexpr int N = 4, Numbers[] = {Fov, OffsetX, OffsetY, Aspect}, Table = Distortion, Entries = 8;
+    static constexpr int N = 4, Table = Distortion, Entries = 8;
+    static constexpr std::array Numbers{Fov, OffsetX, OffsetY, Aspect};
 
     template <class T, class F, class S>
     TR_INLINE static LocalRay<T, F> local(const T *numbers, const FilmSample<F, S> &at) {

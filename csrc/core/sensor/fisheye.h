@@ -35,7 +35,8 @@ struct Fisheye {
                                     0,        "FisheyeCamera"};
 
     static constexpr bool Lens = false;
-    static constexpr int N = 4, Numbers[] = {Fov, OffsetX, OffsetY, Aspect}, Table = Distortion, Entries = 4;
+    static constexpr int N = 4, Table = Distortion, Entries = 4;
+    static constexpr std::array Numbers{Fov, OffsetX, OffsetY, Aspect};
 
     template <class K, class T, class F>
     TR_INLINE static auto seen_at(const K *k, const T &theta, const F &one) {

@@ -3,11 +3,14 @@
 // numbers. That a matrix takes the ray to the world is the same for all models, see camera.h.
 //
 //   static constexpr bool Lens;          the model uses a second pair of random numbers
-//   static constexpr int Numbers[], N;   fields of the numbers with a derivative, and how many there are
+//   static constexpr int N;              how many numbers with a derivative there are, and, one at least,
+//   static constexpr std::array Numbers; their fields
 //   static constexpr int Table, Entries; field of a tensor of numbers that follow them, and how many it has (0: none)
 //   template <class T, class F, class S>
 //   static LocalRay<T, F> local(const T *numbers, const FilmSample<F, S> &at);
 #pragma once
+
+#include <array>
 
 #include "../math/dual.h"
 #include "../math/warp.h"

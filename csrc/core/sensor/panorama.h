@@ -20,7 +20,8 @@ struct Panorama {
                                     0,        "PanoramaCamera"};
 
     static constexpr bool Lens = false;
-    static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;
+    static constexpr int N = 0, Table = -1, Entries = 0;
+    static constexpr std::array Numbers{-1};
 
     template <class T, class F, class S>
     TR_INLINE static LocalRay<T, F> local(const T *, const FilmSample<F, S> &at) {

@@ -16,7 +16,8 @@ struct RadianceMeter {
     static constexpr Model model = {"sensor", "radiancemeter", "Radiance along a ray.", fields, 2, 0, "RadianceMeter"};
 
     static constexpr bool Lens = false;
-    static constexpr int N = 0, Numbers[] = {-1}, Table = -1, Entries = 0;
+    static constexpr int N = 0, Table = -1, Entries = 0;
+    static constexpr std::array Numbers{-1};
 
     template <class T, class F, class S>
     TR_INLINE static LocalRay<T, F> local(const T *, const FilmSample<F, S> &) {

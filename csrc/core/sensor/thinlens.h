@@ -30,7 +30,8 @@ struct ThinLens {
                                     0,        "ThinLensCamera"};
 
     static constexpr bool Lens = true;
-    static constexpr int N = 6, Numbers[] = {Fov, OffsetX, OffsetY, Aspect, ApertureRadius, FocusDistance};
+    static constexpr int N = 6;
+    static constexpr std::array Numbers{Fov, OffsetX, OffsetY, Aspect, ApertureRadius, FocusDistance};
     static constexpr int Table = -1, Entries = 0;
 
     template <class T, class F, class S>

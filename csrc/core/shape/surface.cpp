@@ -15,8 +15,8 @@ TR_INLINE F refine_distance(const S *to_object, const Ray<F> &ray, const F &t, c
 }
 
 template <class F>
-Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
-                                const MaskOf<F> &active) {
+TR_LARGE Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
+                                         const MaskOf<F> &active) {
     using S = ScalarOf<F>;
     Interaction<F> si;
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
@@ -87,7 +87,7 @@ Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &ray, Surf
 }
 
 template <class F>
-Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
+TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
     using S = ScalarOf<F>;
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     Vec3<F> p{F(0), F(0), F(0)};
@@ -113,8 +113,8 @@ Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, con
 }
 
 template <class F>
-SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1, const F &u2,
-                             const MaskOf<F> &active, bool unfold) {
+TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1,
+                                      const F &u2, const MaskOf<F> &active, bool unfold) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     SampledPoint<F> r;

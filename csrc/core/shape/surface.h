@@ -174,12 +174,12 @@ TR_INLINE Vec3<F> curved_point(const Vec2<F> &uv, const CurvedKind<F> &kind) {
 // What the queries report, made into a point with frames. They work in single precision: with Float = double the
 // distance and the coordinates are computed again from the shape and triangle they name.
 template <class F>
-Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
-                                const MaskOf<F> &active);
+TR_LARGE Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &ray, SurfacePoint<F> at, F t,
+                                         const MaskOf<F> &active);
 
 // The position of a point on a surface, from what is stored of it.
 template <class F>
-Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active);
+TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active);
 
 // Rays leave a surface from a point moved off it, by an amount relative to the coordinates: 1500 / 2 units in the last
 // place of single precision, which is what Embree's tests need (the same amount as Mitsuba's, so that images agree).
@@ -203,7 +203,7 @@ struct SampledPoint {
 // A point on a shape, uniform by area. `u` choose the face (u0) and the point. `unfold`: where a mesh has two faces of
 // one size, (u1, u2) choose the face, too: a rectangle is filled as evenly as they fill the unit square.
 template <class F>
-SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1, const F &u2,
-                             const MaskOf<F> &active, bool unfold);
+TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1,
+                                      const F &u2, const MaskOf<F> &active, bool unfold);
 
 }  // namespace tr

@@ -246,13 +246,7 @@ TR_INLINE void write(const PointColumn<S> &c, size_t i, const SurfacePoint<F> &v
 // Where `n` more entries begin: `n` is how many there are so far.
 template <class F>
 TR_INLINE uint32_t reserve(uint32_t &n, const MaskOf<F> &m) {
-#if defined(__CUDA_ARCH__)
-    return m ? atomicAdd(&n, 1u) : 0u;
-#else
-    uint32_t at = n;
-    n += uint32_t(count(m));
-    return at;
-#endif
+    return accumulate(&n, uint32_t(count(m)));
 }
 
 // The lanes of m, one after the other from `at` on. (A column has room for a packet behind its last entry.)
@@ -301,10 +295,6 @@ TR_INLINE void scatter_lanes(S *column, const UIntOf<F> &entry, const T &value, 
 template <class F, class S>
 TR_INLINE void add_to_entries(const SpectrumColumn<S> &column, const UIntOf<F> &entry, const Spectrum<F> &value,
                               const MaskOf<F> &m) {
-#if defined(__CUDA_ARCH__)
-    if (m)
-        for (int c = 0; c < SpectrumSize; ++c) atomicAdd(&column[c][entry], value[c]);
-#else
     constexpr int W = Lanes<F>::Width;
     alignas(64) uint32_t e[W], set[W];
     alignas(64) S v[SpectrumSize][W];
@@ -313,8 +303,7 @@ TR_INLINE void add_to_entries(const SpectrumColumn<S> &column, const UIntOf<F> &
     for (int c = 0; c < SpectrumSize; ++c) store(&v[c][0], value[c]);
     for (int i = 0; i < W; ++i)
         if (set[i])
-            for (int c = 0; c < SpectrumSize; ++c) column[c][e[i]] += v[c][i];
-#endif
+            for (int c = 0; c < SpectrumSize; ++c) accumulate(&column[c][e[i]], v[c][i]);
 }
 
 // -------------------------------------------------------------------------------------------------- whole entries

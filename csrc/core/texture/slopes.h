@@ -11,8 +11,8 @@ struct TextureSlopes {
 };
 
 template <class F, class S>
-TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
-                                const TexturedPoint<F> &at, const MaskOf<F> &active);
+TR_LARGE TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
+                                         const TexturedPoint<F> &at, const MaskOf<F> &active);
 
 template <class F, class S>
 struct SlopesVisitor {

@@ -37,16 +37,16 @@ private:
 }  // namespace
 
 template <class F, class S>
-Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
-                           const IntOf<F> &id, const TexturedPoint<F> &at, const MaskOf<F> &active) {
+TR_LARGE Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
+                                    const IntOf<F> &id, const TexturedPoint<F> &at, const MaskOf<F> &active) {
     TextureValue<F, S> visitor{scene, values, waves, uniform_spectrum(F(0))};
     visit_texture<F>(scene, id, at, active, visitor);
     return visitor.result;
 }
 
 template <class F, class S>
-TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
-                                const TexturedPoint<F> &at, const MaskOf<F> &active) {
+TR_LARGE TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavelengths<F> &waves, const IntOf<F> &id,
+                                         const TexturedPoint<F> &at, const MaskOf<F> &active) {
     SlopesVisitor<F, S> visitor{scene, waves};
     visit_texture<F>(scene, id, at, active, visitor);
     return visitor.result;

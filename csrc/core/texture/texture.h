@@ -77,8 +77,8 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
 
 // A look-up in a texture that is not constant everywhere.
 template <class F, class S>
-Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
-                           const IntOf<F> &id, const TexturedPoint<F> &at, const MaskOf<F> &active);
+TR_LARGE Spectrum<F> lookup_texture(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
+                                    const IntOf<F> &id, const TexturedPoint<F> &at, const MaskOf<F> &active);
 
 // `values` is the scene's own for the value, the tangent's for its forward-mode derivative: textures are linear in
 // their data; what else they depend on is in adjoint/lookup.h.
