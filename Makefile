@@ -2,7 +2,7 @@
 # make test    the test suite
 # make build   only the virtual environment and the native modules
 # make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
-# make lint, make format, make sanitize, make clean, make distclean
+# make lint, make tidy, make format, make sanitize, make clean, make distclean
 #
 # Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
 #
@@ -29,7 +29,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
 
-.PHONY: demo test build packages notebook lint format sanitize native-test cuda clean distclean
+.PHONY: demo test build packages notebook lint tidy format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -84,6 +84,14 @@ lint: $(VENV)/.installed
 	$(PY) -m ruff format --check .
 	$(PY) -m pyright --pythonpath $(PY)
 	@$(VENV)/bin/clang-format --dry-run -Werror $(CXX_FILES)
+
+# Clang's front end and clang-tidy: a second compiler reads the native code, in packets of four. See csrc/.clang-tidy.
+TIDY_FLAGS = -std=c++17 -Wall -Wextra -msse4.2 -mpopcnt -DTR_ISA=v2 -DTR_PACKET_WIDTH=4 -Icsrc \
+  -isystem $(shell $(PY) -c "import drjit; print(drjit.__path__[0])" 2>/dev/null)/include
+
+tidy: $(VENV)/.installed
+	@find csrc/core csrc/accel csrc/host csrc/cpu -name '*.cpp' | sort | \
+	  xargs -P "$$(nproc)" -n 4 sh -c '$(VENV)/bin/clang-tidy --quiet "$$@" -- $(TIDY_FLAGS)' tidy
 
 format: $(VENV)/.installed
 	$(PY) -m ruff check --fix .

@@ -77,12 +77,14 @@ void run_items(size_t n_items, int threads, Assignment assignment, const std::fu
         --running;
     }
     body(0);
-    for (std::unique_lock<std::mutex> lock(mutex); running > 0;) {
+    std::unique_lock<std::mutex> lock(mutex);
+    while (running > 0) {
         finished.wait_for(lock, std::chrono::milliseconds(20));
         lock.unlock();
         poll();
         lock.lock();
     }
+    lock.unlock();
     for (auto &t : others) t.join();
     if (error) std::rethrow_exception(error);
 }
