@@ -31,6 +31,7 @@ from .loaders.dict import from_trimesh as from_trimesh
 from .loaders.dict import load_dict as load_dict
 from .loaders.dict import load_file as load_file
 from .loaders.dict import variants as variants
+from .native_bsdf import native_bsdf as native_bsdf
 from .progress import progress as progress
 from .render import Renderer as Renderer
 from .render import render as render

@@ -43,6 +43,24 @@ class DerivativeFunction(UnbatchedFunction):
         raise NotDifferentiableError(SECOND)
 
 
+class ConstantFunction(UnbatchedFunction):
+    """A call of the core that is given plain tensors inside of `torch.func`, too. Its results have no derivatives."""
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
+        ctx.count = len(inputs)
+        ctx.outputs = len(output) if isinstance(output, tuple) else 0
+        ctx.mark_non_differentiable(*(output if isinstance(output, tuple) else (output,)))
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        return (None,) * ctx.count
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        return (None,) * ctx.outputs if ctx.outputs else None
+
+
 def refuse_batches(tensor: Any) -> None:
     """NotDifferentiableError for a tensor that is batched by `vmap`.
 

@@ -9,7 +9,7 @@ import torch
 
 from .compiling import opaque
 from .errors import describe
-from .functions import UnbatchedFunction
+from .functions import ConstantFunction
 from .scene.gather import gather, has_derivative
 from .scene.native import NativeScene
 from .scene.packing import Layout
@@ -107,25 +107,7 @@ def ray_occluded(
     return _Occluded.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
 
 
-class _Query(UnbatchedFunction):
-    """A call of the core that is given plain tensors inside of `torch.func`, too. Its results have no derivatives."""
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-        ctx.count = len(inputs)
-        ctx.outputs = len(output) if isinstance(output, tuple) else 0
-        ctx.mark_non_differentiable(*(output if isinstance(output, tuple) else (output,)))
-
-    @staticmethod
-    def backward(ctx: Any, *_: Any) -> Any:
-        return (None,) * ctx.count
-
-    @staticmethod
-    def jvp(ctx: Any, *_: Any) -> Any:
-        return (None,) * ctx.outputs if ctx.outputs else None
-
-
-class _Intersect(_Query):
+class _Intersect(ConstantFunction):
     @staticmethod
     def forward(native: NativeScene, *tensors: torch.Tensor) -> Any:
         origins, directions, limits, *params = tensors
@@ -155,7 +137,7 @@ def attached(hits: Hits, surfaces: Surfaces, origins: torch.Tensor, directions: 
     return hits._replace(**found)
 
 
-class _Occluded(_Query):
+class _Occluded(ConstantFunction):
     @staticmethod
     def forward(scene: Scene, layout: Layout, *tensors: torch.Tensor) -> torch.Tensor:
         origins, directions, limits, *params = tensors

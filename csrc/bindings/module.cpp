@@ -6,6 +6,7 @@
 #include <array>
 
 #include "accel/embree_library.h"
+#include "bsdf_functions.h"
 #include "host/models.h"
 #include "samplers.h"
 #include "scene.h"
@@ -190,4 +191,5 @@ PYBIND11_MODULE(TR_MODULE_NAME, m) {
              reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
     });
     declare_scene(m);
+    declare_bsdf_functions(m);
 }

@@ -109,6 +109,10 @@ void fill_values(const Coating &coating, double *rows) {
 
 }  // namespace
 
+Coating make_coating(double eta, double alpha, int32_t distribution) {
+    return {std::max(eta, 1e-3), clamp_alpha(alpha), distribution == int32_t(Microfacets::Ggx)};
+}
+
 void fill_rough_transmittance(const Coating &coating, double *numbers) {
     constexpr int n = RoughTransmittanceSize::Rows;
     double value[n], high[n], low[n];

@@ -1,7 +1,6 @@
 // BSDFs on the host: the tables of rough coatings.
 #include <algorithm>
 
-#include "../core/bsdf/microfacet.h"
 #include "../core/registry.h"
 #include "models.h"
 #include "scene_data.h"
@@ -13,16 +12,6 @@ namespace {
 bool is_tabulated(const Record &record) {
     return record.kind < FirstWrapper && bsdf_kernels<PacketOf<float>>(record.kind).tabulated;
 }
-
-// The coating of a record, found by the names of the fields that all tabulated models have.
-struct CoatingFields {
-    int eta, alpha, distribution;
-
-    explicit CoatingFields(const Model &model)
-        : eta(field_named(model, "eta")),
-          alpha(field_named(model, "alpha")),
-          distribution(field_named(model, "distribution")) {}
-};
 
 }  // namespace
 
@@ -43,8 +32,7 @@ void SceneData<S>::update_bsdfs() {
         const CoatingFields fields(model_of("bsdf", record));
         double eta = double(constants_[size_t(record.field[fields.eta])]);
         double alpha = double(constants_[size_t(record.field[fields.alpha])]);
-        bool ggx = record.field[fields.distribution] == int32_t(Microfacets::Ggx);
-        coatings.push_back({std::max(eta, 1e-3), clamp_alpha(alpha), ggx});
+        coatings.push_back(make_coating(eta, alpha, record.field[fields.distribution]));
         begins.push_back(record.field[Record::Extra]);
     }
     const bool fresh = bsdf_tables_.size() != size_t(layout_.n_bsdf_numbers) || coatings.size() != coatings_.size();

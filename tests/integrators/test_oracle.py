@@ -10,6 +10,7 @@ import pytest
 import reference_scenes
 import torch
 from in_torch import SPP, InTorch, assert_equal, differentiable, render
+from oracle.bsdf import MODELS, in_pytorch
 from oracle.media import MEDIA
 from oracle.outputs import first_hits
 from oracle.phases import PHASES
@@ -18,22 +19,29 @@ from torch.autograd import forward_ad
 
 import torchrender as tr
 from torchrender.scene.declaration import models
-from torchrender.wavefront.bsdfs import BSDFS
 from torchrender.wavefront.emitters import EMITTERS
 from torchrender.wavefront.lights import LIGHT_SHAPES
 from torchrender.wavefront.sensors import SENSORS
 from torchrender.wavefront.textures import TEXTURES
 from torchrender.wavefront.volumes import VOLUMES
 
-SURFACES = {"bsdf": BSDFS, "emitter": EMITTERS, "texture": TEXTURES, "volume": VOLUMES, "sensor": SENSORS}
+LAYERS = ("twosided", "blendbsdf", "normalmap", "bumpmap")  # torchrender/wavefront/layers.py
+SURFACES = {"bsdf": (*MODELS, *LAYERS), "emitter": EMITTERS, "texture": TEXTURES, "volume": VOLUMES, "sensor": SENSORS}
 SURFACES["shape"] = (*LIGHT_SHAPES, "heightfield")  # which cannot emit
 ENTRIES = {**SURFACES, "phase": PHASES, "medium": MEDIA}
 OF_LIGHT = {("emitter", "directionalarea"), ("sensor", "irradiancemeter")}  # see test_particle_oracle.py
 
 
+@pytest.fixture(autouse=True)
+def bsdfs_in_pytorch():
+    with in_pytorch():
+        yield
+
+
 @pytest.mark.parametrize(("category", "kind"), [m for m in models() if m[0] != "attribute" and m not in OF_LIGHT])
 def test_every_model_has_an_entry(category, kind):
-    assert kind in ENTRIES[category], f"torchrender/wavefront has no {category} {kind!r}: add its few lines of PyTorch"
+    place = "torchrender/wavefront" if category in set(SURFACES) - {"bsdf"} else "tests/oracle"
+    assert kind in ENTRIES[category], f"{place} has no {category} {kind!r}: add its few lines of PyTorch"
 
 
 CASES = [(name, variant) for name in SCENES for variant in ("rgb", "mono")]

@@ -1,13 +1,18 @@
 """The path tracer in PyTorch: films, samplers, chunks and what it refuses. Its images and derivatives of all models are
-held against the native ones in test_oracle.py."""
+held against the native ones in test_oracle.py, with BSDFs in plain PyTorch; here with native ones, too."""
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+
 import pytest
 import torch
+from in_torch import SPP as ORACLE_SPP
 from in_torch import InTorch, assert_equal, differentiable, render
+from oracle.bsdf import in_pytorch
 from oracle.scenes import SCENES
 from small_scene import COLOUR, TEXELS, ball_and_wall
+from torch.autograd import forward_ad
 
 import torchrender as tr
 
@@ -25,6 +30,14 @@ MODELS = {
 }
 
 
+@pytest.fixture(params=["native", "plain"])
+def bsdfs(request):
+    """By which BSDFs the path tracer is evaluated: as it is, and by those of oracle/bsdf."""
+    with in_pytorch() if request.param == "plain" else nullcontext():
+        yield
+
+
+@pytest.mark.usefixtures("bsdfs")
 @pytest.mark.parametrize("name", MODELS)
 def test_native_bsdf(name):
     """Facets of all kinds on a ball, and what counts as something else."""
@@ -39,6 +52,32 @@ def test_native_bsdf(name):
     for parameter, a, b in zip(values, found, expected, strict=True):
         assert_equal(a, b, parameter)
         assert bool(b.any()), parameter
+
+
+@pytest.mark.parametrize("variant", ["rgb", "mono"])
+@pytest.mark.parametrize("name", ["glass", "glossy", "layers", "brushed"])
+def test_native_bsdfs_in_scenes(name, variant):
+    """Image and both modes of the derivative are those of the native path tracer; everything may move."""
+    scene = tr.load_dict(SCENES[name](), dtype=torch.float64, variant=variant)
+    integrators = (InTorch(scene.integrator), scene.integrator)
+    images = [tr.render(scene, integrator=i, spp=ORACLE_SPP, seed=5) for i in integrators]
+    assert_equal(*images, "image")
+    values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
+    weight = torch.linspace(-1, 1, images[0].numel(), dtype=torch.float64).reshape(images[0].shape)
+    found, expected = (
+        torch.autograd.grad((render(scene, values, integrator=i) * weight).mean(), list(values.values()))
+        for i in integrators
+    )
+    for parameter, a, b in zip(values, found, expected, strict=True):
+        assert_equal(a, b, parameter)
+    generator = torch.Generator().manual_seed(9)
+    with forward_ad.dual_level():
+        duals = {}
+        for parameter, v in values.items():
+            tangent = torch.randn(v.shape, generator=generator, dtype=v.dtype)
+            duals[parameter] = forward_ad.make_dual(v.detach(), tangent)
+        pushed = [forward_ad.unpack_dual(render(scene, duals, integrator=i)).tangent for i in integrators]
+    assert_equal(*pushed, "tangent of the image")
 
 
 # ------------------------------------------------------------------------------------------- films, samplers, chunks
@@ -146,6 +185,7 @@ def test_what_only_light_tracing_finds():
     assert_equal(found, native, "image")
 
 
+@pytest.mark.usefixtures("bsdfs")
 @pytest.mark.parametrize("name", ["glossy", "layers", "normals", "brushed", "rough"])
 def test_single_precision_of_all_models(name):
     """Nothing is lost or not a number in single precision, and derivatives neither."""

@@ -35,7 +35,7 @@ def test_diffuse_is_the_native_one(light, depth):
 def around(bsdf) -> dict[str, dict]:
     """A BSDF inside of others."""
     normals = {"type": "bitmap", "data": 0.3 + 0.7 * TEXELS["data"], "raw": True}
-    paint = {"type": "roughconductor", "alpha": 0.4, "distribution": "ggx"}
+    paint = {"type": "roughconductor", "alpha": 0.4, "distribution": "ggx", "eta": 0.2, "k": 3.0}
     return {
         "twosided": {"type": "twosided", "a": paint, "b": bsdf},
         "blendbsdf": {"type": "blendbsdf", "weight": TEXELS, "a": bsdf, "b": paint},

@@ -18,14 +18,15 @@ from torchrender.scene.film import Film
 from torchrender.surface import dot, normalize
 from torchrender.warp import cosine_hemisphere
 from torchrender.wavefront import layers, numbers
-from torchrender.wavefront.bsdf import fresnel_dielectric
-from torchrender.wavefront.bsdfs import BSDFS, Dielectric
 from torchrender.wavefront.film import filter_weight
 from torchrender.wavefront.geometry import Frame, Glued, glue, reattach
 from torchrender.wavefront.layers import BsdfStack
 from torchrender.wavefront.path import offset_origin
 from torchrender.wavefront.world import At
 
+from .bsdf import MODELS
+from .bsdf.common import fresnel_dielectric
+from .bsdf.smooth import Dielectric
 from .film import splat
 from .world import World
 
@@ -170,7 +171,7 @@ def render(
         for number in found.resolved.unique().tolist():
             chosen = (found.resolved == number).nonzero()[:, 0]
             record = world.records["bsdf"][number]
-            kind = LightDielectric if record.type == "dielectric" else BSDFS[record.type]
+            kind = LightDielectric if record.type == "dielectric" else MODELS[record.type]
             bsdf = kind(world, record, here[chosen])
             above = found[chosen]
             x, g, w = (t[chosen] for t in (position, ng, -d))

@@ -16,13 +16,13 @@ import torch
 
 from torchrender.surface import dot
 from torchrender.wavefront import layers, volumes
-from torchrender.wavefront.bsdfs import BSDFS
 from torchrender.wavefront.emitters import Lights, Point
 from torchrender.wavefront.geometry import Frame, Rows
 from torchrender.wavefront.path import offset_origin
 from torchrender.wavefront.world import At
 
 from . import phases
+from .bsdf import MODELS
 from .world import World
 
 NOTHING = -1  # the medium where there is none
@@ -316,7 +316,7 @@ class Tracer:
             some, here = photons[rows], at[rows]
             n, side = normal[rows], flip[rows]
             local, axes, p = wi[rows] * side, frame[rows], position[rows]
-            bsdf = BSDFS[record.type](self.world, record, here)
+            bsdf = MODELS[record.type](self.world, record, here)
             if record.type != "null":
                 some.depth = some.depth + 1
 

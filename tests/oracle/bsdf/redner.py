@@ -6,10 +6,12 @@ import math
 
 import torch
 
-from ..surface import dot, normalize
-from ..warp import cosine_hemisphere
-from .bsdf import Bsdf, BsdfSample, Color, above, at_least, one_lobe, upright
+from torchrender.surface import dot, normalize
+from torchrender.warp import cosine_hemisphere
+from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
+
 from .coated import specular_sampling_weight
+from .common import above, at_least, upright
 
 
 class RednerMaterial(Bsdf):

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import torch
 
-from .bsdf import fresnel_dielectric
+from torchrender.wavefront.world import Record, World
+
+from .common import fresnel_dielectric
 from .rough import Microfacets, visible_slope
-from .world import Record, World
 
 COSINES = 64
 COARSE, FINE = (8, 16), (16, 32)  # nodes of the integrals over visible normals

@@ -6,8 +6,10 @@ import math
 
 import torch
 
-from ..warp import cosine_hemisphere
-from .bsdf import Bsdf, BsdfSample, Color, above, fresnel_dielectric, mirrored, one_lobe
+from torchrender.warp import cosine_hemisphere
+from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
+
+from .common import above, fresnel_dielectric, mirrored
 from .rough import MicrofacetReflection, Microfacets, reflect
 from .rough_transmittance import COSINES, rough_transmittance
 

@@ -6,22 +6,12 @@ import math
 
 import torch
 
-from ..surface import dot, normalize
-from .bsdf import (
-    Bsdf,
-    BsdfSample,
-    Color,
-    above,
-    at_least,
-    fresnel_conductor,
-    fresnel_dielectric,
-    one_lobe,
-    reflectance,
-    upper,
-    upright,
-)
-from .geometry import reattach, root
-from .world import Record
+from torchrender.surface import dot, normalize
+from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
+from torchrender.wavefront.geometry import reattach, root
+from torchrender.wavefront.world import Record
+
+from .common import above, at_least, fresnel_conductor, fresnel_dielectric, reflectance, upper, upright
 
 LEAST_ALPHA = 1e-3
 

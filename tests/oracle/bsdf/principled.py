@@ -10,13 +10,15 @@ import math
 
 import torch
 
-from ..surface import dot, normalize
-from ..warp import cosine_hemisphere
-from .bsdf import Bsdf, BsdfSample, Color, at_least, fresnel_dielectric, one_lobe, upper
-from .color import luminance
-from .geometry import reattach, root
+from torchrender.surface import dot, normalize
+from torchrender.warp import cosine_hemisphere
+from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
+from torchrender.wavefront.color import luminance
+from torchrender.wavefront.geometry import reattach, root
+from torchrender.wavefront.world import Record
+
+from .common import at_least, fresnel_dielectric, upper
 from .rough import LEAST_ALPHA, DielectricMicrofacet, MicrofacetReflection, Microfacets, clamp_eta, reflect
-from .world import Record
 
 COAT_ALPHA = 0.25
 
