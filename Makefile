@@ -114,7 +114,8 @@ NVCC ?= nvcc
 CUDA_ARCH ?= sm_80
 cuda:
 	@mkdir -p build/cuda
-	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Werror cross-execution-space-call -Icsrc \
+	@cd csrc && find core -name '*.cpp' | sort | sed 's/.*/#include "&"/' > ../build/cuda/core_sources.h
+	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Werror cross-execution-space-call -Icsrc -Ibuild/cuda \
 	  -dc csrc/cuda/instantiate.cu -o build/cuda/instantiate.o
 	$(NVCC) -arch=$(CUDA_ARCH) -Xnvlink -suppress-stack-size-warning -dlink build/cuda/instantiate.o -o build/cuda/linked.o
 

@@ -72,7 +72,7 @@ void Probe<S>::bsdf_sample(int index, size_t n) const {
     for_rows<F>(n, [&](const PacketRows<F> &rows) {
         const Vec3<F> wi = rows.vector(at("wi")), u = rows.vector(at("u"));
         Spectrum<F> weight = uniform_spectrum(F(0));
-        BsdfSample<F> r{{F(0), F(0), F(1)}, F(0), F(1), IntOf<F>(0), MaskOf<F>(false), MaskOf<F>(false)};
+        BsdfSample<F> r{{F(0), F(0), F(1)}, F(0), F(1), IntOf<F>(0), MaskOf<F>(false)};
         for_sides(scene, index, wi, rows.pair(at("uv")), rows.active, [&](const ProbedSide<F> &side) {
             BsdfSample<F> s;
             Spectrum<F> f;

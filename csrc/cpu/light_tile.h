@@ -103,16 +103,17 @@ private:
             pass_emitters();
         else
             wavefront.trace_shadows(RayKind::BounceShadow);
-        uint32_t free = 0;
-        for (uint32_t k = 0; k < connections.n; ++k) {
-            if (!occluded[k]) {
-                connections.for_arrays([&](auto *array) { array[free] = array[k]; });
-                ++free;
-            } else if (recording) {
-                wavefront.tape.last().columns.outgoing.light_weight[connections.position[k]] = S(0);
-            }
+        if (recording) {
+            S *weight = wavefront.tape.last().columns.outgoing.light_weight.at;
+            for (uint32_t k = 0; k < connections.n; ++k)
+                if (occluded[k]) weight[connections.position[k]] = S(0);
         }
-        connections.n = free;
+        if (sensor_.meter < 0)  // of a meter all are free
+            keep_entries<F>(connections, [&](uint32_t i) {
+                alignas(64) uint32_t blocked[W];
+                std::copy_n(occluded + i, W, blocked);
+                return mask<F>(load_uint<F>(blocked) == U(0u));
+            });
         visit(wavefront.tape.size() - 1, std::as_const(connections));
         connections.n = 0;
     }

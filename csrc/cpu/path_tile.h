@@ -195,22 +195,11 @@ private:
     void keep_rays_to_lights(PathQueue<S> &queue) {
         const SceneView<S> &scene = wavefront.scene();
         if (scene.n_light_boxes < 0 || wavefront.recorder.on() || wavefront.replay.on()) return;
-        uint32_t kept = 0;
-        for (uint32_t i = 0; i < queue.n; i += W) {
+        keep_entries<F>(queue, [&](uint32_t i) {
             Entries<F> from(i);
-            M keep = may_meet_light(scene, from(queue.o), from(queue.d));
-            keep = keep || mask<F>(from(queue.seen) == U(0u));  // what it meets counts as seen, light or not
-            keep = keep && mask<F>(U(i) + lane_index<F>() < U(queue.n));
-            queue.for_arrays([&](auto *array) {
-                if constexpr (std::is_same_v<decltype(array), S *>)
-                    store_compressed<F>(array + kept, load<F>(array + i), keep);
-                else
-                    store_compressed<F>(reinterpret_cast<uint32_t *>(array) + kept,
-                                        load_uint<F>(reinterpret_cast<uint32_t *>(array) + i), keep);
-            });
-            kept += uint32_t(count(keep));
-        }
-        queue.n = kept;
+            // what it meets counts as seen, light or not
+            return may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == U(0u));
+        });
     }
 
     // ------------------------------------------------------------------------------------------------------ the sweep

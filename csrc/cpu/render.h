@@ -58,7 +58,7 @@ struct DerivativeCall {
         r.bsdfs = r.bsdf ? bsdfs.data() : nullptr;
         return r;
     }
-    // Of a forward sweep; those of reverse mode have buffers of their own (items.h).
+    // Of a forward sweep; those of reverse mode have buffers of their own (work_items.h).
     template <class F>
     GradientSink<F> forward_sink() const {
         GradientSink<F> sink;

@@ -80,9 +80,10 @@ private:
 template <class F>
 void splat_connections(const Filter &filter, const ShadowQueue<ScalarOf<F>> &free, SplatFilm<ScalarOf<F>> &film,
                        SplatAxes<F> &axes) {
+    const auto contribution = free.contribution;  // pointers that what is stored cannot change
     axes.for_places(filter, free.film_x.at, free.film_y.at, free.n, false, [&](size_t k, int lane) {
         typename SplatFilm<ScalarOf<F>>::Vector value{};
-        for (int c = 0; c < SpectrumSize; ++c) value[c] = free.contribution[c][k];
+        for (int c = 0; c < SpectrumSize; ++c) value[c] = contribution[c][k];
         film.splat(axes.x, axes.y, lane, value);
     });
 }

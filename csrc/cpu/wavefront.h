@@ -25,6 +25,27 @@ private:
     std::chrono::steady_clock::time_point begin_ = std::chrono::steady_clock::now();
 };
 
+// Moves the entries of a queue for which keep(i), the mask of entries i .. i + width, says so to its front, in their
+// order.
+template <class F, class Queue, class Keep>
+void keep_entries(Queue &queue, Keep &&keep) {
+    using S = ScalarOf<F>;
+    constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+    uint32_t kept = 0;
+    for (uint32_t i = 0; i < queue.n; i += W) {
+        const MaskOf<F> wanted = keep(i) && mask<F>(UIntOf<F>(i) + lane_index<F>() < UIntOf<F>(queue.n));
+        queue.for_arrays([&](auto *array) {
+            if constexpr (std::is_same_v<decltype(array), S *>)
+                store_compressed<F>(array + kept, load<F>(array + i), wanted);
+            else
+                store_compressed<F>(reinterpret_cast<uint32_t *>(array) + kept,
+                                    load_uint<F>(reinterpret_cast<uint32_t *>(array) + i), wanted);
+        });
+        kept += uint32_t(count(wanted));
+    }
+    queue.n = kept;
+}
+
 template <class F>
 class Wavefront {
     using S = ScalarOf<F>;

@@ -103,8 +103,8 @@ def metallic_roughness(
     """The BSDF of a glTF material, made of what there is.
 
     Base colour, metalness and roughness are those of ``principled``, whose roughness is glTF's, too: the square root
-    of the facets' alpha. A ``normalmap`` lies around it, then both sides, then a ``mask`` of the base colour's alpha.
-    Without ``principled`` a diffuse BSDF takes the base colour.
+    of the microfacets' alpha. A ``normalmap`` lies around it, then both sides, then a ``mask`` of the base colour's
+    alpha. Without ``principled`` a diffuse BSDF takes the base colour.
 
     Args:
         material: a trimesh ``PBRMaterial``. As in glTF, metalness and roughness are 1 where it says nothing.

@@ -141,14 +141,14 @@ def two_roughnesses(properties: dict[str, Any], ctx: Context, kind: str) -> None
 
 @register
 class RoughDielectric(Dielectric):
-    """Rough dielectric interface: microscopic facets that reflect and refract once.
+    """Rough dielectric interface: microfacets that reflect and refract once.
 
-    What facets throw onto one another is lost. An interface of index 1.5 without absorption loses, of light that comes
-    straight / under 75 degrees: GGX 0.1 % / 3 % at alpha 0.1 and 3 % / 20 % at alpha 0.5; Beckmann 0 / 1 % and
+    What microfacets throw onto one another is lost. An interface of index 1.5 without absorption loses, of light that
+    comes straight / under 75 degrees: GGX 0.1 % / 3 % at alpha 0.1 and 3 % / 20 % at alpha 0.5; Beckmann 0 / 1 % and
     0.3 % / 5 %.
 
     Args:
-        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
         alpha_u, alpha_v: in place of it the roughness along dp/du and across it (textures). The object that is made is
             an `AnisotropicDielectric`.
@@ -178,7 +178,7 @@ class AnisotropicDielectric(RoughDielectric):
     Directions are those of `AnisotropicConductor`.
 
     Args:
-        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha_u, alpha_v: roughness along dp/du and across it (textures), default 0.1. Below 0.001 they count as 0.001.
         int_ior: index of refraction inside, a number or a material name; default ``"bk7"`` (1.5046).
         ext_ior: index of refraction outside; default ``"air"`` (1.000277).
@@ -232,12 +232,12 @@ class Conductor(Plugin):
 
 @register
 class RoughConductor(Conductor):
-    """Rough conductor, one-sided: microscopic facets that reflect once.
+    """Rough conductor, one-sided: microfacets that reflect once.
 
-    What facets throw onto one another is lost: see `RoughDielectric`.
+    What microfacets throw onto one another is lost: see `RoughDielectric`.
 
     Args:
-        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha: roughness (texture), default 0.1; equal in all directions. Below 0.001 it counts as 0.001.
         alpha_u, alpha_v: in place of it the roughness along dp/du and across it (textures). The object that is made is
             an `AnisotropicConductor`.
@@ -267,7 +267,7 @@ class AnisotropicConductor(RoughConductor):
     rough across it: alpha_u < alpha_v.
 
     Args:
-        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha_u, alpha_v: roughness along dp/du and across it (textures), default 0.1. Below 0.001 they count as 0.001.
         eta, k, material: as for a smooth conductor.
         specular_reflectance: factor (texture); 1 is physical.
@@ -316,7 +316,7 @@ class RoughPlastic(RoughDielectric):
     """Rough plastic, one-sided: a diffuse base below a rough dielectric coating.
 
     Args:
-        distribution: of the facets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
         alpha: roughness (number), default 0.1. Below 0.001 it counts as 0.001.
         diffuse_reflectance: albedo of the base (texture), default 0.5.
         nonlinear: whether colours deepen with every reflection between base and coating; default False.
@@ -344,7 +344,7 @@ class Principled(Plugin):
 
     Args:
         base_color: colour of the base, of metal and of tints (texture), default 0.5.
-        roughness: default 0.5 (texture); the alpha of its GGX facets is the square of it.
+        roughness: default 0.5 (texture); the alpha of its GGX microfacets is the square of it.
         metallic: 0, a dielectric over a diffuse base, to 1, a metal (texture).
         specular: sets the index by the reflectance at normal incidence, 0.08 times it (number), default 0.5.
         eta: relative index of refraction, in place of `specular` (number).
@@ -356,7 +356,7 @@ class Principled(Plugin):
         clearcoat, clearcoat_gloss: a second reflection, of index 1.5, and its gloss, 0 being satin (texture).
         diffuse_reflectance_sampling_rate, main_specular_sampling_rate, clearcoat_sampling_rate: how often each part is
             sampled, relative to the others (numbers), default 1.
-        anisotropic: 0, facets as rough along the direction in which u grows as across it, to 1, ten times as rough
+        anisotropic: 0, microfacets as rough along the direction in which u grows as across it, to 1, ten times as rough
             along it (texture), default 0.
     """
 
@@ -376,8 +376,8 @@ class PrincipledThin(Plugin):
 
     Args:
         base_color: colour of the sheet and of tints (texture), default 0.5.
-        roughness: default 0.5 (texture); the alpha of its GGX facets is the square of it.
-        spec_trans: 0, diffuse, to 1, facets that reflect and let through (texture). Its derivative and that of
+        roughness: default 0.5 (texture); the alpha of its GGX microfacets is the square of it.
+        spec_trans: 0, diffuse, to 1, microfacets that reflect and let through (texture). Its derivative and that of
             `diff_trans` lack, where they are 0, the light that would come through.
         eta: relative index of refraction, default 1.5 (texture).
         diff_trans: 0 to 2, twice the part of diffuse light that goes through (texture).
@@ -386,7 +386,7 @@ class PrincipledThin(Plugin):
         flatness: 0, diffuse, to 1, the flatter look of light from below the surface (texture).
         specular_reflectance_sampling_rate, diffuse_reflectance_sampling_rate, specular_transmittance_sampling_rate,
             diffuse_transmittance_sampling_rate: how often each part is sampled, relative to the others (numbers).
-        anisotropic: 0, facets as rough along the direction in which u grows as across it, to 1, ten times as rough
+        anisotropic: 0, microfacets as rough along the direction in which u grows as across it, to 1, ten times as rough
             along it (texture), default 0.
     """
 
@@ -395,16 +395,16 @@ class PrincipledThin(Plugin):
 
 @register
 class RednerMaterial(Plugin):
-    """The material of redner, one-sided: a diffuse lobe and, beside it, facets of Blinn's and Phong's density.
+    """The material of redner, one-sided: a diffuse lobe and, beside it, microfacets of Blinn's and Phong's density.
 
     Both lobes together may reflect more than arrives. In redner it is `Material`, with its arguments of the same names;
     there paths of several bounces may count it as rougher than it is.
 
     Args:
         diffuse_reflectance: albedo (texture), default 0.5.
-        specular_reflectance: reflectance of facets at normal incidence (texture), default 0.
-        roughness: 2 / (n + 2) for the exponent n of the facets' cosine (texture), default 1; below 0.00001 it counts as
-            that.
+        specular_reflectance: reflectance of microfacets at normal incidence (texture), default 0.
+        roughness: 2 / (n + 2) for the exponent n of the microfacets' cosine (texture), default 1; below 0.00001 it
+            counts as that.
     """
 
     category, type = "bsdf", "redner"

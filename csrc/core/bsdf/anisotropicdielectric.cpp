@@ -12,7 +12,7 @@ struct AnisotropicDielectric : MicrofacetDielectric<AnisotropicDielectric> {
         {"alpha_v", Kind::Scalar, 0.1, 0, 10, "interior", "roughness across it, at least 0.001"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
-        {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
+        {"distribution", Kind::Int, 0, 0, 1, "", "of the microfacets' normals", MicrofacetDistributions},
     };
     static constexpr int Eta = number_index(fields, "eta"), AlphaU = number_index(fields, "alpha_u"),
                          AlphaV = number_index(fields, "alpha_v");

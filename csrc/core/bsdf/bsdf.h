@@ -14,10 +14,10 @@ enum class Transport { Radiance, Importance };  // of importance wi is where lig
 template <class F>
 struct BsdfSample {
     Vec3<F> wo;
-    F pdf;                  // density, or the probability of a delta lobe; 0: the sample failed
-    F eta;                  // index of refraction along wo over that along wi
-    IntOf<F> lobe;          // 0 is the smooth part of a model that has one
-    MaskOf<F> delta, null;  // a delta lobe; passed through unchanged
+    F pdf;            // density, or the probability of a delta lobe; 0: the sample failed
+    F eta;            // index of refraction along wo over that along wi
+    IntOf<F> lobe;    // 0 is the smooth part of a model that has one
+    MaskOf<F> delta;  // a delta lobe
 };
 
 // What a record's continuous fields are at a point: first the colours, in the order of their fields, then the numbers,

@@ -38,7 +38,6 @@ struct Conductor {
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
         r.delta = MaskOf<F>(true);
-        r.null = MaskOf<F>(false);
         return r;
     }
 

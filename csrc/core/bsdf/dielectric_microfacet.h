@@ -1,6 +1,6 @@
-// A facet of a rough interface between two transparent media, for all models that reflect and refract at such facets:
-// from two directions to the facet that takes one into the other. Walter, Marschner, Li and Torrance, "Microfacet
-// Models for Refraction through Rough Surfaces", EGSR 2007.
+// A microfacet of a rough interface between two transparent media, for all models that reflect and refract at such
+// microfacets: from two directions to the microfacet that takes one into the other. Walter, Marschner, Li and Torrance,
+// "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007.
 #pragma once
 
 #include "../math/fresnel.h"
@@ -21,8 +21,9 @@ TR_INLINE T clamp_eta(const T &eta) {
 template <class T>
 struct DielectricMicrofacet {
     T eta;     // the relative index along wi
-    T ci, ct;  // cosines of wi and of the refracted direction on the facet (of refraction times |h|); 1 without facet
-    T cos2, sin2;       // of the facet's normal
+    T ci, ct;  // cosines of wi and of the refracted direction on the microfacet (of refraction times |h|); 1 without
+               // microfacet
+    T cos2, sin2;       // of the microfacet's normal
     Vec3<T> h;          // along it
     T inverse2;         // 1 / |h|^2
     T refraction;       // |wi.h| |wo.h| / (wi.h + eta wo.h)^2 of refraction
@@ -41,13 +42,14 @@ struct DielectricMicrofacet {
         auto usable = mask<F>(value_of(length2) > F(1e-20));
         inverse2 = T(1) / select(usable, length2, T(1));
         T wi_h = dot(wi, h), wo_h = dot(wo, h);
-        // both directions see the facet on the side on which they are
+        // both directions see the microfacet on the side on which they are
         F side = value_of(h.z);
         auto visible = mask<F>(mulsign(mulsign(value_of(wi_h), zi), side) > F(0)) &&
                        mask<F>(mulsign(mulsign(value_of(wo_h), zo), side) > F(0));
         possible = usable && visible && mask<F>(abs(zi) > F(0)) && mask<F>(abs(zo) > F(0));
 
-        // Cosines on the facet. Refraction has both of them at hand, so that nothing is singular at the critical angle.
+        // Cosines on the microfacet. Refraction has both of them at hand, so that nothing is singular at the critical
+        // angle.
         wi_h = abs(wi_h), wo_h = abs(wo_h);
         ci = wi_h, ct = wo_h;
         if (any(reflects)) {

@@ -31,7 +31,7 @@ struct Diffuse {
         r.pdf = select(mask<F>(wi.z > F(0)), r.wo.z * F(1 / Pi), F(0));
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

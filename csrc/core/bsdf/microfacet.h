@@ -18,7 +18,7 @@ enum class Microfacets : int32_t { Beckmann, Ggx };
 // Lobes of smaller alpha are so narrow that directions in single precision no longer resolve them.
 constexpr double MinAlpha = 1e-3;
 
-// The lanes whose surfaces have GGX facets, by the switch of a model.
+// The lanes whose surfaces have GGX microfacets, by the switch of a model.
 template <class F>
 TR_INLINE MaskOf<F> is_ggx(const IntOf<F> &distribution) {
     return mask<F>(distribution == int32_t(Microfacets::Ggx));
@@ -183,12 +183,12 @@ TR_INLINE Vec2<T> clamp_alpha(const Vec2<T> &alpha) {
     return {clamp_alpha(alpha.x), clamp_alpha(alpha.y)};
 }
 
-// Reflection off facets into the hemisphere of the normal, for models that reflect only: a surface of density D(h)
-// G1(wi) G1(wo) / (4 |cos_i| |cos_o|) times what a facet reflects (equation 20).
+// Reflection off microfacets into the hemisphere of the normal, for models that reflect only: a surface of density D(h)
+// G1(wi) G1(wo) / (4 |cos_i| |cos_o|) times what a microfacet reflects (equation 20).
 template <class T>
 struct FacetReflection {
     T density;  // D(h) G1(wi) / |cos_i|; a quarter of it is the density of sampled directions
-    T cosine;   // of either direction on the facet
+    T cosine;   // of either direction on the microfacet
     MaskOf<T> possible;
 
     template <class M, class A>
@@ -210,7 +210,7 @@ struct FacetReflection {
     }
 };
 
-// The direction into which a facet seen from wi reflects; below the horizon it is no sample.
+// The direction into which a microfacet seen from wi reflects; below the horizon it is no sample.
 template <class A, class F, class M>
 TR_INLINE Vec3<F> sample_facet_reflection(const M &ggx, const A &alpha, const Vec3<F> &wi, const F &u1, const F &u2) {
     Vec3<F> seen{wi.x, wi.y, abs(wi.z)};

@@ -1,6 +1,6 @@
-// Metals of microscopic facets, each of which reflects like `conductor`. Walter, Marschner, Li and Torrance,
+// Metals of microscopic microfacets, each of which reflects like `conductor`. Walter, Marschner, Li and Torrance,
 // "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007, equation 20, with the Fresnel equations for a
-// complex index. Light is scattered once: what facets throw onto others is lost.
+// complex index. Light is scattered once: what microfacets throw onto others is lost.
 #pragma once
 
 #include "../math/fresnel.h"
@@ -43,7 +43,7 @@ struct MicrofacetConductor {
         r.pdf = pdf(params, wi, r.wo);
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

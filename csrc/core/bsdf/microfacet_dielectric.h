@@ -1,6 +1,6 @@
-// Interfaces between two transparent media with microscopic facets, each of which reflects and refracts like
+// Interfaces between two transparent media with microscopic microfacets, each of which reflects and refracts like
 // `dielectric`. Walter, Marschner, Li and Torrance, "Microfacet Models for Refraction through Rough Surfaces", EGSR
-// 2007. Light is scattered once: what facets throw onto others is lost.
+// 2007. Light is scattered once: what microfacets throw onto others is lost.
 #pragma once
 
 #include "dielectric_microfacet.h"
@@ -72,13 +72,13 @@ struct MicrofacetDielectric {
         Fresnel<F> fresnel = fresnel_dielectric(cos_i, clamp_eta(params.number[Surface::Eta]));
         auto reflects = mask<F>(u0 < fresnel.reflectance);
         BsdfSample<F> r;
-        Vec3<F> along = wi - m * cos_i;  // the part of wi along the facet
+        Vec3<F> along = wi - m * cos_i;  // the part of wi along the microfacet
         r.wo = normalize(m * select(reflects, cos_i, fresnel.cos_t) - along * select(reflects, F(1), fresnel.eta_ti));
         auto right_side = mask<F>(mulsign(select(reflects, r.wo.z, -r.wo.z), wi.z) > F(0));
         r.pdf = select(right_side, pdf(params, wi, r.wo), F(0));
         r.eta = select(reflects, F(1), fresnel.eta_it);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

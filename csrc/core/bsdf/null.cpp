@@ -26,7 +26,7 @@ struct NullBsdf {
         r.pdf = F(1);
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(true);
+        r.delta = MaskOf<F>(true);
         return r;
     }
 

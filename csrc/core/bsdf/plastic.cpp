@@ -64,7 +64,6 @@ struct Plastic {
         r.pdf = select(seen, select(mirrors, p, (F(1) - p) * r.wo.z * F(1 / Pi)), F(0));
         r.eta = F(1);
         r.delta = mirrors;
-        r.null = MaskOf<F>(false);
         return r;
     }
 

@@ -1,6 +1,6 @@
 // `principled`: Burley, "Physically Based Shading at Disney", SIGGRAPH 2012 course, and "Extending the Disney BRDF to a
 // BSDF with Integrated Subsurface Scattering", SIGGRAPH 2015 course: a diffuse base with retro-reflection, sheen, a
-// rough interface that is dielectric or metallic, and a clear coat. The facets of the interface are those of
+// rough interface that is dielectric or metallic, and a clear coat. The microfacets of the interface are those of
 // `roughdielectric` with GGX; what makes it transparent, metallic or tinted is how much of them reflects.
 #include "../math/warp.h"
 #include "kernels.h"
@@ -11,7 +11,8 @@ namespace tr {
 struct Principled {
     static constexpr Field fields[] = {
         {"base_color", Kind::Texture, 0.5, 0, 1, "interior", "colour of the base, of metal and of tints"},
-        {"roughness", Kind::Scalar, 0.5, 0, 1, "interior", "square root of the facets' alpha, which is at least 0.001"},
+        {"roughness", Kind::Scalar, 0.5, 0, 1, "interior",
+         "square root of the microfacets' alpha, which is at least 0.001"},
         {"metallic", Kind::Scalar, 0, 0, 1, "interior", "0: dielectric over a diffuse base, 1: metal", nullptr,
          Optional},
         {"spec_trans", Kind::Scalar, 0, 0, 1,
@@ -32,7 +33,7 @@ struct Principled {
         {"clearcoat", Kind::Scalar, 0, 0, 1, "interior", "a second reflection, of index 1.5", nullptr, Optional},
         {"clearcoat_gloss", Kind::Scalar, 0, 0, 1, "interior", "0: satin, 1: gloss", nullptr, Optional},
         {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
-         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
+         "0: microfacets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
          Optional | FollowsTangent},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often the base is sampled, relative to the other two"},
@@ -149,7 +150,7 @@ struct Principled {
             interface = select(some, interface * inverse, F(1));
             base = select(some, base * inverse, F(0)), coat = select(some, coat * inverse, F(0));
         }
-        // Of the facets' light, what is reflected: from the front all that cannot get through.
+        // Of the microfacets' light, what is reflected: from the front all that cannot get through.
         TR_INLINE F reflected(const F &fresnel) const {
             return select(outside, F(1) - transparent * (F(1) - fresnel), fresnel);
         }
@@ -184,7 +185,7 @@ struct Principled {
         Fresnel<F> fresnel = fresnel_dielectric(mulsign(abs(cos_i), wi.z), index<F>(params));
         auto reflects = coat || diffuse || mask<F>(u0 < chance.interface * chance.reflected(fresnel.reflectance));
         BsdfSample<F> r;
-        // below the horizon it is `seen` that reflects and refracts, with the facet's normal turned round
+        // below the horizon it is `seen` that reflects and refracts, with the microfacet's normal turned round
         m = select(chance.outside, m, -m);
         Vec3<F> along = wi - m * cos_i;
         Vec3<F> wo = m * select(reflects, cos_i, -abs(fresnel.cos_t)) - along * select(reflects, F(1), fresnel.eta_ti);
@@ -193,7 +194,7 @@ struct Principled {
         r.pdf = select(right_side, pdf(params, wi, r.wo), F(0));
         r.eta = select(reflects, F(1), fresnel.eta_it);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

@@ -46,8 +46,8 @@ TR_INLINE T principled_diffuse(const T &ni, const T &no, const T &fi, const T &f
     return mix(diffuse, T(1.25) * (flat * (T(1) / sum - T(0.5)) + T(0.5)), flatness);
 }
 
-// GGX facets that are rougher along the tangent than across it: alpha / aspect and alpha aspect (Burley 2012, section
-// 5.4). By their squares, so that neither roots nor more than one division have derivatives.
+// GGX microfacets that are rougher along the tangent than across it: alpha / aspect and alpha aspect (Burley 2012,
+// section 5.4). By their squares, so that neither roots nor more than one division have derivatives.
 template <class T>
 struct PrincipledAlpha {
     T square, narrow, wide;  // alpha^2, aspect^2 and its inverse

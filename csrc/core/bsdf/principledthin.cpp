@@ -1,6 +1,6 @@
 // `principledthin`: the variant of `principled` for sheets without a volume: Burley, "Extending the Disney BRDF to a
 // BSDF with Integrated Subsurface Scattering", SIGGRAPH 2015 course, section 5.3. Both sides look alike. Light goes
-// through by diffuse transmission, and by facets that mirror it to the other side.
+// through by diffuse transmission, and by microfacets that mirror it to the other side.
 #include "../math/warp.h"
 #include "kernels.h"
 #include "principled_lobes.h"
@@ -10,10 +10,11 @@ namespace tr {
 struct PrincipledThin {
     static constexpr Field fields[] = {
         {"base_color", Kind::Texture, 0.5, 0, 1, "interior", "colour of the sheet and of tints"},
-        {"roughness", Kind::Scalar, 0.5, 0, 1, "interior", "square root of the facets' alpha, which is at least 0.001"},
+        {"roughness", Kind::Scalar, 0.5, 0, 1, "interior",
+         "square root of the microfacets' alpha, which is at least 0.001"},
         {"spec_trans", Kind::Scalar, 0, 0, 1,
          "interior, without the light that would come through where it is 0; zero where it is larger",
-         "0: diffuse, 1: facets that reflect and let through", nullptr, Optional},
+         "0: diffuse, 1: microfacets that reflect and let through", nullptr, Optional},
         {"eta", Kind::Scalar, 1.5, 1e-3, 1e3, "interior", "index of refraction of the sheet over that around it"},
         {"spec_tint", Kind::Scalar, 0, 0, 1, "interior", "how much of the base's hue reflections take on", nullptr,
          Optional},
@@ -26,14 +27,14 @@ struct PrincipledThin {
          "interior, without the light that would come through where it is 0; zero where it is larger",
          "twice the part of diffuse light that goes through", nullptr, Optional},
         {"anisotropic", Kind::Scalar, 0, 0, 1, "interior",
-         "0: facets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
+         "0: microfacets as rough along the tangent dp/du as across it, 1: ten times as rough along it", nullptr,
          Optional | FollowsTangent},
         {"specular_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
-         "how often reflection off facets is sampled, relative to the others"},
+         "how often reflection off microfacets is sampled, relative to the others"},
         {"diffuse_reflectance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often diffuse reflection is sampled"},
         {"specular_transmittance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
-         "how often transmission through facets is sampled"},
+         "how often transmission through microfacets is sampled"},
         {"diffuse_transmittance_sampling_rate", Kind::Float, 1, 0, INFINITY, "none: sampling has no derivative",
          "how often diffuse transmission is sampled"},
     };
@@ -62,7 +63,7 @@ struct PrincipledThin {
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;
 
-    // What is seen through facets looks as rough as if they refracted it (2015, section 5.3).
+    // What is seen through microfacets looks as rough as if they refracted it (2015, section 5.3).
     template <class T, class P>
     TR_INLINE static PrincipledAlpha<T> alpha(const P &params, const T &eta, const MaskOf<T> &through) {
         T roughness(params.number[Roughness]);
@@ -93,8 +94,8 @@ struct PrincipledThin {
         FacetReflection<T> facet(all, a, wi, wo);
         T facets = number(SpecTrans) * facet.density * (facet.shadowing(all, a, wo) * T(0.25));
         facets = select(facet.possible, facets, T(0));
-        // The facet's far side has to be seen from where light comes out, although it is a mirror that sends it there:
-        // so it is in Mitsuba.
+        // The microfacet's far side has to be seen from where light comes out, although it is a mirror that sends it
+        // there: so it is in Mitsuba.
         V along = value_of(facet.cosine) * V(2), up = (value_of(wi.z) + value_of(wo.z)) / max(along, V(1e-20));
         T transmitted = select(mask<V>(value_of(facet.cosine) < V(2) * value_of(wo.z) * up), facets, T(0));
         T fresnel = fresnel_dielectric(facet.cosine, eta).reflectance;
@@ -170,7 +171,7 @@ struct PrincipledThin {
         r.pdf = select(above, pdf(params, wi, wo), F(0));
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

@@ -1,6 +1,6 @@
 // `redner`: the material of redner (Li, Aittala, Durand and Lehtinen, "Differentiable Monte Carlo Ray Tracing through
 // Edge Sampling", SIGGRAPH Asia 2018), so that its scenes can be compared: a diffuse lobe beside, not below, one of
-// facets whose normals have the density of Blinn and Phong.
+// microfacets whose normals have the density of Blinn and Phong.
 #include "../math/warp.h"
 #include "coating.h"
 #include "kernels.h"
@@ -13,9 +13,9 @@ struct RednerMaterial {
     static constexpr double MinRoughness = 1e-5;
     static constexpr Field fields[] = {
         {"diffuse_reflectance", Kind::Texture, 0.5, 0, 1, "interior", "albedo"},
-        {"specular_reflectance", Kind::Texture, 0, 0, 1, "interior", "reflectance of facets at normal incidence"},
+        {"specular_reflectance", Kind::Texture, 0, 0, 1, "interior", "reflectance of microfacets at normal incidence"},
         {"roughness", Kind::Scalar, 1, 0, 1, "interior",
-         "2 / (n + 2) for the exponent n of the facets' cosine; below 0.00001 it counts as that"},
+         "2 / (n + 2) for the exponent n of the microfacets' cosine; below 0.00001 it counts as that"},
     };
     static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"),
                          Specular = color_index(fields, "specular_reflectance");
@@ -25,8 +25,8 @@ struct RednerMaterial {
                                     "RednerMaterial"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
 
-    // The rational fit to Smith's masking of Beckmann facets of alpha^2 = roughness: Walter et al., EGSR 2007, section
-    // 5.2.
+    // The rational fit to Smith's masking of Beckmann microfacets of alpha^2 = roughness: Walter et al., EGSR 2007,
+    // section 5.2.
     template <class T>
     TR_INLINE static T masking(const T &roughness, const Vec3<T> &v) {
         using F = std::decay_t<decltype(value_of(roughness))>;
@@ -104,7 +104,7 @@ struct RednerMaterial {
         r.pdf = select(usable, pdf(params, wi, r.wo), F(0));
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

@@ -1,5 +1,5 @@
-// What a rough coating lets through, tabulated by the cosine: the part of the light that its facets refract and that
-// reaches the base, and what the coating throws back of diffuse light from below. Rows of 4 numbers: a value, its
+// What a rough coating lets through, tabulated by the cosine: the part of the light that its microfacets refract and
+// that reaches the base, and what the coating throws back of diffuse light from below. Rows of 4 numbers: a value, its
 // derivatives in the index and in the roughness, and nothing; the first row is of internal reflection, the others are
 // of transmission at equally spaced cosines from 0 to 1.
 #pragma once

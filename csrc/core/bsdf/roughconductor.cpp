@@ -10,7 +10,7 @@ struct RoughConductor : MicrofacetConductor<RoughConductor> {
         {"eta", Kind::Texture, 0, 0, INFINITY, "interior", "real part of the index of refraction"},
         {"k", Kind::Texture, 1, 0, INFINITY, "interior", "imaginary part (absorption)"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
-        {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
+        {"distribution", Kind::Int, 0, 0, 1, "", "of the microfacets' normals", MicrofacetDistributions},
     };
     static constexpr int Alpha = number_index(fields, "alpha");
     static constexpr int Eta = color_index(fields, "eta"), K = color_index(fields, "k"),

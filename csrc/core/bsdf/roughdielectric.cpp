@@ -11,7 +11,7 @@ struct RoughDielectric : MicrofacetDielectric<RoughDielectric> {
          "roughness of the microfacet distribution; below 0.001 it counts as that"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
         {"specular_transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
-        {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
+        {"distribution", Kind::Int, 0, 0, 1, "", "of the microfacets' normals", MicrofacetDistributions},
     };
     static constexpr int Eta = number_index(fields, "eta"), Alpha = number_index(fields, "alpha");
     static constexpr int Reflectance = color_index(fields, "specular_reflectance"),

@@ -1,6 +1,6 @@
 // `roughplastic`: a rough dielectric coating over a diffuse base. The coating reflects like `roughdielectric`; what it
-// lets through, either way, depends on the cosine, its index and its roughness by an integral over its facets, of which
-// the host makes a table (host/rough_transmittance.h).
+// lets through, either way, depends on the cosine, its index and its roughness by an integral over its microfacets, of
+// which the host makes a table (host/rough_transmittance.h).
 #include "../math/fresnel.h"
 #include "../math/warp.h"
 #include "coating.h"
@@ -18,7 +18,7 @@ struct RoughPlastic {
          "roughness of the microfacet distribution; below 0.001 it counts as that"},
         {"diffuse_reflectance", Kind::Texture, 0.5, 0, 1, "interior", "albedo of the base"},
         {"specular_reflectance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is physical", nullptr, Optional},
-        {"distribution", Kind::Int, 0, 0, 1, "", "of the facets' normals", MicrofacetDistributions},
+        {"distribution", Kind::Int, 0, 0, 1, "", "of the microfacets' normals", MicrofacetDistributions},
         {"nonlinear", Kind::Int, 0, 0, 1, "", "whether colours deepen with every reflection inside", Boolean},
     };
     static constexpr int Eta = number_index(fields, "eta"), Alpha = number_index(fields, "alpha");
@@ -80,7 +80,7 @@ struct RoughPlastic {
         r.pdf = mixed_pdf(params, p, wi, r.wo);
         r.eta = F(1);
         r.lobe = IntOf<F>(0);
-        r.delta = r.null = MaskOf<F>(false);
+        r.delta = MaskOf<F>(false);
         return r;
     }
 };

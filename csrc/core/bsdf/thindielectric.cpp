@@ -49,7 +49,6 @@ struct ThinDielectric {
         r.lobe = select(mask<IntOf<F>>(reflects), IntOf<F>(0), IntOf<F>(1));
         r.wo = direction(params, wi, r.lobe);
         r.delta = MaskOf<F>(true);
-        r.null = MaskOf<F>(false);
         return r;
     }
 

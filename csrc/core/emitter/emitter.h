@@ -167,10 +167,10 @@ TR_INLINE IntOf<F> emitter_kind(const SceneOf<F> &scene, const IntOf<F> &emitter
 // The lanes whose emitters have one of these flags.
 template <class F>
 TR_INLINE MaskOf<F> emitters_with(const IntOf<F> &kind, uint32_t flags) {
-    MaskOf<F> r(false);
-    for (int k = 0; k < EmitterKinds; ++k)
-        if (emitter_kernels<F>(k).is(flags)) r = r || mask<F>(kind == k);
-    return r;
+    const EmitterKernels<F> *const tables = &emitter_kernels<F>(0);
+    uint32_t kinds = 0;  // a bit each; the last, of -1, is none
+    for (int k = 0; k < EmitterKinds; ++k) kinds |= tables[k].is(flags) ? 1u << k : 0u;
+    return mask<F>(((UIntOf<F>(kinds) >> (UIntOf<F>(kind) & 31u)) & 1u) != 0u);
 }
 
 // What emitters send from these points; beams are black, since nothing else sees them, unless they are `beams`.

@@ -107,7 +107,7 @@ struct LightScattering {
     Spectrum<F> f_camera = uniform_spectrum(F(0)), f = uniform_spectrum(F(0));  // with their corrections
     Vec3<F> wo_camera{F(0), F(0), F(1)};                                        // local
     MaskOf<F> connected{false};
-    BsdfSample<F> sample{{F(0), F(0), F(1)}, F(0), F(1), IntOf<F>(0), MaskOf<F>(false), MaskOf<F>(false)};
+    BsdfSample<F> sample{{F(0), F(0), F(1)}, F(0), F(1), IntOf<F>(0), MaskOf<F>(false)};
     F inverse_pdf{0};
     MaskOf<F> alive{false};
 };

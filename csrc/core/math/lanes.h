@@ -287,7 +287,7 @@ TR_INLINE void store_compressed(S *p, const T &x, [[maybe_unused]] const MaskOf<
 }
 
 // What numbers of a precision are computed in: single precision in packets, where there are any; double precision,
-// which is for checking, a number at a time. Functions that are compiled once for all who call them are instantiated in
+// which is for checking, in scalars. Functions that are compiled once for all who call them are instantiated in
 // a file of their own for each of these: Do(F, S) for every Float F and its scalar S.
 #if TR_HAS_PACKETS
 namespace detail {

@@ -128,7 +128,7 @@ struct TangentPart {
     }
 };
 
-// The frame of Oriented models, turned about the normal n until s is along the tangent.
+// The frame of models that follow the tangent, turned about the normal n until s is along the tangent.
 template <class F>
 TR_INLINE Frame<F> tangent_frame(const Vec3<F> &n, const Vec3<F> &u) {
     TangentPart<F> part(n, u);

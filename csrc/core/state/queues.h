@@ -29,11 +29,13 @@ struct SlotColumns {
 // The ray; what the weight of emission at its end needs (PreviousVertex); throughput, index of refraction relative to
 // where the path began, and the throughput that roulette looks at; the sample, the entry of the level before, and
 // whether something was seen already.
-#define TR_PATH_COLUMNS(X)                                                                                  \
-    X(Vector, o)                                                                                            \
-    X(Vector, d)                                                                                            \
-    X(Number, length) X(Vector, from) X(Number, pdf) X(Spectrum, beta) X(Number, eta) X(Spectrum, survival) \
-        X(Index, slot) X(Index, parent) X(Index, seen)
+#define TR_PATH_COLUMNS(X)                                                                                \
+    X(Vector, o)                                                                                          \
+    X(Vector, d)                                                                                          \
+    X(Number, length)                                                                                     \
+    X(Vector, from)                                                                                       \
+    X(Number, pdf) X(Spectrum, beta) X(Number, eta) X(Spectrum, survival) X(Index, slot) X(Index, parent) \
+        X(Index, seen)
 // Through media: the medium the ray is in or -1, scatterings so far, the weights of the components' densities where
 // extinction is coloured, and how far the ray's origin is ahead of the surface it leaves: the medium begins there.
 #define TR_PATH_MEDIUM_COLUMNS(X) X(Integer, medium) X(Index, depth) X(Spectrum, channel) X(Number, ray_offset)
@@ -88,12 +90,14 @@ TR_PACKET(ShadowFilm, TR_SHADOW_FILM_COLUMNS)
 // differential sample, for derivatives of the extinction, and one for emission. Coloured extinction: weights up to the
 // end and up to these points, see medium/tracking.h; the throughput at the beginning, and the weights of the densities
 // at the differential sample.
-#define TR_FLIGHT_COLUMNS(X)                                                                                \
-    X(Number, end)                                                                                          \
-    X(Index, seed_a)                                                                                        \
-    X(Index, seed_b) X(Index, hero) X(Number, choice) X(Number, start) X(Number, length) X(Index, collided) \
-        X(Number, differential) X(Number, emission) X(Spectrum, weight) X(Spectrum, differential_weight)    \
-            X(Spectrum, emission_weight) X(Spectrum, first) X(Spectrum, differential_channel)
+#define TR_FLIGHT_COLUMNS(X)                                                                                  \
+    X(Number, end)                                                                                            \
+    X(Index, seed_a)                                                                                          \
+    X(Index, seed_b)                                                                                          \
+    X(Index, hero)                                                                                            \
+    X(Number, choice) X(Number, start) X(Number, length) X(Index, collided) X(Number, differential)           \
+        X(Number, emission) X(Spectrum, weight) X(Spectrum, differential_weight) X(Spectrum, emission_weight) \
+            X(Spectrum, first) X(Spectrum, differential_channel)
 
 template <class S>
 struct FlightColumns {
@@ -103,11 +107,13 @@ struct FlightColumns {
 // By slot. The component that a path samples distances for; and of the path that goes on from one of its segments'
 // differential samples: which one, the sum of the weights by which it was chosen, where the path begins, and in the end
 // what it brought.
-#define TR_BRANCH_COLUMNS(X)                                                                             \
-    X(Index, hero)                                                                                       \
-    X(Index, level)                                                                                      \
-    X(Index, entry) X(Number, total_weight) X(Vector, p) X(Vector, d) X(Integer, medium) X(Index, depth) \
-        X(Spectrum, beta) X(Spectrum, channel) X(Spectrum, radiance)
+#define TR_BRANCH_COLUMNS(X)                                                                            \
+    X(Index, hero)                                                                                      \
+    X(Index, level)                                                                                     \
+    X(Index, entry)                                                                                     \
+    X(Number, total_weight)                                                                             \
+    X(Vector, p) X(Vector, d) X(Integer, medium) X(Index, depth) X(Spectrum, beta) X(Spectrum, channel) \
+        X(Spectrum, radiance)
 
 template <class S>
 struct BranchColumns {
@@ -117,11 +123,13 @@ struct BranchColumns {
 // By entry of a shadow queue. In: the part of the ray in front of what it has met, seeds, and two uniform numbers. Out:
 // its transmittance, which multiplies what is there; where it is in the medium, and how long; of all parts so far the
 // length in media, and a point uniform on them with its medium.
-#define TR_TRANSMITTANCE_COLUMNS(X)                                                                                   \
-    X(Number, end)                                                                                                    \
-    X(Index, seed_a)                                                                                                  \
-    X(Index, seed_b) X(Number, choice) X(Number, place) X(Spectrum, transmittance) X(Number, start) X(Number, length) \
-        X(Number, total_length) X(Vector, point) X(Integer, point_medium)
+#define TR_TRANSMITTANCE_COLUMNS(X)                                                                        \
+    X(Number, end)                                                                                         \
+    X(Index, seed_a)                                                                                       \
+    X(Index, seed_b)                                                                                       \
+    X(Number, choice)                                                                                      \
+    X(Number, place) X(Spectrum, transmittance) X(Number, start) X(Number, length) X(Number, total_length) \
+        X(Vector, point) X(Integer, point_medium)
 
 template <class S>
 struct TransmittanceColumns {
