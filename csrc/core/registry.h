@@ -34,6 +34,7 @@
     X(ThinDielectric)       \
     X(Principled)           \
     X(RoughPlastic)         \
+    X(PolarimetricPlastic)  \
     X(PrincipledThin)       \
     X(RednerMaterial)       \
     X(AnisotropicConductor) \

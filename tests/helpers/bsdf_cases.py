@@ -99,6 +99,10 @@ ANISOTROPIC = {
     "principled_brushed_everything": _principled(anisotropic=1.0, **_EVERYTHING),
     "principledthin_brushed": _thin(anisotropic=0.9, **_SHEET),
 }
+POLARIMETRIC = {
+    "pplastic_ggx": _plastic(type="pplastic", distribution="ggx", alpha=0.3, specular_reflectance=rgb(0.9, 0.5, 0.2)),
+    "pplastic_beckmann": _plastic(type="pplastic", distribution="beckmann", alpha=0.15, int_ior=1.8, ext_ior=1.0),
+}
 DELTA = {
     "conductor": {"type": "conductor", "material": "Cu"},
     "plastic": _plastic(specular_reflectance=rgb(0.9, 0.5, 0.2)),
@@ -106,8 +110,12 @@ DELTA = {
     "thin_pane": {"type": "thindielectric", "int_ior": 1.8, "ext_ior": 1.0},
 }
 
-FILES = {"bsdf_references.npz": (SMOOTH, DELTA), "anisotropic_bsdf_references.npz": (ANISOTROPIC, {})}
-ALL_SMOOTH = SMOOTH | ANISOTROPIC
+FILES = {
+    "bsdf_references.npz": (SMOOTH, DELTA),
+    "anisotropic_bsdf_references.npz": (ANISOTROPIC, {}),
+    "pplastic_bsdf_references.npz": (POLARIMETRIC, {}),
+}
+ALL_SMOOTH = SMOOTH | ANISOTROPIC | POLARIMETRIC
 
 
 def directions(n: int = N, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -53,7 +53,7 @@ def test_reciprocity_of_reflection(name):
     assert (there > 0).double().mean() > 0.9
 
 
-@pytest.mark.parametrize("name", [n for n in CASES if n.startswith(("roughc", "plastic", "roughp"))])
+@pytest.mark.parametrize("name", [n for n in CASES if n.startswith(("roughc", "plastic", "roughp", "pplastic"))])
 @pytest.mark.parametrize("theta", [0, 60, 85])
 def test_nothing_is_gained(name, theta):
     """With white paint and without absorption at most all light comes back: of samples the mean of their weights."""
@@ -79,6 +79,11 @@ NUMBERS = ("roughness", "metallic", "spec_trans", "spec_tint", "sheen", "sheen_t
 ENDS = [
     *({"type": kind, "alpha": a, **more} for kind in ROUGH for a in (0.0, 1e-4, 1.0) for more in ({}, ROUGH[kind][0])),
     *({"type": "roughplastic", "eta": eta, "diffuse_reflectance": x} for eta in (0.7, 1.0, 3.0) for x in (0.0, 1.0)),
+    *(
+        {"type": "pplastic", "eta": eta, "alpha": 0.0, "diffuse_reflectance": x}
+        for eta in (0.7, 3.0)
+        for x in (0.0, 1.0)
+    ),
     *({"type": "plastic", "eta": eta, "diffuse_reflectance": x} for eta in (0.7, 1.0, 3.0) for x in (0.0, 1.0)),
     *({"type": "thindielectric", "eta": eta} for eta in (0.7, 1.0, 3.0)),
     *({"type": "redner", "roughness": r, "specular_reflectance": x} for r in (0.0, 1e-4, 1.0) for x in (0.0, 1.0)),

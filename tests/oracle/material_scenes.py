@@ -110,6 +110,17 @@ def glossy() -> dict:
                 "nonlinear": True,
             },
         },
+        cup={
+            "type": "sphere",
+            "center": [1.0, -0.7, 1.9],
+            "radius": 0.3,
+            "bsdf": {
+                "type": "pplastic",
+                "alpha": r._bitmap(94, 3, 3, 0.1, 0.5),
+                "diffuse_reflectance": r._bitmap(95, 4, 4),
+                "specular_reflectance": 0.8,
+            },
+        },
         pane={
             "type": "rectangle",
             "to_world": r.translate(-0.5, 0.3, 1.5) @ r.scale(0.5),

@@ -21,7 +21,7 @@ ALBEDO = {
     **dict.fromkeys(("dielectric", "thindielectric"), "specular_transmittance"),
     **dict.fromkeys(("roughdielectric", "anisotropicdielectric"), "specular_transmittance"),
     **dict.fromkeys(("principled", "principledthin"), "base_color"),
-    **dict.fromkeys(("plastic", "roughplastic", "redner"), "diffuse_reflectance"),
+    **dict.fromkeys(("plastic", "roughplastic", "pplastic", "redner"), "diffuse_reflectance"),
 }
 
 

@@ -337,6 +337,28 @@ class RoughPlastic(RoughDielectric):
 
 
 @register
+class PPlastic(RoughDielectric):
+    """Plastic as Baek and others acquire it (2018), one-sided: rough reflection, and diffuse light through the surface.
+
+    Diffuse light is transmitted through a smooth interface on both ways, and what that throws back inside is left out:
+    it reflects less than `RoughPlastic`. Rendered in intensity, without polarisation.
+
+    Args:
+        distribution: of the microfacets' normals, ``"beckmann"`` (the default) or ``"ggx"``, with its longer tails.
+        alpha: roughness (texture), default 0.1. Below 0.001 it counts as 0.001.
+        diffuse_reflectance: albedo of the diffuse lobe (texture), default 0.5.
+        int_ior: index of refraction inside, a number or a material name; default ``"polypropylene"`` (1.49).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two.
+        specular_reflectance: factor of reflections off the surface (texture); 1 is physical.
+    """
+
+    category, type = "bsdf", "pplastic"
+    inside = "polypropylene"
+    unsupported = DIRECTIONS
+
+
+@register
 class Principled(Plugin):
     """Burley's principled BSDF: from dielectrics over metals to glass by a few numbers from 0 to 1.
 

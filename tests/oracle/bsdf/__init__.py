@@ -11,7 +11,7 @@ from unittest import mock
 from torchrender.wavefront import bsdfs
 from torchrender.wavefront.bsdf import Bsdf
 
-from .coated import Plastic, RoughPlastic
+from .coated import Plastic, PPlastic, RoughPlastic
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
@@ -28,6 +28,7 @@ MODELS: dict[str, type[Bsdf]] = {
     "thindielectric": ThinDielectric,
     "plastic": Plastic,
     "roughplastic": RoughPlastic,
+    "pplastic": PPlastic,
     "principled": Principled,
     "principledthin": PrincipledThin,
     "redner": RednerMaterial,

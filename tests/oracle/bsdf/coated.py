@@ -105,3 +105,32 @@ class RoughPlastic(Coated):
         coat = (u[:, 0] < self.specular_probability(wi))[:, None]
         wo = torch.where(coat, reflect(self.microfacets, wi, u), cosine_hemisphere(u[:, 1], u[:, 2]))
         return one_lobe(wo, self.pdf(wi, wo))
+
+
+class PPlastic(Bsdf):
+    """Microfacets that reflect, and diffuse light through a smooth interface."""
+
+    def read(self, color: Color, number: Color) -> None:
+        self.eta = number("eta")
+        self.microfacets = Microfacets(self.scalar("alpha"), self.record.field["distribution"] == 1)
+        self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        r = MicrofacetReflection(self.microfacets, wi, wo)
+        specular = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
+        entering, leaving = (1 - fresnel_dielectric(w[:, 2], self.eta)[0] for w in (wi, wo))
+        diffuse = self.diffuse * (entering * leaving * wo[:, 2] / math.pi)[:, None]
+        return torch.where(r.possible[:, None], specular + diffuse, 0.0)
+
+    def specular_probability(self, wi: torch.Tensor) -> torch.Tensor:
+        """Of sampling the microfacets."""
+        return specular_sampling_weight(fresnel_dielectric(wi[:, 2], self.eta)[0], self.specular, self.diffuse)
+
+    def pdf(self, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
+        p, r = self.specular_probability(wi), MicrofacetReflection(self.microfacets, wi, wo)
+        return torch.where(r.possible, p * r.pdf + (1 - p) * wo[:, 2] / math.pi, 0.0)
+
+    def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
+        mirrors = (u[:, 0] < self.specular_probability(wi))[:, None]
+        wo = torch.where(mirrors, reflect(self.microfacets, wi, u), cosine_hemisphere(u[:, 1], u[:, 2]))
+        return one_lobe(wo, self.pdf(wi, wo))
