@@ -153,6 +153,14 @@ TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengt
     return r;
 }
 
+// The same of one colour for all lanes.
+template <class F, class S>
+TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &, int32_t offset) {
+    Spectrum<F> r;
+    for (int c = 0; c < SpectrumSize; ++c) r[c] = F(values.constants[offset + c]);
+    return r;
+}
+
 // The index of the first number of cdf[offset .. offset + n) that is larger than u; n - 1 if none is.
 template <class F, class S>
 TR_INLINE UIntOf<F> search_cdf(const S *cdf, const UIntOf<F> &offset, const UIntOf<F> &n, const F &u,

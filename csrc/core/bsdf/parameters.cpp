@@ -2,31 +2,66 @@
 
 namespace tr {
 
+namespace {
+
+// Where the numbers of a kind go, in the order of BsdfParameters.
+template <class F>
+struct ParameterWriter {
+    F *color, *number, *luminance_to;
+    int luminance_of;
+
+    TR_INLINE ParameterWriter(const BsdfInfo &model, BsdfParameters<F> &to)
+        : color(to.number),
+          number(to.number + SpectrumSize * model.n_colors),
+          luminance_to(number + model.n_numbers),
+          luminance_of(model.luminance_of) {}
+    TR_INLINE void put(int field, BsdfInfo::Use use, const Spectrum<F> &value) {
+        if (use == BsdfInfo::Luminance) {
+            *number++ = luminance(value);
+            return;
+        }
+        for (int c = 0; c < SpectrumSize; ++c) *color++ = value[c];
+        if (field == luminance_of) *luminance_to = luminance(value);
+    }
+};
+
+}  // namespace
+
 template <class F>
 TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &waves, const BsdfInfo &model,
                               const IntOf<F> &bsdf, const TexturedPoint<F> &at, const MaskOf<F> &active,
                               BsdfParameters<F> &to) {
-    F *color = to.number, *number = to.number + SpectrumSize * model.n_colors;
-    F *luminance_to = number + model.n_numbers;
+    using I = IntOf<F>;
+    ParameterWriter<F> writer(model, to);
+    to.table = scene.bsdf_tables;
+    const int32_t first = any(active) ? int32_t(first_lane(bsdf, active)) : -1;
+    if (first >= 0 && !any(active && mask<F>(bsdf != first))) {  // one object in all lanes: its record is read once
+        const Record &record = scene.bsdfs[first];
+        for (int i = 0; i < model.n_continuous; ++i) {
+            const int32_t field = record.field[i];
+            if (model.use[i] == BsdfInfo::Number)
+                *writer.number++ = F(scene.values.constants[field]);
+            else if (TextureKind(scene.textures[field].kind) == TextureKind::Constant)
+                writer.put(
+                    i, model.use[i],
+                    constant_spectrum<F>(scene.values, waves, scene.textures[field].field[ConstantTexture::Value]));
+            else
+                writer.put(i, model.use[i], eval_texture(scene, waves, I(field), at, active));
+        }
+        for (int i = 0; i < model.n_choices; ++i) to.choice[i] = I(record.field[model.n_continuous + i]);
+        to.row = I(record.field[Record::Extra]);
+        return;
+    }
     for (int i = 0; i < model.n_continuous; ++i) {
-        IntOf<F> field = record_field<F>(scene.bsdfs, i, bsdf, active);
-        if (model.use[i] == BsdfInfo::Number) {
-            *number++ = gather<F>(scene.values.constants, UIntOf<F>(field), active);
-            continue;
-        }
-        Spectrum<F> value = eval_texture(scene, waves, field, at, active);
-        if (model.use[i] == BsdfInfo::Luminance) {
-            *number++ = luminance(value);
-            continue;
-        }
-        for (int c = 0; c < SpectrumSize; ++c) *color++ = value[c];
-        if (i == model.luminance_of) *luminance_to = luminance(value);
+        const I field = record_field<F>(scene.bsdfs, i, bsdf, active);
+        if (model.use[i] == BsdfInfo::Number)
+            *writer.number++ = gather<F>(scene.values.constants, UIntOf<F>(field), active);
+        else
+            writer.put(i, model.use[i], eval_texture(scene, waves, field, at, active));
     }
     for (int i = 0; i < model.n_choices; ++i)
         to.choice[i] = record_field<F>(scene.bsdfs, model.n_continuous + i, bsdf, active);
-    if (!model.tabulated) return;
-    to.table = scene.bsdf_tables;
-    to.row = record_field<F>(scene.bsdfs, Record::Extra, bsdf, active);
+    if (model.tabulated) to.row = record_field<F>(scene.bsdfs, Record::Extra, bsdf, active);
 }
 
 template <class F>

@@ -8,8 +8,10 @@ namespace tr {
 
 // ----------------------------------------------------------------------------------------------------------- samples
 // By sample of a batch, its `slot`: which it is, and where on the film.
+// clang-format off
 #define TR_SAMPLE_COLUMNS(X) \
     X(Index, pixel) X(Index, row) X(Index, column) X(Index, sample) X(Number, film_x) X(Number, film_y)
+// clang-format on
 
 template <class S>
 struct SampleColumns {
@@ -29,13 +31,11 @@ struct SlotColumns {
 // The ray; what the weight of emission at its end needs (PreviousVertex); throughput, index of refraction relative to
 // where the path began, and the throughput that roulette looks at; the sample, the entry of the level before, and
 // whether something was seen already.
-#define TR_PATH_COLUMNS(X)                                                                                \
-    X(Vector, o)                                                                                          \
-    X(Vector, d)                                                                                          \
-    X(Number, length)                                                                                     \
-    X(Vector, from)                                                                                       \
-    X(Number, pdf) X(Spectrum, beta) X(Number, eta) X(Spectrum, survival) X(Index, slot) X(Index, parent) \
-        X(Index, seen)
+// clang-format off
+#define TR_PATH_COLUMNS(X) \
+    X(Vector, o) X(Vector, d) X(Number, length) X(Vector, from) X(Number, pdf) X(Spectrum, beta) X(Number, eta) \
+    X(Spectrum, survival) X(Index, slot) X(Index, parent) X(Index, seen)
+// clang-format on
 // Through media: the medium the ray is in or -1, scatterings so far, the weights of the components' densities where
 // extinction is coloured, and how far the ray's origin is ahead of the surface it leaves: the medium begins there.
 #define TR_PATH_MEDIUM_COLUMNS(X) X(Integer, medium) X(Index, depth) X(Spectrum, channel) X(Number, ray_offset)
@@ -69,8 +69,10 @@ struct HitColumns {
 #define TR_SHADOW_MEDIUM_COLUMNS(X) X(Integer, medium) X(Number, ray_offset) X(Index, purpose)
 // Connections: the place on the film.
 #define TR_SHADOW_FILM_COLUMNS(X) X(Number, film_x) X(Number, film_y)
+// clang-format off
 #define TR_SHADOW_QUEUE_COLUMNS(X) \
     TR_SHADOW_COLUMNS(X) TR_SHADOW_VALUE_COLUMNS(X) TR_SHADOW_MEDIUM_COLUMNS(X) TR_SHADOW_FILM_COLUMNS(X)
+// clang-format on
 
 template <class S>
 struct ShadowQueue {
@@ -90,14 +92,13 @@ TR_PACKET(ShadowFilm, TR_SHADOW_FILM_COLUMNS)
 // differential sample, for derivatives of the extinction, and one for emission. Coloured extinction: weights up to the
 // end and up to these points, see medium/tracking.h; the throughput at the beginning, and the weights of the densities
 // at the differential sample.
-#define TR_FLIGHT_COLUMNS(X)                                                                                  \
-    X(Number, end)                                                                                            \
-    X(Index, seed_a)                                                                                          \
-    X(Index, seed_b)                                                                                          \
-    X(Index, hero)                                                                                            \
-    X(Number, choice) X(Number, start) X(Number, length) X(Index, collided) X(Number, differential)           \
-        X(Number, emission) X(Spectrum, weight) X(Spectrum, differential_weight) X(Spectrum, emission_weight) \
-            X(Spectrum, first) X(Spectrum, differential_channel)
+// clang-format off
+#define TR_FLIGHT_COLUMNS(X) \
+    X(Number, end) X(Index, seed_a) X(Index, seed_b) X(Index, hero) X(Number, choice) X(Number, start) \
+    X(Number, length) X(Index, collided) X(Number, differential) X(Number, emission) X(Spectrum, weight) \
+    X(Spectrum, differential_weight) X(Spectrum, emission_weight) X(Spectrum, first) \
+    X(Spectrum, differential_channel)
+// clang-format on
 
 template <class S>
 struct FlightColumns {
@@ -107,13 +108,11 @@ struct FlightColumns {
 // By slot. The component that a path samples distances for; and of the path that goes on from one of its segments'
 // differential samples: which one, the sum of the weights by which it was chosen, where the path begins, and in the end
 // what it brought.
-#define TR_BRANCH_COLUMNS(X)                                                                            \
-    X(Index, hero)                                                                                      \
-    X(Index, level)                                                                                     \
-    X(Index, entry)                                                                                     \
-    X(Number, total_weight)                                                                             \
-    X(Vector, p) X(Vector, d) X(Integer, medium) X(Index, depth) X(Spectrum, beta) X(Spectrum, channel) \
-        X(Spectrum, radiance)
+// clang-format off
+#define TR_BRANCH_COLUMNS(X) \
+    X(Index, hero) X(Index, level) X(Index, entry) X(Number, total_weight) X(Vector, p) X(Vector, d) \
+    X(Integer, medium) X(Index, depth) X(Spectrum, beta) X(Spectrum, channel) X(Spectrum, radiance)
+// clang-format on
 
 template <class S>
 struct BranchColumns {
@@ -123,13 +122,11 @@ struct BranchColumns {
 // By entry of a shadow queue. In: the part of the ray in front of what it has met, seeds, and two uniform numbers. Out:
 // its transmittance, which multiplies what is there; where it is in the medium, and how long; of all parts so far the
 // length in media, and a point uniform on them with its medium.
-#define TR_TRANSMITTANCE_COLUMNS(X)                                                                        \
-    X(Number, end)                                                                                         \
-    X(Index, seed_a)                                                                                       \
-    X(Index, seed_b)                                                                                       \
-    X(Number, choice)                                                                                      \
-    X(Number, place) X(Spectrum, transmittance) X(Number, start) X(Number, length) X(Number, total_length) \
-        X(Vector, point) X(Integer, point_medium)
+// clang-format off
+#define TR_TRANSMITTANCE_COLUMNS(X) \
+    X(Number, end) X(Index, seed_a) X(Index, seed_b) X(Number, choice) X(Number, place) X(Spectrum, transmittance) \
+    X(Number, start) X(Number, length) X(Number, total_length) X(Vector, point) X(Integer, point_medium)
+// clang-format on
 
 template <class S>
 struct TransmittanceColumns {

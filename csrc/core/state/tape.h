@@ -8,19 +8,14 @@
 
 namespace tr {
 
+// clang-format off
 // Every vertex; `suffix` is the radiance from the next one, which the sweep writes.
 #define TR_VERTEX_COLUMNS(X) \
-    X(Index, slot)           \
-    X(Index, parent)         \
-    X(Point, at)             \
-    X(Spectrum, beta)        \
-    X(Integer, emission_emitter) X(Number, emission_weight) X(Spectrum, emission_radiance) X(Spectrum, suffix)
+    X(Index, slot) X(Index, parent) X(Point, at) X(Spectrum, beta) X(Integer, emission_emitter) \
+    X(Number, emission_weight) X(Spectrum, emission_radiance) X(Spectrum, suffix)
 // Where it goes on: to an emitter, and along the path.
 #define TR_OUTGOING_COLUMNS(X) \
-    X(Integer, light_emitter)  \
-    X(Point, light_at)         \
-    X(Vector, wo_light)        \
-    X(Number, light_weight)    \
+    X(Integer, light_emitter) X(Point, light_at) X(Vector, wo_light) X(Number, light_weight) \
     X(Number, light_distance) X(Spectrum, emitted) X(Vector, wo) X(Integer, lobe) X(Number, inverse_pdf)
 // Surfaces that scatter.
 #define TR_SCATTERING_COLUMNS(X) X(Integer, bsdf) X(Pair, uv) X(Vector, wi) X(Vector, normal) X(Number, mirror)
@@ -33,16 +28,14 @@ namespace tr {
 #define TR_NEXT_COLUMNS(X) \
     X(Vector, ray_o_bar) X(Vector, ray_d_bar) X(Vector, next_segment) X(Vector, next_p) X(Point, next_at)
 // Segments through media, see SegmentRecord.
-#define TR_SEGMENT_COLUMNS(X)                                                                                    \
-    X(Integer, medium)                                                                                           \
-    X(Number, length)                                                                                            \
-    X(Spectrum, weight)                                                                                          \
-    X(Spectrum, through)                                                                                         \
-    X(Vector, differential_p) X(Spectrum, differential_value) X(Integer, shadow_medium) X(Number, shadow_length) \
-        X(Vector, shadow_p) X(Spectrum, shadow_value) X(Vector, emission_p) X(Index, emission_behind)            \
-            X(Spectrum, first) X(Spectrum, emission_factor)
+#define TR_SEGMENT_COLUMNS(X) \
+    X(Integer, medium) X(Number, length) X(Spectrum, weight) X(Spectrum, through) X(Vector, differential_p) \
+    X(Spectrum, differential_value) X(Integer, shadow_medium) X(Number, shadow_length) X(Vector, shadow_p) \
+    X(Spectrum, shadow_value) X(Vector, emission_p) X(Index, emission_behind) X(Spectrum, first) \
+    X(Spectrum, emission_factor)
 // Vertices of light paths, see ConnectionRecord and EmissionRecord.
 #define TR_CONNECTION_COLUMNS(X) X(Number, x_bar) X(Number, y_bar) X(Vector, ng) X(Integer, emitter_kind)
+// clang-format on
 
 TR_PACKET(VertexPacket, TR_VERTEX_COLUMNS)
 TR_PACKET(OutgoingPacket, TR_OUTGOING_COLUMNS)
