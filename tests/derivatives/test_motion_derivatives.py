@@ -50,6 +50,7 @@ MOVING = {
     ("bsdf", "thindielectric"): {"eta"},
     ("bsdf", "plastic"): {"eta"},
     ("bsdf", "roughplastic"): {"eta", "alpha"},
+    ("bsdf", "pplastic"): {"eta"},
     ("bsdf", "principled"): {"eta", "specular"},
     ("bsdf", "bumpmap"): {"scale"},
     ("sensor", "perspective"): LENS | {"distortion"},

@@ -168,6 +168,7 @@ FROSTED_ALONG = {**FROSTED, "alpha_u": 0.3, "alpha_v": 0.5}
 del FROSTED_ALONG["alpha"]
 TOY = {"type": "plastic", "diffuse_reflectance": bitmap(), "int_ior": 1.5}
 MUG = {**TOY, "type": "roughplastic", "distribution": "ggx", "alpha": 0.4}
+CUP = {**MUG, "type": "pplastic"}
 PANE = {"type": "thindielectric", "int_ior": 1.5}
 LACQUER = {
     "type": "principled",
@@ -277,6 +278,7 @@ SCENES = {
     "toy_in_room": lambda: scene(3, at_ball(), ball=ball(TOY), room=black_room()),
     "toy_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(TOY), room=black_room()),
     "mug_in_room": lambda: scene(3, at_ball(), ball=ball(MUG), room=black_room()),
+    "cup_in_room": lambda: scene(3, at_ball(), ball=ball(CUP), room=black_room()),
     "pane_in_room": lambda: scene(
         3, above(), pane={**floor(PANE), "to_world": Transform.scale(4.0)}, floor=floor(), room=black_room(20.0)
     ),
