@@ -64,21 +64,24 @@ public:
     }
 
 private:
-    TapeLevel<S> &add_level(size_t entries) {
+    TapeLevel<S> &add_level() {
         Tape<S> &tape = wavefront.tape;
-        return tape.add(entries, tape.size() - 1, true);
+        return tape.add(tape.size() - 1, true);
     }
 
     void start(PathQueue<S> &queue, uint32_t n, bool recording) {
         queue.n = wavefront.shadows.n = 0;
-        if (recording) add_level(n + W).ranges.assign(1, {EmissionKind, 0, n});
+        if (recording) {
+            add_level().ranges.assign(1, {EmissionKind, 0, n});
+            wavefront.tape.reserve_last(n + 2 * W);
+        }
         PathContext<F> c = wavefront.context(recording);
         for (uint32_t i = 0; i < n; i += W) start_light_paths(c, sensor_, i, n, queue, wavefront.shadows);
     }
 
     void step(const PathQueue<S> &current, PathQueue<S> &next, const PathStep &step, bool recording) {
         next.n = wavefront.shadows.n = 0;
-        std::vector<KindRange> *ranges = recording ? &add_level(wavefront.entries(current.n)).ranges : &ranges_;
+        std::vector<KindRange> *ranges = recording ? &add_level().ranges : &ranges_;
         // the last vertex, too, is connected and therefore sorted by its BSDF
         wavefront.sort({step.depth, step.split, true}, current, false, recording, *ranges);
         auto missed = [](const KindRange &range) { return range.kind == MissKind; };

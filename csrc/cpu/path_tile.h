@@ -153,7 +153,7 @@ private:
         ShadowQueue<S> &shadows = wavefront.shadows;
         next.n = shadows.n = 0;
         std::vector<KindRange> *ranges = &ranges_;
-        if (recording) ranges = &wavefront.tape.add(wavefront.entries(current.n), parent_level, step.scatters).ranges;
+        if (recording) ranges = &wavefront.tape.add(parent_level, step.scatters).ranges;
         wavefront.sort(step, current, true, recording, *ranges);
         PathContext<F> c = wavefront.context(recording);
         const HitColumns<S> &hits = wavefront.queries.hits;

@@ -128,11 +128,12 @@ public:
     int size() const { return n_; }
     TapeLevel<S> &operator[](int i) { return *levels_[size_t(i)]; }
     TapeLevel<S> &last() { return *levels_[size_t(n_ - 1)]; }
+    void reserve_last(size_t entries) { last().reserve(entries, groups_); }
     void begin_block(int level) { first_level = level, n_ = 0; }
-    TapeLevel<S> &add(size_t entries, int parent_level, bool scatters) {
+    // A level without entries yet: how many there are is known once hits are grouped.
+    TapeLevel<S> &add(int parent_level, bool scatters) {
         if (size_t(n_) == levels_.size()) levels_.push_back(std::make_unique<TapeLevel<S>>());
         TapeLevel<S> &level = *levels_[size_t(n_++)];
-        level.reserve(entries, groups_);
         level.parent_level = parent_level;
         level.scatters = scatters;
         return level;

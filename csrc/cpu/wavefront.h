@@ -165,6 +165,7 @@ public:
             ranges.push_back({k, at, counts[k]});
             at += (counts[k] + 2 * W - 1) / W * W;
         }
+        if (recording) tape.reserve_last(at + 2 * W);
         for (uint32_t i = 0; i < queue.n; i += W) {
             I kind = I(load_uint<F>(reinterpret_cast<const uint32_t *>(kind_) + i));
             for_each_distinct<F>(kind, mask<F>(kind >= 0), [&](int32_t k, const auto &same) {
