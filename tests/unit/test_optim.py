@@ -137,6 +137,7 @@ def test_resample_wraps():
 
 def scene_like():
     """Two objects that share one texture module, and a third parameter."""
+    torch.manual_seed(0)
     scene = nn.Module()
     scene.wall, scene.floor = nn.Module(), nn.Module()
     texture = nn.Module()
