@@ -27,10 +27,4 @@ TR_INLINE void dispatch(TypeList<Ts...>, int kind, F &&f) {
     (void)((i++ == kind ? (f(Ts{}), true) : false) || ...);
 }
 
-// Calls f with a value of every type.
-template <class F, class... Ts>
-TR_INLINE void for_each_model(TypeList<Ts...>, F &&f) {
-    (f(Ts{}), ...);
-}
-
 }  // namespace tr

@@ -23,12 +23,8 @@ void EnvironmentTables<S>::build(const TensorView<S> &data) {
     columns = data.shape[1];
     rows = std::max(height - 1, 1);
     std::vector<double> importance(size_t(height) * size_t(columns));
-    for (size_t i = 0; i < importance.size(); ++i) {
-        const S *texel = data.data + i * size_t(channels);
-        double y = channels == 3 ? 0.2126 * double(texel[0]) + 0.7152 * double(texel[1]) + 0.0722 * double(texel[2])
-                                 : double(texel[0]);
-        importance[i] = std::max(y, 0.0);
-    }
+    for (size_t i = 0; i < importance.size(); ++i)
+        importance[i] = std::max(luminance_of(data.data + i * size_t(channels), channels), 0.0);
     auto at = [&](int row, int column) {
         return importance[size_t(std::min(row, height - 1)) * size_t(columns) + size_t(column % columns)];
     };

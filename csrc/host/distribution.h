@@ -13,6 +13,12 @@ namespace tr {
 template <class S>
 double build_cdf(const double *weights, size_t n, S *cdf);
 
+// Of a colour of one or three channels.
+template <class S>
+double luminance_of(const S *c, int channels) {
+    return channels == 3 ? luminance(Spectrum<double>{{double(c[0]), double(c[1]), double(c[2])}}) : double(c[0]);
+}
+
 // Tables of EnvironmentMap: a cell between each two neighbouring columns (cyclically) and rows of texels, weighted by
 // the mean luminance of its corners and the sine of the polar angle at its centre.
 template <class S>

@@ -8,14 +8,6 @@
 
 namespace tr {
 
-namespace {
-
-double luminance_of(const double *c, int channels) {
-    return channels == 3 ? luminance(Spectrum<double>{{c[0], c[1], c[2]}}) : c[0];
-}
-
-}  // namespace
-
 template <class S>
 SceneData<S>::EmitterTable::EmitterTable(const std::vector<double> &weights)
     : cdf(weights.size()), pmf(weights.size()) {

@@ -1,10 +1,10 @@
-"""Luminance, with the digits that csrc/core/color/spectrum.h has."""
+"""The luminance of colours."""
 
 from __future__ import annotations
 
 import torch
 
-LUMINANCE = (0.2126, 0.7152, 0.0722)
+from ..scene.context import LUMINANCE
 
 
 def luminance(color: torch.Tensor) -> torch.Tensor:

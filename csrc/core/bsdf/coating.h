@@ -1,7 +1,9 @@
 // What smooth and rough coatings over a diffuse base share.
 #pragma once
 
-#include "../color/spectrum.h"
+#include "../math/warp.h"
+#include "bsdf.h"
+#include "microfacet.h"
 
 namespace tr {
 
@@ -20,6 +22,26 @@ TR_INLINE F specular_sampling_weight(const F &r, const Spectrum<F> &specular, co
     F coat = r * max_component(specular), base = (F(1) - r) * max_component(diffuse), sum = coat + base;
     auto some = mask<F>(sum > F(0));
     return min(max(select(some, coat / select(some, sum, F(1)), F(0.5)), F(0.1)), F(0.9));
+}
+
+// Rough reflection off the interface, sampled with probability p, or a diffuse lobe below it: the density of a
+// direction, and a direction of this density.
+template <class M, class F>
+TR_INLINE F rough_or_diffuse_pdf(const M &ggx, const F &alpha, const F &p, const Vec3<F> &wi, const Vec3<F> &wo) {
+    FacetReflection<F> r(ggx, alpha, wi, wo);
+    return select(r.possible, p * r.density * F(0.25) + (F(1) - p) * wo.z * F(1 / Pi), F(0));
+}
+template <class M, class F>
+TR_INLINE BsdfSample<F> sample_rough_or_diffuse(const M &ggx, const F &alpha, const F &p, const Vec3<F> &wi,
+                                                const F &u0, const F &u1, const F &u2) {
+    BsdfSample<F> r;
+    r.wo =
+        select(mask<F>(u0 < p), sample_facet_reflection(ggx, alpha, wi, u1, u2), square_to_cosine_hemisphere(u1, u2));
+    r.pdf = rough_or_diffuse_pdf(ggx, alpha, p, wi, r.wo);
+    r.eta = F(1);
+    r.lobe = IntOf<F>(0);
+    r.delta = MaskOf<F>(false);
+    return r;
 }
 
 }  // namespace tr

@@ -43,7 +43,7 @@ struct Plastic {
     }
 
     template <class P, class F>
-    TR_INLINE static F chance(const P &params, const F &cosine) {
+    TR_INLINE static F specular_weight(const P &params, const F &cosine) {
         return specular_sampling_weight(fresnel_dielectric(cosine, params.number[Eta]).reflectance,
                                         params.color[Specular], params.color[Diffuse]);
     }
@@ -51,12 +51,12 @@ struct Plastic {
     template <class P, class F>
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
         auto above = mask<F>(wi.z > F(0)) && mask<F>(wo.z > F(0));
-        return select(above, (F(1) - chance(params, wi.z)) * wo.z * F(1 / Pi), F(0));
+        return select(above, (F(1) - specular_weight(params, wi.z)) * wo.z * F(1 / Pi), F(0));
     }
 
     template <class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
-        F p = chance(params, wi.z);
+        F p = specular_weight(params, wi.z);
         auto mirrors = mask<F>(u0 < p), seen = mask<F>(wi.z > F(0));
         BsdfSample<F> r;
         r.lobe = select(mask<IntOf<F>>(mirrors), IntOf<F>(1), IntOf<F>(0));

@@ -4,10 +4,8 @@
 // 10 and 14). Light that the interface throws back inside is left out, and so is the change of solid angles, as in
 // Mitsuba 3.
 #include "../math/fresnel.h"
-#include "../math/warp.h"
 #include "coating.h"
 #include "kernels.h"
-#include "microfacet.h"
 
 namespace tr {
 
@@ -54,23 +52,13 @@ struct PolarimetricPlastic {
     }
     template <class P, class F>
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
-        FacetReflection<F> r(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]), wi, wo);
-        F p = specular_weight(params, wi.z);
-        return select(r.possible, p * r.density * F(0.25) + (F(1) - p) * wo.z * F(1 / Pi), F(0));
+        return rough_or_diffuse_pdf(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]),
+                                    specular_weight(params, wi.z), wi, wo);
     }
-
     template <class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
-        F alpha = clamp_alpha(params.number[Alpha]);
-        auto mirrors = mask<F>(u0 < specular_weight(params, wi.z));
-        BsdfSample<F> r;
-        r.wo = select(mirrors, sample_facet_reflection(is_ggx<F>(params.choice[Distribution]), alpha, wi, u1, u2),
-                      square_to_cosine_hemisphere(u1, u2));
-        r.pdf = pdf(params, wi, r.wo);
-        r.eta = F(1);
-        r.lobe = IntOf<F>(0);
-        r.delta = MaskOf<F>(false);
-        return r;
+        return sample_rough_or_diffuse(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]),
+                                       specular_weight(params, wi.z), wi, u0, u1, u2);
     }
 };
 

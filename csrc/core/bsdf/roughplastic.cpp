@@ -2,10 +2,8 @@
 // lets through, either way, depends on the cosine, its index and its roughness by an integral over its microfacets, of
 // which the host makes a table (host/rough_transmittance.h).
 #include "../math/fresnel.h"
-#include "../math/warp.h"
 #include "coating.h"
 #include "kernels.h"
-#include "microfacet.h"
 #include "rough_transmittance.h"
 
 namespace tr {
@@ -54,34 +52,21 @@ struct RoughPlastic {
     }
 
     template <class P, class F>
-    TR_INLINE static F chance(const P &params, const F &cosine) {
+    TR_INLINE static F specular_weight(const P &params, const F &cosine) {
         RoughTransmittance<F> table{params.table, params.row, params.number[Eta], params.number[Alpha],
                                     mask<F>(cosine > F(0))};
         return specular_sampling_weight(F(1) - table.transmittance(cosine), params.color[Specular],
                                         params.color[Diffuse]);
     }
     template <class P, class F>
-    TR_INLINE static F mixed_pdf(const P &params, const F &p, const Vec3<F> &wi, const Vec3<F> &wo) {
-        FacetReflection<F> r(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]), wi, wo);
-        return select(r.possible, p * r.density * F(0.25) + (F(1) - p) * wo.z * F(1 / Pi), F(0));
-    }
-    template <class P, class F>
     TR_INLINE static F pdf(const P &params, const Vec3<F> &wi, const Vec3<F> &wo) {
-        return mixed_pdf(params, chance(params, wi.z), wi, wo);
+        return rough_or_diffuse_pdf(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]),
+                                    specular_weight(params, wi.z), wi, wo);
     }
-
     template <class P, class F>
     TR_INLINE static BsdfSample<F> sample(const P &params, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2) {
-        F p = chance(params, wi.z), alpha = clamp_alpha(params.number[Alpha]);
-        auto mirrors = mask<F>(u0 < p);
-        BsdfSample<F> r;
-        r.wo = select(mirrors, sample_facet_reflection(is_ggx<F>(params.choice[Distribution]), alpha, wi, u1, u2),
-                      square_to_cosine_hemisphere(u1, u2));
-        r.pdf = mixed_pdf(params, p, wi, r.wo);
-        r.eta = F(1);
-        r.lobe = IntOf<F>(0);
-        r.delta = MaskOf<F>(false);
-        return r;
+        return sample_rough_or_diffuse(is_ggx<F>(params.choice[Distribution]), clamp_alpha(params.number[Alpha]),
+                                       specular_weight(params, wi.z), wi, u0, u1, u2);
     }
 };
 

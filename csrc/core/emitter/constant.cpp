@@ -26,8 +26,8 @@ struct ConstantEmitter {
 namespace {
 
 template <class F>
-struct Constant : Environment<ConstantEmitter, F> {
-    using Base = Environment<ConstantEmitter, F>;
+struct Constant : Environment<ConstantEmitter, Constant<F>, F> {
+    using Base = Environment<ConstantEmitter, Constant, F>;
     using typename Base::M;
     using typename Base::Scene;
 
@@ -49,19 +49,6 @@ struct Constant : Environment<ConstantEmitter, F> {
     }
     static double power(EmitterMeans &means, const Record &record) {
         return 4 * Pi * means.disk * means.color(record.field[ConstantEmitter::Radiance]);
-    }
-
-    static constexpr EmitterKernels<F> table() {
-        return {ConstantEmitter::model,
-                eval,
-                Base::sample_direct,
-                pdf_direct,
-                point_of_direction,
-                Base::sample_emission,
-                vjp,
-                nullptr,
-                nullptr,
-                TR_HOST_POINTER(power)};
     }
 };
 

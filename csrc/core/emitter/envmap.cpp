@@ -7,9 +7,9 @@ namespace tr {
 namespace {
 
 template <class F>
-struct Map : Environment<EnvironmentMap, F> {
+struct Map : Environment<EnvironmentMap, Map<F>, F> {
     using S = ScalarOf<F>;
-    using Base = Environment<EnvironmentMap, F>;
+    using Base = Environment<EnvironmentMap, Map, F>;
     using typename Base::M;
     using typename Base::Scene;
 
@@ -55,19 +55,6 @@ struct Map : Environment<EnvironmentMap, F> {
     static double power(EmitterMeans &means, const Record &record) {
         return 4 * Pi * means.disk * means.number(record.field[EnvironmentMap::Scale]) *
                means.environment(record.field[EnvironmentMap::Data]);
-    }
-
-    static constexpr EmitterKernels<F> table() {
-        return {EnvironmentMap::model,
-                eval,
-                Base::sample_direct,
-                pdf_direct,
-                point_of_direction,
-                Base::sample_emission,
-                vjp,
-                nullptr,
-                nullptr,
-                TR_HOST_POINTER(power)};
     }
 
 private:

@@ -22,8 +22,8 @@ TR_INLINE void begin_from_afar(const SceneOf<F> &scene, const Vec3<F> &from, con
 }
 
 // What environments share. Model::sample(scene, u1, u2, uv, pdf, lanes) is a direction with its density and the
-// coordinates that `eval` takes.
-template <class Model, class F>
+// coordinates that `eval` takes; Functions has what differs.
+template <class Model, class Functions, class F>
 struct Environment {
     using M = MaskOf<F>;
     using Scene = SceneOf<F>;
@@ -50,6 +50,19 @@ struct Environment {
         auto possible = lanes && mask<F>(pdf > F(0));
         r.inverse_pdf = select(possible, inverse_pmf / select(possible, pdf, F(1)), r.inverse_pdf);
         begin_from_afar(scene, from, c, d, lanes, r);
+    }
+
+    static constexpr EmitterKernels<F> table() {
+        return {Model::model,
+                Functions::eval,
+                sample_direct,
+                Functions::pdf_direct,
+                Functions::point_of_direction,
+                sample_emission,
+                Functions::vjp,
+                nullptr,
+                nullptr,
+                TR_HOST_POINTER(Functions::power)};
     }
 };
 

@@ -26,14 +26,4 @@ TR_INLINE MaskOf<F> inside_grid(const SceneView<S> &scene, const MediumInfo &med
     return mask<F>(min(min(q.x, q.y), q.z) >= F(0)) && mask<F>(max(max(q.x, q.y), q.z) <= F(1));
 }
 
-// The extinction at a point; outside of its cube a grid is empty.
-template <class F, class S>
-TR_INLINE Spectrum<F> eval_extinction(const SceneView<S> &scene, const Wavelengths<F> &waves, const MediumInfo &medium,
-                                      const Vec3<F> &p, const MaskOf<F> &active) {
-    Spectrum<F> r = eval_volume(scene, scene.values, waves, medium.extinction, p, active);
-    r = r * F(scene.values.constants[medium.scale]);
-    if (!(medium.flags & IsGrid)) return r;
-    return select(inside_grid(scene, medium, p), r, uniform_spectrum(F(0)));
-}
-
 }  // namespace tr

@@ -14,15 +14,6 @@ TR_INLINE Vec3<F> to_volume(const SceneView<S> &scene, int32_t volume, const Vec
     return transform_point(scene.volume_to_local + 12 * volume, p);
 }
 
-// Whether one number stands for all channels.
-template <class S>
-TR_INLINE bool volume_is_grey(const SceneView<S> &scene, int32_t volume) {
-    const Record &record = scene.volumes[volume];
-    if (record.kind == int32_t(VolumeKind::Grid))
-        return scene.values.tensors[record.field[GridVolume::Data]].shape[2] == 1;
-    return record.field[Record::Extra] != 0;
-}
-
 // The weighted sum of voxels. A grey grid with its neighbours next to each other is read two voxels at a time.
 template <class F, class S>
 TR_INLINE Spectrum<F> gather_voxels(const TensorView<S> &grid, const Wavelengths<F> &waves, const Footprint<F, 8> &at,
