@@ -1,5 +1,5 @@
 // The functions of one BSDF model by themselves, at points whose parameters are given instead of looked up in a scene:
-// what `torchrender.native_bsdf` is made of.
+// what `tr.native_bsdf` is made of.
 #pragma once
 
 #include <pybind11/pybind11.h>

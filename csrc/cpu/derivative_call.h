@@ -57,6 +57,7 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
     }
     needs.lookups = requires_.bsdfs_vary();
     for (size_t i = 0; i < count("emitter"); ++i) needs.emitter |= requires_.values("emitter", i);
+    needs.black_light = needs.emitter || (needs.geometry && requires_.emitters_vary());
     for (size_t i = 0; i < layout.shapes.size(); ++i) d.shapes.push_back(requires_.shape(i));
     d.geometry_sizes = requires_.geometry_sizes();
     d.matrices = uint32_t(data.n_constants());

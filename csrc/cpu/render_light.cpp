@@ -193,7 +193,7 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     {
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = schedule_of_light(call);
-        const size_t capacity = derivative ? 512 : 1024;
+        const size_t capacity = 512;
         // Enough for many threads, but few enough that adding up films is less work than tracing; not a matter of the
         // crop, whose pixels are to be those of the whole bit for bit.
         const size_t fitting = std::min<size_t>(64, std::max<size_t>(16, size_t(call.spp) / 4));

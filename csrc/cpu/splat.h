@@ -2,6 +2,7 @@
 // with sums of its own.
 #pragma once
 
+#include <cstring>
 #include <vector>
 
 #include "film.h"
@@ -63,6 +64,7 @@ class SplatFilm {
 public:
     static constexpr int Stride = 4;  // a power of two; at least the components of a spectrum
     typedef T Vector __attribute__((vector_size(Stride * sizeof(T))));
+    typedef T Four __attribute__((vector_size(4 * Stride * sizeof(T))));  // of them
 
     explicit SplatFilm(const Rect &rect)
         : rect_(rect), sum_(size_t(std::max(0, rect.height())) * size_t(std::max(0, rect.width())), Texel{}) {}
@@ -76,14 +78,29 @@ public:
     }
     const Vector &number(size_t i) const { return sum_[i].v; }
 
-    // Adds `value` at lane i of two axes.
+    // Adds `value` at lane i of two axes. Most of light tracing's time on the film goes here, hence four pixels at
+    // once.
     template <class F>
     void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const Vector &value) {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        for (int k = v.begin; k < v.end; ++k) {
-            Texel *row = row_at(y.first[i] + k, x.first[i]);
-            Vector by = value * T(y.weight[k][i]);
-            for (int j = h.begin; j < h.end; ++j) row[j].v += by * T(x.weight[j][i]);
+        int j = h.begin;
+        const T a = value[0], b = value[1], c = value[2], d = value[3];
+        const Four four{a, b, c, d, a, b, c, d, a, b, c, d, a, b, c, d};
+        for (; j + 4 <= h.end; j += 4) {
+            const T w0 = x.weight[j][i], w1 = x.weight[j + 1][i], w2 = x.weight[j + 2][i], w3 = x.weight[j + 3][i];
+            const Four weight{w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, w3, w3, w3, w3};
+            for (int k = v.begin; k < v.end; ++k) {
+                T *to = reinterpret_cast<T *>(row_at(y.first[i] + k, x.first[i] + j));
+                Four sum;
+                std::memcpy(&sum, to, sizeof(sum));
+                sum += four * T(y.weight[k][i]) * weight;
+                std::memcpy(to, &sum, sizeof(sum));
+            }
+        }
+        for (; j < h.end; ++j) {
+            const T weight = x.weight[j][i];
+            for (int k = v.begin; k < v.end; ++k)
+                row_at(y.first[i] + k, x.first[i])[j].v += value * T(y.weight[k][i]) * weight;
         }
     }
     // The derivative of it when the place moves.

@@ -34,6 +34,11 @@ void keep_entries(Queue &queue, Keep &&keep) {
     uint32_t kept = 0;
     for (uint32_t i = 0; i < queue.n; i += W) {
         const MaskOf<F> wanted = keep(i) && mask<F>(UIntOf<F>(i) + lane_index<F>() < UIntOf<F>(queue.n));
+        const uint32_t n = uint32_t(count(wanted));
+        if (kept == i && n == W) {  // they stand where they belong
+            kept += W;
+            continue;
+        }
         queue.for_arrays([&](auto *array) {
             if constexpr (std::is_same_v<decltype(array), S *>)
                 store_compressed<F>(array + kept, load<F>(array + i), wanted);
@@ -41,7 +46,7 @@ void keep_entries(Queue &queue, Keep &&keep) {
                 store_compressed<F>(reinterpret_cast<uint32_t *>(array) + kept,
                                     load_uint<F>(reinterpret_cast<uint32_t *>(array) + i), wanted);
         });
-        kept += uint32_t(count(wanted));
+        kept += n;
     }
     queue.n = kept;
 }

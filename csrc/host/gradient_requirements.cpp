@@ -100,16 +100,29 @@ bool GradientRequirements::motion(size_t sensor) const {
     return false;
 }
 
-bool GradientRequirements::bsdfs_vary() const {
-    const int32_t constant = kind_of_model<ConstantTexture>(Textures{});
-    for (const Record &record : layout_.records.at("bsdf")) {
-        const Model &model = model_of("bsdf", record);
-        for (int f = 0; f < model.n_fields; ++f)
-            if ((model.fields[f].kind == Kind::Texture || model.fields[f].kind == Kind::Scalar) &&
-                layout_.records.at("texture")[size_t(record.field[f])].kind != constant)
-                return true;
+bool GradientRequirements::lookups_vary(const char *category) const {
+    const int32_t constant = kind_of_model<ConstantTexture>(Textures{}), bitmap = kind_of_model<Bitmap>(Textures{});
+    for (const Record &record : layout_.records.at(category)) {
+        const Model &model = model_of(category, record);
+        for (int f = 0; f < model.n_fields; ++f) {
+            if (model.fields[f].kind != Kind::Texture && model.fields[f].kind != Kind::Scalar) continue;
+            const Record &texture = layout_.records.at("texture")[size_t(record.field[f])];
+            const bool nearest = texture.kind == bitmap && texture.field[Bitmap::Filter] == 1;
+            if (texture.kind != constant && !nearest) return true;
+        }
     }
     return false;
+}
+
+bool GradientRequirements::bsdfs_vary() const { return lookups_vary("bsdf"); }
+
+bool GradientRequirements::emitters_vary() const {
+    for (const Record &record : layout_.records.at("emitter")) {
+        const Model &model = model_of("emitter", record);
+        for (int f = 0; f < model.n_fields; ++f)
+            if (model.fields[f].kind == Kind::Tensor || model.fields[f].kind == Kind::Transform) return true;
+    }
+    return lookups_vary("emitter");
 }
 
 GeometrySizes GradientRequirements::geometry_sizes() const {

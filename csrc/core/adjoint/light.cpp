@@ -166,12 +166,13 @@ TR_LARGE void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf
     if (!any(lit)) return;
     const auto &o = sensor.camera.origin;
     Vec3<F> origin{F(o.x), F(o.y), F(o.z)}, zero{F(0), F(0), F(0)}, origin_bar = zero;
-    auto on_shape = lit && emitters_with<F>(e.kind, IsOnShape);
+    const EmitterFlags<F> flags(scene, e.kind);
+    auto on_shape = lit && flags.has(IsOnShape);
     if (any(on_shape)) {
         Vec3<F> o_bar = sweep_area(scene, v.light.at, v.p, v.p - origin, seen, HitAdjoint<F>{}, on_shape, sink);
         origin_bar = select(on_shape, o_bar, zero);
     }
-    auto infinite = active && emitters_with<F>(e.kind, IsInfinite);
+    auto infinite = active && flags.has(IsInfinite);
     Vec3<F> p_bar = sweep_camera_connection(scene, sensor, select(infinite, -v.d, v.p), infinite, zero, seen,
                                             e.connection, origin_bar, needs.camera, lit, sink);
     if (any(on_shape)) sweep_position(scene, v.light.at, v.p, p_bar, on_shape, sink);

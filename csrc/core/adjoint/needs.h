@@ -17,6 +17,7 @@ struct GradientNeeds {
     bool camera;
     MediumNeeds medium{};
     bool lookups = true;             // with `geometry`: what BSDFs look up varies over surfaces
+    bool black_light = true;         // light paths that carry nothing may have a derivative
     const int32_t *bsdfs = nullptr;  // by bsdf, whether a parameter of it is differentiated; null if `bsdf` is not set
     TR_HD bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
 };

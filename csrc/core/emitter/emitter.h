@@ -164,14 +164,29 @@ TR_INLINE IntOf<F> emitter_kind(const SceneOf<F> &scene, const IntOf<F> &emitter
     return record_kind<F>(scene.emitters, emitter, active);
 }
 
-// The lanes whose emitters have one of these flags.
+// A field of emitters' records.
 template <class F>
-TR_INLINE MaskOf<F> emitters_with(const IntOf<F> &kind, uint32_t flags) {
-    const EmitterKernels<F> *const tables = &emitter_kernels<F>(0);
-    uint32_t kinds = 0;  // a bit each; the last, of -1, is none
-    for (int k = 0; k < EmitterKinds; ++k) kinds |= tables[k].is(flags) ? 1u << k : 0u;
-    return mask<F>(((UIntOf<F>(kinds) >> (UIntOf<F>(kind) & 31u)) & 1u) != 0u);
+TR_INLINE IntOf<F> emitter_field(const SceneOf<F> &scene, int field, const IntOf<F> &emitter, const MaskOf<F> &active) {
+    if (scene.n_emitters == 1) return IntOf<F>(scene.emitters[0].field[field]);
+    return record_field<F>(scene.emitters, field, emitter, active);
 }
+
+// What the emitters of these kinds are; -1: nothing.
+template <class F>
+struct EmitterFlags {
+    UIntOf<F> flags;
+
+    TR_INLINE EmitterFlags(const SceneOf<F> &scene, const IntOf<F> &kind) : flags(0u) {
+        const EmitterKernels<F> *const tables = &emitter_kernels<F>(0);
+        if (scene.n_emitters == 1) {
+            flags = UIntOf<F>(tables[scene.emitters[0].kind].flags);
+            return;
+        }
+        for (int k = 0; k < EmitterKinds; ++k)
+            flags = select(mask<UIntOf<F>>(mask<F>(kind == k)), UIntOf<F>(tables[k].flags), flags);
+    }
+    TR_INLINE MaskOf<F> has(uint32_t flag) const { return mask<F>((flags & UIntOf<F>(flag)) != UIntOf<F>(0u)); }
+};
 
 // What emitters send from these points; beams are black, since nothing else sees them, unless they are `beams`.
 template <class F>

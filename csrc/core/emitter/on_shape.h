@@ -12,21 +12,21 @@ struct OnShape {
 
     TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
                            const M &lanes, Spectrum<F> &r) {
-        IntOf<F> texture = record_field<F>(scene.emitters, Model::Radiance, point.emitter, lanes);
+        IntOf<F> texture = emitter_field<F>(scene, Model::Radiance, point.emitter, lanes);
         r = select(lanes, eval_texture(scene, waves, texture, point.at, lanes), r);
     }
 
     TR_HD static void vjp(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &, const Spectrum<F> &g,
                           const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &at, Vec3<F> &,
                           GradientSink<F> &sink) {
-        IntOf<F> texture = record_field<F>(scene.emitters, Model::Radiance, point.emitter, lanes);
+        IntOf<F> texture = emitter_field<F>(scene, Model::Radiance, point.emitter, lanes);
         if (needs.emitter) sink.texture(scene, texture, point.at, g, lanes);
         if (needs.geometry) sweep_lookup(scene, texture, point.at, g, lanes, at, sink);
     }
 
 protected:
     TR_HD static UIntOf<F> shape_of(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
-        return UIntOf<F>(record_field<F>(scene.emitters, EmitterShape, emitter, lanes));
+        return UIntOf<F>(emitter_field<F>(scene, EmitterShape, emitter, lanes));
     }
 
     TR_INLINE static void put(const SurfacePoint<F> &from, const M &lanes, SurfacePoint<F> &to) {

@@ -29,12 +29,11 @@ TR_INLINE void push_connection(const PathContext<F> &c, const Vec3<F> &o, const 
 // The light itself, as the camera sees it.
 template <class F>
 TR_INLINE void connect_emitter(const PathContext<F> &c, const Pinhole<ScalarOf<F>> &camera, const EmissionSample<F> &e,
-                               const Spectrum<F> &sent, const MaskOf<F> &infinite, const UIntOf<F> &slot, uint32_t i,
+                               const Spectrum<F> &sent, const EmitterFlags<F> &flags, const UIntOf<F> &slot, uint32_t i,
                                ShadowQueue<ScalarOf<F>> &connections) {
     using S = ScalarOf<F>;
-    auto on_shape = emitters_with<F>(e.kind, IsOnShape) && !emitters_with<F>(e.kind, IsBeam);
-    auto environment = emitters_with<F>(e.kind, IsEnvironment);
-    auto visible = e.active && (on_shape || environment);
+    auto on_shape = flags.has(IsOnShape) && !flags.has(IsBeam), environment = flags.has(IsEnvironment);
+    auto infinite = flags.has(IsInfinite), visible = e.active && (on_shape || environment);
     if (!any(visible)) return;
     Connection<F> to = connect(camera, select(infinite, -e.d, e.p), infinite, visible);
     F cosine = emission_cosine(e, to.d, on_shape, environment);
@@ -83,21 +82,19 @@ TR_LARGE void start_light_paths(const PathContext<F> &c, const LightSensor<Scala
     PacketSamples<F> samples(c, slot, e.active);
     Spectrum<F> sent = eval_emitter(c.scene, samples.wavelengths(c.config), e.point, e.active, true);
     e.active = e.active && finite(c, sent, e.active, "emitter", e.point.emitter);
-    auto infinite = emitters_with<F>(e.kind, IsInfinite), beam = emitters_with<F>(e.kind, IsBeam);
+    if (!c.tape || !c.needs->black_light) e.active = e.active && mask<F>(max_component(sent) > F(0));
+    const EmitterFlags<F> flags(c.scene, e.kind);
     if (c.tape) write_emission(c, i, slot, sent, e);
     if (!c.config.hide_emitters && sensor.meter < 0)
-        connect_emitter(c, sensor.camera, e, sent, infinite, slot, i, connections);
-
-    // a path without light may still have a derivative
-    auto alive = c.tape ? e.active : e.active && mask<F>(max_component(sent) > F(0));
-    if (!any(alive)) return;
-    Vec3<F> o = select(emitters_with<F>(e.kind, IsOnShape), offset_origin(e.p, e.n, e.d), e.p);
+        connect_emitter(c, sensor.camera, e, sent, flags, slot, i, connections);
+    if (!any(e.active)) return;
+    Vec3<F> o = select(flags.has(IsOnShape), offset_origin(e.p, e.n, e.d), e.p);
     // what is glued to the light, moves with it, or comes from infinitely far away: see arrival_of
-    F arrival = select(beam, F(0), select(infinite, F(-1), F(1)));
+    F arrival = select(flags.has(IsBeam), F(0), select(flags.has(IsInfinite), F(-1), F(1)));
     append(out,
            PathState<F>{o, e.d, F(S(INFINITY)), e.p, arrival, sent * e.weight, F(1), uniform_spectrum(F(1)), slot, slot,
                         U(1u)},
-           alive);
+           e.active);
 }
 
 namespace {

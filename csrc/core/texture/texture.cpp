@@ -15,7 +15,10 @@ struct TextureValue {
         result = select(lanes, constant_spectrum<F>(values, waves, offset, lanes), result);
     }
     TR_INLINE void bitmap(const Record &record, const Footprint<F, 4> &at, const Vec2<F> &, const MaskOf<F> &lanes) {
-        footprint(record.field[Bitmap::Data], at, F(1), lanes);
+        if (record.field[Bitmap::Filter] == 1)  // the others have no weight
+            footprint(record.field[Bitmap::Data], Footprint<F, 1>{{at.texel[0]}, {at.weight[0]}}, F(1), lanes);
+        else
+            footprint(record.field[Bitmap::Data], at, F(1), lanes);
     }
     TR_INLINE void attribute(const Record &record, const AttributeInfo &info, const Footprint<F, 3> &at,
                              const MaskOf<F> &lanes) {

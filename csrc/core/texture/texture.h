@@ -38,11 +38,16 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
                          Visitor &visitor, int depth = 0) {
     if (!scene.textured)
         return visitor.constant(record_field<F>(scene.textures, ConstantTexture::Value, id, active), active);
-    RecordLanes<F> record(scene.textures, id, active);
-    auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
-    if (any(constant)) visitor.constant(record.field(ConstantTexture::Value), constant);
-    auto rest = active && !constant;
+    auto rest = active;
     if (!any(rest)) return;
+    const int32_t first = first_lane(id, active);
+    if (any(active && mask<F>(id != first)) || scene.textures[first].kind == int32_t(TextureKind::Constant)) {
+        RecordLanes<F> record(scene.textures, id, active);
+        auto constant = active && mask<F>(record.kind() == int32_t(TextureKind::Constant));
+        if (any(constant)) visitor.constant(record.field(ConstantTexture::Value), constant);
+        rest = active && !constant;
+        if (!any(rest)) return;
+    }
     Vec2<F> uv = lookup_coordinates<F>(scene, at, rest);
     for_each_distinct<F>(id, rest, [&](int32_t i, const MaskOf<F> &lanes) {
         const Record &record = scene.textures[i];
