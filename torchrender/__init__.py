@@ -26,12 +26,10 @@ from .integrators import ParticleTracer as ParticleTracer
 from .integrators import PathTracer as PathTracer
 from .integrators import VolumetricPathTracer as VolumetricPathTracer
 from .integrators import WavefrontPathTracer as WavefrontPathTracer
-from .loaders.colmap import load_colmap as load_colmap
 from .loaders.dict import from_trimesh as from_trimesh
 from .loaders.dict import load_dict as load_dict
 from .loaders.dict import load_file as load_file
 from .loaders.dict import variants as variants
-from .native_bsdf import native_bsdf as native_bsdf
 from .progress import progress as progress
 from .render import Renderer as Renderer
 from .render import render as render
@@ -56,9 +54,11 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
+    from .bsdfs import native_bsdf as native_bsdf
     from .daylight import sky as sky
     from .image import show as show
     from .image import tonemap as tonemap
+    from .loaders.colmap import load_colmap as load_colmap
     from .queries import ray_intersect as ray_intersect
     from .queries import ray_occluded as ray_occluded
 
@@ -73,6 +73,8 @@ _LAZY_NAMES = {
     "ray_intersect": "queries",
     "ray_occluded": "queries",
     "sky": "daylight",
+    "native_bsdf": "bsdfs",
+    "load_colmap": "loaders.colmap",
 }
 
 

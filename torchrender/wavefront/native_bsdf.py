@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import torch
 
-from ..native_bsdf import NativeBSDF, native_bsdf
+from ..bsdfs import NativeBSDF, native_bsdf
 from ..scene.conversion import decode
 from ..scene.declaration import Model
 from .bsdf import Bsdf, BsdfSample, Color
