@@ -16,6 +16,7 @@ from .autograd import reattach as reattach
 from .backends import show_config as show_config
 from .errors import MissingTermWarning as MissingTermWarning
 from .errors import NotDifferentiableError as NotDifferentiableError
+from .errors import RangeWarning as RangeWarning
 from .errors import RenderError as RenderError
 from .errors import SubstitutionWarning as SubstitutionWarning
 from .integrators import AOV as AOV
@@ -56,6 +57,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from ._plugins import *  # noqa: F403
     from .bsdfs import native_bsdf as native_bsdf
     from .daylight import sky as sky
+    from .denoising import denoise as denoise
     from .image import show as show
     from .image import tonemap as tonemap
     from .loaders.colmap import load_colmap as load_colmap
@@ -73,6 +75,7 @@ _LAZY_NAMES = {
     "ray_intersect": "queries",
     "ray_occluded": "queries",
     "sky": "daylight",
+    "denoise": "denoising",
     "native_bsdf": "bsdfs",
     "load_colmap": "loaders.colmap",
 }

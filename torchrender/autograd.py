@@ -15,7 +15,7 @@ from torch.autograd import Function
 
 from . import backends
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
-from .progress import steps
+from .progress import tracked
 from .render_call import RenderCall
 
 STORED_HITS_LIMIT = 1 << 30
@@ -38,7 +38,7 @@ class RenderFunction(UnbatchedFunction):
         all_stats = []
         out = total
         call.kept = call.store_hits(int(STORED_HITS_LIMIT)) if call.keep_hits else None
-        for i, config in enumerate(steps(call.with_hits(call.configs(derivative=False)), "passes")):
+        for i, config in enumerate(tracked(call.with_hits(call.configs(derivative=False)), "image", call.progress)):
             if i == 1:
                 out = {name: torch.empty_like(tensor) for name, tensor in total.items()}
             addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
@@ -98,7 +98,7 @@ class RenderJvpFunction(DerivativeFunction):
         addresses = [0 if t is None else t.data_ptr() for t in dense]
         total = out = torch.empty(call.shape(), dtype=dtype, device="cpu")
         all_stats = []
-        for i, config in enumerate(steps(call.configs(derivative=True), "passes")):
+        for i, config in enumerate(tracked(call.configs(derivative=True), "derivative", call.progress)):
             if i == 1:
                 out = torch.empty_like(out)
             all_stats.append(call.native.call("render_jvp", params, config, addresses, out.data_ptr()))
@@ -123,7 +123,7 @@ class RenderVjpFunction(DerivativeFunction):
         grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
         addresses = [0 if g is None else g.data_ptr() for g in grads]
         all_stats = []
-        for config in steps(call.with_hits(call.configs(derivative=True)), "passes"):
+        for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
             config["adaptive"] = call.adaptive_grad
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)

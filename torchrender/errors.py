@@ -21,6 +21,13 @@ class MissingTermWarning(UserWarning):
     """
 
 
+class RangeWarning(UserWarning):
+    """A parameter has left its physical range while it was optimised; the message says how to keep it inside.
+
+    Given once for each parameter of each scene, in ``render``, whose argument `range` says what is done instead.
+    """
+
+
 class SubstitutionWarning(UserWarning):
     """A part of a scene is not supported and a fallback takes its place, as ``unsupported="substitute"`` asks.
 

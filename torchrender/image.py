@@ -56,6 +56,17 @@ def tonemap(image: torch.Tensor, exposure: float | torch.Tensor = 0.0, *, clip: 
     return out.clamp(0.0, 1.0) if clip else out
 
 
+_FALSE = ((0, 0, 0), (0.16, 0.04, 0.4), (0.55, 0.1, 0.5), (0.9, 0.3, 0.25), (1, 0.7, 0.15), (1, 1, 0.9))
+
+
+def false_colors(values: torch.Tensor) -> torch.Tensor:
+    """Display values (..., 3) for numbers (...) from 0, black, over violet, red and yellow to 1, nearly white."""
+    anchors = values.new_tensor(_FALSE)
+    place = torch.nan_to_num(values, nan=0.0).clamp(0, 1) * (len(anchors) - 1)
+    below = place.long().clamp(max=len(anchors) - 2)
+    return torch.lerp(anchors[below], anchors[below + 1], (place - below)[..., None])
+
+
 def to_bytes(image: torch.Tensor) -> torch.Tensor:
     """Round display values in [0, 1] to ``uint8``; what is not a number becomes 0."""
     return (torch.nan_to_num(image.detach(), nan=0.0).clamp(0, 1) * 255 + 0.5).to(torch.uint8).cpu()
@@ -65,7 +76,8 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
     """Show linear images, several of them side by side.
 
     Args:
-        image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4; or a sequence of them of one height.
+        image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4; a sequence of them of one height; or a batch,
+            (B, H, W, C) or (B, C, H, W). Channels may come first in single images, too.
         exposure: in stops.
 
     Returns:
@@ -77,7 +89,8 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
     """
     from PIL import Image as PILImage
 
-    images = [image] if isinstance(image, torch.Tensor) else list(image)
+    single = isinstance(image, torch.Tensor) and image.dim() != 4
+    images = [image] if single else list(image)
     if not images:
         raise ValueError("image: expected an image or a non-empty sequence of images, got an empty sequence")
     tiles = []
@@ -85,6 +98,8 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
         if not isinstance(tile, torch.Tensor) or tile.dim() not in (2, 3):
             raise TypeError(f"image: expected tensors of shape (H, W, C) or (H, W), got {_describe(tile)}")
         tile = tile.unsqueeze(-1) if tile.dim() == 2 else tile
+        if tile.shape[-1] not in (1, 3, 4) and tile.shape[0] in (1, 3, 4):
+            tile = tile.movedim(0, -1)
         if tile.shape[-1] not in (1, 3, 4):
             raise ValueError(f"image: expected 1, 3 or 4 channels, got shape {tuple(tile.shape)}")
         tile = to_bytes(tonemap(tile.detach().float(), exposure))

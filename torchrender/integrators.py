@@ -5,6 +5,7 @@ They hold settings only; the work is done by the native core.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -12,37 +13,22 @@ import torch
 from torch import nn
 
 from .errors import describe, nearest
-
-
-def _integer(owner: str, name: str, value: Any, minimum: int) -> int:
-    whole = hasattr(value, "__index__") or (isinstance(value, float) and value.is_integer())
-    if isinstance(value, bool) or not whole:
-        raise TypeError(f"{owner}: {name}: expected an integer, got {describe(value)}")
-    value = int(value)
-    if value < minimum:
-        raise ValueError(f"{owner}: {name}: expected at least {minimum}, got {value}")
-    return value
-
-
-def _boolean(owner: str, name: str, value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise TypeError(f"{owner}: {name}: expected True or False, got {describe(value)}")
-    return value
-
+from .settings import boolean, integer, word
 
 EMITTER_SAMPLING = ("weight", "power")
-
-
-def _emitter_sampling(owner: str, value: Any) -> str:
-    if value not in EMITTER_SAMPLING:
-        raise ValueError(f"{owner}: emitter_sampling: expected {' or '.join(EMITTER_SAMPLING)}, got {describe(value)}")
-    return value
 
 
 class Integrator(nn.Module):
     """Base of all integrators. Settings are plain attributes and may be changed between renderings."""
 
     kind = ""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (name.startswith("_") or name in self.__dict__ or hasattr(type(self), name)):
+            known = {n for c in type(self).__mro__[:-1] for n in inspect.signature(c.__init__).parameters} - {"self"}
+            if name not in known and not isinstance(value, nn.Module):
+                raise AttributeError(f"{type(self).__name__} has no setting {name!r}; {nearest(name, known)}")
+        super().__setattr__(name, value)
 
     def config(self) -> dict[str, Any]:
         """The settings as the native core takes them, checked."""
@@ -66,10 +52,10 @@ class _Paths(Integrator):
         name = type(self).__name__
         return {
             "integrator": "path",
-            "max_depth": _integer(name, "max_depth", self.max_depth, -1),
-            "rr_depth": _integer(name, "rr_depth", self.rr_depth, 1),
-            "hide_emitters": _boolean(name, "hide_emitters", self.hide_emitters),
-            "emitter_sampling": _emitter_sampling(name, self.emitter_sampling),
+            "max_depth": integer(name, "max_depth", self.max_depth, -1),
+            "rr_depth": integer(name, "rr_depth", self.rr_depth, 1),
+            "hide_emitters": boolean(name, "hide_emitters", self.hide_emitters),
+            "emitter_sampling": word(name, "emitter_sampling", self.emitter_sampling, EMITTER_SAMPLING),
             "emitter_samples": 1,
             "bsdf_samples": 1,
         }
@@ -180,7 +166,7 @@ class WavefrontPathTracer(_Paths):
         self.config()
 
     def config(self) -> dict[str, Any]:
-        chunk = _integer(type(self).__name__, "chunk", self.chunk, 1)
+        chunk = integer(type(self).__name__, "chunk", self.chunk, 1)
         if self.emitter_sampling != "weight":
             raise ValueError(
                 f"{type(self).__name__}: emitter_sampling: expected 'weight', got {self.emitter_sampling!r}; "
@@ -217,7 +203,7 @@ class DirectIllumination(Integrator):
             raise ValueError(
                 "DirectIllumination: give shading_samples, or emitter_samples and bsdf_samples, but not both"
             )
-        both = 1 if shading_samples is None else _integer("DirectIllumination", "shading_samples", shading_samples, 1)
+        both = 1 if shading_samples is None else integer("DirectIllumination", "shading_samples", shading_samples, 1)
         self.emitter_samples = both if emitter_samples is None else emitter_samples
         self.bsdf_samples = both if bsdf_samples is None else bsdf_samples
         self.hide_emitters = hide_emitters
@@ -225,16 +211,16 @@ class DirectIllumination(Integrator):
         self.config()
 
     def config(self) -> dict[str, Any]:
-        emitter = _integer("DirectIllumination", "emitter_samples", self.emitter_samples, 0)
-        bsdf = _integer("DirectIllumination", "bsdf_samples", self.bsdf_samples, 0)
+        emitter = integer("DirectIllumination", "emitter_samples", self.emitter_samples, 0)
+        bsdf = integer("DirectIllumination", "bsdf_samples", self.bsdf_samples, 0)
         if emitter + bsdf == 0:
             raise ValueError("DirectIllumination: emitter_samples and bsdf_samples are both 0")
         return {
             "integrator": "direct",
             "max_depth": 2,
             "rr_depth": 1 << 20,
-            "hide_emitters": _boolean("DirectIllumination", "hide_emitters", self.hide_emitters),
-            "emitter_sampling": _emitter_sampling("DirectIllumination", self.emitter_sampling),
+            "hide_emitters": boolean("DirectIllumination", "hide_emitters", self.hide_emitters),
+            "emitter_sampling": word("DirectIllumination", "emitter_sampling", self.emitter_sampling, EMITTER_SAMPLING),
             "emitter_samples": emitter,
             "bsdf_samples": bsdf,
         }

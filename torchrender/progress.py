@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .image import in_notebook
@@ -46,3 +46,23 @@ def progress(
 def steps(items: Sequence[T], desc: str) -> Iterable[T]:
     """`items`, in a bar that appears where there are several of them and they take longer than a second."""
     return items if len(items) < 2 else progress(items, desc=desc, leave=False, delay=1.0)
+
+
+def tracked(configs: Sequence[dict[str, Any]], desc: str, shown: bool | None) -> Iterator[dict[str, Any]]:
+    """Settings of the core for each of several passes, with a function that it tells how far it is.
+
+    The bar is `shown`, or not, or with None where somebody is watching and it takes longer than a second.
+    """
+    if shown is False or (shown is None and not watched()):
+        yield from configs
+        return
+    form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
+    options: dict[str, Any] = {"leave": False, "delay": 0.0 if shown else 1.0, "disable": False, "bar_format": form}
+    with progress(total=len(configs), desc=desc, **options) as bar:
+        for i, config in enumerate(configs):
+
+            def report(done: float, before: int = i) -> None:
+                bar.update(before + done - bar.n)
+
+            yield {**config, "progress": report}
+            report(1.0)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, overload
 
 import numpy as np
 import torch
 from torch import nn
 
 from .autograd import RenderFunction
+from .black_pictures import warn_of_black_picture, warn_of_missing_light
 from .compiling import opaque
 from .errors import describe, nearest
 from .functions import refuse_batches
@@ -24,6 +25,7 @@ from .render_arguments import (
     check_words,
     count,
     film_config,
+    film_of_size,
     pixels_inside,
 )
 from .render_call import RenderCall
@@ -36,10 +38,20 @@ from .render_checks import (
     warn_of_beams,
 )
 from .render_sensors import chosen_sensors, layout_with_room
-from .render_types import IntegratorLike, LayoutName, Outputs, PixelsLike, RenderSettings, SamplerName, SensorLike
+from .render_types import (
+    IntegratorLike,
+    LayoutName,
+    Outputs,
+    PixelsLike,
+    RangeMode,
+    RenderSettings,
+    SamplerName,
+    SensorLike,
+)
 from .scene.gather import gather, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
+from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
 from .scene.sensor import default_sampler
 from .seeds import seeds
@@ -68,9 +80,10 @@ def render(
     spp_grad: int | None = None,
     seed_grad: int | torch.Generator | None = None,
     passes: int = 1,
-    params: Mapping[str, torch.Tensor] | None = None,
+    params: Mapping[str, torch.Tensor] | Sequence[Mapping[str, torch.Tensor]] | None = None,
     outputs: Sequence[str] | None = None,
     features: Mapping[str, torch.Tensor] | None = None,
+    size: Sequence[int] | None = None,
     crop: Sequence[int] | None = None,
     pixels: PixelsLike | None = None,
     layout: LayoutName = "hwc",
@@ -78,12 +91,14 @@ def render(
     adaptive_grad: bool = False,
     nan: Literal["drop", "raise"] = "drop",
     sampler: SamplerName | None = None,
+    range: RangeMode = "warn",
+    progress: bool | None = None,
 ) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
 
     Args:
         scene: what to render.
-        sensor: index of a camera of the scene, a camera object, or a list of them (for indices also an integer
+        sensor: index or name of a camera of the scene, a camera object, or a list of them (for indices also an integer
             tensor or array (B,)), whose films have one size.
         integrator: how; None takes the scene's own, else ``PathTracer()``.
         spp: samples a pixel; None takes the camera's own number, else 16.
@@ -92,7 +107,8 @@ def render(
         spp_grad: samples a pixel of the derivative; None takes `spp`.
         seed_grad: seed of the derivative; None takes a hash of `seed`, so that image and derivative are independent.
         passes: number of independent passes, each of `spp` and `spp_grad`, that are averaged in constant memory.
-        params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them.
+        params: tensors, leaves or not, that replace parameters of these names in this call; gradients flow into them. A
+            list of such mappings has one for each sensor of a list.
         outputs: names of what is wanted; a named tuple of tensors comes back. Radiance ``"rgb"`` (H, W, C), coverage
             ``"alpha"`` (H, W), ``"variance"`` (H, W, C) of the values of rgb and ``"second_moment"`` (H, W, C) of its
             samples, which carry no derivative: that of coverage consists of moving silhouettes alone. Of the first
@@ -113,6 +129,8 @@ def render(
             bilinear and repeated, row 0 at v = 0, or for a mesh one row a vertex (V, N), interpolated. Other shapes
             carry zeros. For a decoder that turns features into colours, or for labels; differentiable in the features,
             in geometry and camera.
+        size: (H, W) of the image in place of the film's own, which then has no crop window; the horizontal field of
+            view stays.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
             (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N, but light tracing has
@@ -130,6 +148,10 @@ def render(
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
         sampler: how samples are spread, in image and derivative: ``"independent"``, ``"stratified"`` or ``"sobol"``
             (`tr.SAMPLERS`, see `Sampler`); None takes the camera's own, else independent ones.
+        range: parameters that have left their physical range, such as an albedo that an optimiser has made 1.2:
+            ``"warn"`` with a `RangeWarning`, once for each; ``"raise"`` a ValueError; ``"ignore"``.
+        progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
+            notebook, if it takes longer than a second.
 
     Raises:
         TypeError, ValueError: before any work, naming the argument, what was expected and what came.
@@ -137,14 +159,18 @@ def render(
     """
     if not isinstance(scene, Scene):
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
+    if isinstance(params, Sequence):
+        return _by_view(dict(locals()))
     chosen_integrator = as_integrator(scene, integrator)
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
     stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, Stack) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
-    check_words(layout, nan, sampler)
+    check_words(layout, nan, sampler, range)
     check_kinds_of_derivative(adaptive_grad, correlated)
+    if progress is not None and not isinstance(progress, bool):
+        raise TypeError(f"render: progress: expected True, False or None, got {describe(progress)}")
     passes = count("passes", passes)
     packed = layout_with_room(scene, sensor)
     attributes_of(packed, [n for n in names if n not in PATH_OUTPUTS])
@@ -153,7 +179,7 @@ def render(
         from .features import check_features
 
         shown = check_features(scene, packed, features, names)
-    cameras, batched = chosen_sensors(packed, sensor)
+    cameras, batched = chosen_sensors(packed, sensor, one_size=size is None)
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
@@ -165,7 +191,10 @@ def render(
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
-    tensors = gather(scene, packed, params)
+    tensors = gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params))
+    check_ranges(scene, packed, tensors, range)
+    if shows_radiance:
+        warn_of_missing_light(scene, packed)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
     if light:
@@ -176,15 +205,15 @@ def render(
         check_media(scene, packed, tensors, volumetric)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
-    for index, camera in steps(cameras, "views"):
-        film, own = camera.film, default_sampler(camera)
+    for index, camera in cameras if progress is False else steps(cameras, "views"):
+        film, own = film_of_size(camera.film, size), default_sampler(camera)
         check_sensor(camera, light, names, stack, tensors, packed)
         samples = own.sample_count if spp is None else count("spp", spp)
-        window, size, config = film_config(film, crop)
+        window, shape, config = film_config(film, crop)
         if pixels is not None:
-            chosen = pixels_inside(pixels, size)
+            chosen = pixels_inside(pixels, shape)
             config["pixels"] = (chosen.ctypes.data, len(chosen))
-            size = (len(chosen),)
+            shape = (len(chosen),)
         used = tensors
         if index >= packed.own_sensors:
             used = replace_placeholder(scene, packed, tensors, packed.sensors[index], camera)
@@ -204,7 +233,7 @@ def render(
                 "sampler": own.type if sampler is None else sampler,
                 "sample_offset": 0,
             },
-            size=size,
+            size=shape,
             spp=samples,
             seed=first_seed,
             spp_grad=samples if spp_grad is None else count("spp_grad", spp_grad),
@@ -222,6 +251,7 @@ def render(
             film=film,
             features=shown,
             adaptive_grad=adaptive_grad,
+            progress=progress,
         )
         call.keep_hits = (
             correlated
@@ -241,10 +271,31 @@ def render(
             views.append(_view(scene, call, names, stack, used, functools.partial(traced.apply, used)))
         else:
             views.append(_view(scene, call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
+        if shows_radiance and crop is None and pixels is None:
+            warn_of_black_picture(scene, packed, native, used, camera, views[-1]["rgb"])
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
     return found[0] if outputs is None else collect(names, found)
+
+
+def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
+    """`render` with parameters for each sensor: one after the other, since a view in a batch is that view alone."""
+    sensors, params = settings.pop("sensor"), settings.pop("params")
+    if isinstance(sensors, (torch.Tensor, np.ndarray)):
+        sensors = sensors.tolist()
+    if not isinstance(sensors, (list, tuple)) or len(sensors) != len(params):
+        other = f"{len(sensors)} sensors" if isinstance(sensors, (list, tuple)) else "one sensor"
+        raise ValueError(
+            f"render: params: a list has a mapping for each sensor of a list; got {len(params)} and {other}"
+        )
+    settings["seed"], gradient_seed = seeds(settings["seed"], settings["seed_grad"], settings["correlated"])
+    settings["seed_grad"] = None if settings["correlated"] else gradient_seed
+    scene = settings.pop("scene")
+    found = [render(scene, sensor=[s], params=p, **settings) for s, p in zip(sensors, params, strict=True)]
+    if settings["outputs"] is None:
+        return torch.cat(found)
+    return collect(check_names(settings["outputs"]), [torch.cat(parts) for parts in zip(*found, strict=True)])
 
 
 def _mixes(packed: Layout) -> bool:
@@ -295,20 +346,31 @@ class Renderer(nn.Module, Generic[Result]):
 
     Args:
         scene: a `Scene`; its parameters are this module's.
+        train: patterns of the parameters that require gradients, as of `Scene.train_only`; None leaves them.
         settings: keyword arguments of `render`, each of which a call may override.
     """
 
     @overload
     def __init__(
-        self: Renderer[torch.Tensor], scene: Scene, *, outputs: None = None, **settings: Unpack[RenderSettings]
+        self: Renderer[torch.Tensor],
+        scene: Scene,
+        *,
+        train: str | Sequence[str] | None = None,
+        outputs: None = None,
+        **settings: Unpack[RenderSettings],
     ) -> None: ...
 
     @overload
     def __init__(
-        self: Renderer[Outputs], scene: Scene, *, outputs: Sequence[str], **settings: Unpack[RenderSettings]
+        self: Renderer[Outputs],
+        scene: Scene,
+        *,
+        train: str | Sequence[str] | None = None,
+        outputs: Sequence[str],
+        **settings: Unpack[RenderSettings],
     ) -> None: ...
 
-    def __init__(self, scene: Scene, **settings: Any) -> None:
+    def __init__(self, scene: Scene, *, train: str | Sequence[str] | None = None, **settings: Any) -> None:
         super().__init__()
         if not isinstance(scene, Scene):
             raise TypeError(f"Renderer: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
@@ -323,10 +385,13 @@ class Renderer(nn.Module, Generic[Result]):
         for name in ("spp", "spp_grad", "passes"):
             if settings.get(name) is not None:
                 count(name, settings[name])
-        check_words(settings.get("layout", "hwc"), settings.get("nan", "drop"), settings.get("sampler"))
+        words = {"layout": "hwc", "nan": "drop", "sampler": None, "range": "warn"}
+        check_words(*(settings.get(name, default) for name, default in words.items()))
         check_kinds_of_derivative(settings.get("adaptive_grad", False), settings.get("correlated", False))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
+        if train is not None:
+            scene.train_only(*([train] if isinstance(train, str) else train))
 
     def forward(self, **overrides: Any) -> torch.Tensor | Outputs:
         """Render; keyword arguments are those of `render`."""

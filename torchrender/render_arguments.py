@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,19 +13,23 @@ import torch
 from .errors import describe, nearest
 from .functions import functorch
 from .integrators import DOCUMENTED, TYPES, Integrator, PathTracer, from_dict
+from .scene.camera import film_size
 from .scene.context import Context
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
+from .scene.ranges import MODES as RANGE_MODES
 from .scene.scene import Scene
 
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
 
 
-def check_words(layout: Any, nan: Any, sampler: Any) -> None:
-    """Check `layout`, `nan` and `sampler` of `render`."""
+def check_words(layout: Any, nan: Any, sampler: Any, range: Any) -> None:
+    """Check `layout`, `nan`, `sampler` and `range` of `render`."""
     if layout not in LAYOUTS:
         raise ValueError(f"render: layout: expected one of {', '.join(LAYOUTS)}, got {layout!r}")
     if nan not in ("drop", "raise"):
         raise ValueError(f"render: nan: expected 'drop' or 'raise', got {nan!r}")
+    if range not in RANGE_MODES:
+        raise ValueError(f"render: range: expected one of {', '.join(RANGE_MODES)}, got {range!r}")
     if sampler is not None:
         if not isinstance(sampler, str):
             raise TypeError(f"render: sampler: expected one of {', '.join(SAMPLERS)}, got {describe(sampler)}")
@@ -70,6 +75,14 @@ def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> in
     if not minimum <= value <= maximum:
         raise ValueError(f"render: {name}: expected a number from {minimum} to {maximum}, got {value}")
     return value
+
+
+def film_of_size(film: Film, size: Any) -> Film:
+    """`film` with `size` (H, W) in place of its own; itself if that is None."""
+    if size is None:
+        return film
+    height, width = film_size(size, Context(path=("render", "size")))
+    return replace(film, width=width, height=height, crop=None)
 
 
 def film_config(film: Film, crop: Any) -> tuple[tuple[int, int, int, int], tuple[int, int], dict[str, Any]]:

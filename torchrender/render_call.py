@@ -39,6 +39,7 @@ class RenderCall:
     film: Film
     features: dict[int, torch.Tensor]  # those of the output of this name, by the number of their shape
     adaptive_grad: bool = False
+    progress: bool | None = None  # whether a bar is shown; None: where somebody is watching
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
     kept: torch.Tensor | None = None  # keeps it alive until autograd does

@@ -8,7 +8,7 @@ from typing import Any, SupportsIndex
 import numpy as np
 import torch
 
-from .errors import describe
+from .errors import describe, nearest
 from .scene.packing import Layout
 from .scene.scene import Scene
 from .scene.sensor import IrradianceMeter, Sensor
@@ -22,8 +22,11 @@ def layout_with_room(scene: Scene, sensor: Any) -> Layout:
     return scene.layout()
 
 
-def chosen_sensors(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]], bool]:
-    """Pairs of index and camera; further indices of the packed sensors stand for cameras outside of the scene."""
+def chosen_sensors(packed: Layout, sensor: Any, one_size: bool = True) -> tuple[list[tuple[int, Sensor]], bool]:
+    """Pairs of index and camera; further indices of the packed sensors stand for cameras outside of the scene.
+
+    ValueError for films that have not `one_size`, if they have to have it.
+    """
     if isinstance(sensor, (torch.Tensor, np.ndarray)) and sensor.ndim == 1:
         sensor = sensor.tolist()
     batched = isinstance(sensor, Sequence) and not isinstance(sensor, str)
@@ -31,6 +34,7 @@ def chosen_sensors(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]
     if not chosen:
         raise ValueError("render: sensor: an empty list")
     own = packed.sensors[: packed.own_sensors]
+    names = [path for _, _, path in packed.objects["sensor"][: packed.own_sensors]]
     found: list[tuple[int, Sensor]] = []
     for item in chosen:
         if isinstance(item, Sensor):
@@ -44,8 +48,12 @@ def chosen_sensors(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]
                     index += 1
             found.append((index, item))
             continue
+        if isinstance(item, str):
+            if item not in names:
+                raise ValueError(f"render: sensor: the scene has no camera {item!r}; {nearest(item, names)}")
+            item = names.index(item)
         if isinstance(item, bool) or not isinstance(item, SupportsIndex) or getattr(item, "ndim", 0):
-            raise TypeError(f"render: sensor: expected an index or a camera, got {describe(item)}")
+            raise TypeError(f"render: sensor: expected an index, a name or a camera, got {describe(item)}")
         index = item.__index__()
         if not own:
             raise ValueError(
@@ -55,6 +63,9 @@ def chosen_sensors(packed: Layout, sensor: Any) -> tuple[list[tuple[int, Sensor]
             raise ValueError(f"render: sensor: index {index}, but the scene has {len(own)} cameras")
         found.append((index % len(own), own[index]))
     sizes = {camera.film.window[2:] for _, camera in found}
-    if len(sizes) > 1:
-        raise ValueError(f"render: sensor: films of one size are needed in a list, got {sorted(sizes)} (rows, columns)")
+    if one_size and len(sizes) > 1:
+        raise ValueError(
+            f"render: sensor: films of one size are needed in a list, got {sorted(sizes)} (rows, columns); size=(H, W) "
+            "gives them one, or render them one by one"
+        )
     return found, batched

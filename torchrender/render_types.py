@@ -11,13 +11,14 @@ import torch
 from .integrators import Integrator
 from .scene.sensor import Sensor
 
-SensorLike: TypeAlias = int | Sensor | Sequence[int | Sensor] | torch.Tensor | np.ndarray
-"""Index of a camera of the scene, a camera, a list of them, or an integer tensor or array of indices (B,)."""
+SensorLike: TypeAlias = int | str | Sensor | Sequence[int | str | Sensor] | torch.Tensor | np.ndarray
+"""Index or name of a camera of the scene, a camera, a list of them, or an integer tensor or array of indices (B,)."""
 IntegratorLike: TypeAlias = Integrator | Mapping[str, Any] | str
 """An integrator, the dict that describes one, or the name of its type."""
 PixelsLike: TypeAlias = torch.Tensor | np.ndarray | Sequence[Sequence[int]]
 """Rows and columns (N, 2), integers."""
 LayoutName: TypeAlias = Literal["hwc", "chw", "bhwc", "bchw"]
+RangeMode: TypeAlias = Literal["warn", "raise", "ignore"]
 SamplerName: TypeAlias = Literal["independent", "stratified", "sobol"]
 
 
@@ -31,8 +32,9 @@ class RenderSettings(TypedDict, total=False):
     spp_grad: int | None
     seed_grad: int | torch.Generator | None
     passes: int
-    params: Mapping[str, torch.Tensor] | None
+    params: Mapping[str, torch.Tensor] | Sequence[Mapping[str, torch.Tensor]] | None
     features: Mapping[str, torch.Tensor] | None
+    size: Sequence[int] | None
     crop: Sequence[int] | None
     pixels: PixelsLike | None
     layout: LayoutName
@@ -40,6 +42,8 @@ class RenderSettings(TypedDict, total=False):
     adaptive_grad: bool
     nan: Literal["drop", "raise"]
     sampler: SamplerName | None
+    range: RangeMode
+    progress: bool | None
 
 
 if TYPE_CHECKING:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import torch
 
-from .errors import describe
+from .errors import depth_outside, describe
 
 MASK = (1 << 64) - 1
 # What tells the derivative's seed from the image's.
@@ -38,9 +39,34 @@ def _seed(name: str, value: Any) -> int:
     return value
 
 
+_compared = False
+
+
+def _compare_with_other_ranks(seed: int) -> None:
+    """Warn once if another process of the default group has begun with the same seed."""
+    global _compared
+    distributed = torch.distributed
+    if _compared or not distributed.is_available() or not distributed.is_initialized():
+        return
+    _compared = True
+    if distributed.get_world_size() == 1:
+        return
+    # The group's store, since a collective operation would wait for ranks that do not render.
+    store = distributed.distributed_c10d._get_default_store()
+    if store.add(f"torchrender/seed/{seed}", 1) > 1:
+        warnings.warn(
+            f"render: two processes of the group have the same seed ({seed}): their images have the same noise, which "
+            "averaging gradients does not lessen. Give each its own: torch.manual_seed(rank), or "
+            "seed=step * world_size + rank",
+            UserWarning,
+            stacklevel=depth_outside(),
+        )
+
+
 def seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
     """The seeds of an image and of its derivative, from the arguments of `render`."""
     first = _drawn(None) if seed is None else _seed("seed", seed)
+    _compare_with_other_ranks(first)
     if correlated:
         if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
             raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")

@@ -90,14 +90,14 @@ class Transform:
 
     def transform_points(self, points: Any) -> torch.Tensor:
         """Images of `points` (..., 3), divided by the homogeneous coordinate."""
-        points = torch.as_tensor(points).to(torch.float64)
+        points = torch.as_tensor(plain(points), dtype=torch.float64)
         out = points @ self.matrix[:3, :3].T + self.matrix[:3, 3]
         w = points @ self.matrix[3, :3] + self.matrix[3, 3]
         return out / w[..., None]
 
     def transform_normals(self, normals: Any) -> torch.Tensor:
         """Images of the normals (..., 3), by the inverse transpose, normalised."""
-        normals = torch.as_tensor(normals).to(torch.float64)
+        normals = torch.as_tensor(plain(normals), dtype=torch.float64)
         out = normals @ torch.linalg.inv(self.matrix[:3, :3])
         return torch.nn.functional.normalize(out, dim=-1)
 
@@ -122,7 +122,7 @@ class Transform:
         if not float(length.detach()) > 0:
             raise ValueError("Transform.rotate: the axis has no length")
         x, y, z = axis / length
-        radians = torch.as_tensor(angle, dtype=torch.float64) * (math.pi / 180)
+        radians = torch.as_tensor(plain(angle), dtype=torch.float64) * (math.pi / 180)
         zero = torch.zeros((), dtype=torch.float64)
         # Rodrigues' formula: R = I + sin(a) K + (1 - cos(a)) K^2
         cross = torch.stack([torch.stack([zero, -z, y]), torch.stack([z, zero, -x]), torch.stack([-y, x, zero])])
@@ -182,14 +182,31 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
 
 
 def plain(value: Any) -> Any:
-    """What `torch.as_tensor` takes without a warning, of nested sequences in which tensors may stand."""
+    """What people write for numbers as what `torch.as_tensor` takes, silently.
+
+    Numbers of Python, NumPy and torch, arrays, tensors with and without dimensions, and nested sequences of all these.
+    """
     if isinstance(value, torch.Tensor):
         return value
-    if isinstance(value, Sequence) and not isinstance(value, str):
+    if isinstance(value, Sequence) and not isinstance(value, (str, bytes)):
         parts = [plain(v) for v in value]
         if any(isinstance(p, torch.Tensor) for p in parts):  # numbers among which some may carry gradients
             return torch.stack([torch.as_tensor(p, dtype=torch.float64) for p in parts])
-        return parts
+        return np.stack(parts) if any(isinstance(p, np.ndarray) for p in parts) else parts
     if hasattr(value, "__array__"):
-        return np.array(value, dtype="float64")  # a copy: torch warns about read-only arrays
+        array = np.array(value, dtype="float64")  # a copy: torch warns about read-only arrays
+        return array if array.ndim else array.item()  # NumPy's numbers are arrays, too
     return value
+
+
+def single(value: Any) -> Any:
+    """A number or truth value of NumPy or torch as one of Python; whatever else as it is."""
+    shape = getattr(value, "shape", None)
+    return value.item() if shape is not None and tuple(shape) in ((), (1,)) else value
+
+
+def is_whole(number: Any) -> bool:
+    """Whether what `single` gives is an integer, also one written as a float; booleans are none."""
+    if isinstance(number, bool):
+        return False
+    return hasattr(number, "__index__") or (isinstance(number, float) and number.is_integer())

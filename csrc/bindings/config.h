@@ -31,6 +31,7 @@ struct Config {
     bool by_power;   // emitters are chosen by their power, too
     HitStore *hits;  // may be null
     std::size_t hits_pass;
+    PyObject *progress;  // a function, which the dict holds, or null
 };
 
 inline Rect rect(const py::handle &h) {
@@ -77,23 +78,31 @@ inline Config read_config(const py::dict &d) {
         c.hits = &hits[0].cast<HitStore &>();
         c.hits_pass = hits[1].cast<size_t>();
     }
+    if (d.contains("progress")) c.progress = py::object(d["progress"]).ptr();
     c.adaptive = d.contains("adaptive") && d["adaptive"].cast<bool>();
     c.by_power = d.contains("emitter_sampling") && d["emitter_sampling"].cast<std::string>() == "power";
     return c;
 }
 
-// Asks Python, a few times a second, whether Ctrl-C was pressed. The error stays set in the thread's state.
+// Asks Python, a few times a second, whether Ctrl-C was pressed, and tells `progress`, if there is one, the share that
+// is done. The error stays set in the thread's state.
 class Interruption {
 public:
-    bool operator()() {
+    explicit Interruption(PyObject *progress) : progress_(progress) {}
+    bool operator()(double done) {
         auto now = std::chrono::steady_clock::now();
         if (now - last_ < std::chrono::milliseconds(50)) return false;
         last_ = now;
         py::gil_scoped_acquire acquire;
-        return PyErr_CheckSignals() != 0;
+        if (PyErr_CheckSignals() != 0) return true;
+        if (!progress_) return false;
+        PyObject *result = PyObject_CallFunction(progress_, "d", done);
+        Py_XDECREF(result);
+        return result == nullptr;
     }
 
 private:
+    PyObject *progress_;
     std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 

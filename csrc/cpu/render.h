@@ -30,10 +30,10 @@ struct RenderCall {
     int values;  // numbers of a pixel: red, green and blue, or the first component of the spectrum
     int64_t spp, sample_offset;
     int threads;
-    RayRecord *ray_record = nullptr;        // not null: keeps the rays that are queried
-    StoredHits *keep_hits = nullptr;        // primal: what is hit is kept there
-    const StoredHits *kept_hits = nullptr;  // reverse: what a primal call of the same samples has kept
-    std::function<bool()> interrupted;      // polled by the calling thread; true stops the call
+    RayRecord *ray_record = nullptr;          // not null: keeps the rays that are queried
+    StoredHits *keep_hits = nullptr;          // primal: what is hit is kept there
+    const StoredHits *kept_hits = nullptr;    // reverse: what a primal call of the same samples has kept
+    std::function<bool(double)> interrupted;  // polled by the calling thread with the share that is done; true: stop
 };
 
 // What a derivative needs besides.

@@ -21,11 +21,12 @@ namespace tr {
 enum class Assignment { Dynamic, Interleaved };
 
 // Calls make(thread) on every thread, and what that returns, work(item, stop), for items until none is left. The
-// calling thread, which is one of them, polls for an interruption: stop() asks for it and is called between batches.
+// calling thread, which is one of them, polls for an interruption, telling which share of the items is done: stop()
+// asks for it and is called between batches.
 template <class Make>
-void run_items(size_t n_items, int threads, Assignment assignment, const std::function<bool()> &interrupted,
+void run_items(size_t n_items, int threads, Assignment assignment, const std::function<bool(double)> &interrupted,
                bool &was_interrupted, Make &&make) {
-    std::atomic<size_t> next{0};
+    std::atomic<size_t> next{0}, done{0};
     std::atomic<bool> stop{false};
     std::exception_ptr error;
     std::mutex mutex;
@@ -37,7 +38,7 @@ void run_items(size_t n_items, int threads, Assignment assignment, const std::fu
         stop = true;
     };
     auto poll = [&] {
-        if (!stop && interrupted && interrupted()) {
+        if (!stop && interrupted && interrupted(double(done) / double(n_items))) {
             was_interrupted = true;
             stop = true;
         }
@@ -52,6 +53,7 @@ void run_items(size_t n_items, int threads, Assignment assignment, const std::fu
                     if (thread == 0) poll();
                     return stop.load();
                 });
+                ++done;
             }
         } catch (...) {
             fail();
@@ -256,7 +258,9 @@ std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Til
     OrderedMerge merge(schedule, *film, call.threads);
     const size_t capacity = 1024;
     auto make = [&](int) { return std::make_unique<Batch>(capacity); };
-    run_tiles(schedule.n_items(), call, Assignment::Dynamic, stats, make,
+    RenderCall<ScalarOf<F>> silent = call;  // these are no share of what somebody waits for
+    if (call.interrupted) silent.interrupted = [&](double) { return call.interrupted(0); };
+    run_tiles(schedule.n_items(), silent, Assignment::Dynamic, stats, make,
               [&](Batch &batch, size_t item, int, auto &&stop) {
                   const auto &at = batch.columns;
                   std::vector<FilmBlock> blocks = blocks_of(schedule, item, 0);

@@ -126,7 +126,7 @@ RenderCall<S> make_call(const SceneData<S> &scene, const Settings &s) {
     call.values = scene.layout().channels;
     call.spp = s.spp;
     call.threads = s.threads;
-    call.interrupted = [] { return false; };
+    call.interrupted = [](double) { return false; };
     return call;
 }
 

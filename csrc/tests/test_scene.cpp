@@ -238,7 +238,7 @@ TR_TEST(an_interruption_stops) {
     Settings s;
     s.spp = 1 << 20;
     RenderCall<float> call = make_call(scene, s);
-    call.interrupted = [] { return true; };
+    call.interrupted = [](double) { return true; };
     std::vector<float> image(size_t(s.height * s.width * 3));
     CHECK((render_primal<float>(call, {image.data()}).interrupted));
 }

@@ -254,7 +254,7 @@ TR_TEST(an_exception_on_any_thread_is_the_callers) {
         std::atomic<size_t> done{0};
         auto run = [&] {
             run_items(
-                1 << 20, 4, Assignment::Interleaved, [] { return false; }, interrupted,
+                1 << 20, 4, Assignment::Interleaved, [](double) { return false; }, interrupted,
                 [&](int thread) {
                     return [&, thread](size_t, auto &&) {
                         if (thread == thrower) throw std::runtime_error("of a thread");
@@ -273,7 +273,7 @@ TR_TEST(an_idle_caller_polls) {
     std::atomic<bool> asked{false};
     auto begin = std::chrono::steady_clock::now();
     run_items(
-        2, 2, Assignment::Interleaved, [&] { return asked = true; }, interrupted,
+        2, 2, Assignment::Interleaved, [&](double) { return asked = true; }, interrupted,
         [&](int thread) {
             return [&, thread](size_t, auto &&stop) {
                 if (thread == 1)

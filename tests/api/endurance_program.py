@@ -11,6 +11,7 @@ import signal
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from statistics import median
 
@@ -18,6 +19,8 @@ import torch
 from test_endurance import bumps, make_scene
 
 import torchrender as tr
+
+warnings.simplefilter("ignore", tr.RangeWarning)  # nobody keeps these textures in their range
 
 TEXTURE = "sheet.bsdf.reflectance.data"
 POSITIONS = "sheet.vertex_positions"

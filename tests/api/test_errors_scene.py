@@ -188,12 +188,14 @@ def test_none_counts_as_not_given():
     assert float(tr.load_dict(diffuse(None)).a.bsdf.reflectance.value) == 0.5
 
 
-def test_other_samplers_are_refused_by_name():
+def test_other_samplers_are_replaced_by_the_nearest():
     for kind, related in (("multijitter", "stratified"), ("orthogonal", "stratified"), ("ldsampler", "sobol")):
-        with pytest.raises(ValueError, match=rf"cam.sampler: .*{kind!r} is not supported.*{related!r}; .*independent"):
-            tr.load_dict(camera(sampler={"type": kind}))
-        with pytest.raises(ValueError, match=rf"cam.any: .*{kind!r} is not supported"):
-            tr.load_dict(camera(any={"type": kind}))
+        more = {"orthogonal": {"strength": 2, "jitter": True}, "multijitter": {"jitter": False}}.get(kind, {})
+        for name in ("sampler", "any"):
+            text = rf"cam.{name}: the sampler {kind!r} is not there; {related!r}, the nearest to it"
+            with pytest.warns(tr.SubstitutionWarning, match=text):
+                scene = tr.load_dict(camera(**{name: {"type": kind, "sample_count": 7, **more}}))
+            assert scene.cam.sampler == tr.Sampler(7, related)
 
 
 def test_texels_out_of_range_are_warned_about():

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import inspect
+import re
 import sys
 import time
 import types
@@ -102,27 +103,86 @@ def test_short_renderings_show_no_bar(monkeypatch):
     assert terminal.getvalue() == ""
 
 
-def test_long_renderings_show_a_bar(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
-    bars = []
+@pytest.fixture
+def bars(monkeypatch):
+    """The arguments and final states of the bars that appear, none of which waits before it does."""
+    made = []
     module = sys.modules["torchrender.progress"]
     original = module.progress
-    monkeypatch.setattr(module, "progress", lambda *a, **k: bars.append(k) or original(*a, **{**k, "delay": 0.0}))
-    tr.render(make(), spp=1, passes=3)
-    assert [b["desc"] for b in bars] == ["passes"] and bars[0]["delay"] > 0
-    assert "passes" in terminal.getvalue()
+
+    def quick(*arguments, **options):
+        bar = original(*arguments, **{**options, "delay": 0.0})
+        made.append((options, bar))
+        return bar
+
+    monkeypatch.setattr(module, "progress", quick)
+    return made
+
+
+def test_long_renderings_show_a_bar(monkeypatch, bars):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    scene = make()
+    scene.train_only("red.reflectance.value")
+    image = tr.render(scene, spp=1, passes=3)
+    image.sum().backward()
+    assert [options["desc"] for options, _ in bars] == ["image", "derivative"]
+    assert all(options["delay"] > 0 and bar.n == bar.total == 3 for options, bar in bars)
+    assert "image: " in terminal.getvalue() and "left" in terminal.getvalue()
+
+
+@pytest.mark.parametrize("integrator", ["path", "volpath", "ptracer", "direct"])
+def test_bars_move_within_a_pass(monkeypatch, bars, integrator):
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    seen = []
+
+    def update(bar, n):
+        seen.append(n)
+        bar.n += n
+
+    monkeypatch.setattr(sys.modules["tqdm"].tqdm, "update", update)
+    tr.render(make(), spp=1 << 17, integrator=integrator, seed=0)
+    assert len(seen) > 1 and all(n >= 0 for n in seen) and sum(seen) == pytest.approx(1)
+
+
+def test_bars_by_wish(monkeypatch, bars):
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    tr.render(make(), spp=1, passes=2, progress=False)
+    assert not bars and terminal.getvalue() == ""
+    monkeypatch.setattr(sys, "stderr", pipe := StringIO())
+    tr.render(make(), spp=1, passes=2)
+    assert not bars and pipe.getvalue() == ""
+    tr.Renderer(make(), spp=1, passes=2, progress=True)()
+    assert len(bars) == 1 and "image: " in pipe.getvalue()
+    with pytest.raises(TypeError, match="progress: expected True, False or None, got 1"):
+        tr.render(make(), progress=1)
 
 
 # --------------------------------------------------------------------------------------------------------- summaries
+def table(scene):
+    """The rows of the parameters by name, each with its footnote behind it."""
+    text = repr(scene)
+    notes = {m[1]: " ".join(m[2].split()) for m in re.finditer(r"^  \[(\d+)\] (.*(?:\n      .*)*)", text, re.MULTILINE)}
+    lines = [line for line in text.splitlines() if re.match(r"    \S", line)]
+    return {line.split()[0]: re.sub(r" \[(\d+)\]", lambda m: f": {notes[m[1]]}", line) for line in lines}
+
+
+def test_summary_fits_and_says_what_is_trained():
+    scene = make()
+    assert "No parameter requires a gradient" in repr(scene)
+    assert max(len(line) for line in repr(scene).splitlines()) <= 100
+    scene.train_only("red.*")
+    assert "No parameter requires a gradient" not in repr(scene)
+
+
 def test_summary_says_which_derivatives_there_are():
     scene = make()
     scene.train_only("red.*")
-    rows = {line.split()[0]: line for line in repr(scene).splitlines() if line.startswith("    ")}
-    assert "forward, reverse, requires grad" in rows["red.reflectance.value"]
+    rows = table(scene)
+    assert rows["red.reflectance.value"].endswith("yes, requires grad")
     assert "3" in rows["red.reflectance.value"].split() and "[0.1, 0.6]" in rows["red.reflectance.value"]
-    assert rows["lamp.position"].count("forward, reverse, without ") == 1
-    assert "no derivative (a probability" in rows["sky.sampling_weight"]
-    assert "no derivative" in rows["camera.near_clip"]
+    assert " yes: without " in rows["lamp.position"]
+    assert " none: a probability" in rows["sky.sampling_weight"]
+    assert " none: " in rows["camera.near_clip"]
     # Everything that state_dict holds is listed, except index arrays.
     listed = {n for n, _ in scene.named_parameters()}
     assert listed == set(rows)
@@ -130,7 +190,7 @@ def test_summary_says_which_derivatives_there_are():
 
 def test_summary_agrees_with_what_rendering_does():
     scene = make()
-    rows = {line.split()[0]: line for line in repr(scene).splitlines() if line.startswith("    ")}
+    rows = table(scene)
     for name, parameter in scene.named_parameters():
         refused = False
         parameter.requires_grad_()
@@ -140,7 +200,7 @@ def test_summary_agrees_with_what_rendering_does():
         except tr.NotDifferentiableError:
             refused = True
         parameter.requires_grad_(False)
-        assert refused == ("no derivative" in rows[name]), rows[name]
+        assert refused == (" none: " in rows[name]), rows[name]
 
 
 def test_summaries_are_quick():

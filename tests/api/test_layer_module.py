@@ -70,7 +70,7 @@ def test_state_survives_a_file_and_is_checked():
     with pytest.raises(RuntimeError, match=r"Missing key.*red\.reflectance\.value"):
         make().load_state_dict(state)
     with pytest.raises(RuntimeError, match=r"size mismatch for ball\.bsdf\.reflectance\.data"):
-        make().load_state_dict({TEXELS: torch.zeros(8, 8, 3)}, strict=False)
+        make().load_state_dict({TEXELS: torch.zeros(8, 8, 2)}, strict=False)
 
 
 def test_faces_that_make_no_sense_are_refused():

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch
@@ -135,9 +135,18 @@ def write_parts(
     exr.write_exr(path, {name: _named_channels(path, image, None) for name, image in parts.items()}, half)
 
 
+def writable_image(path: str | os.PathLike[str]) -> Path:
+    """The path, if its folder is there and its ending is that of a format which is written."""
+    path = writable_file(path)
+    ending = path.suffix.lower()
+    if ending not in (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg"):
+        raise ValueError(f"{path}: unknown image format {ending!r}; expected .exr, .hdr, .pfm, .png, .jpg or .jpeg")
+    return path
+
+
 def write_image(
     path: str | os.PathLike[str],
-    image: torch.Tensor | np.ndarray | Mapping[str, torch.Tensor],
+    image: torch.Tensor | np.ndarray | Mapping[str, torch.Tensor] | tuple[torch.Tensor, ...],
     *,
     channels: Sequence[str] | None = None,
     half: bool = False,
@@ -151,7 +160,8 @@ def write_image(
         path: ``.exr``, ``.hdr``, ``.pfm``, ``.png``, ``.jpg`` or ``.jpeg``, in an existing folder.
         image: (H, W, C) or (H, W), floating point, top row first. C is 1, 3 or 4 for PNG, 1 or 3 for JPEG and PFM,
             3 for HDR; any number for EXR with ``channels``. For EXR also a mapping from layer names to such images of
-            one size: ``{"": rgb, "depth": z, "normal": n}`` is stored as R, G, B, depth, normal.R, normal.G, normal.B.
+            one size: ``{"": rgb, "depth": z, "normal": n}`` is stored as R, G, B, depth, normal.R, normal.G, normal.B;
+            or what `render` gives for ``outputs=``, whose names then are those of the layers.
         channels: EXR: the name of each channel; by default Y, or R, G, B, or R, G, B, A.
         half: EXR: 16-bit floats, which end at 65504 (larger values become infinite), instead of 32-bit ones.
         bits: PNG: 8 or 16 bits per channel.
@@ -162,22 +172,35 @@ def write_image(
         FileNotFoundError: if there is no such folder.
         TypeError, ValueError: if the image or the format is not one of those above.
     """
-    path = writable_file(path)
+    path = writable_image(path)
     ending = path.suffix.lower()
-    if ending not in (".exr", ".hdr", ".pfm", ".png", ".jpg", ".jpeg"):
-        raise ValueError(f"{path}: unknown image format {ending!r}; expected .exr, .hdr, .pfm, .png, .jpg or .jpeg")
     if ending == ".exr":
         exr.write_exr(path, {"": _named_channels(path, image, channels)}, half)
         return
-    if channels is not None or isinstance(image, Mapping):
+    if channels is not None or isinstance(image, (Mapping, tuple)):
         raise ValueError(f"{path}: only EXR files have named channels")
-    pixels = _pixels("image", image)
+    pixels = _pixels("image", cast("torch.Tensor", image))
+    if pixels.shape[-1] not in _DEFAULT_NAMES and (advice := _advice(pixels)):
+        raise ValueError(f"image: expected shape (H, W, C), got {pixels.shape}{advice}")
     if ending == ".hdr":
         hdr.write_hdr(path, pixels)
     elif ending == ".pfm":
         pfm.write_pfm(path, pixels)
     else:
         _write_integers(path, pixels, ending, bits, raw, quality)
+
+
+def _advice(tensor: torch.Tensor | np.ndarray) -> str:
+    """For layouts of images that people have elsewhere."""
+    few, shape = (1, 2, 3, 4), tuple(tensor.shape)
+    if len(shape) == 3 and shape[0] in few and shape[1] > 4 and shape[2] > 4:
+        return ", which looks like (C, H, W): use image.movedim(0, -1)"
+    if len(shape) == 4:
+        channels_first = shape[1] in few and shape[3] not in few
+        return ", which is a batch: write one image at a time, " + (
+            "image[i].movedim(0, -1)" if channels_first else "image[i]"
+        )
+    return ""
 
 
 def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
@@ -187,13 +210,26 @@ def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
         got = f"dtype {tensor.dtype}" if tensor is not None else type(image).__name__
         raise TypeError(f"{what}: expected a floating-point tensor (H, W, C), got {got}")
     if tensor.dim() not in (2, 3) or 0 in tensor.shape:
-        raise ValueError(f"{what}: expected shape (H, W, C) or (H, W) without zeros, got {tuple(tensor.shape)}")
+        raise ValueError(
+            f"{what}: expected shape (H, W, C) or (H, W) without zeros, got {tuple(tensor.shape)}{_advice(tensor)}"
+        )
     tensor = tensor.unsqueeze(-1) if tensor.dim() == 2 else tensor
     return np.ascontiguousarray(tensor.detach().cpu().float().numpy())
 
 
+def _layer(values: torch.Tensor) -> torch.Tensor:
+    """An output as floating-point numbers: identifiers are exact up to 2^24."""
+    return values if values.is_floating_point() else values.float()
+
+
 def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> dict[str, np.ndarray]:
     """Channel name -> (H, W), from an image or from a mapping of layers."""
+    fields = getattr(image, "_fields", None)
+    if fields is not None:  # what `render` gives for several outputs
+        layers = {"" if name == "rgb" else name: _layer(getattr(image, name)) for name in fields}
+        if "" in layers and "alpha" in layers:
+            layers[""] = torch.cat([layers[""], layers.pop("alpha")[..., None]], -1)
+        image = layers
     if isinstance(image, Mapping):
         if channels is not None:
             raise ValueError("channels: expected None with a mapping of layers, whose keys are the names")
@@ -212,7 +248,7 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
     pixels = _pixels("image", image)
     count = pixels.shape[-1]
     if channels is None and count not in _DEFAULT_NAMES:
-        raise ValueError(f"{path}: {count} channels need names: pass channels=(...)")
+        raise ValueError(f"{path}: {count} channels need names: pass channels=(...){_advice(pixels)}")
     names = _DEFAULT_NAMES[count] if channels is None else tuple(channels)
     if len(names) != count or len(set(names)) != count or not all(isinstance(name, str) and name for name in names):
         raise ValueError(f"channels: expected {count} different names, got {names}")
@@ -220,7 +256,7 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
 
 
 def _read_integers(path: Path, head: bytes, raw: bool) -> torch.Tensor:
-    """PNG and JPEG."""
+    """PNG, JPEG, BMP and TGA."""
     interlaced = len(head) > 28 and head[28] != 0
     if png16.bit_depth(head) == 16 and not interlaced:
         values = torch.from_numpy(png16.read_png16(path).astype(np.float32) / np.float32(65535))
@@ -240,7 +276,8 @@ def _read_with_pillow(path: Path) -> np.ndarray:
     from PIL import Image, UnidentifiedImageError
 
     try:
-        with Image.open(path, formats=("PNG", "JPEG")) as picture:
+        formats = ("PNG", "JPEG", "BMP", *(("TGA",) if path.suffix.lower() == ".tga" else ()))  # TGA has no signature
+        with Image.open(path, formats=formats) as picture:
             check_size(path, picture.width * picture.height * len(picture.getbands()), _LARGEST_RATIO)
             if picture.mode == "P":
                 picture = picture.convert("RGBA" if "transparency" in picture.info else "RGB")
@@ -250,7 +287,7 @@ def _read_with_pillow(path: Path) -> np.ndarray:
                 raise ValueError(f"{path}: pictures of mode {picture.mode!r} are not supported")
             pixels = np.asarray(picture)
     except UnidentifiedImageError:
-        known = "EXR, Radiance HDR, PFM, PNG or JPEG"
+        known = "EXR, Radiance HDR, PFM, PNG, JPEG, BMP or TGA"
         raise ValueError(f"{path}: not a picture that can be read: expected {known}") from None
     except (OSError, SyntaxError, EOFError, Image.DecompressionBombError) as error:
         raise ValueError(f"{path}: the picture is truncated or damaged ({error})") from None

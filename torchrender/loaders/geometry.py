@@ -219,6 +219,11 @@ def load_scene(path: str | os.PathLike[str], trusted: bool = False) -> dict[str,
         return {**_surroundings(path, low.double().numpy(), high.double().numpy()), name: shape}
     import trimesh
 
+    if path.suffix.lower()[1:] not in trimesh.available_formats():
+        raise ValueError(
+            f"{path}: files that end in {path.suffix!r} are not supported; convert it to glTF (.glb), which most "
+            "programs write"
+        )
     with reading(path):  # trimesh's readers raise whatever they stumble over
         if path.suffix.lower() == ".obj":
             return from_trimesh(load_obj(path, trusted), name=str(path))

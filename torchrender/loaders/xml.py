@@ -99,7 +99,7 @@ class _Reader:
         self.expand(root, [name])
         unused = sorted(set(self.given) - self.used)
         if unused:
-            raise ValueError(f"{name}: the scene has no parameter ${unused[0]}; {nearest(unused[0], self.params)}")
+            raise ValueError(f"{name}: the scene has no parameter ${unused[0]}; {nearest(unused[0], self.used)}")
         self.collect_ids(root)
         return self.scene(root) if root.tag == "scene" else self.object(root)
 

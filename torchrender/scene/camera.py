@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -11,70 +10,16 @@ import torch
 from ..errors import describe
 from ..transform import Transform, as_matrix, on_cpu
 from . import values
+from .camera_batches import batched
 from .camera_rays import Rays, distorted_rays, perspective_rays
 from .context import Context
+from .field_of_view import FOV_AXES, FRAME_DIAGONAL, along_x, scale_tangent, take_fov
 from .film import Film, ReconstructionFilter
 from .registry import register
 from .sensor import Sensor
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-
-FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
-# The diagonal of the 36 mm x 24 mm frame that focal lengths refer to.
-FRAME_DIAGONAL = math.hypot(36.0, 24.0)
-
-
-def x_fov_of(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
-    """Horizontal field of view in degrees from one along another `axis`; `aspect` is width / height."""
-    if axis == "smaller":
-        axis = "y" if aspect > 1 else "x"
-    elif axis == "larger":
-        axis = "x" if aspect > 1 else "y"
-    if axis == "x":
-        return fov
-    half = torch.tan(torch.deg2rad(fov) / 2)
-    half = half * (aspect if axis == "y" else aspect / math.hypot(1.0, aspect))
-    return torch.rad2deg(2 * torch.atan(half))
-
-
-def x_fov_of_angles(fov: torch.Tensor, axis: str, aspect: float) -> torch.Tensor:
-    """The same for a lens whose image grows with the angle."""
-    if axis in ("smaller", "larger"):
-        axis = "x" if (aspect > 1) == (axis == "larger") else "y"
-    return fov * {"x": 1.0, "y": aspect, "diagonal": aspect / math.hypot(1.0, aspect)}[axis]
-
-
-def take_fov(
-    owner: str,
-    properties: dict[str, Any],
-    aspect: float,
-    ctx: Context,
-    most: float = 180.0,
-    of: Callable[[torch.Tensor, str, float], torch.Tensor] = x_fov_of,
-    otherwise: str | None = "50mm",
-) -> None:
-    """Replace `fov` with `fov_axis`, or `focal_length`, in `properties` by `x_fov`.
-
-    `aspect` is width / height; `of` gives the horizontal field of view from one along another axis, which is less than
-    `most`; without any the focal length is `otherwise`.
-    """
-    axis = properties.pop("fov_axis", "x")
-    values.choice(axis, FOV_AXES, ctx.at("fov_axis"))
-    ways = [n for n in ("fov", "focal_length", "x_fov") if n in properties]
-    if len(ways) > 1:
-        ctx.error(f"{owner}: give one of fov, focal_length and x_fov, not {' and '.join(ways)}")
-    if "fov" in properties:
-        given = properties.pop("fov")
-        fov = of(_angle(given, ctx.at("fov"), most), axis, aspect)
-        properties["x_fov"] = values.rounded(fov, given, ctx)
-    elif "x_fov" in properties:
-        _angle(properties["x_fov"], ctx.at("x_fov"), most)
-    elif otherwise is not None:
-        given = properties.pop("focal_length", otherwise)
-        millimetres = _millimetres(given, ctx.at("focal_length"))
-        diagonal = torch.rad2deg(2 * torch.atan(FRAME_DIAGONAL / (2 * millimetres)))
-        properties["x_fov"] = values.rounded(x_fov_of(diagonal, "diagonal", aspect), given, ctx)
 
 
 def check_rigid(owner: str, properties: dict[str, Any], ctx: Context) -> None:
@@ -145,6 +90,46 @@ class Camera(Sensor):
 class LensCamera(Camera):
     """A camera with a field of view: its constructors from what people have, and the way back."""
 
+    most: ClassVar[float] = 180.0  # degrees, above all fields of view
+    scale: ClassVar[Callable[[torch.Tensor, float], torch.Tensor]] = staticmethod(scale_tangent)
+    otherwise: ClassVar[str | None] = "50mm"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        properties = super().prepare(properties, ctx)
+        self.__dict__["_fov_axis"] = properties.get("fov_axis", "x")
+        self._take_fov(properties, ctx, self.otherwise)
+        return properties
+
+    def _aspect(self) -> float:
+        return self.film.width / self.film.height
+
+    def _take_fov(self, properties: dict[str, Any], ctx: Context, otherwise: str | None = None) -> None:
+        take_fov(self.type, properties, self._aspect(), ctx, self.most, type(self).scale, otherwise)
+
+    def _assign_fov(self, **given: Any) -> None:
+        properties, ctx = dict(given), Context(dtype=self._dtype(), path=(type(self).__name__,))
+        self._take_fov(properties, ctx, "50mm" if "focal_length" in given else None)
+        self.x_fov = properties["x_fov"]
+
+    @property
+    def fov_axis(self) -> str:
+        """What `fov` is measured along: the word that the camera was made with."""
+        return self.__dict__["_fov_axis"]
+
+    @fov_axis.setter
+    def fov_axis(self, value: Any) -> None:
+        values.choice(value, FOV_AXES, Context(path=(type(self).__name__, "fov_axis")))
+        self.__dict__["_fov_axis"] = value
+
+    @property
+    def fov(self) -> torch.Tensor:
+        """Field of view in degrees along `fov_axis`; attached to `x_fov`, which assigning sets."""
+        return type(self).scale(self.x_fov, 1 / along_x(self.fov_axis, self._aspect()))
+
+    @fov.setter
+    def fov(self, value: Any) -> None:
+        self._assign_fov(fov=value, fov_axis=self.fov_axis)
+
     @classmethod
     def focal_of(cls, x_fov: torch.Tensor, width: int) -> torch.Tensor:
         """Focal length in pixels of a film of this width."""
@@ -157,6 +142,7 @@ class LensCamera(Camera):
 
     # ------------------------------------------------------------------------------------------- constructors
     @classmethod
+    @batched(origin=1, target=1, up=1, fov=0)
     @on_cpu
     def look_at(
         cls,
@@ -173,7 +159,8 @@ class LensCamera(Camera):
         """A camera at `origin` that looks at `target`.
 
         Args:
-            origin, target, up: (3,) in world space.
+            origin, target, up: (3,) in world space; with a leading dimension (B, 3) of any of them, or of `fov`, a list
+                of B cameras comes back, which `render` takes as `sensor`.
             fov: field of view in degrees along `fov_axis`.
             size: of the film (H, W).
             filter: name of a reconstruction filter, or one.
@@ -185,6 +172,7 @@ class LensCamera(Camera):
         return cls(to_world=matrix, fov=fov, fov_axis=fov_axis, film=film, _context=precision, **properties)
 
     @classmethod
+    @batched(K=2, R=2, t=1)
     @on_cpu
     def from_opencv(
         cls,
@@ -199,6 +187,8 @@ class LensCamera(Camera):
     ) -> Self:
         """A camera in OpenCV's convention: x_camera = R x_world + t, looking along +z with +y down.
 
+        With a leading dimension of `K`, `R` or `t` a list of cameras.
+
         Args:
             K: (3, 3) intrinsics in pixels, without skew. Pixel centres lie at +0.5.
             R: (3, 3) rotation, world to camera.
@@ -212,7 +202,7 @@ class LensCamera(Camera):
         """
         name = f"{cls.__name__}.from_opencv"
         ctx = Context(path=(cls.__name__, "from_opencv"))
-        height, width = _size(size, ctx)
+        height, width = film_size(size, ctx.at("size"))
         intrinsics = as_matrix(K, 3, f"{name}: K")
         rotation = as_matrix(R, 3, f"{name}: R")
         offset = values.vector(t, ctx.at("t")).double()
@@ -239,6 +229,7 @@ class LensCamera(Camera):
         )
 
     @classmethod
+    @batched(camera_to_world=2, fov=0)
     @on_cpu
     def from_opengl(
         cls,
@@ -252,13 +243,15 @@ class LensCamera(Camera):
     ) -> Self:
         """A camera in OpenGL's, Blender's and NeRF's convention: looking along -z with +y up and +x right.
 
+        With a leading dimension of `camera_to_world` or `fov` a list of cameras.
+
         Args:
             camera_to_world: (4, 4) or (3, 4).
             fov: field of view in degrees along `fov_axis`.
             size: of the film (H, W).
         """
         ctx = Context(path=(cls.__name__, "from_opengl"))
-        height, width = _size(size, ctx)
+        height, width = film_size(size, ctx.at("size"))
         matrix = camera_to_world if isinstance(camera_to_world, (torch.Tensor, Transform)) else None
         if matrix is None:
             matrix = values.floating(camera_to_world, Context(dtype=torch.float64, path=ctx.path))
@@ -294,10 +287,15 @@ class ProjectiveCamera(LensCamera):
     def parameter_names(cls) -> list[str]:
         return ["fov", "fov_axis", "focal_length", *super().parameter_names()]
 
-    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        properties = super().prepare(properties, ctx)
-        take_fov(self.type, properties, self.film.width / self.film.height, ctx)
-        return properties
+    @property
+    def focal_length(self) -> torch.Tensor:
+        """In millimetres, of a frame of 36 x 24 mm; attached to `x_fov`. Assigning a number or ``"50mm"`` sets that."""
+        diagonal = scale_tangent(self.x_fov, 1 / along_x("diagonal", self._aspect()))
+        return FRAME_DIAGONAL / (2 * torch.tan(torch.deg2rad(diagonal) / 2))
+
+    @focal_length.setter
+    def focal_length(self, value: Any) -> None:
+        self._assign_fov(focal_length=value)
 
 
 LENS = ("to_world", "x_fov", "principal_point_offset_x", "principal_point_offset_y", "near_clip", "far_clip",
@@ -380,35 +378,16 @@ def _rigid(linear: torch.Tensor, offset: torch.Tensor) -> torch.Tensor:
     return torch.cat([top, torch.tensor([[0.0, 0.0, 0.0, 1.0]], dtype=torch.float64)])
 
 
-def _size(size: Any, ctx: Context) -> tuple[int, int]:
+def film_size(size: Any, ctx: Context) -> tuple[int, int]:
+    """`size` as (height, width)."""
     try:
         height, width = size
     except (TypeError, ValueError):
-        ctx.at("size").error(f"expected (height, width), got {describe(size)}")
-    return values.integer(height, ctx.at("size"), 1), values.integer(width, ctx.at("size"), 1)
+        ctx.error(f"expected (height, width), got {describe(size)}")
+    return values.integer(height, ctx, 1), values.integer(width, ctx, 1)
 
 
 def film_of(size: Any, filter: str | ReconstructionFilter) -> Film:
     """A film of the size (H, W) with this reconstruction filter."""
-    height, width = _size(size, Context(path=("PerspectiveCamera",)))
+    height, width = film_size(size, Context(path=("PerspectiveCamera", "size")))
     return Film(width, height, filter=ReconstructionFilter(filter) if isinstance(filter, str) else filter)
-
-
-def _angle(value: Any, ctx: Context, most: float = 180.0) -> torch.Tensor:
-    angle = values.double(value, ctx)
-    if not 0 < float(angle.detach()) < most:
-        ctx.error(f"expected an angle between 0 and {most:g} degrees, got {float(angle.detach()):g}")
-    return angle
-
-
-def _millimetres(value: Any, ctx: Context) -> torch.Tensor:
-    if isinstance(value, str):
-        text = value.strip()
-        try:
-            value = float(text[:-2] if text.endswith("mm") else text)
-        except ValueError:
-            ctx.error(f"expected a length like '50mm', got {value!r}")
-    length = values.double(value, ctx)
-    if not 0 < float(length.detach()) < float("inf"):
-        ctx.error(f"expected a positive length, got {float(length.detach()):g}")
-    return length

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import torch
 
@@ -17,11 +17,11 @@ from .camera import (
     coefficients,
     film_of,
     precision_of,
-    take_fov,
-    x_fov_of_angles,
 )
+from .camera_batches import batched
 from .camera_rays import Rays, fisheye_rays, orthographic_rays, panorama_rays, thinlens_rays
 from .context import Context
+from .field_of_view import scale_angle
 from .film import ReconstructionFilter
 from .registry import register
 
@@ -90,6 +90,7 @@ class OrthographicCamera(Camera):
     rigid = False
 
     @classmethod
+    @batched(origin=1, target=1, up=1)
     @on_cpu
     def look_at(
         cls,
@@ -145,6 +146,9 @@ class FisheyeCamera(LensCamera):
     """
 
     type = "fisheye"
+    most: ClassVar[float] = 720.0
+    scale: ClassVar[Callable[[torch.Tensor, float], torch.Tensor]] = staticmethod(scale_angle)
+    otherwise: ClassVar[str | None] = None
 
     @classmethod
     def parameter_names(cls) -> list[str]:
@@ -152,7 +156,6 @@ class FisheyeCamera(LensCamera):
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         properties = super().prepare(properties, ctx)
-        take_fov(self.type, properties, self.film.width / self.film.height, ctx, 720.0, x_fov_of_angles, None)
         if properties.get("distortion") is None:
             properties["distortion"] = [0.0] * 4
         return properties
@@ -191,6 +194,7 @@ class PanoramaCamera(Camera):
     type = "panorama"
 
     @classmethod
+    @batched(origin=1, target=1, up=1)
     @on_cpu
     def look_at(
         cls,

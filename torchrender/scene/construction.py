@@ -24,11 +24,9 @@ Lookup: TypeAlias = "Callable[[str, Context], Plugin]"
 
 def construct(plugin: Plugin, properties: dict[str, Any], ctx: Context) -> None:
     """Give a new object its fields, from `properties` under their names in a scene dict."""
-    for name, accepted in plugin.inert.items():
+    for name in plugin.inert:
         if name in properties:
-            value = properties.pop(name)
-            if accepted and value not in accepted:
-                ctx.error(f"{name}={value!r} is not supported by this version; it can be {accepted[0]!r}")
+            check_inert(plugin, name, properties.pop(name), ctx)
     for name in plugin.unsupported:
         if name in properties:
             ctx.error(f"{plugin.type}: the documented parameter {name!r} is not supported by this version")
@@ -52,6 +50,13 @@ def _unaliased(plugin: Plugin, properties: dict[str, Any], ctx: Context) -> dict
         if alias in properties and name in properties:
             ctx.error(f"{plugin.type}: {alias} and {name} are the same parameter; give one of them")
     return {plugin.aliases.get(name, name): value for name, value in properties.items()}
+
+
+def check_inert(plugin: Plugin, name: str, value: Any, ctx: Context) -> None:
+    """ValueError for a value of a documented parameter without effect that would have one elsewhere."""
+    accepted = plugin.inert[name]
+    if accepted and value not in accepted:
+        ctx.error(f"{name}={value!r} is not supported by this version; it can be {accepted[0]!r}")
 
 
 def check_names(plugin: Plugin, properties: Mapping[str, Any], ctx: Context) -> None:
@@ -221,4 +226,6 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
         if values.floating(value, ctx).ndim in (3, 4):
             return registry.build({"type": "gridvolume", "data": value}, ctx, "volume")
         return registry.build({"type": "constvolume", "value": value}, ctx, "volume")
+    if type(value).__module__.partition(".")[0] == "trimesh":
+        ctx.error(f"{describe(value)} becomes a shape by tr.Mesh(vertices=mesh.vertices, faces=mesh.faces)")
     ctx.error(f"expected a {category or 'nested object'} (a dict or a built object), got {describe(value)}")

@@ -112,12 +112,18 @@ class Container(nn.Module):
         return len(self._modules)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if (
-            name in self.__dict__.get("_modules", {}) and not isinstance(getattr(type(self), name, None), property)
-        ) or (isinstance(value, (Plugin, Integrator)) and "_modules" in self.__dict__):
+        modules = self.__dict__.get("_modules")
+        own = name.startswith("_") or name in self.__dict__ or hasattr(type(self), name)
+        if modules is None or (own and not isinstance(value, (Plugin, Integrator))):
+            super().__setattr__(name, value)
+        elif name in modules or isinstance(value, (Plugin, Integrator, Mapping)):
             self[name] = value
         else:
-            super().__setattr__(name, value)
+            known = nearest(name, [*modules, *(n for n, v in vars(type(self)).items() if isinstance(v, property))])
+            raise AttributeError(
+                f"the scene has no object {name!r}, and {describe(value)} is none (a dict with a 'type', or a built "
+                f"object); {known}"
+            )
 
     def __delattr__(self, name: str) -> None:
         super().__delattr__(name)
@@ -129,6 +135,30 @@ class Container(nn.Module):
         except AttributeError:
             modules = self.__dict__.get("_modules", {})
             raise AttributeError(f"the scene has no object {name!r}; {nearest(name, modules)}") from None
+
+
+def with_settings(objects: Mapping[str, Any]) -> dict[str, Any]:
+    """`objects` without films and samplers of the top level that sensors refer to, which get them in their place."""
+    settings: dict[str, str] = {}  # id -> name
+    for name, value in objects.items():
+        if isinstance(value, Mapping) and isinstance(value.get("type"), str) and _is_setting(value["type"]):
+            settings[value.get("id", name)] = name
+    used: set[str] = set()
+
+    def replaced(value: Any) -> Any:
+        if isinstance(value, Mapping) and value.get("type") == "ref" and value.get("id") in settings:
+            used.add(value["id"])
+            return objects[settings[value["id"]]]
+        return value
+
+    if not settings:
+        return dict(objects)
+    found = {n: {k: replaced(v) for k, v in o.items()} if isinstance(o, Mapping) else o for n, o in objects.items()}
+    return {name: value for name, value in found.items() if name not in {settings[i] for i in used}}
+
+
+def _is_setting(kind: str) -> bool:
+    return kind in (*SAMPLERS, *registry.DOCUMENTED["sampler"], *registry.DOCUMENTED["film"])
 
 
 def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | Mapping[str, Any]:

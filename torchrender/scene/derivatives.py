@@ -46,11 +46,11 @@ class Limits:
 COMPLETE = Limits()
 
 
-def describe_derivative(refusal: str, caveat: str) -> str:
-    """One phrase for a table: which modes there are and what they lack, or why there is no derivative."""
+def describe_derivative(refusal: str, caveat: str) -> tuple[str, str]:
+    """For a table: whether there is a derivative, in reverse and forward mode alike, and what is to be said of it."""
     if refusal:
-        return f"no derivative ({refusal})"
-    return "forward, reverse" + (f", without {caveat.partition(':')[0]}" if caveat else "")
+        return "none", refusal
+    return "yes", f"without {caveat.partition(':')[0]}" if caveat else ""
 
 
 def refusal_of(slot: Slot, volumetric: bool) -> str:

@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import torch
 from torch import nn
 
+from ..errors import nearest
 from . import values
+from .construction import check_inert
 from .context import Context, Reference
 from .declaration import Field
 from .structure import structure_changed
@@ -47,6 +49,25 @@ def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
         elif kept is not None and new is not None and not isinstance(value, nn.Parameter):
             new.requires_grad_(kept.requires_grad)
     structure_changed()
+
+
+def assign_word(plugin: Plugin, name: str, value: Any) -> None:
+    """``plugin.name = value`` for what is no field: a word of scene dicts that stands for fields, else an error."""
+    ctx = Context(plugin._color, plugin._dtype(), path=(type(plugin).__name__, name))
+    if name in plugin.inert:
+        check_inert(plugin, name, value, ctx)
+    elif name in plugin.words:
+        with ctx.device:
+            found = plugin.prepare({name: value}, ctx)
+        for field, content in found.items():
+            setattr(plugin, field, content)
+    elif name in plugin.parameter_names():
+        ctx.error(
+            f"{name!r} is read when the object is made; assign {nearest('', plugin.fields()).partition(': ')[2]}, "
+            "or another object in its place"
+        )
+    else:
+        raise AttributeError(f"{type(plugin).__name__} has no parameter {name!r}; {plugin.hint(name)}")
 
 
 def _is_own(plugin: Plugin, field: Field, value: torch.Tensor, ctx: Context) -> bool:

@@ -7,10 +7,11 @@ from typing import Any, ClassVar
 import torch
 
 from . import values
-from .camera import check_rigid, take_fov
+from .camera import check_rigid
 from .construction import check_names, child_of
 from .context import Context
 from .declaration import Field
+from .field_of_view import take_fov
 from .plugin import Plugin
 from .registry import register
 from .textures import load_texels
@@ -28,7 +29,7 @@ class EnvironmentMap(Plugin):
     """
 
     category, type = "emitter", "envmap"
-    unsupported: ClassVar[tuple[str, ...]] = ()
+    words: ClassVar[tuple[str, ...]] = ("filename", "bitmap")
 
     @classmethod
     def parameter_names(cls) -> list[str]:
@@ -60,6 +61,7 @@ class PointLight(Plugin):
     """
 
     category, type = "emitter", "point"
+    words: ClassVar[tuple[str, ...]] = ("to_world",)
 
     @classmethod
     def parameter_names(cls) -> list[str]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
-from ..errors import describe, nearest
+from ..errors import SubstitutionWarning, depth_outside, describe, nearest
 from . import values
 from .context import Context
 from .registry import DOCUMENTED
@@ -23,8 +24,19 @@ FILTER_PARAMETERS: dict[str, tuple[str, ...]] = {
 SAMPLERS = ("independent", "stratified", "sobol")
 
 
+class Settings:
+    """Base of dataclasses that refuse attributes which they do not have."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in self.__dataclass_fields__:
+            raise AttributeError(f"{type(self).__name__} has no {name!r}; {nearest(name, self.__dataclass_fields__)}")
+        super().__setattr__(name, value)
+
+
 @dataclass
-class ReconstructionFilter:
+class ReconstructionFilter(Settings):
     """How a sample spreads over pixels, a function of the distances along rows and columns.
 
     ``"mitchell"``, ``"catmullrom"`` and ``"lanczos"`` have negative lobes: a pixel next to an edge may be brighter or
@@ -78,7 +90,7 @@ class ReconstructionFilter:
 
 
 @dataclass
-class Film:
+class Film(Settings):
     """Size of the image in pixels, the part of it that is rendered, and the reconstruction filter.
 
     Attributes:
@@ -128,7 +140,7 @@ def check_crop(crop: Any, size: tuple[int, int], ctx: Context) -> tuple[int, int
 
 
 @dataclass
-class Sampler:
+class Sampler(Settings):
     """How the samples of a pixel are spread, and how many there are unless a rendering asks for another number.
 
     Attributes:
@@ -199,7 +211,7 @@ def filter_from(value: Any, ctx: Context) -> ReconstructionFilter:
 
 _FILM_NAMES = (
     "width height file_format pixel_format component_format crop_offset_x crop_offset_y crop_width crop_height "
-    "sample_border compensate rfilter"
+    "sample_border compensate banner rfilter"
 ).split()
 _FORMATS = {
     "file_format": ("openexr", "exr", "rgbe", "pfm"),
@@ -227,8 +239,8 @@ def film_from(value: Any, ctx: Context) -> Film:
             crop[name] = values.integer(content, at, 0)
         elif name == "sample_border":
             film.sample_border = values.boolean(content, at)
-        elif name == "compensate":
-            values.boolean(content, at)  # how sums are rounded while accumulating; here they always are exact enough
+        elif name in ("compensate", "banner"):
+            values.boolean(content, at)  # how sums are rounded, which is exact enough here; a mark in Mitsuba's files
         elif name in _FORMATS:
             values.choice(content, _FORMATS[name], at)
             film.formats[name] = content
@@ -246,12 +258,21 @@ def film_from(value: Any, ctx: Context) -> Film:
 
 
 def sampler_from(value: Any, ctx: Context) -> Sampler:
-    """A sampler from its dict (of a type in SAMPLERS) or an object."""
+    """A sampler from its dict (of a type in SAMPLERS, or one of Mitsuba's related to these) or an object."""
     if isinstance(value, Sampler):
         return value
     if not isinstance(value, Mapping):
         ctx.error(f"expected a sampler, got {describe(value)}")
-    kind = check_sampler(value.get("type"), ctx)
+    kind = value.get("type")
+    if isinstance(kind, str) and kind in _RELATED:
+        warnings.warn(
+            f"{ctx.where}: the sampler {kind!r} is not there; {_RELATED[kind]!r}, the nearest to it, takes its place",
+            SubstitutionWarning,
+            stacklevel=depth_outside(),
+        )
+        value = {k: v for k, v in value.items() if k not in ("jitter", "strength")}
+        kind = _RELATED[kind]
+    kind = check_sampler(kind, ctx)
     accepted = ("sample_count", "seed", "jitter") if kind == "stratified" else ("sample_count", "seed")
     for name in value:
         if name not in (*accepted, "type", "id"):

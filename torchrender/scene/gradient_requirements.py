@@ -95,5 +95,5 @@ def refuse(name: str, reason: str) -> None:
     """NotDifferentiableError for a parameter of this name."""
     raise NotDifferentiableError(
         f"{name}: the image has no derivative with respect to this parameter in this version ({reason}); "
-        "switch its requires_grad off"
+        "switch its requires_grad off, or let scene.train_only(PATTERN, ...) choose among those that have one"
     )

@@ -34,6 +34,7 @@ class HeightField(Shape):
     """
 
     type = "heightfield"
+    words: ClassVar[tuple[str, ...]] = ("filename", "bitmap")
     wrap_mode: ClassVar[str] = "clamp"  # what lies beyond the border, for those who resample the heights
 
     @classmethod

@@ -204,6 +204,7 @@ class Conductor(Plugin):
     """
 
     category, type = "bsdf", "conductor"
+    words: ClassVar[tuple[str, ...]] = ("material",)
 
     @classmethod
     def parameter_names(cls) -> list[str]:

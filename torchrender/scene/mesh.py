@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -43,6 +44,7 @@ class Mesh(Shape):
     """
 
     type = "mesh"
+    aliases: ClassVar[dict[str, str]] = {**Shape.aliases, "vertices": "vertex_positions"}
     renames: ClassVar[dict[str, str]] = {
         **Shape.renames,
         "vertices": "vertex_positions",
@@ -187,6 +189,18 @@ class Mesh(Shape):
             and self.vertex_normals.shape != self.vertex_positions.shape
         ):
             self.refresh_normals()
+
+    def takes_shape(self, name: str, tensor: torch.Tensor, state: Mapping[str, Any], prefix: str) -> bool:
+        """Another topology, if everything that the checkpoint brings goes together."""
+        own = {**self._parameters, **self._buffers}
+        found = {n: state.get(prefix + n, t) for n, t in own.items() if t is not None}
+        n_vertices, faces = found["vertex_positions"].shape[0], found["faces"]
+        fits = faces.ndim == 2 and faces.shape[1:] == (3,) and len(faces) > 0
+        fits = fits and int(faces.min()) >= 0 and int(faces.max()) < n_vertices
+        for n, t in found.items():
+            rows = faces.shape[0] if n.startswith("face") else n_vertices
+            fits = fits and t.ndim == 2 and t.shape == (rows, own[n].shape[1])  # type: ignore[union-attr]
+        return bool(fits)
 
     def _load_from_state_dict(self, *args: Any, **kwargs: Any) -> None:
         computed = self.computed_normals

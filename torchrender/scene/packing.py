@@ -87,6 +87,7 @@ class Layout:
     used: set[int] = field(default_factory=set)  # ids of the modules that an image can depend on
     media: bool = False  # some shape or camera has a medium
     boundaries_seen: bool = False  # the media's boundaries were looked at
+    lights_seen: bool = False  # whether there are lights was looked at
     torch_bsdfs: dict[int, TorchBSDF] = field(default_factory=dict)  # those written in PyTorch, by row
     torch_names: dict[str, TorchBSDF] = field(default_factory=dict)  # the same by each of their paths
 

@@ -10,7 +10,7 @@ The class says what there is to override. How an object is built is in `construc
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar, cast
 
 import torch
@@ -38,6 +38,8 @@ class Plugin(nn.Module):
     aliases: ClassVar[dict[str, str]] = {}  # further names, those of a scene dict -> name in Python
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
+    words: ClassVar[tuple[str, ...]] = ()  # of scene dicts, which `prepare` turns into fields also when assigned
+    open: ClassVar[bool] = False  # whether an object takes attributes of any name, as modules of users do
 
     _references: list[tuple[str | None, Reference]]
     _color: str | None
@@ -158,19 +160,61 @@ class Plugin(nn.Module):
     def _dtype(self) -> torch.dtype | None:
         return next((tensor.dtype for tensor in self.parameters()), None)
 
+    def hint(self, name: str) -> str:
+        """For an error message: what is meant by a name that is no parameter."""
+        return nearest(name, [*self.fields(), *self.parameter_names()])
+
+    def _has_own(self, name: str) -> bool:
+        """Whether modules have an attribute of this name, or this one has got it."""
+        stores = (self.__dict__, self._parameters, self._modules, self._buffers)
+        return name.startswith("_") or hasattr(type(self), name) or any(name in store for store in stores)
+
     def __setattr__(self, name: str, value: Any) -> None:
-        field = None
-        if self.__dict__.get("_built", False) and not isinstance(getattr(type(self), name, None), property):
-            name = self.aliases.get(name, name)
-            field = self.fields().get(name)
-        if field is None:
+        if isinstance(getattr(type(self), name, None), property):
+            object.__setattr__(self, name, value)  # also a parameter, which modules would register
+            return
+        if not self.__dict__.get("_built", False):
+            super().__setattr__(name, value)
+            return
+        name = self.aliases.get(name, name)
+        field = self.fields().get(name)
+        if field is not None:
+            editing.assign(self, name, field, value)
+        elif self.open or self._has_own(name) or isinstance(value, nn.Module):
             super().__setattr__(name, value)
         else:
-            editing.assign(self, name, field, value)
+            editing.assign_word(self, name, value)
 
     def __delattr__(self, name: str) -> None:
         super().__delattr__(name)
         structure_changed()
+
+    def takes_shape(self, name: str, tensor: torch.Tensor, state: Mapping[str, Any], prefix: str) -> bool:
+        """Whether a checkpoint may bring `tensor`, of another shape, for `name`, as an assignment might."""
+        field, own = self.fields().get(name), self._parameters.get(name)
+        if field is None or field.kind != "tensor" or own is None or own.ndim != tensor.ndim or 0 in tensor.shape:
+            return False
+        return own.ndim == 2 or (own.ndim > 2 and tensor.shape[-1] in (1, 1 if self._color == "mono" else 3))
+
+    def _load_from_state_dict(self, state_dict: Mapping[str, Any], prefix: str, *others: Any) -> None:
+        taken = [
+            (name, state_dict[prefix + name])
+            for store in (self._parameters, self._buffers)
+            for name, own in store.items()
+            if own is not None
+            and isinstance(state_dict.get(prefix + name), torch.Tensor)
+            and state_dict[prefix + name].shape != own.shape
+            and self.takes_shape(name, state_dict[prefix + name], state_dict, prefix)
+        ]
+        for name, tensor in taken:
+            own = self._parameters.get(name)
+            if own is None:
+                self._buffers[name] = torch.empty_like(tensor)
+            else:  # which stays the same one, for optimisers
+                own.data, own.grad = own.data.new_empty(tensor.shape), None
+        super()._load_from_state_dict(state_dict, prefix, *others)  # type: ignore[arg-type]
+        if taken:
+            structure_changed()
 
     def __getattr__(self, name: str) -> Any:
         try:

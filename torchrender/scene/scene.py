@@ -17,7 +17,7 @@ from .. import backends
 from ..errors import nearest
 from ..integrators import Integrator
 from .camera import PerspectiveCamera
-from .container import Container
+from .container import Container, with_settings
 from .context import Context
 from .film import Film
 from .native import NativeScene
@@ -60,6 +60,9 @@ class Scene(Container):
     gradients until they are told to.
     """
 
+    statistics: dict[str, Any]
+    warned: set[str]  # what was warned about, which is done once
+
     def __init__(
         self,
         objects: Mapping[str, Any],
@@ -75,13 +78,14 @@ class Scene(Container):
         self._native: NativeScene | None = None
         self._epoch = -1
         self._layout: Layout | None = None
-        self.statistics: dict[str, Any] = {}
-        self.warned: set[str] = set()  # parameters whose incomplete derivative was warned about
+        self.__dict__["statistics"] = {}
+        self.__dict__["warned"] = set()
+        self._watch: Any = None  # of parameters that leave their ranges, see `ranges`
         ctx = self._context(folder)
         camera = PerspectiveCamera(film=Film(1, 1), _context=ctx.at("camera"))
         # Cameras that are no part of the scene are rendered in the place of one of these.
         self._placeholders: dict[tuple[str, ...], Sensor] = {camera.kind(): camera}
-        for name, value in objects.items():
+        for name, value in with_settings(objects).items():
             self._put(name, value, ctx, resolve=False)
         self._resolve(ctx)
 
@@ -220,7 +224,7 @@ class Scene(Container):
 
     def __getstate__(self) -> dict[str, Any]:
         # The native scene is a cache: copies and files go without, and make their own when they render.
-        return {**self.__dict__, "_native": None, "_layout": None, "_epoch": -1, "statistics": {}}
+        return {**self.__dict__, "_native": None, "_watch": None, "_layout": None, "_epoch": -1, "statistics": {}}
 
     def __repr__(self) -> str:
         return summarise(self)

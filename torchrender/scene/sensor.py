@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from ..errors import describe
+from torch.utils.data._utils.collate import default_collate_fn_map
+
 from .context import Context
 from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
 from .plugin import Plugin
@@ -37,6 +38,19 @@ class Sensor(Plugin):
                 sampler = sampler_from(properties.pop(name), ctx.at(name))
         self.__dict__["film"] = film
         self.__dict__["sampler"] = sampler
+
+    def hint(self, name: str) -> str:
+        if name in Film.__dataclass_fields__:
+            return f"it is one of its film: film.{name}"
+        return super().hint(name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        ctx = Context(path=(type(self).__name__, name))
+        if name == "film":
+            value = film_from(value, ctx)
+        elif name == "sampler" and value is not None:
+            value = sampler_from(value, ctx)
+        super().__setattr__(name, value)
 
     def required(self) -> dict[str, Any]:
         """Properties of the least sensor that is packed as this one is."""
@@ -89,12 +103,14 @@ class IrradianceMeter(Sensor):
 def default_sampler(camera: Sensor) -> Sampler:
     """Number and kind of samples when nothing is said: the camera's own, else 16 independent ones.
 
-    TypeError or ValueError for one that an edit has made wrong.
+    ValueError for one that an edit has made wrong.
     """
-    sampler, ctx = camera.sampler, Context(path=("sampler",))
+    sampler = camera.sampler
     if sampler is None:
         return Sampler()
-    if not isinstance(sampler, Sampler):
-        raise TypeError(f"{ctx.where}: expected a Sampler or None, got {describe(sampler)}")
-    sampler.check(ctx)
+    sampler.check(Context(path=("sampler",)))
     return sampler
+
+
+# So that a Dataset may return cameras: a batch of them is a list, which `render` takes.
+default_collate_fn_map[Sensor] = lambda batch, *, collate_fn_map=None: list(batch)

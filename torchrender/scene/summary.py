@@ -1,7 +1,8 @@
-"""``print(scene)``: objects, and each parameter with shape, dtype, range and which derivatives it has."""
+"""``print(scene)``: objects, and each parameter with shape, range and whether it has derivatives and requires them."""
 
 from __future__ import annotations
 
+import textwrap
 from typing import TYPE_CHECKING
 
 import torch
@@ -13,10 +14,12 @@ from .packing import Layout, pack, top_level
 if TYPE_CHECKING:
     from .scene import Scene
 
+WIDTH = 100  # columns
+
 
 def summarise(scene: Scene) -> str:
     """A readable summary of `scene`."""
-    lines = [f"Scene, variant {scene.variant}, {str(scene.dtype).removeprefix('torch.')}, {scene.device}"]
+    lines = [f"Scene, variant {scene.variant}, {_short(scene.dtype)}, {scene.device}"]
     for name, plugin in top_level(scene):
         extra = plugin.extra_repr()
         lines.append(f"  {name}: {plugin.category} {plugin.type}" + (f" ({extra})" if extra else ""))
@@ -24,36 +27,65 @@ def summarise(scene: Scene) -> str:
     if integrator is not None:
         lines.append(f"  integrator: {integrator!r}")
     volumetric = isinstance(integrator, VolumetricPathTracer)
-    rows = []
+    notes: list[str] = []
     layout = pack(scene, ())
+    rows = []
     for slot in layout.slots:
-        tensor = slot.tensor().detach()
-        shape = "x".join(str(n) for n in tensor.shape) or "number"
-        derivative = describe_derivative(refusal_of(slot, volumetric), slot.caveat)
-        if slot.tensor().requires_grad:
-            derivative += ", requires grad"
-        rows.append((slot.name, shape, str(tensor.dtype).removeprefix("torch."), _range(tensor), derivative))
-    rows += _of_torch(layout)
+        tensor = slot.tensor()
+        derivative, note = describe_derivative(refusal_of(slot, volumetric), slot.caveat)
+        if note and note not in notes:
+            notes.append(note)
+        derivative += f" [{notes.index(note) + 1}]" if note else ""
+        rows.append(_row(scene, slot.name, tensor, derivative))
+    rows += _of_torch(scene, layout)
     if rows:
-        widths = [max(len(row[i]) for row in rows) for i in range(4)]
-        lines.append("  parameters:")
-        for row in rows:
-            cells = [cell.ljust(width) for cell, width in zip(row[:4], widths, strict=True)]
-            lines.append("    " + "  ".join([*cells, row[4]]))
+        lines += _table([("parameters:", "", "", "derivative"), *rows])
+    for i, note in enumerate(notes):
+        mark = f"  [{i + 1}] "
+        lines += textwrap.wrap(note, WIDTH, initial_indent=mark, subsequent_indent=" " * len(mark))
+    if rows and not any(row[3].endswith(_WANTED) for row in rows):
+        lines.append("  No parameter requires a gradient: scene.train_only(PATTERN, ...) says which do.")
     return "\n".join(lines)
 
 
-def _of_torch(layout: Layout) -> list[tuple[str, str, str, str, str]]:
+_WANTED = ", requires grad"
+
+
+def _row(scene: Scene, name: str, tensor: torch.Tensor, derivative: str) -> tuple[str, str, str, str]:
+    shape = "x".join(str(n) for n in tensor.shape) or "number"
+    if tensor.dtype != scene.dtype:
+        shape += f" {_short(tensor.dtype)}"
+    return name, shape, _range(tensor.detach()), derivative + (_WANTED if tensor.requires_grad else "")
+
+
+def _table(rows: list[tuple[str, str, str, str]]) -> list[str]:
+    """Lines in columns; a name too long for them has one to itself."""
+    others = [max(len(row[i]) for row in rows) for i in (1, 2)]
+    last = max(len(row[3]) for row in rows)
+    room = max(20, WIDTH - sum(others) - last - 10)
+    widest = min(room, max(len(row[0]) for row in rows))
+    lines = []
+    for n, (name, shape, values, derivative) in enumerate(rows):
+        indent = "  " if n == 0 else "    "
+        if len(name) > widest:
+            lines.append(indent + name)
+            name = ""
+        cells = [name.ljust(widest + 4 - len(indent)), shape.ljust(others[0]), values.ljust(others[1]), derivative]
+        lines.append((indent + "  ".join(cells)).rstrip())
+    return lines
+
+
+def _of_torch(scene: Scene, layout: Layout) -> list[tuple[str, str, str, str]]:
     """Parameters of BSDFs that are written in PyTorch."""
     rows = []
     for row, module in layout.torch_bsdfs.items():
         path = layout.objects["bsdf"][row][2]
-        for name, tensor in module.named_parameters():
-            shape = "x".join(str(n) for n in tensor.shape) or "number"
-            derivative = "by autograd" + (", requires grad" if tensor.requires_grad else "")
-            dtype = str(tensor.dtype).removeprefix("torch.")
-            rows.append((f"{path}.{name}", shape, dtype, _range(tensor.detach()), derivative))
+        rows += [_row(scene, f"{path}.{name}", tensor, "by autograd") for name, tensor in module.named_parameters()]
     return rows
+
+
+def _short(dtype: torch.dtype) -> str:
+    return str(dtype).removeprefix("torch.")
 
 
 def _range(tensor: torch.Tensor) -> str:

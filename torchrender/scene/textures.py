@@ -60,6 +60,7 @@ class Bitmap(Plugin):
 
     category, type = "texture", "bitmap"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "format": ("variant", "auto")}
+    words: ClassVar[tuple[str, ...]] = ("filename", "bitmap")
 
     @classmethod
     def parameter_names(cls) -> list[str]:

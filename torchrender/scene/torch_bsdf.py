@@ -72,6 +72,7 @@ class TorchBSDF(Plugin):
 
     category: ClassVar[str] = "bsdf"
     type: ClassVar[str] = "torch"
+    open: ClassVar[bool] = True
 
     def __init__(self, *, two_sided: bool = False) -> None:
         super().__init__()

@@ -10,7 +10,7 @@ import torch
 from torch.autograd import forward_ad
 
 from ..errors import describe, nearest
-from ..transform import Transform, as_matrix, plain
+from ..transform import Transform, as_matrix, is_whole, plain, single
 from .context import LUMINANCE, Context
 
 
@@ -136,11 +136,10 @@ def voxels(value: Any, ctx: Context) -> torch.Tensor:
 
 def integer(value: Any, ctx: Context, minimum: int | None = None) -> int:
     """An integer; booleans are refused."""
-    if isinstance(value, bool) or not (
-        hasattr(value, "__index__") or (isinstance(value, float) and value.is_integer())
-    ):
+    number = single(value)
+    if not is_whole(number):
         ctx.error(f"expected an integer, got {describe(value)}")
-    result = int(value)
+    result = int(number)
     if minimum is not None and result < minimum:
         ctx.error(f"expected at least {minimum}, got {result}")
     return result
@@ -148,7 +147,7 @@ def integer(value: Any, ctx: Context, minimum: int | None = None) -> int:
 
 def boolean(value: Any, ctx: Context) -> bool:
     """True or False, nothing that merely could be read as one."""
-    if isinstance(value, bool) or type(value).__name__ in ("bool_", "bool"):
+    if isinstance(single(value), bool):
         return bool(value)
     ctx.error(f"expected True or False, got {describe(value)}")
 

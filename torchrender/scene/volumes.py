@@ -55,6 +55,7 @@ class GridVolume(Plugin):
 
     category, type = "volume", "gridvolume"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "raw": (True, False)}
+    words: ClassVar[tuple[str, ...]] = ("filename", "grid")
 
     @classmethod
     def parameter_names(cls) -> list[str]:

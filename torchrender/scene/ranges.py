@@ -1,0 +1,121 @@
+"""Parameters that leave their physical range while they are optimised: looked at in every rendering, cheaply.
+
+Objects are checked when they are built and when something is assigned to them (`validation`). What optimisers write in
+place nobody is told of; here the tensors that changed since the last rendering are compared with their ranges.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from ..errors import RangeWarning, depth_outside
+from ..functions import functorch
+from .declaration import Field
+from .packing import Layout
+from .plugin import Plugin
+
+if TYPE_CHECKING:
+    from .scene import Scene
+
+MODES = ("warn", "raise", "ignore")
+SMALL = 64  # numbers: tensors of at most so many are compared together
+SLACK = 1e-6  # relative to the range: what rounding does to an albedo of 1
+
+
+def ranges_of(plugin: Plugin) -> Iterator[tuple[Plugin, str, Field]]:
+    """Owners and names of the tensors that a field of `plugin` takes its values from, and that field."""
+    for name, field in plugin.fields().items():
+        if plugin._holds(field):
+            yield plugin, name, field
+        elif field.kind in ("texture", "spectrum", "volume"):
+            child = plugin._child(name)
+            if child is not None:
+                yield from ((child, leaf, field) for leaf, _ in child.texels())
+
+
+class RangeWatch:
+    """The ranges of a packed scene's parameters, and which of their values were looked at."""
+
+    def __init__(self, scene: Scene, layout: Layout) -> None:
+        self.layout = layout
+        self.fields: dict[int, list[Field]] = {}
+        for module in scene.modules():
+            if not isinstance(module, Plugin):
+                continue
+            for owner, name, field in ranges_of(module):
+                slot = layout.slot_of.get((id(owner), name))
+                if slot is not None and (field.min is not None or field.max is not None):
+                    self.fields.setdefault(slot, []).append(field)
+        inf = float("inf")
+        self.low = {i: max(-inf if f.min is None else f.min for f in fields) for i, fields in self.fields.items()}
+        self.high = {i: min(inf if f.max is None else f.max for f in fields) for i, fields in self.fields.items()}
+        self.watched = [i for i in self.fields if self.low[i] > -inf or self.high[i] < inf]
+        self.seen: dict[int, tuple[int, int]] = {}
+
+    def changed(self, tensors: list[torch.Tensor]) -> list[int]:
+        """Slots whose values may be others than at the last call."""
+        found = []
+        for i in self.watched:
+            tensor = tensors[i]
+            if functorch.is_functorch_wrapped_tensor(tensor):
+                continue
+            if tensor.is_inference() or not tensor.is_leaf:  # others every time
+                found.append(i)
+                continue
+            key = (tensor.data_ptr(), tensor._version)
+            if self.seen.get(i) != key:
+                self.seen[i] = key
+                found.append(i)
+        return found
+
+    def outside(self, tensors: list[torch.Tensor]) -> Iterator[tuple[str, float, float, float, str]]:
+        """Of changed parameters that are out of range: name, the worst value, the range, the field's name."""
+        changed = self.changed(tensors)
+        small = [i for i in changed if 0 < tensors[i].numel() <= SMALL]
+        suspects: Iterable[int] = [i for i in changed if tensors[i].numel() > SMALL]
+        if small and self._any_outside(small, tensors):
+            suspects = [*suspects, *small]
+        for i in suspects:
+            low, high = (float(x) for x in torch.aminmax(tensors[i].detach()))
+            least, most = self._bounds(i)
+            value = low if low < least else high
+            if not least <= value <= most and abs(value) < float("inf"):  # what is not finite is refused elsewhere
+                yield self.layout.slots[i].name, value, self.low[i], self.high[i], self.fields[i][0].name
+
+    def _bounds(self, i: int) -> tuple[float, float]:
+        size = max(1.0, abs(self.high[i]) if self.high[i] < float("inf") else 1.0)
+        return self.low[i] - SLACK * size, self.high[i] + SLACK * size
+
+    def _any_outside(self, slots: list[int], tensors: list[torch.Tensor]) -> bool:
+        values = torch.cat([tensors[i].detach().reshape(-1) for i in slots])
+        bounds = [self._bounds(i) for i in slots for _ in range(tensors[i].numel())]
+        low, high = values.new_tensor(bounds).T
+        return not bool(((values >= low) & (values <= high)).all())
+
+
+def check_ranges(scene: Scene, layout: Layout, tensors: list[torch.Tensor], mode: str) -> None:
+    """Warn once for each parameter that has left its range, or raise ValueError, as `mode` (one of MODES) says."""
+    if mode == "ignore":
+        return
+    watch: Any = scene.__dict__.get("_watch")
+    if watch is None or watch.layout is not layout:
+        watch = scene.__dict__["_watch"] = RangeWatch(scene, layout)
+    with torch.no_grad():
+        for name, value, low, high, field in watch.outside(tensors):
+            bounds = f"{low:g}, {high:g}" if high < float("inf") else f"min={low:g}"
+            constraint = f"ScaledSigmoid({low:g}, {high:g})" if high < float("inf") else f"Positive({low:g})"
+            text = (
+                f"{name}: {value:.4g} is outside of [{low:g}, {high:g}], the range of {field}. Keep it inside with "
+                f"`parameter.clamp_({bounds})` under torch.no_grad() after every step, or optimise what "
+                f"tr.constraints.{constraint} maps into it (see tr.constraints)"
+            )
+            if mode == "raise":
+                watch.seen.clear()
+                raise ValueError(f"render: {text}")
+            if f"{name}: range" not in scene.warned:
+                scene.warned.add(f"{name}: range")
+                warnings.warn(text, RangeWarning, stacklevel=depth_outside())
