@@ -282,6 +282,9 @@ def render(
 def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
     """`render` with parameters for each sensor: one after the other, since a view in a batch is that view alone."""
     sensors, params = settings.pop("sensor"), settings.pop("params")
+    for mapping in params:
+        if not isinstance(mapping, Mapping):
+            raise TypeError(f"render: params: expected a mapping from names to tensors, got {describe(mapping)}")
     if isinstance(sensors, (torch.Tensor, np.ndarray)):
         sensors = sensors.tolist()
     if not isinstance(sensors, (list, tuple)) or len(sensors) != len(params):

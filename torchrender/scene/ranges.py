@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 MODES = ("warn", "raise", "ignore")
 SMALL = 64  # numbers: tensors of at most so many are compared together
+EAGER, SELDOM = 8, 16  # so many changes are looked at, then one of so many
 SLACK = 1e-6  # relative to the range: what rounding does to an albedo of 1
 
 
@@ -54,27 +55,36 @@ class RangeWatch:
         self.low = {i: max(-inf if f.min is None else f.min for f in fields) for i, fields in self.fields.items()}
         self.high = {i: min(inf if f.max is None else f.max for f in fields) for i, fields in self.fields.items()}
         self.watched = [i for i in self.fields if self.low[i] > -inf or self.high[i] < inf]
-        self.seen: dict[int, tuple[int, int]] = {}
+        self.seen: list[tuple[int, int]] = []
+        self.changes = [0] * len(self.watched)  # how often they have changed
+        self.limits: dict[tuple[int, ...], tuple[torch.Tensor, torch.Tensor]] = {}  # of small ones, by their slots
 
-    def changed(self, tensors: list[torch.Tensor]) -> list[int]:
-        """Slots whose values may be others than at the last call."""
+    def changed(self, tensors: list[torch.Tensor], always: bool) -> list[int]:
+        """Slots to look at: those that may have changed since the last call, after a while only some of the times.
+
+        A step of an optimiser should not wait for a look at all texels.
+        """
+        if always:
+            return [i for i in self.watched if not functorch.is_functorch_wrapped_tensor(tensors[i])]
+        try:
+            state = [(tensor.data_ptr(), tensor._version) for tensor in map(tensors.__getitem__, self.watched)]
+        except RuntimeError:  # within function transforms, in inference mode
+            return []
+        if state == self.seen:
+            return []
+        before = self.seen or [(0, -1)] * len(state)
         found = []
-        for i in self.watched:
-            tensor = tensors[i]
-            if functorch.is_functorch_wrapped_tensor(tensor):
-                continue
-            if tensor.is_inference() or not tensor.is_leaf:  # others every time
-                found.append(i)
-                continue
-            key = (tensor.data_ptr(), tensor._version)
-            if self.seen.get(i) != key:
-                self.seen[i] = key
-                found.append(i)
+        for k, (old, new) in enumerate(zip(before, state, strict=True)):
+            if old != new:
+                self.changes[k] += 1
+                if self.changes[k] < EAGER or self.changes[k] % SELDOM == 0:
+                    found.append(self.watched[k])
+        self.seen = state
         return found
 
-    def outside(self, tensors: list[torch.Tensor]) -> Iterator[tuple[str, float, float, float, str]]:
+    def outside(self, tensors: list[torch.Tensor], always: bool) -> Iterator[tuple[str, float, float, float, str]]:
         """Of changed parameters that are out of range: name, the worst value, the range, the field's name."""
-        changed = self.changed(tensors)
+        changed = self.changed(tensors, always)
         small = [i for i in changed if 0 < tensors[i].numel() <= SMALL]
         suspects: Iterable[int] = [i for i in changed if tensors[i].numel() > SMALL]
         if small and self._any_outside(small, tensors):
@@ -92,9 +102,13 @@ class RangeWatch:
 
     def _any_outside(self, slots: list[int], tensors: list[torch.Tensor]) -> bool:
         values = torch.cat([tensors[i].detach().reshape(-1) for i in slots])
-        bounds = [self._bounds(i) for i in slots for _ in range(tensors[i].numel())]
-        low, high = values.new_tensor(bounds).T
-        return not bool(((values >= low) & (values <= high)).all())
+        key = tuple(slots)
+        if key not in self.limits or self.limits[key][0].shape != values.shape:
+            bounds = [self._bounds(i) for i in slots for _ in range(tensors[i].numel())]
+            low, high = values.new_tensor(bounds).T.contiguous()
+            self.limits[key] = (low, high)
+        low, high = self.limits[key]
+        return not bool(torch.equal(values.clamp(low, high), values))
 
 
 def check_ranges(scene: Scene, layout: Layout, tensors: list[torch.Tensor], mode: str) -> None:
@@ -105,7 +119,7 @@ def check_ranges(scene: Scene, layout: Layout, tensors: list[torch.Tensor], mode
     if watch is None or watch.layout is not layout:
         watch = scene.__dict__["_watch"] = RangeWatch(scene, layout)
     with torch.no_grad():
-        for name, value, low, high, field in watch.outside(tensors):
+        for name, value, low, high, field in watch.outside(tensors, mode == "raise"):
             bounds = f"{low:g}, {high:g}" if high < float("inf") else f"min={low:g}"
             constraint = f"ScaledSigmoid({low:g}, {high:g})" if high < float("inf") else f"Positive({low:g})"
             text = (
@@ -114,7 +128,6 @@ def check_ranges(scene: Scene, layout: Layout, tensors: list[torch.Tensor], mode
                 f"tr.constraints.{constraint} maps into it (see tr.constraints)"
             )
             if mode == "raise":
-                watch.seen.clear()
                 raise ValueError(f"render: {text}")
             if f"{name}: range" not in scene.warned:
                 scene.warned.add(f"{name}: range")
