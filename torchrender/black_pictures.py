@@ -42,7 +42,9 @@ def warn_of_black_picture(
     if "black" in scene.warned:
         return
     scene.warned.add("black")
-    if not packed.objects["emitter"] or not hasattr(camera, "rays") or functorch.is_functorch_wrapped_tensor(image):
+    if packed.media or not packed.objects["emitter"] or not hasattr(camera, "rays"):
+        return  # what is seen within media is more than surfaces
+    if functorch.is_functorch_wrapped_tensor(image):
         return
     with torch.no_grad():
         if bool(image.any()):

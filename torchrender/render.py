@@ -149,7 +149,8 @@ def render(
         sampler: how samples are spread, in image and derivative: ``"independent"``, ``"stratified"`` or ``"sobol"``
             (`tr.SAMPLERS`, see `Sampler`); None takes the camera's own, else independent ones.
         range: parameters that have left their physical range, such as an albedo that an optimiser has made 1.2:
-            ``"warn"`` with a `RangeWarning`, once for each; ``"raise"`` a ValueError; ``"ignore"``.
+            ``"warn"`` with a `RangeWarning`, once for each, which looks at the first few changes of a value and then at
+            one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
 
