@@ -26,10 +26,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     warnings.showwarning = _say_warning
     try:
-        return options.run(options)
+        status = options.run(options)
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         print("torchrender: interrupted", file=sys.stderr)
         return 130
+    except BrokenPipeError:  # whoever read has seen enough, as in `torchrender info FILE | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 141
     except (OSError, ValueError, TypeError, RuntimeError, ImportError) as error:
         if os.environ.get("TORCHRENDER_TRACEBACK"):
             raise
@@ -209,11 +214,12 @@ def _compare(options: argparse.Namespace) -> int:
         "mean of relative squares": float(per_pixel.mean()),
         "PSNR dB": float("inf") if rmse == 0 else float(20 * torch.log10(torch.tensor(peak / rmse))),
     }
+    size = difference.abs().amax(-1)
+    if options.output is not None:
+        io.write_image(options.output, false_colors((size / max(float(size.max()), 1e-30)).float()), raw=True)
     for name, value in rows.items():
         print(f"{name:26}{value:.6g}")
     if options.output is not None:
-        size = difference.abs().amax(-1)
-        io.write_image(options.output, false_colors((size / max(float(size.max()), 1e-30)).float()), raw=True)
         print(f"{options.output}: black is 0, white {float(size.max()):.4g}")
     return 1 if options.limit is not None and not relative <= options.limit else 0
 

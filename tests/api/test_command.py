@@ -144,3 +144,9 @@ def test_python_m_torchrender():
     command = [sys.executable, "-m", "torchrender", "--version"]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout == f"torchrender {tr.__version__}\n"
+
+
+def test_a_reader_that_has_seen_enough():
+    command = f"{sys.executable} -m torchrender info {BOX} | head -n 1"
+    done = subprocess.run(["bash", "-c", f"set -o pipefail; {command}"], capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("Scene, variant rgb") and done.stderr == "" and done.returncode in (0, 141)
