@@ -24,8 +24,6 @@ GRID = 16  # rays along a side of the film that are looked at
 
 def warn_of_missing_light(scene: Container, packed: Layout) -> None:
     """Lights that light nothing because they belong to no shape; and a scene without any."""
-    if packed.lights_seen:
-        return
     packed.lights_seen = True
     for name, module in scene._modules.items():
         if isinstance(module, Plugin) and module.type in ON_SHAPES and id(module) not in packed.used:
@@ -39,8 +37,6 @@ def warn_of_black_picture(
     scene: Container, packed: Layout, native: NativeScene, tensors: list[torch.Tensor], camera: Any, image: torch.Tensor
 ) -> None:
     """Why the first picture of a scene with lights is black, if what the camera meets first tells it."""
-    if "black" in scene.warned:
-        return
     scene.warned.add("black")
     if packed.media or not packed.objects["emitter"] or not hasattr(camera, "rays"):
         return  # what is seen within media is more than surfaces

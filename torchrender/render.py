@@ -12,7 +12,6 @@ import torch
 from torch import nn
 
 from .autograd import RenderFunction
-from .black_pictures import warn_of_black_picture, warn_of_missing_light
 from .compiling import opaque
 from .errors import describe, nearest
 from .functions import refuse_batches
@@ -194,7 +193,9 @@ def render(
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
     tensors = gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params))
     check_ranges(scene, packed, tensors, range)
-    if shows_radiance:
+    if shows_radiance and not packed.lights_seen:
+        from .black_pictures import warn_of_missing_light  # when it is needed: importing the package is to be quick
+
         warn_of_missing_light(scene, packed)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
@@ -272,7 +273,9 @@ def render(
             views.append(_view(scene, call, names, stack, used, functools.partial(traced.apply, used)))
         else:
             views.append(_view(scene, call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
-        if shows_radiance and crop is None and pixels is None:
+        if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
+            from .black_pictures import warn_of_black_picture
+
             warn_of_black_picture(scene, packed, native, used, camera, views[-1]["rgb"])
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
