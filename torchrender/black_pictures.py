@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from .errors import depth_outside
+from .errors import depth_outside, warn_once
 from .functions import functorch
 from .queries import Hits, find_hits
 from .scene.container import Container
@@ -27,17 +27,19 @@ def warn_of_missing_light(scene: Container, packed: Layout) -> None:
     packed.lights_seen = True
     for name, module in scene._modules.items():
         if isinstance(module, Plugin) and module.type in ON_SHAPES and id(module) not in packed.used:
-            _warn_once(scene, f"{name}: this {module.type} light lights nothing, since it is no shape's emitter")
+            text = f"{name}: this {module.type} light lights nothing, since it is no shape's emitter"
+            warn_once(scene.warned, f"{name}: idle", text)
     glows = any(isinstance(m, Medium) and m._child("emission") is not None for m in scene.modules())
     if not packed.objects["emitter"] and not glows:
-        _warn_once(scene, "the scene has no light, so that its picture is black: add one, such as {'type': 'constant'}")
+        text = "the scene has no light, so that its picture is black: add one, such as {'type': 'constant'}"
+        warn_once(scene.warned, "light", text)
 
 
 def warn_of_black_picture(
     scene: Container, packed: Layout, native: NativeScene, tensors: list[torch.Tensor], camera: Any, image: torch.Tensor
 ) -> None:
     """Why the first picture of a scene with lights is black, if what the camera meets first tells it."""
-    scene.warned.add("black")
+    scene.warned.add("black")  # that it was looked at
     if packed.media or not packed.objects["emitter"] or not hasattr(camera, "rays"):
         return  # what is seen within media is more than surfaces
     if functorch.is_functorch_wrapped_tensor(image):
@@ -47,13 +49,7 @@ def warn_of_black_picture(
             return
         reason = _reason(scene, packed, native, [t.detach() for t in tensors], camera)
     if reason:
-        _warn_once(scene, f"the picture is black: {reason}")
-
-
-def _warn_once(scene: Container, text: str) -> None:
-    if text not in scene.warned:
-        scene.warned.add(text)
-        warnings.warn(text, UserWarning, stacklevel=depth_outside())
+        warnings.warn(f"the picture is black: {reason}", UserWarning, stacklevel=depth_outside())
 
 
 def _reason(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import sys
+import warnings
 from collections.abc import Iterable
 
 
@@ -67,3 +68,10 @@ def depth_outside() -> int:
     while frame.f_back is not None and frame.f_globals.get("__name__", "").startswith(("torchrender.", "torch.")):
         frame, depth = frame.f_back, depth + 1
     return depth
+
+
+def warn_once(warned: set[str], key: str, text: str, category: type[Warning] = UserWarning) -> None:
+    """A warning for the caller of this package, if `key` is not among what was `warned` about, which it is then."""
+    if key not in warned:
+        warned.add(key)
+        warnings.warn(text, category, stacklevel=depth_outside())

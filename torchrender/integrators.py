@@ -5,6 +5,7 @@ They hold settings only; the work is done by the native core.
 
 from __future__ import annotations
 
+import functools
 import inspect
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -13,9 +14,15 @@ import torch
 from torch import nn
 
 from .errors import describe, nearest
-from .settings import boolean, integer, word
+from .settings import boolean, integer, is_own, word
 
 EMITTER_SAMPLING = ("weight", "power")
+
+
+@functools.cache
+def _settings(cls: type) -> frozenset[str]:
+    """What the class and its bases are made with."""
+    return frozenset(n for base in cls.__mro__[:-1] for n in inspect.signature(base.__init__).parameters) - {"self"}
 
 
 class Integrator(nn.Module):
@@ -24,10 +31,9 @@ class Integrator(nn.Module):
     kind = ""
 
     def __setattr__(self, name: str, value: Any) -> None:
-        if not (name.startswith("_") or name in self.__dict__ or hasattr(type(self), name)):
-            known = {n for c in type(self).__mro__[:-1] for n in inspect.signature(c.__init__).parameters} - {"self"}
-            if name not in known and not isinstance(value, nn.Module):
-                raise AttributeError(f"{type(self).__name__} has no setting {name!r}; {nearest(name, known)}")
+        if not is_own(self, name) and name not in _settings(type(self)) and not isinstance(value, nn.Module):
+            hint = nearest(name, _settings(type(self)))
+            raise AttributeError(f"{type(self).__name__} has no setting {name!r}; {hint}")
         super().__setattr__(name, value)
 
     def config(self) -> dict[str, Any]:

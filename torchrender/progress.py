@@ -43,9 +43,20 @@ def progress(
     return bar
 
 
-def steps(items: Sequence[T], desc: str) -> Iterable[T]:
-    """`items`, in a bar that appears where there are several of them and they take longer than a second."""
-    return items if len(items) < 2 else progress(items, desc=desc, leave=False, delay=1.0)
+def steps(items: Sequence[T], desc: str, shown: bool | None) -> Iterable[T]:
+    """`items`, if there are several of them in a bar, which is `shown` as that of `tracked`."""
+    if len(items) < 2 or not _wanted(shown):
+        return items
+    return progress(items, desc=desc, leave=False, delay=_delay(shown), disable=False)
+
+
+def _wanted(shown: bool | None) -> bool:
+    return watched() if shown is None else shown
+
+
+def _delay(shown: bool | None) -> float:
+    """Seconds that a rendering takes before a bar appears."""
+    return 0.0 if shown else 1.0
 
 
 def tracked(configs: Sequence[dict[str, Any]], desc: str, shown: bool | None) -> Iterator[dict[str, Any]]:
@@ -53,11 +64,11 @@ def tracked(configs: Sequence[dict[str, Any]], desc: str, shown: bool | None) ->
 
     The bar is `shown`, or not, or with None where somebody is watching and it takes longer than a second.
     """
-    if shown is False or (shown is None and not watched()):
+    if not _wanted(shown):
         yield from configs
         return
     form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
-    options: dict[str, Any] = {"leave": False, "delay": 0.0 if shown else 1.0, "disable": False, "bar_format": form}
+    options: dict[str, Any] = {"leave": False, "delay": _delay(shown), "disable": False, "bar_format": form}
     with progress(total=len(configs), desc=desc, **options) as bar:
         for i, config in enumerate(configs):
 

@@ -207,7 +207,7 @@ def render(
         check_media(scene, packed, tensors, volumetric)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
-    for index, camera in cameras if progress is False else steps(cameras, "views"):
+    for index, camera in steps(cameras, "views", progress):
         film, own = film_of_size(camera.film, size), default_sampler(camera)
         check_sensor(camera, light, names, stack, tensors, packed)
         samples = own.sample_count if spp is None else count("spp", spp)

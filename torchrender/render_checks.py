@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Any
 
 import torch
 
-from .errors import NotDifferentiableError, depth_outside
+from .errors import NotDifferentiableError, warn_once
 from .integrators import Stack, WavefrontPathTracer
 from .scene.boundaries import check_phases, warn_of_open_boundaries
 from .scene.packing import Layout
@@ -21,10 +20,9 @@ def check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volum
     if volumetric:
         check_phases(packed, tensors)
         warn_of_open_boundaries(scene, packed)
-    elif "media" not in scene.warned:
-        scene.warned.add("media")
+    else:
         text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
-        warnings.warn(text, UserWarning, stacklevel=depth_outside())
+        warn_once(scene.warned, "media", text)
 
 
 def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
@@ -103,10 +101,6 @@ def _check_meter(
 
 def warn_of_beams(scene: Scene, packed: Layout) -> None:
     """One UserWarning for a scene whose light comes in beams that paths from the camera do not find."""
-    if "directionalarea" in scene.warned or not any(
-        getattr(module, "type", "") == "directionalarea" and id(module) in packed.used for module in scene.modules()
-    ):
-        return
-    scene.warned.add("directionalarea")
-    text = "the scene has a directionalarea light, whose beams only ParticleTracer ('ptracer') finds"
-    warnings.warn(text, UserWarning, stacklevel=depth_outside())
+    if any(kind == "directionalarea" for kind, _, _ in packed.objects["emitter"]):
+        text = "the scene has a directionalarea light, whose beams only ParticleTracer ('ptracer') finds"
+        warn_once(scene.warned, "directionalarea", text)

@@ -1,4 +1,4 @@
-"""Settings of integrators, checked: errors name their owner, the setting, what was expected and what came."""
+"""Settings that are attributes, checked: errors name their owner, the setting, what was expected and what came."""
 
 from __future__ import annotations
 
@@ -31,3 +31,8 @@ def word(owner: str, name: str, value: Any, known: Sequence[str]) -> str:
     if not isinstance(value, str) or value not in known:
         raise ValueError(f"{owner}: {name}: expected {' or '.join(known)}, got {describe(value)}")
     return value
+
+
+def is_own(owner: object, name: str) -> bool:
+    """Whether an attribute of this name is private, there already, or one that the class has for all."""
+    return name.startswith("_") or name in owner.__dict__ or hasattr(type(owner), name)

@@ -153,6 +153,10 @@ def test_bars_by_wish(monkeypatch, bars):
     assert not bars and pipe.getvalue() == ""
     tr.Renderer(make(), spp=1, passes=2, progress=True)()
     assert len(bars) == 1 and "image: " in pipe.getvalue()
+    for shown in (True, False):
+        monkeypatch.setattr(sys, "stderr", pipe := StringIO())
+        tr.render(make(), spp=1, passes=2, integrator=tr.WavefrontPathTracer(), progress=shown)
+        assert ("passes: " in pipe.getvalue()) == shown
     with pytest.raises(TypeError, match="progress: expected True, False or None, got 1"):
         tr.render(make(), progress=1)
 

@@ -61,3 +61,13 @@ def test_ranges_in_function_transforms():
     function = lambda c: tr.render(scene, spp=1, seed=0, params={name: c}).mean()  # noqa: E731
     gradient = torch.func.grad(function)(torch.full((3,), 0.5))
     assert bool((gradient > 0).all())
+
+
+def test_values_within_textures_are_looked_at():
+    scene = make(ball={"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": {"type": "volume", "volume": 0.5}}})
+    value = scene.ball.bsdf.reflectance.volume.value.value
+    assert said(scene) == []
+    with torch.no_grad():
+        value.fill_(1.5)
+    (text,) = said(scene)
+    assert "ball.bsdf.reflectance.volume.value.value: 1.5 is outside of [0, 1], the range of reflectance" in text

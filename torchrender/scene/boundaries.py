@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import warnings
-
 import torch
 
-from ..errors import depth_outside
+from ..errors import warn_once
 from .context import Context
 from .mesh import Mesh
 from .packing import Layout
@@ -51,14 +49,12 @@ def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:
         if sum(total for _, total in loose) % 2**64 == 0:
             continue
         for name, total in loose:
-            if total and f"{name}: open" not in scene.warned:
-                scene.warned.add(f"{name}: open")
-                warnings.warn(
+            if total:
+                text = (
                     f"{name}: the boundary of a medium, but not closed: some edge is not shared by two triangles that "
-                    "turn the same way round, and the medium leaks there",
-                    UserWarning,
-                    stacklevel=depth_outside(),
+                    "turn the same way round, and the medium leaks there"
                 )
+                warn_once(scene.warned, f"{name}: open", text)
 
 
 def edge_sum(mesh: Mesh) -> int:

@@ -9,6 +9,7 @@ from torch import nn
 
 from ..errors import describe, nearest
 from ..integrators import DOCUMENTED, TYPES, Integrator, from_dict
+from ..settings import is_own
 from . import registry
 from .construction import child_of
 from .context import Context, Reference
@@ -113,8 +114,7 @@ class Container(nn.Module):
 
     def __setattr__(self, name: str, value: Any) -> None:
         modules = self.__dict__.get("_modules")
-        own = name.startswith("_") or name in self.__dict__ or hasattr(type(self), name)
-        if modules is None or (own and not isinstance(value, (Plugin, Integrator))):
+        if modules is None or (is_own(self, name) and not isinstance(value, (Plugin, Integrator))):
             super().__setattr__(name, value)
         elif name in modules or isinstance(value, (Plugin, Integrator, Mapping)):
             self[name] = value

@@ -17,6 +17,7 @@ import torch
 from torch import nn
 
 from ..errors import describe, nearest
+from ..settings import is_own
 from . import construction, conversion, editing, registry
 from .construction import Lookup
 from .context import Context, Reference
@@ -164,10 +165,8 @@ class Plugin(nn.Module):
         """For an error message: what is meant by a name that is no parameter."""
         return nearest(name, [*self.fields(), *self.parameter_names()])
 
-    def _has_own(self, name: str) -> bool:
-        """Whether modules have an attribute of this name, or this one has got it."""
-        stores = (self.__dict__, self._parameters, self._modules, self._buffers)
-        return name.startswith("_") or hasattr(type(self), name) or any(name in store for store in stores)
+    def _stores(self, name: str) -> bool:
+        return any(name in store for store in (self._parameters, self._modules, self._buffers))
 
     def __setattr__(self, name: str, value: Any) -> None:
         if isinstance(getattr(type(self), name, None), property):
@@ -180,7 +179,7 @@ class Plugin(nn.Module):
         field = self.fields().get(name)
         if field is not None:
             editing.assign(self, name, field, value)
-        elif self.open or self._has_own(name) or isinstance(value, nn.Module):
+        elif self.open or is_own(self, name) or self._stores(name) or isinstance(value, nn.Module):
             super().__setattr__(name, value)
         else:
             editing.assign_word(self, name, value)

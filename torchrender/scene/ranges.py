@@ -6,17 +6,17 @@ place nobody is told of; here the tensors that changed since the last rendering 
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from ..errors import RangeWarning, depth_outside
+from ..errors import RangeWarning, warn_once
 from ..functions import functorch
 from .declaration import Field
 from .packing import Layout
 from .plugin import Plugin
+from .validation import values_of
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -27,30 +27,17 @@ EAGER, SELDOM = 8, 16  # so many changes are looked at, then one of so many
 SLACK = 1e-6  # relative to the range: what rounding does to an albedo of 1
 
 
-def ranges_of(plugin: Plugin) -> Iterator[tuple[Plugin, str, Field]]:
-    """Owners and names of the tensors that a field of `plugin` takes its values from, and that field."""
-    for name, field in plugin.fields().items():
-        if plugin._holds(field):
-            yield plugin, name, field
-        elif field.kind in ("texture", "spectrum", "volume"):
-            child = plugin._child(name)
-            if child is not None:
-                yield from ((child, leaf, field) for leaf, _ in child.texels())
-
-
 class RangeWatch:
     """The ranges of a packed scene's parameters, and which of their values were looked at."""
 
     def __init__(self, scene: Scene, layout: Layout) -> None:
         self.layout = layout
+        slots = {id(slot.tensor()): i for i, slot in enumerate(layout.slots)}
         self.fields: dict[int, list[Field]] = {}
         for module in scene.modules():
-            if not isinstance(module, Plugin):
-                continue
-            for owner, name, field in ranges_of(module):
-                slot = layout.slot_of.get((id(owner), name))
-                if slot is not None and (field.min is not None or field.max is not None):
-                    self.fields.setdefault(slot, []).append(field)
+            for _, tensor, field in values_of(module) if isinstance(module, Plugin) else ():
+                if id(tensor) in slots:
+                    self.fields.setdefault(slots[id(tensor)], []).append(field)
         inf = float("inf")
         self.low = {i: max(-inf if f.min is None else f.min for f in fields) for i, fields in self.fields.items()}
         self.high = {i: min(inf if f.max is None else f.max for f in fields) for i, fields in self.fields.items()}
@@ -129,6 +116,4 @@ def check_ranges(scene: Scene, layout: Layout, tensors: list[torch.Tensor], mode
             )
             if mode == "raise":
                 raise ValueError(f"render: {text}")
-            if f"{name}: range" not in scene.warned:
-                scene.warned.add(f"{name}: range")
-                warnings.warn(text, RangeWarning, stacklevel=depth_outside())
+            warn_once(scene.warned, f"{name}: range", text, RangeWarning)

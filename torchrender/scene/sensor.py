@@ -45,11 +45,9 @@ class Sensor(Plugin):
         return super().hint(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        ctx = Context(path=(type(self).__name__, name))
-        if name == "film":
-            value = film_from(value, ctx)
-        elif name == "sampler" and value is not None:
-            value = sampler_from(value, ctx)
+        convert = {"film": film_from, "sampler": sampler_from}.get(name)
+        if convert is not None and not (name == "sampler" and value is None):
+            value = convert(value, Context(path=(type(self).__name__, name)))
         super().__setattr__(name, value)
 
     def required(self) -> dict[str, Any]:

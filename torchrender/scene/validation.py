@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -16,17 +18,23 @@ if TYPE_CHECKING:
 
 def check_fields(plugin: Plugin, ctx: Context) -> None:
     """`check_range` for all values of an object: its own parameters, and what its textures and volumes can be."""
+    for path, tensor, field in values_of(plugin):
+        # Images may go too far here and there; a medium of negative density has no tracking at all.
+        fatal = tensor.ndim <= 1 or field.kind == "volume"
+        check_range(tensor, field, replace(ctx, path=(*ctx.path, *path)), constant=fatal)
+
+
+def values_of(plugin: Plugin) -> Iterator[tuple[tuple[str, ...], torch.Tensor, Field]]:
+    """What fields of an object take their values from, with the path to it: own parameters, texels and voxels."""
     for name, field in plugin.fields().items():
         if plugin._holds(field):
             tensor = plugin._parameters.get(name)
             if tensor is not None:
-                check_range(tensor, field, ctx.at(name), constant=tensor.ndim <= 1)
+                yield (name,), tensor, field
         elif field.kind in ("texture", "spectrum", "volume"):
             child = plugin._child(name)
-            for leaf_name, tensor in child.texels() if child is not None else ():
-                # Images may go too far here and there; a medium of negative density has no tracking at all.
-                fatal = tensor.ndim <= 1 or field.kind == "volume"
-                check_range(tensor, field, ctx.at(name).at(leaf_name), constant=fatal)
+            if child is not None:
+                yield from (((name, leaf), tensor, field) for leaf, tensor in child.texels())
 
 
 def check_range(tensor: torch.Tensor, field: Field, ctx: Context, constant: bool) -> None:

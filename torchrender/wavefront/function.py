@@ -27,7 +27,7 @@ from .path import WavefrontTracer
 from .world import World
 
 # What a native rendering and one in PyTorch have in common.
-SHARED = "native size spp seed spp_grad seed_grad passes nan alpha statistics requirements layout".split()
+SHARED = "native size spp seed spp_grad seed_grad passes progress nan alpha statistics requirements layout".split()
 
 
 class TorchParameters(nn.Module):
@@ -108,6 +108,7 @@ class WavefrontCall:
     spp_grad: int
     seed_grad: int
     passes: int
+    progress: bool | None
     nan: str
     alpha: bool
     sampler: str
@@ -133,12 +134,12 @@ class WavefrontCall:
         modules = {f"{name}": t for name, t in zip(self.names, tensors[self.slots :], strict=True)}
         spp, seed = (self.spp_grad, self.seed_grad) if derivative else (self.spp, self.seed)
         lost = paths = 0
-        for number in steps(range(self.passes), "passes"):
+        for number in steps(range(self.passes), "passes", self.progress):
             random = Numbers(self.sampler, spp, seed if number == 0 else mix(seed, number), self.sensor, world.dtype)
             tracer = WavefrontTracer(world, self.config, random, derivative)
             total = len(self.splats.sources) * spp
             starts = range(0, total, self.config["chunk"])
-            for start in steps(starts, "chunks"):
+            for start in steps(starts, "chunks", self.progress):
                 index = torch.arange(start, min(start + self.config["chunk"], total))
                 samples = self.splats.samples(index, spp, random)
                 with torch.set_grad_enabled(derivative):

@@ -33,7 +33,7 @@ struct Constant : Environment<ConstantEmitter, Constant<F>, F> {
 
     TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
                            const M &lanes, Spectrum<F> &r) {
-        IntOf<F> offset = record_field<F>(scene.emitters, ConstantEmitter::Radiance, point.emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, ConstantEmitter::Radiance, point.emitter, lanes);
         r = select(lanes, constant_spectrum<F>(scene.values, waves, offset, lanes), r);
     }
     TR_HD static F pdf_direct(const Scene &, const EmitterPoint<F> &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
@@ -45,7 +45,7 @@ struct Constant : Environment<ConstantEmitter, Constant<F>, F> {
                           const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
                           GradientSink<F> &sink) {
         if (needs.emitter)
-            sink.spectrum(record_field<F>(scene.emitters, ConstantEmitter::Radiance, point.emitter, lanes), g, lanes);
+            sink.spectrum(emitter_field<F>(scene, ConstantEmitter::Radiance, point.emitter, lanes), g, lanes);
     }
     static double power(EmitterMeans &means, const Record &record) {
         return 4 * Pi * means.disk * means.color(record.field[ConstantEmitter::Radiance]);

@@ -87,7 +87,7 @@ struct DeltaPosition {
         if constexpr (Model::HasFrame) {
             Numbers numbers(scene, point.emitter, lanes);
             Pattern<F> pattern = Model::pattern(direction_of_point(point.at.b1, point.at.b2), numbers.value);
-            IntOf<F> texture = record_field<F>(scene.emitters, Model::TextureField, point.emitter, lanes);
+            IntOf<F> texture = emitter_field<F>(scene, Model::TextureField, point.emitter, lanes);
             auto lit = lanes && pattern.lit;
             Spectrum<F> black = uniform_spectrum(F(0));
             if (any(lit)) {
@@ -146,7 +146,7 @@ struct DeltaPosition {
                           GradientSink<F> &sink) {
         if constexpr (!Model::HasFrame) {
             if (needs.emitter)
-                sink.spectrum(record_field<F>(scene.emitters, Model::ColorField, point.emitter, lanes), g, lanes);
+                sink.spectrum(emitter_field<F>(scene, Model::ColorField, point.emitter, lanes), g, lanes);
         } else {
             pattern_vjp(scene, point, d, g, needs.emitter, needs.geometry, lanes, d_bar, sink);
         }
@@ -201,7 +201,7 @@ private:
             if constexpr (N > 0) {
                 static constexpr auto fields = Model::NumberFields;  // device code cannot point into the member
                 for (int i = 0; i < N; ++i) {
-                    offset[i] = record_field<F>(scene.emitters, fields[i], emitter, lanes);
+                    offset[i] = emitter_field<F>(scene, fields[i], emitter, lanes);
                     value[i] = gather<F>(scene.values.constants, UIntOf<F>(offset[i]), lanes);
                 }
             }
@@ -211,7 +211,7 @@ private:
     };
 
     TR_INLINE static LightFrame<F> frame_of(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
-        IntOf<F> offset = record_field<F>(scene.emitters, Model::PlaceField, emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, Model::PlaceField, emitter, lanes);
         if constexpr (Model::HasFrame) {
             return gather_frame<F>(scene, offset, lanes);
         } else {
@@ -228,14 +228,14 @@ private:
         if constexpr (Model::ColorField < 0)
             return uniform_spectrum(F(1));
         else
-            return constant_spectrum<F>(scene.values, waves,
-                                        record_field<F>(scene.emitters, Model::ColorField, emitter, lanes), lanes);
+            return constant_spectrum<F>(scene.values, waves, emitter_field<F>(scene, Model::ColorField, emitter, lanes),
+                                        lanes);
     }
 
     // Hands the adjoint of a light's place to its parameter.
     TR_HD static void sweep_place(const Scene &scene, const IntOf<F> &emitter, const Vec3<F> &p_bar, const M &lanes,
                                   GradientSink<F> &sink) {
-        IntOf<F> offset = record_field<F>(scene.emitters, Model::PlaceField, emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, Model::PlaceField, emitter, lanes);
         constexpr int first = Model::HasFrame ? 3 : 0, stride = Model::HasFrame ? 4 : 1;
         sink.scalar(offset + first, p_bar.x, lanes);
         sink.scalar(offset + (first + stride), p_bar.y, lanes);
@@ -257,7 +257,7 @@ private:
         if (!any(lanes)) return;
         const F factor = pattern.factor.v;
         TexturedPoint<F> where = pattern_point(pattern.u.v, pattern.v.v);
-        IntOf<F> texture = record_field<F>(scene.emitters, Model::TextureField, point.emitter, lanes);
+        IntOf<F> texture = emitter_field<F>(scene, Model::TextureField, point.emitter, lanes);
         Spectrum<F> colored = color(scene, sink.waves, point.emitter, lanes);
         Spectrum<F> image = eval_texture(scene, sink.waves, texture, where, lanes);
         TextureSlopes<F> slope = texture_slopes(scene, sink.waves, texture, where, lanes);
@@ -268,8 +268,8 @@ private:
         };
         if (values) {
             if constexpr (Model::ColorField >= 0)
-                sink.spectrum(record_field<F>(scene.emitters, Model::ColorField, point.emitter, lanes),
-                              g * image * factor, lanes);
+                sink.spectrum(emitter_field<F>(scene, Model::ColorField, point.emitter, lanes), g * image * factor,
+                              lanes);
             sink.texture(scene, texture, where, g * colored * factor, lanes);
             for (int i = 0; i < Variables; ++i) sink.number(numbers.offset[i], g * derivative(3 + i), lanes);
         }
@@ -285,7 +285,7 @@ private:
         Vec3<F> m_bar = unnormalize(m * inverse, l_bar, inverse);
         Vec3<F> turned = frame.row(0) * m_bar.x + frame.row(1) * m_bar.y + frame.row(2) * m_bar.z;
         d_bar = select(lanes, d_bar - turned, d_bar);
-        IntOf<F> offset = record_field<F>(scene.emitters, Model::PlaceField, point.emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, Model::PlaceField, point.emitter, lanes);
         const F rows[3] = {turned.x, turned.y, turned.z}, columns[3] = {m.x, m.y, m.z};
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j) sink.scalar(offset + (4 * i + j), -rows[i] * columns[j], lanes);

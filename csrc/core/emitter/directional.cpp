@@ -31,15 +31,13 @@ struct Directional {
 
     TR_HD static void eval(const Scene &scene, const Wavelengths<F> &waves, const EmitterPoint<F> &point,
                            const M &lanes, Spectrum<F> &r) {
-        IntOf<F> offset = record_field<F>(scene.emitters, DirectionalEmitter::Irradiance, point.emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, DirectionalEmitter::Irradiance, point.emitter, lanes);
         r = select(lanes, constant_spectrum<F>(scene.values, waves, offset, lanes), r);
     }
 
     // the +z axis, of its length
     TR_HD static Vec3<F> axis(const Scene &scene, const IntOf<F> &emitter, const M &lanes) {
-        return gather_frame<F>(scene, record_field<F>(scene.emitters, DirectionalEmitter::ToWorld, emitter, lanes),
-                               lanes)
-            .z;
+        return gather_frame<F>(scene, emitter_field<F>(scene, DirectionalEmitter::ToWorld, emitter, lanes), lanes).z;
     }
 
     TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &, const F &, const F &, const F &,
@@ -60,8 +58,7 @@ struct Directional {
                           const GradientNeeds &needs, const M &lanes, CoordinateAdjoint<F> &, Vec3<F> &,
                           GradientSink<F> &sink) {
         if (needs.emitter)
-            sink.spectrum(record_field<F>(scene.emitters, DirectionalEmitter::Irradiance, point.emitter, lanes), g,
-                          lanes);
+            sink.spectrum(emitter_field<F>(scene, DirectionalEmitter::Irradiance, point.emitter, lanes), g, lanes);
     }
 
     TR_HD static void direct_vjp(const Scene &scene, const DirectAdjoint<F> &g, const M &lanes, Vec3<F> &,
@@ -90,7 +87,7 @@ private:
         Vec3<F> z = axis(scene, emitter, lanes);
         F inverse = F(1) / norm(z);
         Vec3<F> bar = unnormalize(z * inverse, d_bar, inverse);
-        IntOf<F> offset = record_field<F>(scene.emitters, DirectionalEmitter::ToWorld, emitter, lanes);
+        IntOf<F> offset = emitter_field<F>(scene, DirectionalEmitter::ToWorld, emitter, lanes);
         sink.scalar(offset + 2, bar.x, lanes);
         sink.scalar(offset + 6, bar.y, lanes);
         sink.scalar(offset + 10, bar.z, lanes);
