@@ -14,6 +14,7 @@ from . import integrators as integrators
 from ._version import __version__ as __version__
 from .autograd import reattach as reattach
 from .backends import show_config as show_config
+from .errors import InterruptionWarning as InterruptionWarning
 from .errors import MissingTermWarning as MissingTermWarning
 from .errors import NotDifferentiableError as NotDifferentiableError
 from .errors import RangeWarning as RangeWarning

@@ -16,7 +16,7 @@ from torch.autograd import Function
 from . import backends
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from .progress import tracked
-from .render_call import RenderCall
+from .render_call import Part, RenderCall
 
 STORED_HITS_LIMIT = 1 << 30
 """Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again.
@@ -34,22 +34,37 @@ class RenderFunction(UnbatchedFunction):
         shapes = {"image": call.shape()}
         for name in call.extra:
             shapes[name] = call.size if name == "alpha" else call.shape()
-        total = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
         all_stats = []
-        out = total
         call.kept = call.store_hits(int(STORED_HITS_LIMIT)) if call.keep_hits else None
-        for i, config in enumerate(tracked(call.with_hits(call.configs(derivative=False)), "image", call.progress)):
-            if i == 1:
-                out = {name: torch.empty_like(tensor) for name, tensor in total.items()}
-            addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-            all_stats.append(call.native.call("render", list(params), config, addresses))
-            if i:
-                for name, tensor in total.items():
-                    tensor += out[name]
+        parts = call.parts()
+        configs = tracked([p.config for p in parts], "image", call.progress, [p.share for p in parts])
+        out = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
+        found: tuple[dict[str, torch.Tensor], Part] | None = None  # at any time a picture and the last part of it
+        part = parts[0]
+        try:
+            for part, config in zip(parts, configs, strict=True):
+                if part.number == 1:
+                    out = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
+                addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
+                all_stats.append(call.native.call("render", list(params), config, addresses))
+                found = _with_part(found, part, out)
+                part.config = {}  # its sums would take memory
+                if call.interruption.happened:  # in an earlier view
+                    break
+        except KeyboardInterrupt:
+            if part.done() and (found is None or part is not found[1]):
+                found = _with_part(found, part, out)
+            if found is None or not call.interruption.returns:
+                raise
+            call.interruption.happened = True
+        assert found is not None
+        total, last = found
+        call.cut(last)
         if call.passes > 1:
             for name, tensor in total.items():
                 tensor /= call.passes**2 if name == "variance" else call.passes
-        call.finish("render", all_stats)
+        if all_stats:
+            call.finish("render", all_stats)
         return tuple(total.values()) if len(total) > 1 else total["image"]
 
     @staticmethod
@@ -84,6 +99,15 @@ class RenderFunction(UnbatchedFunction):
         call.requirements.check(i for i, given in enumerate(tangents) if given is not None)
         tangent = RenderJvpFunction.apply(call, *params, *tangents)
         return (tangent, *(None,) * len(call.extra)) if call.extra else tangent
+
+
+def _with_part(
+    found: tuple[dict[str, torch.Tensor], Part] | None, part: Part, out: dict[str, torch.Tensor]
+) -> tuple[dict[str, torch.Tensor], Part]:
+    """Sums over passes with one more part: of the first pass the core adds up its parts itself."""
+    if found is None or part.number == 0:
+        return out, part
+    return {name: tensor + out[name] for name, tensor in found[0].items()}, part
 
 
 class RenderJvpFunction(DerivativeFunction):

@@ -68,6 +68,12 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--sensor", help="index or name of a camera (default: the first)")
     render.add_argument("--exposure", type=float, default=0.0, help="of .png and .jpg, in stops (default %(default)g)")
     render.add_argument("--denoise", action="store_true", help="with Open Image Denoise (pip install pyoidn)")
+    render.add_argument(
+        "--on-interrupt",
+        choices=("raise", "return"),
+        default="raise",
+        help="what Ctrl-C does: end without a picture, or write what is done, with status 130 (default %(default)s)",
+    )
     render.add_argument("--quiet", action="store_true", help="no progress bar and no last line")
 
     info = command("info", _info, "say what is in a scene file")
@@ -136,6 +142,7 @@ def _load(options: argparse.Namespace) -> Any:
 def _render(options: argparse.Namespace) -> int:
     import torchrender as tr
 
+    from .interruption import interruption_of
     from .io.image import writable_image
 
     writable_image(options.output)  # before minutes of work
@@ -147,6 +154,7 @@ def _render(options: argparse.Namespace) -> int:
     sensor: Any = options.sensor or 0
     if isinstance(sensor, str) and sensor.lstrip("-").isdigit():
         sensor = int(sensor)
+    interruption: Any = interruption_of(options.on_interrupt)
     began = time.perf_counter()
     names = ("rgb", "albedo", "shading_normal") if options.denoise else None
     with torch.no_grad():
@@ -159,13 +167,15 @@ def _render(options: argparse.Namespace) -> int:
             integrator=options.integrator,
             outputs=names,
             progress=False if options.quiet else None,
+            on_interrupt=interruption,
         )
         image = found if names is None else tr.denoise(found.rgb, albedo=found.albedo, normal=found.shading_normal)
     seconds = time.perf_counter() - began
+    interruption.warn()
     _write(options.output, image, options.exposure, scene)
     if not options.quiet:
         print(f"{options.output}: {image.shape[1]} x {image.shape[0]} pixels, {seconds:.1f} s")
-    return 0
+    return 130 if interruption.happened else 0
 
 
 def _write(path: Path, image: torch.Tensor, exposure: float, scene: Any) -> None:

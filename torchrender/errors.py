@@ -29,6 +29,10 @@ class RangeWarning(UserWarning):
     """
 
 
+class InterruptionWarning(UserWarning):
+    """A rendering was interrupted whose ``on_interrupt`` is ``"return"``; the message says which samples it has."""
+
+
 class SubstitutionWarning(UserWarning):
     """A part of a scene is not supported and a fallback takes its place, as ``unsupported="substitute"`` asks.
 

@@ -59,21 +59,27 @@ def _delay(shown: bool | None) -> float:
     return 0.0 if shown else 1.0
 
 
-def tracked(configs: Sequence[dict[str, Any]], desc: str, shown: bool | None) -> Iterator[dict[str, Any]]:
+def tracked(
+    configs: Sequence[dict[str, Any]], desc: str, shown: bool | None, shares: Sequence[float] | None = None
+) -> Iterator[dict[str, Any]]:
     """Settings of the core for each of several passes, with a function that it tells how far it is.
 
-    The bar is `shown`, or not, or with None where somebody is watching and it takes longer than a second.
+    The bar is `shown`, or not, or with None where somebody is watching and it takes longer than a second. Parts of
+    passes have `shares` of one.
     """
     if not _wanted(shown):
         yield from configs
         return
     form = "{desc}: {percentage:3.0f}%|{bar}| {elapsed}, {remaining} left"
     options: dict[str, Any] = {"leave": False, "delay": _delay(shown), "disable": False, "bar_format": form}
-    with progress(total=len(configs), desc=desc, **options) as bar:
-        for i, config in enumerate(configs):
+    shares = [1.0] * len(configs) if shares is None else shares
+    with progress(total=round(sum(shares)), desc=desc, **options) as bar:
+        before = 0.0
+        for config, share in zip(configs, shares, strict=True):
 
-            def report(done: float, before: int = i) -> None:
-                bar.update(before + done - bar.n)
+            def report(done: float, before: float = before, share: float = share) -> None:
+                bar.update(before + done * share - bar.n)
 
             yield {**config, "progress": report}
             report(1.0)
+            before += share

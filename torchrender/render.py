@@ -16,6 +16,7 @@ from .compiling import opaque
 from .errors import describe, nearest
 from .functions import refuse_batches
 from .integrators import Stack, WavefrontPathTracer
+from .interruption import interruption_of
 from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
 from .progress import steps
 from .render_arguments import (
@@ -92,6 +93,7 @@ def render(
     sampler: SamplerName | None = None,
     range: RangeMode = "warn",
     progress: bool | None = None,
+    on_interrupt: Literal["raise", "return"] = "raise",
 ) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
 
@@ -152,6 +154,13 @@ def render(
             one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
+        on_interrupt: what Ctrl-C does: ``"raise"`` KeyboardInterrupt, or ``"return"`` a picture of the samples that are
+            done, as unbiased as the whole, with an `InterruptionWarning` that says which share of them it has. Of
+            several passes these are the complete ones; the first one is rendered in parts, of a million paths or more
+            and of the same samples (their sums may be rounded otherwise), but not with `correlated` nor by the
+            wavefront tracer, where whole passes count. Views of a list that were not begun have one part or pass each.
+            Other outputs of a view follow, and ``backward()`` takes as many passes, with all of `spp_grad`. Ctrl-C
+            before the first part is done, during other outputs, a derivative, or once more raises.
 
     Raises:
         TypeError, ValueError: before any work, naming the argument, what was expected and what came.
@@ -164,6 +173,7 @@ def render(
     chosen_integrator = as_integrator(scene, integrator)
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
+    interruption = interruption_of(on_interrupt)
     stack = chosen_integrator if outputs is None and isinstance(chosen_integrator, Stack) else None
     if pixels is not None and crop is not None:
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
@@ -252,6 +262,7 @@ def render(
             ),
             film=film,
             features=shown,
+            interruption=interruption,
             adaptive_grad=adaptive_grad,
             progress=progress,
         )
@@ -277,6 +288,8 @@ def render(
             from .black_pictures import warn_of_black_picture
 
             warn_of_black_picture(scene, packed, native, used, camera, views[-1]["rgb"])
+    if interruption is not on_interrupt:
+        interruption.warn()
     if stack is not None:
         return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
     found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
@@ -299,7 +312,9 @@ def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
     settings["seed"], gradient_seed = seeds(settings["seed"], settings["seed_grad"], settings["correlated"])
     settings["seed_grad"] = None if settings["correlated"] else gradient_seed
     scene = settings.pop("scene")
+    settings["on_interrupt"] = interruption = interruption_of(settings["on_interrupt"])
     found = [render(scene, sensor=[s], params=p, **settings) for s, p in zip(sensors, params, strict=True)]
+    interruption.warn()
     if settings["outputs"] is None:
         return torch.cat(found)
     return collect(check_names(settings["outputs"]), [torch.cat(parts) for parts in zip(*found, strict=True)])
@@ -395,6 +410,7 @@ class Renderer(nn.Module, Generic[Result]):
         words = {"layout": "hwc", "nan": "drop", "sampler": None, "range": "warn"}
         check_words(*(settings.get(name, default) for name, default in words.items()))
         check_kinds_of_derivative(settings.get("adaptive_grad", False), settings.get("correlated", False))
+        interruption_of(settings.get("on_interrupt", "raise"))
         if settings.get("outputs") is not None:
             check_names(settings["outputs"])
         if train is not None:

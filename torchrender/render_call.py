@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 import weakref
 from dataclasses import dataclass
@@ -10,6 +11,7 @@ from typing import Any
 import torch
 
 from .errors import RenderError, depth_outside
+from .interruption import Interruption, part_ends
 from .scene.film import Film
 from .scene.gradient_requirements import GradientRequirements
 from .scene.native import NativeScene
@@ -38,11 +40,13 @@ class RenderCall:
     requirements: GradientRequirements  # which derivatives there are
     film: Film
     features: dict[int, torch.Tensor]  # those of the output of this name, by the number of their shape
+    interruption: Interruption
     adaptive_grad: bool = False
     progress: bool | None = None  # whether a bar is shown; None: where somebody is watching
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
     kept: torch.Tensor | None = None  # keeps it alive until autograd does
+    pattern: int | None = None  # samples a pixel that were wanted, of which the first `spp` are there
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -57,11 +61,36 @@ class RenderCall:
     def configs(self, derivative: bool) -> list[dict[str, Any]]:
         """The core's settings of each pass."""
         seed, spp = (self.seed_grad, self.spp_grad) if derivative else (self.seed, self.spp)
-        threads = torch.get_num_threads()
-        return [
-            {**self.config, "spp": spp, "seed": seed if i == 0 else mix(seed, i), "threads": threads}
-            for i in range(self.passes)
-        ]
+        common = {**self.config, "spp": spp, "threads": torch.get_num_threads()}
+        if self.pattern is not None and not derivative:
+            common["pattern"] = (0, self.pattern)
+        return [{**common, "seed": seed if i == 0 else mix(seed, i)} for i in range(self.passes)]
+
+    def parts(self) -> list[Part]:
+        """What of the image the core is asked for in turn: passes, the first in parts, if a part is to come back.
+
+        But not where a derivative is to have the samples of the image.
+        """
+        configs = self.with_hits(self.configs(derivative=False))
+        if not self.interruption.returns:
+            return [Part(config, i, self.spp, 1.0) for i, config in enumerate(configs)]
+        traced = self.config["film_size"] if self.config["integrator"] == "ptracer" else self.size
+        ends = [self.spp] if self.seed == self.seed_grad else part_ends(self.spp, math.prod(traced))
+        parts = []
+        for i, config in enumerate(configs):
+            sums, begin = self.native.core.FilmSums(), 0
+            for end in ends if i == 0 else [self.spp]:
+                some = {"pattern": (0, self.spp), "sums": sums, "sample_offset": begin, "spp": end - begin}
+                parts.append(Part({**config, **some}, i, end, (end - begin) / self.spp))
+                begin = end
+        return parts
+
+    def cut(self, last: Part) -> None:
+        """Count what there is when `last` is done; other outputs and derivatives then have as many passes."""
+        self.interruption.count(last.number * self.spp + last.end, self.passes * self.spp)
+        self.passes = last.number + 1
+        if last.end < self.spp:
+            self.pattern, self.spp = self.spp, last.end
 
     def check_indices(self) -> None:
         """Faces that were edited since the image was rendered, which torch does not notice: they have no gradient."""
@@ -99,3 +128,17 @@ class RenderCall:
 
     def shape(self) -> tuple[int, ...]:
         return (*self.size, self.native.channels)
+
+
+@dataclass
+class Part:
+    """What the core renders in one call: samples up to `end` of the pass of this number, a `share` of the pass."""
+
+    config: dict[str, Any]
+    number: int
+    end: int
+    share: float
+
+    def done(self) -> bool:
+        """Whether it was rendered, although Ctrl-C came before the core's call returned."""
+        return "sums" in self.config and self.config["sums"].spp == self.end

@@ -44,6 +44,7 @@ class RenderSettings(TypedDict, total=False):
     sampler: SamplerName | None
     range: RangeMode
     progress: bool | None
+    on_interrupt: Literal["raise", "return"]
 
 
 if TYPE_CHECKING:

@@ -31,6 +31,7 @@ struct Config {
     bool by_power;   // emitters are chosen by their power, too
     HitStore *hits;  // may be null
     std::size_t hits_pass;
+    FilmSums *sums;      // of earlier samples; may be null
     PyObject *progress;  // a function, which the dict holds, or null
 };
 
@@ -67,7 +68,10 @@ inline Config read_config(const py::dict &d) {
     c.threads = std::max(1, d["threads"].cast<int>());
     c.spp = d["spp"].cast<int64_t>();
     c.sample_offset = d["sample_offset"].cast<int64_t>();
-    c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), c.sample_offset, c.spp);
+    // samples of a pixel that are spread together, of which these may be a part: the first and how many
+    auto pattern =
+        d.contains("pattern") ? d["pattern"].cast<std::pair<int64_t, int64_t>>() : std::pair(c.sample_offset, c.spp);
+    c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), pattern.first, pattern.second);
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
     c.light = d["integrator"].cast<std::string>() == "ptracer";
     if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();
@@ -78,6 +82,7 @@ inline Config read_config(const py::dict &d) {
         c.hits = &hits[0].cast<HitStore &>();
         c.hits_pass = hits[1].cast<size_t>();
     }
+    if (d.contains("sums")) c.sums = &d["sums"].cast<FilmSums &>();
     if (d.contains("progress")) c.progress = py::object(d["progress"]).ptr();
     c.adaptive = d.contains("adaptive") && d["adaptive"].cast<bool>();
     c.by_power = d.contains("emitter_sampling") && d["emitter_sampling"].cast<std::string>() == "power";

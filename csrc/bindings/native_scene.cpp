@@ -64,9 +64,9 @@ public:
         update(values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
-        if (c.light) return trace_light<S>(primal, at("image"));
+        if (c.light) return trace_light<S>(primal, at("image"), c.sums);
         if (c.hits) primal.keep_hits = c.hits->add_pass();
-        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment")});
+        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums});
     }
 
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,

@@ -88,6 +88,7 @@ void declare_scene(py::module_ &m) {
             return all;
         });
     // As a buffer, of one byte, it lives as long as a tensor that is made of it.
+    py::class_<FilmSums>(m, "FilmSums", py::module_local()).def(py::init()).def_readonly("spp", &FilmSums::spp);
     py::class_<HitStore>(m, "HitStore", py::buffer_protocol(), py::module_local())
         .def(py::init<int64_t>(), py::arg("limit"))
         .def_property_readonly("bytes", &HitStore::bytes)

@@ -1,6 +1,7 @@
 // The film: the sum of samples into blocks of pixels.
 #pragma once
 
+#include <stdexcept>
 #include <vector>
 
 #include "filter.h"
@@ -17,6 +18,24 @@ struct Rect {
 inline Rect intersect(const Rect &a, const Rect &b) {
     return {std::max(a.y0, b.y0), std::max(a.x0, b.x0), std::min(a.y1, b.y1), std::min(a.x1, b.x1)};
 }
+
+// Sums of all results of a film, of so many samples a pixel, between calls that render some of its samples each.
+struct FilmSums {
+    std::vector<double> sum;
+    int64_t spp = 0;
+
+    // Of n numbers in all; `more` samples follow.
+    void begin(size_t n, int64_t more) {
+        if (sum.empty()) sum.assign(n, 0.0);
+        if (sum.size() != n) throw std::invalid_argument("sums: those of another film");
+        spp += more;
+    }
+    // Adds numbers to those that begin at `first`, and returns these.
+    const double *add(size_t first, const double *numbers, int n) {
+        for (int c = 0; c < n; ++c) sum[first + size_t(c)] += numbers[c];
+        return &sum[first];
+    }
+};
 
 // Sums over a rectangle: of the channels' values times filter weights and, last, of the weights themselves. With
 // `moments` also of squares x^2 of values with weights w: w^2 x^2, w^2 x, w x^2 and w^2 (see variance_of_mean).

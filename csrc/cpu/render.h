@@ -93,10 +93,12 @@ struct RenderStats {
 
 // Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha`
 // (n), `variance` (n, values), that of the image's values, and `second_moment` (n, values), the mean of squared
-// samples.
+// samples. `sums`, if not null, are those of earlier samples of the same pixels: the call adds its own, and the results
+// are those of all. A call that is interrupted changes nothing.
 template <class S>
 struct RenderOutput {
     S *image, *alpha = nullptr, *variance = nullptr, *second_moment = nullptr;
+    FilmSums *sums = nullptr;
 };
 
 template <class S>
@@ -108,7 +110,7 @@ RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &d
 
 // The same by light tracing, without alpha and variance.
 template <class S>
-RenderStats trace_light(const RenderCall<S> &call, S *image);
+RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums = nullptr);
 template <class S>
 RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative);
 template <class S>

@@ -24,9 +24,9 @@ TileSchedule schedule_of_light(const RenderCall<S> &call) {
 template <class S>
 class LightScale {
 public:
-    explicit LightScale(const RenderCall<S> &call)
+    LightScale(const RenderCall<S> &call, int64_t spp)
         : call_(call),
-          paths_(double(call.spp) * call.film_height * call.film_width),
+          paths_(double(spp) * call.film_height * call.film_width),
           measured_(call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind) {}
 
     double operator()(int row, int column) const {
@@ -53,6 +53,11 @@ void for_results(const RenderCall<S> &call, Visit &&visit) {
     }
     for (int y = call.crop.y0; y < call.crop.y1; ++y)
         for (int x = call.crop.x0; x < call.crop.x1; ++x) visit(i++, y, x);
+}
+
+template <class S>
+size_t n_results(const RenderCall<S> &call) {
+    return call.pixels ? call.pixels->size() : size_t(call.crop.height()) * size_t(call.crop.width());
 }
 
 // Sums up films in the order of their numbers, whoever finishes first.
@@ -186,7 +191,7 @@ struct SplattingTile {
 // Primal and, with a derivative, forward mode.
 template <class F>
 RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCall<ScalarOf<F>> *derivative,
-                        ScalarOf<F> *image) {
+                        ScalarOf<F> *image, FilmSums *sums) {
     using S = ScalarOf<F>;
     using Tile = SplattingTile<F>;
     RenderStats stats;
@@ -220,12 +225,16 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                             });
             films.push(group, std::move(film));
         });
-        const LightScale<S> scale(call);
+        if (stats.interrupted) return stats;
         const int values = call.values;
+        if (sums) sums->begin(n_results(call) * size_t(values), call.spp);
+        const LightScale<S> scale(call, sums ? sums->spp : call.spp);
         for_results(call, [&](size_t i, int row, int column) {
             const double s = scale(row, column);
-            for (int c = 0; c < values; ++c)
-                image[i * size_t(values) + size_t(c)] = S(films.total.at(row, column)[c] * s);
+            double total[SpectrumSize];
+            for (int c = 0; c < values; ++c) total[c] = double(films.total.at(row, column)[c]);
+            const double *p = sums ? sums->add(i * size_t(values), total, values) : total;
+            for (int c = 0; c < values; ++c) image[i * size_t(values) + size_t(c)] = S(p[c] * s);
         });
     }
     return stats;
@@ -243,7 +252,7 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
         TileSchedule schedule = schedule_of_light(call);
         const size_t capacity = 512;
         AdjointFilm adjoint(call.crop);
-        const LightScale<S> scale(call);
+        const LightScale<S> scale(call, call.spp);
         const int values = call.values;
         for_results(call, [&](size_t i, int row, int column) {
             const double s = scale(row, column);
@@ -288,12 +297,12 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
 }  // namespace
 
 template <class S>
-RenderStats trace_light(const RenderCall<S> &call, S *image) {
-    return splat_light<PacketOf<S>>(call, nullptr, image);
+RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums) {
+    return splat_light<PacketOf<S>>(call, nullptr, image, sums);
 }
 template <class S>
 RenderStats trace_light_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image) {
-    return splat_light<PacketOf<S>>(call, &derivative, image);
+    return splat_light<PacketOf<S>>(call, &derivative, image, nullptr);
 }
 template <class S>
 RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
@@ -301,7 +310,7 @@ RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &de
 }
 
 #define TR_INSTANTIATE(S)                                                                 \
-    template RenderStats trace_light(const RenderCall<S> &, S *);                         \
+    template RenderStats trace_light(const RenderCall<S> &, S *, FilmSums *);             \
     template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &); \
     template RenderStats trace_light_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

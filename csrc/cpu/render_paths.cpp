@@ -47,8 +47,12 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 });
                 merge.push(item, std::move(blocks), stop);
             });
+        if (stats.interrupted) return stats;
+        if (out.sums) out.sums->begin(schedule.n_results() * size_t(film.channels()), call.spp);
         for (size_t i = 0; i < schedule.n_results(); ++i) {
-            const double *p = film.at(schedule.target_of(i)), *q = p + values + 1;
+            const double *p = film.at(schedule.target_of(i));
+            if (out.sums) p = out.sums->add(i * size_t(film.channels()), p, film.channels());
+            const double *q = p + values + 1;
             double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
             for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
             if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);

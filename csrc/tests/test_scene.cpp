@@ -239,8 +239,35 @@ TR_TEST(an_interruption_stops) {
     s.spp = 1 << 20;
     RenderCall<float> call = make_call(scene, s);
     call.interrupted = [](double) { return true; };
-    std::vector<float> image(size_t(s.height * s.width * 3));
-    CHECK((render_primal<float>(call, {image.data()}).interrupted));
+    std::vector<float> image(size_t(s.height * s.width * 3), 7.0f);
+    FilmSums sums;
+    RenderOutput<float> out{image.data()};
+    out.sums = &sums;
+    CHECK((render_primal<float>(call, out).interrupted));
+    CHECK(sums.spp == 0 && sums.sum.empty() && image == std::vector<float>(image.size(), 7.0f));
+}
+
+TR_TEST(parts_add_up) {
+    need_embree();
+    SceneBuilder<float> b(3);
+    add_everything(b);
+    SceneData<float> scene;
+    b.build(scene);
+    Settings s;
+    s.spp = 12;
+    RenderCall<float> call = make_call(scene, s);
+    std::vector<float> whole(size_t(s.height * s.width * 3)), parts(whole.size());
+    render_primal<float>(call, {whole.data()});
+    FilmSums sums;
+    RenderOutput<float> out{parts.data()};
+    out.sums = &sums;
+    for (int64_t begin : {0, 5, 6}) {
+        call.sample_offset = begin;
+        call.spp = (begin == 0 ? 5 : begin == 5 ? 6 : 12) - begin;
+        render_primal<float>(call, out);
+        CHECK(sums.spp == call.sample_offset + call.spp);
+    }
+    for (size_t i = 0; i < whole.size(); ++i) CHECK_NEAR(parts[i], whole[i], 1e-6 + 1e-6 * double(whole[i]));
 }
 
 // ------------------------------------------------------------------------------------------------------- bad input

@@ -13,6 +13,7 @@ from torch import nn
 
 from ..errors import RenderError, depth_outside, describe, nearest
 from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
+from ..interruption import Interruption
 from ..progress import steps
 from ..render_call import RenderCall
 from ..scene.derivatives import moves_rays
@@ -27,7 +28,9 @@ from .path import WavefrontTracer
 from .world import World
 
 # What a native rendering and one in PyTorch have in common.
-SHARED = "native size spp seed spp_grad seed_grad passes progress nan alpha statistics requirements layout".split()
+SHARED = (
+    "native size spp seed spp_grad seed_grad passes progress nan alpha statistics requirements layout interruption"
+).split()
 
 
 class TorchParameters(nn.Module):
@@ -114,6 +117,7 @@ class WavefrontCall:
     sampler: str
     statistics: dict[str, Any]
     requirements: GradientRequirements
+    interruption: Interruption
     parameters: TorchParameters
     names: list[str]  # of the last tensors, those of `parameters`
 
@@ -134,22 +138,29 @@ class WavefrontCall:
         modules = {f"{name}": t for name, t in zip(self.names, tensors[self.slots :], strict=True)}
         spp, seed = (self.spp_grad, self.seed_grad) if derivative else (self.spp, self.seed)
         lost = paths = 0
-        for number in steps(range(self.passes), "passes", self.progress):
-            random = Numbers(self.sampler, spp, seed if number == 0 else mix(seed, number), self.sensor, world.dtype)
-            tracer = WavefrontTracer(world, self.config, random, derivative)
-            total = len(self.splats.sources) * spp
-            starts = range(0, total, self.config["chunk"])
-            for start in steps(starts, "chunks", self.progress):
-                index = torch.arange(start, min(start + self.config["chunk"], total))
-                samples = self.splats.samples(index, spp, random)
-                with torch.set_grad_enabled(derivative):
-                    radiance, alpha = self._trace(tracer, samples, modules)
-                bad = ~torch.isfinite(radiance.detach()).all(1)
-                paths += len(index)
-                if bool(bad.any()):
-                    lost += int(bad.sum())
-                    samples, radiance, alpha = self._drop(tracer, samples, modules, bad, radiance, alpha)
-                yield Chunk(number, samples, radiance, alpha)
+        try:
+            for number in steps(range(self.passes), "passes", self.progress):
+                random = Numbers(
+                    self.sampler, spp, seed if number == 0 else mix(seed, number), self.sensor, world.dtype
+                )
+                tracer = WavefrontTracer(world, self.config, random, derivative)
+                total = len(self.splats.sources) * spp
+                starts = range(0, total, self.config["chunk"])
+                for start in steps(starts, "chunks", self.progress):
+                    index = torch.arange(start, min(start + self.config["chunk"], total))
+                    samples = self.splats.samples(index, spp, random)
+                    with torch.set_grad_enabled(derivative):
+                        radiance, alpha = self._trace(tracer, samples, modules)
+                    bad = ~torch.isfinite(radiance.detach()).all(1)
+                    paths += len(index)
+                    if bool(bad.any()):
+                        lost += int(bad.sum())
+                        samples, radiance, alpha = self._drop(tracer, samples, modules, bad, radiance, alpha)
+                    yield Chunk(number, samples, radiance, alpha)
+        except KeyboardInterrupt:
+            if self.interruption.returns and not derivative:
+                self._finish("render", paths, lost, world.nonfinite_where)
+            raise
         self._finish("vjp" if derivative else "render", paths, lost, world.nonfinite_where)
 
     def _trace(
@@ -252,11 +263,24 @@ class WavefrontFunction(UnbatchedFunction):
         channels = call.native.channels
         empty = torch.zeros(call.splats.count, channels + 2, dtype=torch.float64, device="cpu")
         sums = [empty.clone() for _ in range(call.passes)]
-        for chunk in call.traced([t.detach() for t in tensors]):
-            one = torch.ones_like(chunk.alpha)[:, None]
-            columns = torch.cat([chunk.radiance, chunk.alpha[:, None], one], 1)
-            call.spread(chunk.samples).add(sums[chunk.number], columns)
-        total = torch.stack([share(s[:, :-1], s[:, -1:]) for s in sums]).mean(0)
+        complete = 0  # passes
+        try:
+            for chunk in call.traced([t.detach() for t in tensors]):
+                complete = chunk.number
+                if complete and call.interruption.happened:  # in an earlier view
+                    break
+                one = torch.ones_like(chunk.alpha)[:, None]
+                columns = torch.cat([chunk.radiance, chunk.alpha[:, None], one], 1)
+                call.spread(chunk.samples).add(sums[chunk.number], columns)
+            else:
+                complete = call.passes
+        except KeyboardInterrupt:
+            if not complete or not call.interruption.returns:
+                raise
+            call.interruption.happened = True
+        call.interruption.count(complete * call.spp, call.passes * call.spp)
+        call.passes = complete
+        total = torch.stack([share(s[:, :-1], s[:, -1:]) for s in sums[:complete]]).mean(0)
         image = call.image(total[:, :channels])
         return (image, call.image(total[:, channels:])[..., 0]) if call.alpha else image
 
