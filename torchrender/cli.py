@@ -67,6 +67,7 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("--integrator", help="path, volpath, ptracer, direct, ... (default: the scene's own)")
     render.add_argument("--sensor", help="index or name of a camera (default: the first)")
     render.add_argument("--exposure", type=float, default=0.0, help="of .png and .jpg, in stops (default %(default)g)")
+    _tonemap_argument(render)
     render.add_argument("--denoise", action="store_true", help="with Open Image Denoise (pip install pyoidn)")
     render.add_argument(
         "--on-interrupt",
@@ -93,7 +94,17 @@ def _parser() -> argparse.ArgumentParser:
     view.add_argument("image", type=Path, help="an image")
     view.add_argument("-o", "--output", type=Path, help="(default: beside the image, with .png for its ending)")
     view.add_argument("--exposure", type=float, help="in stops (default: the 99th percentile becomes white)")
+    _tonemap_argument(view)
     return parser
+
+
+def _tonemap_argument(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--tonemap",
+        choices=("srgb", "filmic"),
+        default="srgb",
+        help="curve of .png and .jpg: filmic is Hable's (default %(default)s)",
+    )
 
 
 def _scene_arguments(parser: argparse.ArgumentParser) -> None:
@@ -172,22 +183,23 @@ def _render(options: argparse.Namespace) -> int:
         image = found if names is None else tr.denoise(found.rgb, albedo=found.albedo, normal=found.shading_normal)
     seconds = time.perf_counter() - began
     interruption.warn()
-    _write(options.output, image, options.exposure, scene)
+    _write(options, image, scene)
     if not options.quiet:
         print(f"{options.output}: {image.shape[1]} x {image.shape[0]} pixels, {seconds:.1f} s")
     return 130 if interruption.happened else 0
 
 
-def _write(path: Path, image: torch.Tensor, exposure: float, scene: Any) -> None:
+def _write(options: argparse.Namespace, image: torch.Tensor, scene: Any) -> None:
     from . import io
 
+    path: Path = options.output
     if path.suffix.lower() in HDR:
         channels = None
         if image.shape[-1] not in (1, 3, 4):  # further channels of aov and moment
             channels = scene.integrator.channel_names(scene.channels)
         io.write_image(path, image, channels=channels)
         return
-    io.write_image(path, image[..., :3] * 2.0**exposure)
+    io.write_image(path, image[..., :3] * 2.0**options.exposure, tonemap=options.tonemap)
 
 
 def _info(options: argparse.Namespace) -> int:
@@ -246,6 +258,6 @@ def _view(options: argparse.Namespace) -> int:
     path = options.output or options.image.with_suffix(".png")
     if path == options.image:
         path = options.image.with_name(f"{options.image.stem}_view.png")
-    io.write_image(path, torch.nan_to_num(image * 2.0**exposure))
+    io.write_image(path, torch.nan_to_num(image * 2.0**exposure), tonemap=options.tonemap)
     print(f"{path} (exposure {exposure:+.2f} stops)")
     return 0

@@ -1,15 +1,20 @@
-"""Pictures for people: the sRGB curve, tone mapping and display."""
+"""Pictures for people: the sRGB curve, a filmic one, tone mapping and display."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import torch
 
 if TYPE_CHECKING:
     from PIL.Image import Image
+
+
+TonemapName: TypeAlias = Literal["srgb", "filmic"]
+"""How linear radiance becomes what is displayed: see `tonemap`."""
+TONEMAPS = ("srgb", "filmic")
 
 
 def linear_to_srgb(linear: torch.Tensor) -> torch.Tensor:
@@ -32,12 +37,59 @@ def srgb_to_linear(encoded: torch.Tensor) -> torch.Tensor:
     return torch.where(encoded <= 0.04045, encoded / 12.92, ((safe + 0.055) / 1.055) ** 2.4)
 
 
-def tonemap(image: torch.Tensor, exposure: float | torch.Tensor = 0.0, *, clip: bool = True) -> torch.Tensor:
-    """Turn linear radiance into display values: exposure, sRGB curve, and clipping to [0, 1].
+# Hable, "Uncharted 2: HDR Lighting", GDC 2010, and "Filmic Tonemapping Operators", filmicworlds.com, 2010: strengths
+# and angles of shoulder, linear part and toe, his exposure bias and the value that becomes white.
+_A, _B, _C, _D, _E, _F = 0.15, 0.50, 0.10, 0.20, 0.02, 0.30
+_BIAS, _WHITE = 2.0, 11.2
+_STEEP = (_C * _B * _D * _F - _D * _E * _B) / (_D * _F) ** 2  # the curve's derivative at 0
+_ENOUGH = 1e6  # from here on the curve is its limit to single precision, and squares are far from overflow
+
+
+def _hable(x: Any) -> Any:
+    return (x * (_A * x + _C * _B) + _D * _E) / (x * (_A * x + _B) + _D * _F) - _E / _F
+
+
+def filmic(linear: torch.Tensor) -> torch.Tensor:
+    """Compress linear values as film does, entry by entry: Hable's curve of 2010, with his constants.
+
+    It is 0 at 0 and 1 at 5.6, his white, with a soft shoulder before it and a toe that darkens shadows. The result is
+    linear, too: the sRGB curve follows for a display.
+
+    Args:
+        linear: tensor of any shape. Values above 5.6 end at 1.287; negative values stay on the tangent at 0.
+
+    Returns:
+        Tensor of the same shape, differentiable everywhere (also at 0 and below).
+    """
+    x = linear * _BIAS
+    return torch.where(x > 0, _hable(x.clamp(0, _ENOUGH)), x * _STEEP) / _hable(_WHITE)
+
+
+def check_tonemap(where: str, name: Any) -> None:
+    """ValueError unless `name` is one of TONEMAPS."""
+    if name not in TONEMAPS:
+        raise ValueError(f"{where}: expected 'srgb' or 'filmic', got {name!r}")
+
+
+def encode(linear: torch.Tensor, curve: TonemapName) -> torch.Tensor:
+    """Display values for linear colours, entry by entry, not clipped."""
+    return linear_to_srgb(filmic(linear) if curve == "filmic" else linear)
+
+
+def tonemap(
+    image: torch.Tensor,
+    exposure: float | torch.Tensor = 0.0,
+    *,
+    curve: TonemapName = "srgb",
+    clip: bool = True,
+) -> torch.Tensor:
+    """Turn linear radiance into display values: exposure, a curve, and clipping to [0, 1].
 
     Args:
         image: linear radiance, channels last. With four channels the last one is alpha, which is only clipped.
         exposure: in stops (powers of two); a float, or a scalar tensor, which may require a gradient.
+        curve: ``"srgb"``, the sRGB curve alone, which clips what is brighter than 1, or ``"filmic"``: Hable's filmic
+            curve (GDC 2010) before it, which keeps highlights up to 5.6 apart and is darker below.
         clip: clip to [0, 1]. Clipped entries have no gradient; with ``clip=False`` every entry has one.
 
     Returns:
@@ -45,14 +97,16 @@ def tonemap(image: torch.Tensor, exposure: float | torch.Tensor = 0.0, *, clip: 
 
     Raises:
         TypeError: if the image is not a floating-point tensor.
+        ValueError: if there is no such curve.
     """
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
         raise TypeError(f"image: expected a floating-point tensor, got {_describe(image)}")
+    check_tonemap("curve", curve)
     gain = torch.exp2(torch.as_tensor(exposure, dtype=image.dtype, device=image.device))
     if image.dim() >= 3 and image.shape[-1] == 4:
-        out = torch.cat([linear_to_srgb(image[..., :3] * gain), image[..., 3:]], dim=-1)
+        out = torch.cat([encode(image[..., :3] * gain, curve), image[..., 3:]], dim=-1)
     else:
-        out = linear_to_srgb(image * gain)
+        out = encode(image * gain, curve)
     return out.clamp(0.0, 1.0) if clip else out
 
 
@@ -72,13 +126,16 @@ def to_bytes(image: torch.Tensor) -> torch.Tensor:
     return (torch.nan_to_num(image.detach(), nan=0.0).clamp(0, 1) * 255 + 0.5).to(torch.uint8).cpu()
 
 
-def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) -> Image | None:
+def show(
+    image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0, *, tonemap: TonemapName = "srgb"
+) -> Image | None:
     """Show linear images, several of them side by side.
 
     Args:
         image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4; a sequence of them of one height; or a batch,
             (B, H, W, C) or (B, C, H, W). Channels may come first in single images, too.
         exposure: in stops.
+        tonemap: ``"srgb"`` or ``"filmic"``, the `curve` of `tr.tonemap`.
 
     Returns:
         In a notebook the picture is displayed below the cell and ``None`` is returned; elsewhere a ``PIL.Image``,
@@ -89,32 +146,40 @@ def show(image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0) ->
     """
     from PIL import Image as PILImage
 
-    single = isinstance(image, torch.Tensor) and image.dim() != 4
-    images = [image] if single else list(image)
-    if not images:
-        raise ValueError("image: expected an image or a non-empty sequence of images, got an empty sequence")
-    tiles = []
-    for tile in images:
-        if not isinstance(tile, torch.Tensor) or tile.dim() not in (2, 3):
-            raise TypeError(f"image: expected tensors of shape (H, W, C) or (H, W), got {_describe(tile)}")
-        tile = tile.unsqueeze(-1) if tile.dim() == 2 else tile
-        if tile.shape[-1] not in (1, 3, 4) and tile.shape[0] in (1, 3, 4):
-            tile = tile.movedim(0, -1)
-        if tile.shape[-1] not in (1, 3, 4):
-            raise ValueError(f"image: expected 1, 3 or 4 channels, got shape {tuple(tile.shape)}")
-        tile = to_bytes(tonemap(tile.detach().float(), exposure))
-        tiles.append(tile.expand(*tile.shape[:2], 3) if tile.shape[-1] == 1 else tile)
-    if any(tile.shape[-1] == 4 for tile in tiles):
-        tiles = [_with_alpha(tile) for tile in tiles]
-    if len({tile.shape[0] for tile in tiles}) > 1:
-        raise ValueError(f"image: expected images of one height, got heights {[tile.shape[0] for tile in tiles]}")
-    picture = PILImage.fromarray(torch.cat(tiles, dim=1).contiguous().numpy())
+    picture = PILImage.fromarray(side_by_side(image, exposure, tonemap).numpy())
     if in_notebook():
         from IPython.display import display  # pyright: ignore[reportMissingImports] (a notebook has it)
 
         display(picture)
         return None
     return picture
+
+
+def side_by_side(
+    image: torch.Tensor | Sequence[torch.Tensor], exposure: float, curve: TonemapName, where: str = "image"
+) -> torch.Tensor:
+    """Pictures as `show` takes them, tone mapped, as one: uint8 (H, W, C), C = 3 or 4. Errors begin with `where`."""
+    check_tonemap("tonemap", curve)
+    single = isinstance(image, torch.Tensor) and image.dim() != 4
+    images = [image] if single else list(image)
+    if not images:
+        raise ValueError(f"{where}: expected an image or a non-empty sequence of images, got an empty sequence")
+    tiles = []
+    for tile in images:
+        if not isinstance(tile, torch.Tensor) or tile.dim() not in (2, 3):
+            raise TypeError(f"{where}: expected tensors of shape (H, W, C) or (H, W), got {_describe(tile)}")
+        tile = tile.unsqueeze(-1) if tile.dim() == 2 else tile
+        if tile.shape[-1] not in (1, 3, 4) and tile.shape[0] in (1, 3, 4):
+            tile = tile.movedim(0, -1)
+        if tile.shape[-1] not in (1, 3, 4):
+            raise ValueError(f"{where}: expected 1, 3 or 4 channels, got shape {tuple(tile.shape)}")
+        tile = to_bytes(tonemap(tile.detach().float(), exposure, curve=curve))
+        tiles.append(tile.expand(*tile.shape[:2], 3) if tile.shape[-1] == 1 else tile)
+    if any(tile.shape[-1] == 4 for tile in tiles):
+        tiles = [_with_alpha(tile) for tile in tiles]
+    if len({tile.shape[0] for tile in tiles}) > 1:
+        raise ValueError(f"{where}: expected images of one height, got heights {[tile.shape[0] for tile in tiles]}")
+    return torch.cat(tiles, dim=1).contiguous()
 
 
 def in_notebook() -> bool:

@@ -59,6 +59,16 @@ def test_exposure_is_for_pictures(capsys, tmp_path):
     assert float((shown - (linear / 2).clamp(0, 1)).abs().max()) < 0.01
 
 
+def test_filmic_pictures(capsys, tmp_path):
+    options = ("--spp", 2, "--size", "8x8", "--quiet", "--tonemap", "filmic")
+    for name in ("a.png", "a.exr"):
+        assert run(capsys, "render", BOX, "-o", tmp_path / name, *options)[0] == 0
+    assert run(capsys, "view", tmp_path / "a.exr", "-o", tmp_path / "b.png", "--exposure", 0, *options[-2:])[0] == 0
+    expected = tr.tonemap(tr.io.read_image(tmp_path / "a.exr"), curve="filmic")
+    for name in ("a.png", "b.png"):
+        assert float((tr.io.read_image(tmp_path / name, raw=True) - expected).abs().max()) < 0.003
+
+
 def test_further_channels_have_names(capsys, tmp_path):
     path = tmp_path / "a.xml"
     nested = '<integrator type="moment"><integrator type="path"/></integrator>'

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from torchrender.image import linear_to_srgb, show, srgb_to_linear, tonemap
+from torchrender.image import filmic, linear_to_srgb, show, srgb_to_linear, tonemap
 from torchrender.io import (
     read_channels,
     read_image,
@@ -274,3 +274,58 @@ def test_tonemap_and_show():
         show([torch.ones(2, 3, 3), torch.ones(3, 3, 3)])
     with pytest.raises(TypeError, match="floating-point"):
         tonemap(torch.ones(2, 2, 3, dtype=torch.uint8))
+
+
+# ------------------------------------------------------------------------------------------------------------ filmic
+def hable(x):
+    """As on his slides: shoulder strength 0.15, linear strength 0.5 and angle 0.1, toe 0.2, 0.02 / 0.3."""
+    return (x * (0.15 * x + 0.05) + 0.004) / (x * (0.15 * x + 0.5) + 0.06) - 1 / 15
+
+
+def test_filmic_curve():
+    values = torch.tensor([0.0, 0.01, 0.18, 1.0, 3.0, 5.6], dtype=torch.float64)
+    found = filmic(values)
+    assert torch.allclose(found, hable(2 * values) / hable(11.2), atol=1e-12)
+    assert float(found[0]) == pytest.approx(0, abs=1e-15) and float(found[-1]) == pytest.approx(1)
+    assert found.tolist()[2:4] == pytest.approx([0.128338, 0.492919], abs=1e-6)
+    x = torch.tensor([-0.5, -1e-4, 1e-4, 0.3, 4.0, 60.0], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(filmic, x)
+    # one tangent from either side of 0, and none of both
+    zero = torch.zeros(3, dtype=torch.float64) + torch.tensor([-1e-9, 0.0, 1e-9], dtype=torch.float64)
+    (slope,) = torch.autograd.grad(filmic(zero.requires_grad_()).sum(), zero)
+    assert torch.allclose(slope, slope[1].expand(3), rtol=1e-6)
+    assert float(slope[1]) == pytest.approx(2 * hable(1e-7) / hable(11.2) / 1e-7, rel=1e-5)
+    rising = filmic(torch.cat([torch.linspace(-1, 8, 1001), torch.logspace(1, 38, 400)]))
+    assert bool((rising.diff() >= 0).all()) and bool(torch.isfinite(rising).all())
+    assert float(filmic(torch.tensor(float("inf")))) == pytest.approx(14 / 15 / hable(11.2), rel=1e-5)
+
+
+def test_filmic_pictures(tmp_path):
+    image = torch.linspace(0, 6, 5 * 7 * 3).reshape(5, 7, 3)
+    expected = linear_to_srgb(filmic(image)).clamp(0, 1)
+    assert torch.allclose(tonemap(image, curve="filmic"), expected)
+    assert torch.allclose(tonemap(image / 4, 2.0, curve="filmic"), expected, atol=1e-6)
+    assert tonemap(image, curve="filmic", clip=False).max() > 1 and tonemap(image, clip=False).max() > 1
+    assert torch.autograd.gradcheck(lambda i: tonemap(i, curve="filmic", clip=False), image.double().requires_grad_())
+    bytes_of = (expected * 255 + 0.5).to(torch.uint8)
+    write_image(tmp_path / "a.png", image, tonemap="filmic")
+    assert torch.equal((read_image(tmp_path / "a.png", raw=True) * 255).round().to(torch.uint8), bytes_of)
+    write_image(tmp_path / "b.png", image, tonemap="filmic", bits=16)
+    assert float((read_image(tmp_path / "b.png", raw=True) - expected).abs().max()) < 1e-4
+    write_image(tmp_path / "a.jpg", torch.ones(8, 8, 3), tonemap="filmic", quality=100)
+    assert float(read_image(tmp_path / "a.jpg", raw=True).mean()) == pytest.approx(0.731, abs=0.005)
+    shown = show(image, tonemap="filmic")
+    assert np.array_equal(np.asarray(shown), bytes_of)
+    rgba = torch.cat([image, torch.full((5, 7, 1), 0.25)], -1)
+    assert torch.allclose(tonemap(rgba, curve="filmic")[..., 3], torch.tensor(0.25))
+    for call in (
+        lambda: tonemap(image, curve="aces"),
+        lambda: show(image, tonemap="aces"),
+        lambda: write_image(tmp_path / "c.png", image, tonemap="aces"),
+    ):
+        with pytest.raises(ValueError, match="expected 'srgb' or 'filmic', got 'aces'"):
+            call()
+    for name, options in (("c.exr", {}), ("c.hdr", {}), ("c.png", {"raw": True})):
+        with pytest.raises(ValueError, match="'filmic' is for PNG and JPEG without raw=True"):
+            write_image(tmp_path / name, image, tonemap="filmic", **options)
+    assert not list(tmp_path.glob("c.*"))

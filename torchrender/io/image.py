@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..errors import describe
-from ..image import linear_to_srgb, srgb_to_linear
+from ..image import TonemapName, check_tonemap, encode, srgb_to_linear
 from . import exr, hdr, pfm, png16
 from ._files import check_size, existing_file, reading, writable_file
 
@@ -153,6 +153,7 @@ def write_image(
     bits: int = 8,
     raw: bool = False,
     quality: int = 95,
+    tonemap: TonemapName = "srgb",
 ) -> None:
     """Write a picture of linear values; the ending of the name says in which format.
 
@@ -167,6 +168,8 @@ def write_image(
         bits: PNG: 8 or 16 bits per channel.
         raw: PNG, JPEG: store the values as they are, without the sRGB curve. They are clipped to [0, 1] in any case.
         quality: JPEG: 1 to 100.
+        tonemap: PNG, JPEG: ``"srgb"``, the sRGB curve alone, or ``"filmic"``, with Hable's curve before it, as of
+            `tr.tonemap`. Not with `raw`.
 
     Raises:
         FileNotFoundError: if there is no such folder.
@@ -174,6 +177,9 @@ def write_image(
     """
     path = writable_image(path)
     ending = path.suffix.lower()
+    check_tonemap("tonemap", tonemap)
+    if tonemap != "srgb" and (raw or ending not in (".png", ".jpg", ".jpeg")):
+        raise ValueError(f"tonemap: {tonemap!r} is for PNG and JPEG without raw=True; other files keep linear values")
     if ending == ".exr":
         exr.write_exr(path, {"": _named_channels(path, image, channels)}, half)
         return
@@ -187,7 +193,7 @@ def write_image(
     elif ending == ".pfm":
         pfm.write_pfm(path, pixels)
     else:
-        _write_integers(path, pixels, ending, bits, raw, quality)
+        _write_integers(path, pixels, ending, bits, None if raw else tonemap, quality)
 
 
 def _advice(tensor: torch.Tensor | np.ndarray) -> str:
@@ -294,8 +300,19 @@ def _read_with_pillow(path: Path) -> np.ndarray:
     return pixels[..., None] if pixels.ndim == 2 else pixels
 
 
-def _write_integers(path: Path, pixels: np.ndarray, ending: str, bits: int, raw: bool, quality: int) -> None:
-    """PNG and JPEG, with the sRGB curve on all channels but alpha."""
+def display_values(pixels: np.ndarray, curve: TonemapName | None) -> torch.Tensor:
+    """Pixels (..., C) as values to store, from 0 to 1: with a curve on all channels but alpha, or without any."""
+    values = torch.from_numpy(np.nan_to_num(pixels, nan=0.0)).double()
+    if curve is not None:
+        colours = 3 if values.shape[-1] == 4 else values.shape[-1]
+        values = torch.cat([encode(values[..., :colours], curve), values[..., colours:]], dim=-1)
+    return values.clamp(0, 1)
+
+
+def _write_integers(
+    path: Path, pixels: np.ndarray, ending: str, bits: int, curve: TonemapName | None, quality: int
+) -> None:
+    """PNG and JPEG."""
     allowed = (1, 3, 4) if ending == ".png" else (1, 3)
     count = pixels.shape[-1]
     if count not in allowed:
@@ -304,11 +321,7 @@ def _write_integers(path: Path, pixels: np.ndarray, ending: str, bits: int, raw:
         raise ValueError(f"bits: expected 8, or 16 for a PNG file, got {bits!r} for {ending}")
     if not 1 <= quality <= 100:
         raise ValueError(f"quality: expected 1 to 100, got {quality!r}")
-    values = torch.from_numpy(np.nan_to_num(pixels, nan=0.0)).double().clamp(0, 1)
-    if not raw:
-        colours = 3 if count == 4 else count
-        values = torch.cat([linear_to_srgb(values[..., :colours]), values[..., colours:]], dim=-1).clamp(0, 1)
-    stored = (values * (2**bits - 1) + 0.5).floor().numpy()
+    stored = (display_values(pixels, curve) * (2**bits - 1) + 0.5).floor().numpy()
     if bits == 16:
         png16.write_png16(path, stored.astype(np.uint16))
         return
