@@ -1,6 +1,7 @@
 """Images and volumes from and to files."""
 
 from .image import read_channels, read_image, read_parts, write_image, write_parts
+from .video import write_video
 from .volume import read_volume, read_volume_bounds, write_volume
 
 __all__ = [
@@ -11,5 +12,6 @@ __all__ = [
     "read_volume_bounds",
     "write_image",
     "write_parts",
+    "write_video",
     "write_volume",
 ]

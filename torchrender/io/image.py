@@ -185,9 +185,9 @@ def write_image(
         return
     if channels is not None or isinstance(image, (Mapping, tuple)):
         raise ValueError(f"{path}: only EXR files have named channels")
-    pixels = _pixels("image", cast("torch.Tensor", image))
-    if pixels.shape[-1] not in _DEFAULT_NAMES and (advice := _advice(pixels)):
-        raise ValueError(f"image: expected shape (H, W, C), got {pixels.shape}{advice}")
+    pixels = as_pixels("image", cast("torch.Tensor", image))
+    if pixels.shape[-1] not in _DEFAULT_NAMES and (hint := advice(pixels)):
+        raise ValueError(f"image: expected shape (H, W, C), got {pixels.shape}{hint}")
     if ending == ".hdr":
         hdr.write_hdr(path, pixels)
     elif ending == ".pfm":
@@ -196,7 +196,7 @@ def write_image(
         _write_integers(path, pixels, ending, bits, None if raw else tonemap, quality)
 
 
-def _advice(tensor: torch.Tensor | np.ndarray) -> str:
+def advice(tensor: torch.Tensor | np.ndarray) -> str:
     """For layouts of images that people have elsewhere."""
     few, shape = (1, 2, 3, 4), tuple(tensor.shape)
     if len(shape) == 3 and shape[0] in few and shape[1] > 4 and shape[2] > 4:
@@ -209,7 +209,7 @@ def _advice(tensor: torch.Tensor | np.ndarray) -> str:
     return ""
 
 
-def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
+def as_pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
     """The image as a float32 array (H, W, C)."""
     tensor = torch.as_tensor(image) if isinstance(image, (torch.Tensor, np.ndarray)) else None
     if tensor is None or not tensor.is_floating_point():
@@ -217,7 +217,7 @@ def _pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
         raise TypeError(f"{what}: expected a floating-point tensor (H, W, C), got {got}")
     if tensor.dim() not in (2, 3) or 0 in tensor.shape:
         raise ValueError(
-            f"{what}: expected shape (H, W, C) or (H, W) without zeros, got {tuple(tensor.shape)}{_advice(tensor)}"
+            f"{what}: expected shape (H, W, C) or (H, W) without zeros, got {tuple(tensor.shape)}{advice(tensor)}"
         )
     tensor = tensor.unsqueeze(-1) if tensor.dim() == 2 else tensor
     return np.ascontiguousarray(tensor.detach().cpu().float().numpy())
@@ -241,7 +241,7 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
             raise ValueError("channels: expected None with a mapping of layers, whose keys are the names")
         result: dict[str, np.ndarray] = {}
         for layer, values in image.items():
-            pixels = _pixels(f"image[{layer!r}]", values)
+            pixels = as_pixels(f"image[{layer!r}]", values)
             count = pixels.shape[-1]
             table = _LAYER_SUFFIXES if layer else _DEFAULT_NAMES
             if count not in table:
@@ -251,10 +251,10 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
             sizes = {name: pixels.shape for name, pixels in result.items()}
             raise ValueError(f"image: expected at least one layer, all of one size, got {sizes}")
         return result
-    pixels = _pixels("image", image)
+    pixels = as_pixels("image", image)
     count = pixels.shape[-1]
     if channels is None and count not in _DEFAULT_NAMES:
-        raise ValueError(f"{path}: {count} channels need names: pass channels=(...){_advice(pixels)}")
+        raise ValueError(f"{path}: {count} channels need names: pass channels=(...){advice(pixels)}")
     names = _DEFAULT_NAMES[count] if channels is None else tuple(channels)
     if len(names) != count or len(set(names)) != count or not all(isinstance(name, str) and name for name in names):
         raise ValueError(f"channels: expected {count} different names, got {names}")
