@@ -59,6 +59,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from .bsdfs import native_bsdf as native_bsdf
     from .daylight import sky as sky
     from .denoising import denoise as denoise
+    from .image import log_images as log_images
     from .image import show as show
     from .image import tonemap as tonemap
     from .loaders.colmap import load_colmap as load_colmap
@@ -73,6 +74,7 @@ _MODULES = ("backends", "integrators")
 _LAZY_NAMES = {
     "tonemap": "image",
     "show": "image",
+    "log_images": "image",
     "ray_intersect": "queries",
     "ray_occluded": "queries",
     "sky": "daylight",

@@ -155,6 +155,38 @@ def show(
     return picture
 
 
+def log_images(
+    writer: Any,
+    tag: str,
+    images: torch.Tensor | Sequence[torch.Tensor],
+    step: int | None = None,
+    *,
+    exposure: float = 0.0,
+    tonemap: TonemapName = "srgb",
+) -> None:
+    """Log linear images, tone mapped and side by side, as one picture in TensorBoard.
+
+    Args:
+        writer: a `torch.utils.tensorboard.SummaryWriter`, or anything else with ``add_image(tag, tensor, step)``, which
+            is given bytes (3, H, W), or (4, H, W) with alpha.
+        tag: the picture's name.
+        images: as of `show`: (H, W, C) or (H, W), a sequence of them of one height, or a batch.
+        step: the iteration.
+        exposure: in stops.
+        tonemap: ``"srgb"`` or ``"filmic"``, the `curve` of `tr.tonemap`.
+
+    Raises:
+        TypeError, ValueError: if the writer cannot take images, or an image has another shape or dtype.
+    """
+    add = getattr(writer, "add_image", None)
+    if not callable(add):
+        raise TypeError(
+            "writer: expected a torch.utils.tensorboard.SummaryWriter, or something else with add_image, got "
+            f"{_describe(writer)}"
+        )
+    add(tag, side_by_side(images, exposure, tonemap, "images").movedim(-1, 0).contiguous(), step)
+
+
 def side_by_side(
     image: torch.Tensor | Sequence[torch.Tensor], exposure: float, curve: TonemapName, where: str = "image"
 ) -> torch.Tensor:

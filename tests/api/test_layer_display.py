@@ -9,9 +9,10 @@ import re
 import sys
 import time
 import types
-from io import StringIO
+from io import BytesIO, StringIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -72,6 +73,62 @@ def test_show_elsewhere_returns_the_picture(monkeypatch):
     # Display values: the sRGB curve, rounded; twice as much light with an exposure of 1.
     assert tr.show(torch.full((1, 1, 3), 0.25)).getpixel((0, 0)) == (137, 137, 137)
     assert tr.show(torch.full((1, 1, 3), 0.125), exposure=1).getpixel((0, 0)) == (137, 137, 137)
+
+
+class Recorder:
+    """What `log_images` needs of a writer."""
+
+    def __init__(self):
+        self.images = []
+
+    def add_image(self, tag, picture, step):
+        self.images.append((tag, picture, step))
+
+
+def test_log_images():
+    generator = torch.Generator().manual_seed(0)
+    image, batch = torch.rand(4, 6, 3, generator=generator), torch.rand(2, 4, 6, 3, generator=generator)
+    rgba = torch.cat([image, image[..., :1]], -1).requires_grad_()
+    cases = [image, [image, batch[0]], batch, batch.movedim(-1, 1), image.movedim(-1, 0), image[..., 0], rgba]
+    for number, case in enumerate(cases):
+        tr.log_images(writer := Recorder(), "found", case, number, exposure=1, tonemap="filmic")
+        ((tag, picture, step),) = writer.images
+        expected = torch.from_numpy(np.array(tr.show(case, 1, tonemap="filmic")))
+        assert (tag, step) == ("found", number) and picture.dtype == torch.uint8
+        assert torch.equal(picture.movedim(0, -1), expected)
+    tr.log_images(writer, "last", image)
+    assert writer.images[-1][2] is None
+
+
+def test_log_images_refuses():
+    writer = Recorder()
+    with pytest.raises(TypeError, match=r"writer: expected a torch.utils.tensorboard.SummaryWriter.*, got str"):
+        tr.log_images("runs", "a", torch.zeros(2, 2, 3), 0)
+    for images, kind, message in (
+        (torch.zeros(2, 2, 5), ValueError, "images: expected 1, 3 or 4 channels"),
+        ([torch.zeros(2, 2, 3), torch.zeros(3, 2, 3)], ValueError, "images: expected images of one height"),
+        ([], ValueError, "images: expected an image or a non-empty sequence"),
+        ([1.0], TypeError, "images: expected tensors"),
+    ):
+        with pytest.raises(kind, match=message):
+            tr.log_images(writer, "a", images, 0)
+    with pytest.raises(ValueError, match="tonemap: expected 'srgb' or 'filmic'"):
+        tr.log_images(writer, "a", torch.zeros(2, 2, 3), 0, tonemap="aces")
+    assert not writer.images
+
+
+def test_log_images_in_tensorboard(tmp_path):
+    pytest.importorskip("tensorboard")
+    from PIL import Image
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+    from torch.utils.tensorboard import SummaryWriter
+
+    image = torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0))
+    with SummaryWriter(str(tmp_path)) as writer:
+        tr.log_images(writer, "found", [image, image[..., :1]], 7)
+    (event,) = EventAccumulator(str(tmp_path)).Reload().Images("found")
+    picture = Image.open(BytesIO(event.encoded_image_string))
+    assert event.step == 7 and np.array_equal(np.asarray(picture), np.asarray(tr.show([image, image[..., :1]])))
 
 
 # ---------------------------------------------------------------------------------------------------------- progress
@@ -255,6 +312,7 @@ def test_every_public_name_is_documented():
     for name in (
         "tonemap",
         "show",
+        "log_images",
         "ray_intersect",
         "ray_occluded",
         "rotation",

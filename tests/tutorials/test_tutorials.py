@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import json
 import runpy
+import sys
 from pathlib import Path
 
 import pytest
 import torch
+
+import torchrender as tr
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 
@@ -53,6 +57,37 @@ def test_textured_monkey(tutorial, tmp_path, capsys):
     assert "PSNR of the texture where it is seen" in capsys.readouterr().out
     names = ["target", "start", "result", "texture_target", "texture_result", "derivative_red"]
     check_pictures(tmp_path, names)
+
+
+WATCHED = {"resolution": 48, "spp": 8, "iterations": 200, "target_spp": 512, "picture_every": 100}
+SCALARS = {"loss", "learning rate", "ball.bsdf.alpha/value", "lamp.intensity.value/g", "gradient/ball.bsdf.alpha"}
+
+
+def test_watch_training_without_tensorboard(tutorial, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "torch.utils.tensorboard", None)
+    errors = tutorial("watch_training").run(tmp_path / "logs", **WATCHED)
+    assert set(errors) == set(tutorial("watch_training").UNKNOWN) and max(errors.values()) < 0.1
+    assert "TensorBoard is not installed (pip install tensorboard): pictures and" in capsys.readouterr().out
+    with (tmp_path / "logs" / "scalars.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    losses = [float(row["value"]) for row in rows if row["tag"] == "loss"]
+    assert len(losses) == 200 and losses[-1] < 0.5 * losses[0] and {row["tag"] for row in rows} >= SCALARS
+    pictures = {f"pictures_{name}_{i:04d}.png" for name in ("error", "result_target") for i in (0, 100, 199)}
+    assert {path.name for path in (tmp_path / "logs").iterdir()} == {"scalars.csv", *pictures}
+    assert tr.io.read_image(tmp_path / "logs" / "pictures_result_target_0199.png").shape == (48, 96, 3)
+
+
+def test_watch_training_with_tensorboard(tutorial, tmp_path, capsys):
+    pytest.importorskip("tensorboard")
+    tutorial("watch_training").run(tmp_path, **{**WATCHED, "iterations": 3, "picture_every": 2})
+    assert "not installed" not in capsys.readouterr().out
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    found = EventAccumulator(str(tmp_path)).Reload()
+    assert set(found.Tags()["scalars"]) >= SCALARS
+    assert [event.step for event in found.Scalars("loss")] == [0, 1, 2]
+    pictures = found.Images("pictures/result_target")
+    assert [p.step for p in pictures] == [0, 2] and (pictures[0].height, pictures[0].width) == (48, 96)
 
 
 def test_quick_start(monkeypatch, tmp_path, capsys):
