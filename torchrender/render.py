@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import inspect
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Generic, Literal, TypeVar, cast, overload
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast, overload
 
 import numpy as np
 import torch
@@ -40,10 +40,14 @@ from .render_checks import (
 from .render_sensors import chosen_sensors, layout_with_room
 from .render_types import (
     IntegratorLike,
+    InterruptMode,
     LayoutName,
+    NanMode,
+    OutputNames,
     Outputs,
     PixelsLike,
     RangeMode,
+    RendererSettings,
     RenderSettings,
     SamplerName,
     SensorLike,
@@ -65,7 +69,7 @@ def render(scene: Scene, *, outputs: None = None, **settings: Unpack[RenderSetti
 
 
 @overload
-def render(scene: Scene, *, outputs: Sequence[str], **settings: Unpack[RenderSettings]) -> Outputs: ...
+def render(scene: Scene, *, outputs: OutputNames, **settings: Unpack[RenderSettings]) -> Outputs: ...
 
 
 @operation("render")
@@ -81,7 +85,7 @@ def render(
     seed_grad: int | torch.Generator | None = None,
     passes: int = 1,
     params: Mapping[str, torch.Tensor] | Sequence[Mapping[str, torch.Tensor]] | None = None,
-    outputs: Sequence[str] | None = None,
+    outputs: OutputNames | None = None,
     features: Mapping[str, torch.Tensor] | None = None,
     size: Sequence[int] | None = None,
     crop: Sequence[int] | None = None,
@@ -89,11 +93,11 @@ def render(
     layout: LayoutName = "hwc",
     correlated: bool = False,
     adaptive_grad: bool = False,
-    nan: Literal["drop", "raise"] = "drop",
+    nan: NanMode = "drop",
     sampler: SamplerName | None = None,
     range: RangeMode = "warn",
     progress: bool | None = None,
-    on_interrupt: Literal["raise", "return"] = "raise",
+    on_interrupt: InterruptMode = "raise",
 ) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
 
@@ -372,6 +376,9 @@ class Renderer(nn.Module, Generic[Result]):
         settings: keyword arguments of `render`, each of which a call may override.
     """
 
+    scene: Scene
+    settings: dict[str, Any]
+
     @overload
     def __init__(
         self: Renderer[torch.Tensor],
@@ -379,7 +386,7 @@ class Renderer(nn.Module, Generic[Result]):
         *,
         train: str | Sequence[str] | None = None,
         outputs: None = None,
-        **settings: Unpack[RenderSettings],
+        **settings: Unpack[RendererSettings],
     ) -> None: ...
 
     @overload
@@ -388,8 +395,8 @@ class Renderer(nn.Module, Generic[Result]):
         scene: Scene,
         *,
         train: str | Sequence[str] | None = None,
-        outputs: Sequence[str],
-        **settings: Unpack[RenderSettings],
+        outputs: OutputNames,
+        **settings: Unpack[RendererSettings],
     ) -> None: ...
 
     def __init__(self, scene: Scene, *, train: str | Sequence[str] | None = None, **settings: Any) -> None:
@@ -416,11 +423,20 @@ class Renderer(nn.Module, Generic[Result]):
         if train is not None:
             scene.train_only(*([train] if isinstance(train, str) else train))
 
-    def forward(self, **overrides: Any) -> torch.Tensor | Outputs:
+    @overload
+    def forward(self, **overrides: Unpack[RenderSettings]) -> Result: ...
+
+    @overload
+    def forward(self, *, outputs: None, **overrides: Unpack[RenderSettings]) -> torch.Tensor: ...
+
+    @overload
+    def forward(self, *, outputs: OutputNames, **overrides: Unpack[RenderSettings]) -> Outputs: ...
+
+    def forward(self, **overrides: Any) -> Any:
         """Render; keyword arguments are those of `render`."""
         return render(self.scene, **{**self.settings, **overrides})
 
-    if TYPE_CHECKING:
+    if TYPE_CHECKING:  # that of nn.Module is Callable[..., Any]
 
         @overload
         def __call__(self, **overrides: Unpack[RenderSettings]) -> Result: ...
@@ -429,7 +445,7 @@ class Renderer(nn.Module, Generic[Result]):
         def __call__(self, *, outputs: None, **overrides: Unpack[RenderSettings]) -> torch.Tensor: ...
 
         @overload
-        def __call__(self, *, outputs: Sequence[str], **overrides: Unpack[RenderSettings]) -> Outputs: ...
+        def __call__(self, *, outputs: OutputNames, **overrides: Unpack[RenderSettings]) -> Outputs: ...
 
         def __call__(self, **overrides: Any) -> Any: ...
 

@@ -13,17 +13,61 @@ from .scene.sensor import Sensor
 
 SensorLike: TypeAlias = int | str | Sensor | Sequence[int | str | Sensor] | torch.Tensor | np.ndarray
 """Index or name of a camera of the scene, a camera, a list of them, or an integer tensor or array of indices (B,)."""
-IntegratorLike: TypeAlias = Integrator | Mapping[str, Any] | str
+IntegratorName: TypeAlias = Literal[
+    "path",
+    "prb",
+    "prb_basic",
+    "prb_projective",
+    "volpath",
+    "volpathmis",
+    "prbvolpath",
+    "ptracer",
+    "direct",
+    "direct_projective",
+    "aov",
+    "moment",
+]
+IntegratorLike: TypeAlias = Integrator | Mapping[str, Any] | IntegratorName | str
 """An integrator, the dict that describes one, or the name of its type."""
 PixelsLike: TypeAlias = torch.Tensor | np.ndarray | Sequence[Sequence[int]]
 """Rows and columns (N, 2), integers."""
 LayoutName: TypeAlias = Literal["hwc", "chw", "bhwc", "bchw"]
+OutputName: TypeAlias = Literal[
+    "rgb",
+    "alpha",
+    "variance",
+    "second_moment",
+    "depth",
+    "distance",
+    "position",
+    "normal",
+    "shading_normal",
+    "normal_camera",
+    "shading_normal_camera",
+    "uv",
+    "barycentric",
+    "dp_du",
+    "dp_dv",
+    "albedo",
+    "specular_reflectance",
+    "roughness",
+    "shape_id",
+    "prim_id",
+    "material_id",
+    "duv_dx",
+    "duv_dy",
+    "features",
+]
+OutputNames: TypeAlias = Sequence[OutputName | str]
+"""Names of outputs; those of meshes' colours are free, and so are strings that a program makes."""
+NanMode: TypeAlias = Literal["drop", "raise"]
+InterruptMode: TypeAlias = Literal["raise", "return"]
 RangeMode: TypeAlias = Literal["warn", "raise", "ignore"]
 SamplerName: TypeAlias = Literal["independent", "stratified", "sobol"]
 
 
-class RenderSettings(TypedDict, total=False):
-    """The keyword arguments of `render`, without `outputs`, on which the type of its result depends."""
+class RendererSettings(TypedDict, total=False):
+    """The keyword arguments of `Renderer`, without `outputs`, on which the type of its result depends."""
 
     sensor: SensorLike
     integrator: IntegratorLike | None
@@ -32,7 +76,6 @@ class RenderSettings(TypedDict, total=False):
     spp_grad: int | None
     seed_grad: int | torch.Generator | None
     passes: int
-    params: Mapping[str, torch.Tensor] | Sequence[Mapping[str, torch.Tensor]] | None
     features: Mapping[str, torch.Tensor] | None
     size: Sequence[int] | None
     crop: Sequence[int] | None
@@ -40,11 +83,17 @@ class RenderSettings(TypedDict, total=False):
     layout: LayoutName
     correlated: bool
     adaptive_grad: bool
-    nan: Literal["drop", "raise"]
+    nan: NanMode
     sampler: SamplerName | None
     range: RangeMode
     progress: bool | None
-    on_interrupt: Literal["raise", "return"]
+    on_interrupt: InterruptMode
+
+
+class RenderSettings(RendererSettings, total=False):
+    """Those of `render` and of a call of a `Renderer`."""
+
+    params: Mapping[str, torch.Tensor] | Sequence[Mapping[str, torch.Tensor]] | None
 
 
 if TYPE_CHECKING:

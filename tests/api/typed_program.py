@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import torch
+import trimesh
 from torch import nn
 from typing_extensions import assert_type
 
 import torchrender as tr
-from torchrender.render_types import Outputs
+from torchrender.render_types import Outputs, RenderSettings
+from torchrender.typing import SceneDict
 
 
 def images(scene: tr.Scene, camera: tr.PerspectiveCamera) -> None:
@@ -29,6 +32,14 @@ def layers(scene: tr.Scene) -> None:
     assert_type(layer(seed=1), torch.Tensor)
     assert_type(layer(outputs=("alpha",)), Outputs)
     assert_type(tr.Renderer(scene, outputs=("rgb", "alpha"))().alpha, torch.Tensor)
+    assert_type(layer.forward(seed=1, params={}), torch.Tensor)
+    several = tr.Renderer(scene, outputs=("rgb", "alpha"))
+    assert_type(several.forward(spp=4), Outputs)
+    assert_type(several(outputs=None), torch.Tensor)
+    assert_type(layer.scene, tr.Scene)
+    assert_type(scene.forward(outputs=["depth"]), Outputs)
+    settings: RenderSettings = {"spp": 4, "layout": "bchw", "on_interrupt": "return"}
+    assert_type(tr.render(scene, **settings), torch.Tensor)
     module: nn.Module = layer
     del module
 
@@ -43,10 +54,28 @@ def scenes() -> None:
     assert_type(scene.ball.bsdf, Any)
     scene["ball"] = {"type": "sphere"}
     made = tr.load_dict({"type": "scene", "ball": tr.Sphere(radius=2.0, bsdf=tr.Diffuse(reflectance=0.5))})
+    assert_type(made, tr.Scene)
+    description: SceneDict = {"type": "scene", "integrator": {"type": "path"}, "sky": {"type": "constant"}}
+    assert_type(tr.load_dict(description, variant="mono", dtype=torch.float64), tr.Scene)
+    read: dict[str, Any] = {}
+    tr.load_dict(read).train_only("*")
+    assert_type(tr.load_dict({"type": "sphere"}), tr.Scene | Any)
+    assert_type(tr.from_trimesh(trimesh.Trimesh()), tr.Scene)
     images(made, tr.PerspectiveCamera.look_at([0, 0, 4], [0, 0, 0]))
     hits = tr.ray_intersect(scene, [[0.0, 0.0, 4.0]], [[0.0, 0.0, -1.0]])
     assert_type(hits.t, torch.Tensor)
     assert_type(tr.ray_occluded(scene, [[0.0, 0.0, 4.0]], [[0.0, 0.0, -1.0]]), torch.Tensor)
+
+
+def objects() -> None:
+    """Whatever numbers are taken from."""
+    tr.Sphere(center=[0, np.float32(1), torch.tensor(2)], radius=np.float64(2), to_world=np.eye(4))
+    tr.Sphere(center=np.zeros(3), to_world=tr.Transform(), bsdf={"type": "ref", "id": "red"})
+    tr.Diffuse(reflectance=torch.zeros(4, 4, 3))
+    tr.Diffuse(reflectance=np.zeros((4, 4, 3)))
+    tr.Diffuse(reflectance=[0.1, 0.2, 0.3])
+    tr.Diffuse(reflectance={"type": "rgb", "value": 0.5})
+    tr.Rectangle(to_world=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], emitter=tr.AreaLight(radiance=2))
 
 
 def mistakes(scene: tr.Scene) -> None:
@@ -54,3 +83,12 @@ def mistakes(scene: tr.Scene) -> None:
     tr.render(scene, layout="whc")  # pyright: ignore[reportArgumentType]
     tr.Renderer(scene, spp="many")  # pyright: ignore[reportArgumentType]
     tr.load_file("scene.xml", unsupported="ignore")  # pyright: ignore[reportArgumentType]
+    tr.load_file("scene.xml", variant="spectral")  # pyright: ignore[reportArgumentType]
+    tr.load_dict({"type": "scene"}, variant="polarized")  # pyright: ignore[reportCallIssue, reportArgumentType]
+    tr.render(scene, on_interrupt="keep")  # pyright: ignore[reportArgumentType]
+    tr.Renderer(scene, params={})  # pyright: ignore[reportCallIssue]
+    layer = tr.Renderer(scene)
+    layer(sensr=0)  # pyright: ignore[reportCallIssue]
+    layer.forward(spp="many")  # pyright: ignore[reportArgumentType]
+    tr.HenyeyGreenstein(g="forward")  # pyright: ignore[reportArgumentType]
+    tr.Diffuse(reflectance="red")  # pyright: ignore[reportArgumentType]

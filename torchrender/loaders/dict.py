@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, overload
 
 import torch
 
@@ -16,6 +16,7 @@ from ..scene import registry
 from ..scene.context import Context
 from ..scene.film import film_from
 from ..scene.scene import VARIANTS, Scene, operation
+from ..typing import SceneDict, Unsupported, VariantName
 from . import mesh_files  # noqa: F401  (registers its types of shapes)
 from .instances import expand_instances
 
@@ -56,13 +57,36 @@ def _substituting(function: str, unsupported: Any) -> bool:
     return unsupported == "substitute"
 
 
+@overload
+def load_dict(
+    description: SceneDict,
+    *,
+    variant: VariantName = "rgb",
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+    unsupported: Unsupported = "error",
+) -> Scene: ...
+
+
+@overload
 def load_dict(
     description: Mapping[str, Any],
     *,
-    variant: str = "rgb",
+    variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
-    unsupported: Literal["error", "substitute"] = "error",
+    unsupported: Unsupported = "error",
+    _folder: Path | None = None,
+) -> Scene | Any: ...
+
+
+def load_dict(
+    description: Mapping[str, Any],
+    *,
+    variant: VariantName = "rgb",
+    dtype: torch.dtype = torch.float32,
+    device: str | torch.device = "cpu",
+    unsupported: Unsupported = "error",
     _folder: Path | None = None,
 ) -> Scene | Any:
     """A scene, or a single object, from a nested dict in the format that Mitsuba 3 documents.
@@ -104,10 +128,10 @@ def load_dict(
 def load_file(
     path: str | os.PathLike[str],
     *,
-    variant: str = "rgb",
+    variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
-    unsupported: Literal["error", "substitute"] = "error",
+    unsupported: Unsupported = "error",
     trusted: bool = False,
     **parameters: str | float | os.PathLike[str],
 ) -> Scene:
@@ -149,7 +173,7 @@ def load_file(
 def from_trimesh(
     geometry: trimesh.Trimesh | trimesh.Scene,
     *,
-    variant: str = "rgb",
+    variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
 ) -> Scene:

@@ -6,7 +6,7 @@ Its objects are in `container`, what they refer to in `references`, which parame
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, overload
 
@@ -31,7 +31,7 @@ from .training import parameters_by_every_name, train_only
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
-    from ..render_types import Outputs, RenderSettings
+    from ..render_types import OutputNames, Outputs, RenderSettings
 
 Operation = TypeVar("Operation", bound=Callable[..., Any])
 VARIANTS = ("mono", "rgb")
@@ -198,17 +198,23 @@ class Scene(Container):
         return torch.stack([stacked[:, 0].amin(0), stacked[:, 1].amax(0)])
 
     # ---------------------------------------------------------------------------------------------------- module
+    @overload
+    def forward(self, *, outputs: None = None, **settings: Unpack[RenderSettings]) -> torch.Tensor: ...
+
+    @overload
+    def forward(self, *, outputs: OutputNames, **settings: Unpack[RenderSettings]) -> Outputs: ...
+
     def forward(self, **settings: Any) -> torch.Tensor | Outputs:
         """``scene(...)`` is ``render(scene, ...)``."""
         return _operations["render"](self, **settings)
 
-    if TYPE_CHECKING:
+    if TYPE_CHECKING:  # that of nn.Module is Callable[..., Any]
 
         @overload
         def __call__(self, *, outputs: None = None, **settings: Unpack[RenderSettings]) -> torch.Tensor: ...
 
         @overload
-        def __call__(self, *, outputs: Sequence[str], **settings: Unpack[RenderSettings]) -> Outputs: ...
+        def __call__(self, *, outputs: OutputNames, **settings: Unpack[RenderSettings]) -> Outputs: ...
 
         def __call__(self, **settings: Any) -> torch.Tensor | Outputs: ...
 
