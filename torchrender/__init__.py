@@ -21,6 +21,7 @@ from .errors import RangeWarning as RangeWarning
 from .errors import RenderError as RenderError
 from .errors import SubstitutionWarning as SubstitutionWarning
 from .integrators import AOV as AOV
+from .integrators import Depth as Depth
 from .integrators import DirectIllumination as DirectIllumination
 from .integrators import Integrator as Integrator
 from .integrators import Moment as Moment

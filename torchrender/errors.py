@@ -34,7 +34,10 @@ class InterruptionWarning(UserWarning):
 
 
 class SubstitutionWarning(UserWarning):
-    """A part of a scene is not supported and a fallback takes its place, as ``unsupported="substitute"`` asks.
+    """A part of a scene is not supported and a fallback takes its place.
+
+    Wherever ``unsupported="substitute"`` asks for one; otherwise only where the image is the same in expectation, or
+    next to it.
 
     The message names the place in the scene, what was there, and what is there now.
     """

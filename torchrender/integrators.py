@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import functools
 import inspect
+import warnings
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import torch
 from torch import nn
 
-from .errors import describe, nearest
+from .errors import SubstitutionWarning, depth_outside, describe, nearest
 from .settings import boolean, integer, is_own, word
 
 EMITTER_SAMPLING = ("weight", "power")
@@ -382,6 +383,30 @@ class AOV(Stack):
         return f"AOV(aovs={self.aovs!r}, integrator={self.integrator!r})"
 
 
+class Depth(Stack):
+    """How far away what is seen is: (H, W, 1), the length of the ray from the near plane, 0 where it hits nothing.
+
+    As with `AOV`, the average over all samples of a pixel. ``render(..., outputs=("depth",))`` leaves those out that
+    hit nothing.
+    """
+
+    kind = "depth"
+    integrator = None
+
+    def outputs(self) -> list[str]:
+        return ["ray_length"]
+
+    def stacked(self, found: Mapping[str, torch.Tensor]) -> torch.Tensor:
+        return found["ray_length"].unsqueeze(-1)
+
+    def channel_names(self, channels: int = 3) -> list[str]:
+        """The name of the image's channel."""
+        return ["depth.T"]
+
+    def __repr__(self) -> str:
+        return "Depth()"
+
+
 _PATH = ("max_depth", "rr_depth", "hide_emitters", "emitter_sampling")
 _DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters", "emitter_sampling")
 
@@ -399,8 +424,30 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "direct_projective": (DirectIllumination, ("hide_emitters",), {}),
     "aov": (AOV, ("aovs",), {}),
     "moment": (Moment, (), {}),
+    "depth": (Depth, (), {}),
 }
-DOCUMENTED = ("depth emission stokes direct_reparam prb_reparam bdpt").split()
+ADVICE = {"stokes": "light is rendered without polarisation; the integrator in it gives the intensity"}
+DOCUMENTED = ("emission stokes direct_reparam prb_reparam bdpt").split()
+
+# Documented parameters without a counterpart. Those of how work is divided change no image; the rest is said.
+_DIVISION = ("samples_per_pass", "block_size", "use_spectral_mis")
+_EDGES = ("sppc", "sppp", "sppi", "guiding", "guiding_proj", "guiding_rounds", "project_seed")
+
+
+def ignored_names(kind: str) -> tuple[str, ...]:
+    """Parameters that a dict of this type may have, and that nothing is made of."""
+    return (*_DIVISION, "timeout", *(_EDGES if kind.endswith("_projective") else ()))
+
+
+def _without_ignored(kind: str, properties: dict[str, Any], path: str) -> dict[str, Any]:
+    """`properties` without those that nothing is made of, and one warning about those that do something elsewhere."""
+    edges = [name for name in properties if name in _EDGES and kind.endswith("_projective")]
+    if isinstance(properties.get("timeout"), (int, float)) and properties["timeout"] > 0:
+        edges.append("timeout")
+    if edges:
+        text = f"{path}: {', '.join(edges)}: without a counterpart in {kind}, and left out"
+        warnings.warn(text, SubstitutionWarning, stacklevel=depth_outside())
+    return {name: value for name, value in properties.items() if name not in ignored_names(kind)}
 
 
 def from_dict(properties: dict[str, Any], path: str) -> Integrator:
@@ -408,8 +455,9 @@ def from_dict(properties: dict[str, Any], path: str) -> Integrator:
     properties = {k: v for k, v in properties.items() if k != "id"}
     kind = properties.pop("type")
     cls, accepted, defaults = TYPES[kind]
+    properties = _without_ignored(kind, properties, path)
     nested = {}
-    if issubclass(cls, Stack):
+    if issubclass(cls, Stack) and cls is not Depth:
         nested = _nested(properties, path)
         properties = {k: v for k, v in properties.items() if k not in nested}
         if kind == "aov" and "aovs" not in properties:

@@ -26,6 +26,7 @@ from .render_arguments import (
     count,
     film_config,
     film_of_size,
+    measuring,
     pixels_inside,
 )
 from .render_call import RenderCall
@@ -194,6 +195,9 @@ def render(
 
         shown = check_features(scene, packed, features, names)
     cameras, batched = chosen_sensors(packed, sensor, one_size=size is None)
+    if integrator is None:
+        chosen_integrator = measuring(scene, chosen_integrator, [camera for _, camera in cameras])
+        integrator_config = chosen_integrator.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)

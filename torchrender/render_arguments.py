@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from .errors import describe, nearest
+from .errors import SubstitutionWarning, describe, nearest, warn_once
 from .functions import functorch
-from .integrators import DOCUMENTED, TYPES, Integrator, PathTracer, from_dict
+from .integrators import DOCUMENTED, TYPES, Integrator, ParticleTracer, PathTracer, from_dict
 from .scene.camera import film_size
 from .scene.context import Context
 from .scene.film import SAMPLERS, Film, check_crop, check_sampler
 from .scene.ranges import MODES as RANGE_MODES
 from .scene.scene import Scene
+from .scene.sensor import IrradianceMeter, Sensor
 
 LAYOUTS = ("hwc", "chw", "bhwc", "bchw")
 
@@ -65,6 +66,19 @@ def as_integrator(scene: Scene, integrator: Any) -> Integrator:
     if not isinstance(integrator, Integrator):
         raise TypeError(f"render: integrator: expected an integrator such as PathTracer(), got {describe(integrator)}")
     return integrator
+
+
+def measuring(scene: Scene, integrator: Integrator, cameras: Sequence[Sensor]) -> Integrator:
+    """The scene's own integrator, or light tracing in place of a path tracer where there are meters alone.
+
+    Mitsuba's path tracer starts at points of a meter's surface; with light from everywhere the two agree.
+    """
+    if type(integrator) is not PathTracer or not all(isinstance(camera, IrradianceMeter) for camera in cameras):
+        return integrator
+    text = "render: an irradiancemeter is measured by light tracing: ParticleTracer takes the place of PathTracer"
+    warn_once(scene.warned, "irradiancemeter", text, SubstitutionWarning)
+    settings = ("max_depth", "rr_depth", "hide_emitters", "emitter_sampling")
+    return ParticleTracer(**{name: getattr(integrator, name) for name in settings})
 
 
 def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> int:

@@ -64,7 +64,7 @@ def test_lights_shapes_and_what_refers_to_them(monkeypatch):
     scene, said = load(
         sun={"type": "sunsky", "turbidity": 4},
         fur={"type": "bsplinecurve", "filename": "nowhere.txt"},
-        group={"type": "merge", "part": SPHERE},
+        group={"type": "ellipsoids", "filename": "nowhere.ply"},
         light={"type": "volumelight"},
         ball={**SPHERE, "bsdf": {"type": "ref", "id": "fur"}},
     )

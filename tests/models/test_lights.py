@@ -157,8 +157,11 @@ def test_gradient_by_a_direction_that_was_given():
     [
         ({"type": "spot", "cutoff_angle": 20, "beam_width": 25}, r"lamp.beam_width: expected at most cutoff_angle.*20"),
         ({"type": "spot", "cutoff_angle": 200}, "lamp.cutoff_angle: 200 is outside the range"),
-        ({"type": "spot", "to_world": T.scale(2)}, "lamp.to_world: a spot light's matrix may turn and move"),
-        ({"type": "projector", "to_world": T.scale(2)}, "lamp.to_world: a projector's matrix may turn and move"),
+        ({"type": "spot", "to_world": T.scale([1, 2, 1])}, "lamp.to_world: a spot light's matrix may turn and move"),
+        (
+            {"type": "projector", "to_world": T.scale([1, 2, 1])},
+            "lamp.to_world: a projector's matrix may turn and move",
+        ),
         ({"type": "projector", "fov": 180}, "lamp.fov: expected an angle between 0 and 180"),
         ({"type": "projector", "fov": 40, "focal_length": "50mm"}, "lamp: projector: give one of fov, focal_length"),
         ({"type": "directional", "direction": [0, 0, 0]}, "lamp.direction: expected a direction that is not zero"),

@@ -11,10 +11,12 @@ from typing import Any
 
 from ..errors import SubstitutionWarning
 from ..integrators import TYPES as INTEGRATORS
+from ..integrators import ignored_names
 from ..scene import registry
+from ..scene.context import Context
 from ..scene.declaration import models
 from ..scene.film import _FILM_NAMES, _FORMATS, _RELATED, FILTER_PARAMETERS, FILTERS, SAMPLERS
-from ..scene.spectra import is_spectrum
+from ..scene.spectra import is_spectrum, spectrum
 
 # For BSDFs, the better one first: type -> [(fallback, {its parameter: theirs})].
 _BSDFS: dict[str, list[tuple[str, dict[str, str]]]] = {
@@ -36,8 +38,9 @@ _BSDFS: dict[str, list[tuple[str, dict[str, str]]]] = {
     "phong": [("diffuse", {"reflectance": "diffuse_reflectance"})],
     "ward": [("diffuse", {"reflectance": "diffuse_reflectance"})],
     "thindielectric": [("null", {})],
-    **{kind: [("null", {})] for kind in ("circular", "polarizer", "retarder")},
 }
+# The part of unpolarised light that passes.
+_PASSED = {"circular": 0.5, "polarizer": 0.5, "retarder": 1.0}
 _BSDFS["principledthin"].append(("diffuse", {"reflectance": "base_color"}))
 _WRAPPERS = ("mask", "bumpmap", "normalmap", "blendbsdf", "coating", "roughcoating", "bump", "mixturebsdf")
 _OLD_BSDFS = ("phong", "ward", "coating", "roughcoating", "bump", "mixturebsdf", "hk", "difftrans", "irawan")
@@ -180,12 +183,30 @@ def _bsdf(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
             found = walker.found(inner) if isinstance(inner, Mapping) else None
             if found is not None and found is not value and _category(found.get("type")) == "bsdf":
                 return walker.replaced(value, {k: v for k, v in found.items() if k != "id"}, where)
+    if kind in _PASSED:
+        return _filter_plate(walker, value, where)
     for name, mapping in _BSDFS.get(kind, []):
         if name in walker.types:
             new = {"type": name, **{ours: value[theirs] for ours, theirs in mapping.items() if theirs in value}}
             lost = [n for n in value if n not in (*mapping.values(), "type", "id")]
             return walker.replaced(value, new, where, " ".join(lost))
     return walker.replaced(value, {"type": "diffuse"}, where)
+
+
+def _filter_plate(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
+    """A plate that polarises as a black `mask`, which passes straight on what it does not stop."""
+    given = value.get("transmittance", 1.0)
+    lost = [n for n in value if n not in ("type", "id", "transmittance")]
+    try:
+        channels = spectrum(given, Context("mono"))
+        passed = _PASSED[value["type"]] * float(channels.mean())
+    except (ValueError, TypeError):  # a texture, a reference
+        passed = _PASSED[value["type"]]
+        lost.append("transmittance")
+    if passed >= 1 or "mask" not in walker.types:
+        return walker.replaced(value, {"type": "null"}, where, " ".join(lost))
+    black = {"type": "diffuse", "reflectance": 0.0}
+    return walker.replaced(value, {"type": "mask", "opacity": 1 - passed, "bsdf": black}, where, " ".join(lost))
 
 
 def _emitter(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
@@ -274,7 +295,7 @@ def _is_object(content: Any) -> bool:
 def _accepted(kind: str) -> tuple[str, ...]:
     """Names that an object of this type takes."""
     if kind in INTEGRATORS:
-        return INTEGRATORS[kind][1]
+        return (*INTEGRATORS[kind][1], *ignored_names(kind))
     if kind in SAMPLERS:
         return ("sample_count", "seed", "jitter") if kind == "stratified" else ("sample_count", "seed")
     if kind in FILTERS:
@@ -289,10 +310,8 @@ def _unusable(kind: str, category: str, name: str, content: Any) -> str | None:
     cls = registry.plugin_class(category, kind)
     if name in cls.unsupported:
         return "is not supported"
-    if name in cls.inert and cls.inert[name] and content not in cls.inert[name]:
+    if name in cls.inert and name not in cls.noted and cls.inert[name] and content not in cls.inert[name]:
         return "has no such value here"
-    if name == "mis_compensation" and content is True:
-        return "is not supported"
     if name == "material" and isinstance(content, str):
         try:
             cls(material=content)

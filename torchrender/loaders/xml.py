@@ -26,6 +26,10 @@ _OBJECTS = {
 }
 _VALUES = {"integer", "float", "boolean", "string", "point", "vector", "rgb", "srgb", "spectrum", "transform"}
 _DIRECTIVES = {"ref", "default", "include", "alias", "path"}
+_ABSENT = {
+    "animation": "transforms that move during the exposure are not supported; a <transform> in its place stands still",
+    "import": "a scene file cannot bring Python code; import it, and give the objects to load_dict",
+}
 _MAX_INCLUDES = 15
 _MAX_BYTES = 1 << 26  # of all files
 _MAX_ELEMENTS = 1 << 18  # of all files; an include counts as often as it is used
@@ -127,6 +131,8 @@ class _Reader:
         kept = []
         for child in element.children:
             if child.tag not in _OBJECTS | _VALUES | _DIRECTIVES and element.tag in _OBJECTS:
+                if child.tag in _ABSENT:
+                    raise child.error(_ABSENT[child.tag])
                 raise child.error(f"unknown tag; {nearest(child.tag, _OBJECTS | _VALUES | _DIRECTIVES)}")
             if child.tag == "default":
                 self.default(child)

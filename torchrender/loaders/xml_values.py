@@ -105,12 +105,16 @@ def spectrum(element: Element) -> dict[str, Any]:
 
 
 def vector(element: Element, default: float | None = None) -> list[float]:
-    """``value="x, y, z"`` or ``x="" y="" z=""``; components left out are `default`, or an error if that is None."""
+    """``value="x, y, z"``, one number for all three, or ``x="" y="" z=""``.
+
+    Of the latter, components that are left out are `default`, or an error if that is None.
+    """
     given = element.attributes
     if "value" in given:
         if {"x", "y", "z"} & set(given):
             raise element.error("expected either 'value' or 'x', 'y' and 'z', got both")
-        return numbers(element, "value", (3,))
+        values = numbers(element, "value", (1, 3))
+        return values * 3 if len(values) == 1 else values
     missing = [axis for axis in "xyz" if axis not in given]
     if missing and (default is None or len(missing) == 3):
         raise element.error(f"the attribute {missing[0]!r} is missing")

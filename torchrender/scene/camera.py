@@ -12,6 +12,7 @@ from ..transform import Transform, as_matrix, on_cpu
 from . import values
 from .camera_batches import batched
 from .camera_rays import Rays, distorted_rays, perspective_rays
+from .construction import substituted
 from .context import Context
 from .field_of_view import FOV_AXES, FRAME_DIAGONAL, along_x, scale_tangent, take_fov
 from .film import Film, ReconstructionFilter
@@ -31,10 +32,23 @@ def check_rigid(owner: str, properties: dict[str, Any], ctx: Context) -> None:
             ctx.at("to_world").error(f"a {owner}'s matrix may turn and move, but not scale or shear")
 
 
+def check_light(owner: str, properties: dict[str, Any], ctx: Context) -> None:
+    """The same for a light, whose matrix may have an even scale, which changes nothing and is left out."""
+    if "to_world" in properties:
+        matrix = values.matrix(properties["to_world"], 4, ctx.at("to_world"))
+        lengths = torch.linalg.vector_norm(matrix.detach().double()[:3, :3], dim=0)
+        size = float(lengths.mean())
+        if size > 0 and abs(size - 1) > 1e-3 and float((lengths / size - 1).abs().max()) < 1e-3:
+            text = f"the scale {size:g} is left out: a {owner} has no size"
+            substituted(ctx.at("to_world"), text)
+            properties["to_world"] = torch.cat([matrix[:, :3] / size, matrix[:, 3:]], dim=1)
+    check_rigid(owner, properties, ctx)
+
+
 class Camera(Sensor):
     """What all cameras share: a film, a matrix, and rays through positions on the film."""
 
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (0, 0.0), "shutter_close": (0, 0.0)}
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (), "shutter_close": ()}  # nothing moves
     unsupported: ClassVar[tuple[str, ...]] = ("srf",)
     rigid: ClassVar[bool] = True  # its matrix neither scales nor shears
 

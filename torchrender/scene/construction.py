@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import torch
 from torch import nn
 
-from ..errors import describe, nearest
+from ..errors import SubstitutionWarning, depth_outside, describe, nearest
 from . import registry, spectra, values
 from .context import Context, Reference
 from .declaration import CHILD_KINDS, Field
@@ -53,10 +54,17 @@ def _unaliased(plugin: Plugin, properties: dict[str, Any], ctx: Context) -> dict
 
 
 def check_inert(plugin: Plugin, name: str, value: Any, ctx: Context) -> None:
-    """ValueError for a value of a documented parameter without effect that would have one elsewhere."""
+    """A value of a documented parameter without effect that would have one elsewhere: a warning, or ValueError."""
     accepted = plugin.inert[name]
-    if accepted and value not in accepted:
+    if name in plugin.noted and values.boolean(value, ctx.at(name)) not in accepted:
+        substituted(ctx, f"{name}={value!r} {plugin.noted[name]}")
+    elif accepted and value not in accepted:
         ctx.error(f"{name}={value!r} is not supported by this version; it can be {accepted[0]!r}")
+
+
+def substituted(ctx: Context, text: str) -> None:
+    """A `SubstitutionWarning` for the caller of this package, with the place in the scene."""
+    warnings.warn(f"{ctx.where}: {text}" if ctx.path else text, SubstitutionWarning, stacklevel=depth_outside())
 
 
 def check_names(plugin: Plugin, properties: Mapping[str, Any], ctx: Context) -> None:
@@ -189,6 +197,27 @@ def resolve(plugin: Plugin, lookup: Lookup, ctx: Context) -> None:
         structure_changed()
 
 
+def _daylight(value: Mapping[str, Any], ctx: Context) -> Plugin | Reference:
+    """The texture in a ``d65``, times its `scale`: daylight is white by convention."""
+    nested = {k: v for k, v in value.items() if k not in ("type", "id", "scale")}
+    if len(nested) > 1:
+        ctx.error(f"d65: expected a colour or one texture, got {', '.join(nested)}")
+    ((name, content),) = nested.items()
+    is_object = registry.is_plugin(content) or isinstance(content, (Reference, Mapping))
+    if not is_object:
+        ctx.error(f"d65 has no parameter {name!r}; {nearest(str(name), ('color', 'scale'))}")
+    child = child_of(content, "texture", ctx.at(str(name)))
+    scale = values.number(value.get("scale", 1.0), ctx.at("scale"))
+    if float(scale.detach()) != 1:
+        if isinstance(child, Reference) or registry.is_plugin(content) or scale.requires_grad:
+            ctx.at("scale").error("expected 1 with a texture that is not described here; give that its scale")
+        factors = [tensor for _, tensor in child.texels()] or [child.scale]
+        with torch.no_grad():
+            for tensor in factors:
+                tensor.mul_(scale)
+    return child
+
+
 def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Reference:
     """`value` as an object of `category` (any if None).
 
@@ -211,6 +240,12 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
                 ctx.error(f"a reference is {{'type': 'ref', 'id': NAME}}, got {describe(dict(value))}")
             return Reference(value["id"])
         if spectra.is_spectrum(value):
+            if (
+                value["type"] == "d65"
+                and category == "texture"
+                and not value.keys() <= {"type", "id", "color", "scale"}
+            ):
+                return _daylight(value, ctx)
             if category == "volume":
                 return registry.build({"type": "constvolume", "value": value}, ctx, category)
             if category != "texture":

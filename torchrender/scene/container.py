@@ -8,9 +8,10 @@ from typing import Any
 from torch import nn
 
 from ..errors import describe, nearest
+from ..integrators import ADVICE as INTEGRATOR_ADVICE
 from ..integrators import DOCUMENTED, TYPES, Integrator, from_dict
 from ..settings import is_own
-from . import registry
+from . import registry, spectra
 from .construction import child_of
 from .context import Context, Reference
 from .film import SAMPLERS
@@ -34,7 +35,7 @@ class Container(nn.Module):
         """Add an object, or replace the one of this id; without `resolve` references are left for later."""
         if not isinstance(name, str) or not name or "." in name:
             ctx.error(f"an id is a string without dots, got {describe(name)}")
-        above, ctx = ctx, ctx.at(name)
+        above, ctx, key = ctx, ctx.at(name), name
         meters: dict[str, Any] = {}
         if isinstance(value, Mapping):
             identifier = value.get("id")
@@ -46,7 +47,8 @@ class Container(nn.Module):
             meters = {f"{name}_{k}": {**v, "shape": Reference(name)} for k, v in nested.items()}
             value = {k: v for k, v in value.items() if k not in nested} if nested else value
         if not isinstance(value, Integrator):
-            value = child_of(value, None, ctx)
+            is_spectrum = spectra.is_spectrum(value)  # as an object that others refer to
+            value = child_of(value, "texture" if is_spectrum else None, ctx)
             if isinstance(value, Reference):
                 ctx.error("a reference at the top level of a scene has nothing to belong to")
         name = self._safe(name, value)
@@ -58,6 +60,8 @@ class Container(nn.Module):
             for other in [n for n, m in self._modules.items() if isinstance(m, Integrator)]:
                 del self._modules[other]
         self._modules[name] = value
+        if key != name and isinstance(value, Plugin):
+            value.__dict__["_key"] = key  # by which references of the dict may go, too
         if resolve:
             try:
                 self._resolve(self._context())
@@ -170,7 +174,7 @@ def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | 
         ctx.error(f"a {'sampler' if kind in SAMPLERS else 'film'} ({kind}) belongs into a sensor")
     if isinstance(kind, str) and kind not in registry.scene_types() and kind in DOCUMENTED:
         ctx.error(
-            f"the integrator {kind!r} is not supported by this version of torchrender; "
-            f"supported are: {', '.join(TYPES)}"
+            f"the integrator {kind!r} is not supported by this version of torchrender"
+            f"{': ' + INTEGRATOR_ADVICE[kind] if kind in INTEGRATOR_ADVICE else ''}; supported are: {', '.join(TYPES)}"
         )
     return value

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 import torch
 
 from . import values
-from .camera import check_rigid
+from .camera import check_light
 from .construction import check_names, child_of
 from .context import Context
 from .declaration import Field
@@ -29,6 +29,8 @@ class EnvironmentMap(Plugin):
     """
 
     category, type = "emitter", "envmap"
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"mis_compensation": (False,)}
+    noted: ClassVar[dict[str, str]] = {"mis_compensation": "is not there: it changes the noise alone"}
     words: ClassVar[tuple[str, ...]] = ("filename", "bitmap")
 
     @classmethod
@@ -36,8 +38,6 @@ class EnvironmentMap(Plugin):
         return ["filename", "bitmap", *super().parameter_names()]
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        if values.boolean(properties.pop("mis_compensation", False), ctx.at("mis_compensation")):
-            ctx.error("envmap: mis_compensation=True is not supported by this version")
         check_names(self, {k: v for k, v in properties.items() if k not in ("filename", "bitmap")}, ctx)
         texels = load_texels(properties, ctx, raw=False)
         return {**properties, "data": texels}
@@ -140,14 +140,14 @@ class SpotLight(Plugin):
         beam_width: degrees, at most `cutoff_angle`; default three quarters of it.
         texture: a factor of the intensity (texture). Its square of coordinates is that around the cone, where it meets
             a plane across the axis.
-        to_world: 4x4 matrix, the light's frame to the world, without scaling.
+        to_world: 4x4 matrix, the light's frame to the world; a scale, the same in all directions, is left out.
         sampling_weight: relative number of emitter samples.
     """
 
     category, type = "emitter", "spot"
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        check_rigid("spot light", properties, ctx)
+        check_light("spot light", properties, ctx)
         if "beam_width" not in properties:
             cutoff = properties.get("cutoff_angle", self.fields()["cutoff_angle"].default)
             properties["beam_width"] = 0.75 * values.number(cutoff, ctx.at("cutoff_angle")).detach()
@@ -174,7 +174,7 @@ class Projector(Plugin):
     Args:
         irradiance: the image (texture), row 0 at the top; its pixels are square.
         scale: a factor.
-        to_world: 4x4 matrix, the projector's frame to the world, without scaling.
+        to_world: 4x4 matrix, the projector's frame to the world; a scale, the same in all directions, is left out.
         fov: field of view in degrees along `fov_axis` (``x``, ``y``, ``diagonal``, ``smaller``, ``larger``).
         focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
         sampling_weight: relative number of emitter samples.
@@ -187,7 +187,7 @@ class Projector(Plugin):
         return ["fov", "fov_axis", "focal_length", *super().parameter_names()]
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
-        check_rigid("projector", properties, ctx)
+        check_light("projector", properties, ctx)
         aspect: float | None = 1.0
         if "irradiance" in properties:
             image = child_of(properties["irradiance"], "texture", ctx.at("irradiance"))

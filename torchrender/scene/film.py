@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 from ..errors import SubstitutionWarning, depth_outside, describe, nearest
 from . import values
 from .context import Context
-from .registry import DOCUMENTED
+from .registry import ADVICE, DOCUMENTED
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 FILTER_PARAMETERS: dict[str, tuple[str, ...]] = {
@@ -170,8 +170,8 @@ def _checked(value: Mapping[str, Any], category: str, known: tuple[str, ...], ct
     if kind not in known:
         if kind in DOCUMENTED[category]:
             ctx.error(
-                f"the {category} {kind!r} is not supported by this version of torchrender; "
-                f"supported are: {', '.join(known)}"
+                f"the {category} {kind!r} is not supported by this version of torchrender"
+                f"{': ' + ADVICE[kind] if kind in ADVICE else ''}; supported are: {', '.join(known)}"
             )
         ctx.error(f"unknown {category} type {kind!r}; {nearest(str(kind), known)}")
     return str(kind)
@@ -277,10 +277,15 @@ def sampler_from(value: Any, ctx: Context) -> Sampler:
     for name in value:
         if name not in (*accepted, "type", "id"):
             ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
+    said = []
     if "jitter" in value and not values.boolean(value["jitter"], ctx.at("jitter")):
-        ctx.at("jitter").error("samples in the middle of their strata are biased; only true is supported")
+        said.append(
+            "jitter=False is not there: samples are jittered in their strata, as those in the middle are biased"
+        )
     if "seed" in value and values.integer(value["seed"], ctx.at("seed")) != 0:
-        ctx.at("seed").error("the seed is an argument of render() here, not of the scene")
+        said.append(f"seed={value['seed']} is left out: the seed is an argument of render()")
+    for text in said:
+        warnings.warn(f"{ctx.where}: {text}", SubstitutionWarning, stacklevel=depth_outside())
     count = values.integer(value.get("sample_count", 4), ctx.at("sample_count"), 1)
     with ctx.located():
         return Sampler(count, kind)

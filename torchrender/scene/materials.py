@@ -98,6 +98,9 @@ def refractive_index(value: Any, ctx: Context) -> torch.Tensor:
     return index
 
 
+VISIBLE = {"sample_visible": "is not there: normals are sampled by what is visible, which changes the noise alone"}
+
+
 @register
 class Dielectric(Plugin):
     """Smooth dielectric interface.
@@ -160,6 +163,7 @@ class RoughDielectric(Dielectric):
 
     category, type = "bsdf", "roughdielectric"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
+    noted: ClassVar[dict[str, str]] = VISIBLE
 
     def __new__(cls, **properties: Any) -> RoughDielectric:
         made = AnisotropicDielectric if cls is RoughDielectric and properties.keys() & {*DIRECTIONS} else cls
@@ -248,6 +252,7 @@ class RoughConductor(Conductor):
 
     category, type = "bsdf", "roughconductor"
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_visible": (True,)}
+    noted: ClassVar[dict[str, str]] = VISIBLE
 
     def __new__(cls, **properties: Any) -> RoughConductor:
         made = AnisotropicConductor if cls is RoughConductor and properties.keys() & {*DIRECTIONS} else cls

@@ -20,7 +20,11 @@ class Medium(Plugin):
     category = "medium"
     aliases: ClassVar[dict[str, str]] = {"phase": "phase_function"}
     renames: ClassVar[dict[str, str]] = {"phase": "phase_function"}
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"sample_emitters": (True, False)}  # noise alone depends on it
+    # Of how emitters are sampled the noise alone depends, and the extinction itself says whether it has colours.
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {
+        "sample_emitters": (True, False),
+        "has_spectral_extinction": (True, False),
+    }
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         # Phase functions may go by any name, volumes by their own only: there are several.

@@ -38,6 +38,7 @@ class Plugin(nn.Module):
     renames: ClassVar[dict[str, str]] = {}  # native field -> name in Python
     aliases: ClassVar[dict[str, str]] = {}  # further names, those of a scene dict -> name in Python
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
+    noted: ClassVar[dict[str, str]] = {}  # of those, what is said of a value that would have an effect elsewhere
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
     words: ClassVar[tuple[str, ...]] = ()  # of scene dicts, which `prepare` turns into fields also when assigned
     open: ClassVar[bool] = False  # whether an object takes attributes of any name, as modules of users do

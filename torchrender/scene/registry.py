@@ -46,6 +46,24 @@ DOCUMENTED: dict[str, tuple[str, ...]] = {
 }
 
 
+_UNPOLARISED = (
+    "light is rendered without polarisation. unsupported='substitute' lets the part through that it passes of "
+    "unpolarised light"
+)
+# What to do about types that are documented there and not here.
+ADVICE = {
+    "measured": "tables of measured materials are not read; a fitted roughconductor or principled comes nearest",
+    "measured_polarized": "tables of measured materials are not read, and light is rendered without polarisation",
+    **dict.fromkeys(("polarizer", "retarder", "circular"), _UNPOLARISED),
+    "ellipsoids": "a mesh for each of the ellipsoids takes their place",
+    "ellipsoidsmesh": "a mesh with the shells' vertices and faces takes its place",
+    "timed_sunsky": "there are no averages over days and hours; sunsky is the light of one time",
+    "volumelight": "light from a volume is the parameter 'emission' of a medium",
+    "specfilm": "it belongs to spectral variants; hdrfilm has the variant's channels",
+    "sggx": "hg with a g near 0 comes nearest; unsupported='substitute' takes isotropic",
+}
+
+
 def register(cls: PluginClass) -> PluginClass:
     """Class decorator: use this class for its category and native model, as a base if it names none."""
     _classes[cls.category, cls.native or cls.type] = cls
@@ -168,6 +186,7 @@ def unknown_type(kind: str, ctx: Context, category: str | None, types: Mapping[s
         if kind in kinds:
             have = sorted(k for k, c in types.items() if c == group)
             listing = f"; supported are: {', '.join(have)}" if have else ""
+            listing = f": {ADVICE[kind]}{listing}" if kind in ADVICE else listing
             ctx.error(f"the {group} {kind!r} is not supported by this version of torchrender{listing}")
     known = [k for k, c in types.items() if category in (None, c)]
     ctx.error(f"unknown {what} type {kind!r}; {nearest(kind, known)}")

@@ -50,8 +50,6 @@ def from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     reader, accepted = TYPES[kind]
     for name in value:
         if name not in (*accepted, "type", "id"):
-            if kind == "uniform" and name in ("wavelength_min", "wavelength_max"):
-                ctx.error(f"{name} is not supported: a uniform spectrum here extends over all wavelengths")
             ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
     return reader(value, ctx)
 
@@ -65,6 +63,8 @@ def _need(value: Mapping[str, Any], name: str, ctx: Context) -> Any:
 
 def _rgb(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     content = _need(value, "color" if "color" in value else "value", ctx)
+    if is_spectrum(content):
+        return from_dict(content, ctx)
     tensor = values.floating(content, ctx)
     if tensor.numel() == 1:
         tensor = tensor.reshape(1).expand(3)
@@ -74,6 +74,10 @@ def _rgb(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
 
 
 def _uniform(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    """A number for all channels, as in Mitsuba's rgb variants, whatever range of visible wavelengths is given."""
+    for name in ("wavelength_min", "wavelength_max"):
+        if name in value:
+            values.number(value[name], ctx.at(name))
     return values.number(_need(value, "value", ctx) if "value" in value else 1.0, ctx)
 
 
@@ -186,7 +190,7 @@ TYPES: dict[str, tuple[Callable[[Mapping[str, Any], Context], torch.Tensor], tup
     "rgb": (_rgb, ("value",)),
     "srgb": (_rgb, ("color", "value")),
     "spectrum": (_spectrum, ("value", "filename")),
-    "uniform": (_uniform, ("value",)),
+    "uniform": (_uniform, ("value", "wavelength_min", "wavelength_max")),
     "rawconstant": (_rawconstant, ("value",)),
     "d65": (_d65, ("color", "scale")),
     "regular": (_regular, ("wavelength_min", "wavelength_max", "values")),

@@ -8,7 +8,8 @@ import torch
 
 from ..errors import nearest
 from . import values
-from .camera import check_rigid
+from .camera import check_light
+from .construction import substituted
 from .context import Context
 from .emitters import EnvironmentMap
 from .plugin import Plugin
@@ -25,12 +26,14 @@ NAMES = (*_OTHERS, *_WHEN, "height")
 _UPRIGHT = ((1.0, 0.0, 0.0, 0.0), (0.0, 0.0, -1.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
 
-@builder("sunsky", "emitter", NAMES)
+@builder("sunsky", "emitter", (*NAMES, "albedo", "complex_sun"))
 def sunsky(properties: dict[str, Any], ctx: Context) -> Plugin:
     """An environment map of Preetham's sky (`torchrender.daylight`) and the sun in it, under the names of Mitsuba.
 
     Gradients reach tensors given as `turbidity`, `sun_direction`, `sun_scale`, `sky_scale` and `to_world`; afterwards
     the parameters are those of an environment map.
+
+    The parameters `albedo` and `complex_sun` are left out with a warning.
 
     Args:
         turbidity, sun_direction: as for `tr.sky`, but the direction is in the world; or place and time, which are in
@@ -43,16 +46,13 @@ def sunsky(properties: dict[str, Any], ctx: Context) -> Plugin:
     """
     from .. import daylight
 
-    if properties.get("complex_sun") is False:
-        del properties["complex_sun"]
+    for name in ("albedo", "complex_sun"):
+        if properties.pop(name, False) is not False:
+            substituted(ctx, f"{name} is left out: the sky is that of Preetham and others, which has none")
     for name in properties:
-        if name in ("albedo", "complex_sun"):
-            ctx.error(
-                f"sunsky: {name!r} is not supported by this version: the sky here is not that of Hosek and Wilkie"
-            )
         if name not in NAMES:
             ctx.error(f"sunsky has no parameter {name!r}; {nearest(name, NAMES)}")
-    check_rigid("sky", properties, ctx)
+    check_light("sky", properties, ctx)
     to_world = values.matrix(properties.get("to_world", torch.eye(4)), 4, ctx.at("to_world"))
     to_world = to_world @ to_world.new_tensor(_UPRIGHT)
     turbidity = properties.get("turbidity", 3.0)

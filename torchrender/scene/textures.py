@@ -59,7 +59,7 @@ class Bitmap(Plugin):
     """
 
     category, type = "texture", "bitmap"
-    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "format": ("variant", "auto")}
+    inert: ClassVar[dict[str, tuple[Any, ...]]] = {"accel": (True, False), "format": ("variant", "auto", "fp16")}
     words: ClassVar[tuple[str, ...]] = ("filename", "bitmap")
 
     @classmethod
