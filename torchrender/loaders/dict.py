@@ -18,6 +18,7 @@ from ..scene.film import film_from
 from ..scene.scene import VARIANTS, Scene, operation
 from ..typing import SceneDict, Unsupported, VariantName
 from . import mesh_files  # noqa: F401  (registers its types of shapes)
+from .compounds import expand_compounds
 from .instances import expand_instances
 
 if TYPE_CHECKING:
@@ -108,6 +109,9 @@ def load_dict(
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}")
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
+    if description["type"] == "scene":
+        ctx = Context(variant, dtype, made_device, (), _folder)
+        description = expand_compounds(description, ctx)
     if _substituting("load_dict", unsupported):
         from .fallbacks import with_fallbacks
 

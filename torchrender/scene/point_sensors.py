@@ -14,7 +14,8 @@ from .camera import Camera
 from .camera_rays import Rays, distant_rays, radiancemeter_rays
 from .context import Context
 from .film import Film
-from .registry import register
+from .plugin import Plugin
+from .registry import builder, register
 
 
 class DirectedSensor(Camera):
@@ -48,6 +49,11 @@ class DirectedSensor(Camera):
     def count(self, positions: Any) -> int:
         """How many rays are asked for."""
         return len(self.positions(positions))
+
+
+@builder("batch", "sensor")
+def _batch(_properties: dict[str, Any], ctx: Context) -> Plugin:
+    ctx.error("a batch stands at the top of the dict or file that a scene is loaded from, which takes its cameras")
 
 
 @register

@@ -174,6 +174,11 @@ def _shapegroup(_properties: dict[str, Any], ctx: Context) -> Plugin:
     ctx.error("a shapegroup stands at the top of the dict or file that a scene is loaded from, for its instances")
 
 
+@builder("merge", "shape")
+def _merge(_properties: dict[str, Any], ctx: Context) -> Plugin:
+    ctx.error("a merge stands at the top of the dict or file that a scene is loaded from, or in a shapegroup there")
+
+
 @builder("instance", "shape", ("shapegroup", "to_world"))
 def _instance(_properties: dict[str, Any], ctx: Context) -> Plugin:
     ctx.error(
