@@ -10,6 +10,8 @@ from .scene.cameras import FisheyeCamera as FisheyeCamera
 from .scene.cameras import OrthographicCamera as OrthographicCamera
 from .scene.cameras import PanoramaCamera as PanoramaCamera
 from .scene.cameras import ThinLensCamera as ThinLensCamera
+from .scene.curves import BSplineCurve as BSplineCurve
+from .scene.curves import LinearCurve as LinearCurve
 from .scene.emitters import DirectionalLight as DirectionalLight
 from .scene.emitters import EnvironmentMap as EnvironmentMap
 from .scene.emitters import PointLight as PointLight

@@ -20,6 +20,7 @@ IntegratorName: TypeAlias = Literal[
     "prb_projective",
     "volpath",
     "volpathmis",
+    "depth",
     "prbvolpath",
     "ptracer",
     "direct",

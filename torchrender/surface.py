@@ -13,12 +13,14 @@ from dataclasses import dataclass
 import torch
 
 from . import heightfield
+from .curves import Segments
 from .scene.declaration import models
 from .scene.packing import Layout
 from .scene.scene import Scene
 
-MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER = 0, 1, 2, 3, 4
+MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER, CURVE = 0, 1, 2, 3, 4, 5
 CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER}
+CURVES = {"bsplinecurve": CURVE, "linearcurve": CURVE}
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of the rectangle, counter-clockwise seen from +z
 RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 
@@ -27,7 +29,8 @@ RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 class SurfacePoints:
     """Points on surfaces: `t` (N,), `position`, `normal`, `shading_normal` (N, 3), `uv`, `barycentric` (N, 2).
 
-    On curved shapes `barycentric` repeats the texture coordinates.
+    On curves `barycentric` is the azimuth in turns and the place along the segment, on other curved shapes it repeats
+    the texture coordinates.
     """
 
     t: torch.Tensor
@@ -43,7 +46,7 @@ class Surfaces:
     """All shapes of a scene, vertices and faces of meshes one after the other. S shapes, V vertices, F faces.
 
     Attributes:
-        kind: (S,) int64, mesh (a rectangle is one), sphere, disk, cylinder or height field.
+        kind: (S,) int64, mesh (a rectangle is one), sphere, disk, cylinder, height field or curve.
         flip: (S,) bool, normals are turned round.
         smooth, textured: (S,) bool, there are vertex normals, texture coordinates.
         first_face, first_vertex: (S,) int64, where a shape's faces and vertices begin.
@@ -52,6 +55,8 @@ class Surfaces:
         to_world: (S, 4, 4), from the unit sphere, disk or cylinder, or the square of a height field, to the world; the
             identity for meshes.
         heights: of a height field, by its position among the shapes: heights (H, W) and interpolation.
+        curves: of a curve, likewise: control points (N, 3), radii (N,), first control points (S,), and whether its
+            segments are straight.
     """
 
     kind: torch.Tensor
@@ -66,6 +71,7 @@ class Surfaces:
     texcoords: torch.Tensor
     to_world: torch.Tensor
     heights: dict[int, tuple[torch.Tensor, str]]
+    curves: dict[int, tuple[torch.Tensor, torch.Tensor, torch.Tensor, bool]]
 
     @classmethod
     def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
@@ -74,11 +80,11 @@ class Surfaces:
         whole, truth = {**real, "dtype": torch.int64}, {**real, "dtype": torch.bool}
         identity = torch.eye(4, **real)
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
-        faces, positions, normals, texcoords, heights = [], [], [], [], {}
+        faces, positions, normals, texcoords, heights, curves = [], [], [], [], {}, {}
         n_vertices = n_faces = 0
         for kind, numbers, _ in layout.objects["shape"]:
             value = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
-            flip, matrix = bool(value["flip_normals"]), identity
+            flip, matrix = bool(value.get("flip_normals")), identity
             first_face.append(n_faces)
             first_vertex.append(n_vertices)
             has_normals = has_texcoords = False
@@ -89,6 +95,10 @@ class Surfaces:
                 has_normals, has_texcoords = value["normals"] >= 0, value["texcoords"] >= 0
                 normals.append(tensors[value["normals"]] if has_normals else corners.new_zeros(corners.shape))
                 texcoords.append(tensors[value["texcoords"]] if has_texcoords else corners.new_zeros(len(corners), 2))
+            elif kind in CURVES:
+                points, radii = tensors[value["control_points"]], tensors[value["radii"]]
+                segments = layout.index_tensors[value["segments"]].long()
+                curves[len(kinds)] = (points, radii, segments, kind == "linearcurve")
             else:
                 matrix = tensors[value["to_world"]]
                 if kind == "sphere":
@@ -112,7 +122,7 @@ class Surfaces:
             if kind == "heightfield":
                 interpolation = heightfield.INTERPOLATIONS[value["interpolation"]]
                 heights[len(kinds)] = (tensors[value["heights"]], interpolation)
-            kinds.append(CURVED.get(kind, MESH))
+            kinds.append({**CURVED, **CURVES}.get(kind, MESH))
             flips.append(flip)
             smooth.append(has_normals)
             textured.append(has_texcoords)
@@ -131,6 +141,7 @@ class Surfaces:
             texcoords=torch.cat(texcoords) if texcoords else nothing[:, :2],
             to_world=torch.stack(matrices) if matrices else identity.expand(0, 4, 4),
             heights=heights,
+            curves=curves,
         )
 
     def meet(
@@ -164,6 +175,11 @@ class Surfaces:
             if len(here):
                 rows.append(here)
                 pieces.append(self._on_height_field(index, origins[here], directions[here], t[here]))
+        for index in self.curves:
+            here = (shape == index).nonzero()[:, 0]
+            if len(here):
+                rows.append(here)
+                pieces.append(self._on_curve(index, primitive[here], origins[here], directions[here], t[here]))
         if len(pieces) == 1:
             return pieces[0]
         back = torch.argsort(torch.cat(rows))
@@ -245,6 +261,26 @@ class Surfaces:
         up = torch.stack([-z_u / 2, -z_v / 2, torch.ones_like(z)], 1)
         normal = normalize(transform_normal(inverse, up)) * (1 - 2 * self.flip[index].to(o.dtype))
         return SurfacePoints(t, position, normal, normal, uv, uv)
+
+    def segments(self, index: int, primitive: torch.Tensor) -> Segments:
+        """Of a curve the segments of these numbers."""
+        points, radii, first, straight = self.curves[index]
+        rows = first[primitive][:, None] + torch.tensor([0, 1, 1, 1] if straight else [0, 1, 2, 3], device=first.device)
+        return Segments(points[rows], radii[rows], straight)
+
+    def along_curve(self, index: int, primitive: torch.Tensor, b2: torch.Tensor) -> torch.Tensor:
+        """The second texture coordinate (N,), which goes over all segments."""
+        return (primitive + b2.clamp(0, 1)) / len(self.curves[index][2])
+
+    def _on_curve(
+        self, index: int, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor
+    ) -> SurfacePoints:
+        segments = self.segments(index, primitive)
+        t, b1, b2 = segments.meet(o, d, near)
+        position, along, around = segments.evaluate(b1, b2)
+        normal = normalize(torch.linalg.cross(around, along))
+        uv = torch.stack([b1, self.along_curve(index, primitive, b2)], 1)
+        return SurfacePoints(t, position, normal, normal, uv, torch.stack([b1, b2], 1))
 
 
 def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:

@@ -9,6 +9,7 @@
 #include <stdexcept>
 #include <vector>
 
+#include "curves.h"
 #include "embree_library.h"
 #include "embree_queries.h"
 #include "face_list.h"
@@ -67,6 +68,7 @@ struct Accel::Impl {
     Counters counters;
     std::map<uint32_t, Mesh> meshes;
     std::map<uint32_t, std::pair<rtc::Geometry, std::unique_ptr<Quadric>>> quadrics;
+    std::map<uint32_t, Curve> curves;
 
     const rtc::Api &api() const { return device->api; }
 
@@ -89,6 +91,7 @@ struct Accel::Impl {
             api().SetSceneBuildQuality(whole, rtc::BuildHigh);
             for (auto &[shape, mesh] : meshes) api().AttachGeometryByID(whole, mesh.geometry, shape);
             for (auto &[shape, quadric] : quadrics) api().AttachGeometryByID(whole, quadric.first, shape);
+            for (auto &[shape, curve] : curves) api().AttachGeometryByID(whole, curve.geometry, shape);
             api().CommitScene(whole);
             device->check("while building the acceleration structure");
         }
@@ -104,6 +107,7 @@ struct Accel::Impl {
         release_whole();
         for (auto &[shape, mesh] : meshes) api().ReleaseGeometry(mesh.geometry);
         for (auto &[shape, quadric] : quadrics) api().ReleaseGeometry(quadric.first);
+        for (auto &[shape, curve] : curves) api().ReleaseGeometry(curve.geometry);
         if (scene) api().ReleaseScene(scene);
         scene = nullptr;
     }
@@ -114,10 +118,12 @@ struct Accel::Impl {
         if (process == getpid()) return;
         auto old_meshes = std::move(meshes);
         auto old_quadrics = std::move(quadrics);
+        auto old_curves = std::move(curves);
         leave_to_parent(std::move(device), scene);
         whole = nullptr;
         meshes.clear();
         quadrics.clear();
+        curves.clear();
         device = embree_device();
         process = getpid();
         stage = Stage::Unbuilt;
@@ -126,6 +132,8 @@ struct Accel::Impl {
         for (auto &[shape, mesh] : old_meshes)
             set_mesh(shape, mesh.positions, mesh.n_vertices, mesh.faces, mesh.n_faces);
         for (auto &[shape, quadric] : old_quadrics) set_quadric(*quadric.second);
+        for (auto &[shape, curve] : old_curves)
+            set_curve(shape, curve.points, curve.n_points, curve.segments, curve.n_segments, curve.straight);
     }
 
     void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces) {
@@ -215,7 +223,7 @@ struct Accel::Impl {
     void choose_listed() {
         std::vector<std::pair<float, uint32_t>> candidates;
         FaceList all;
-        bool tiny = quadrics.empty();
+        bool tiny = quadrics.empty() && curves.empty();
         for (const auto &[shape, mesh] : meshes) {
             tiny = tiny && mesh.n_faces <= 2 * FaceList::limit();
             if (tiny) {
@@ -242,6 +250,16 @@ struct Accel::Impl {
             bool listed = tiny || std::find(chosen.begin(), chosen.end(), shape) != chosen.end();
             if (embree_only || !listed) attach(shape, mesh);
         }
+    }
+
+    void set_curve(uint32_t shape, const float *points, size_t n_points, const uint32_t *segments, size_t n_segments,
+                   bool straight) {
+        auto found = curves.find(shape);
+        if (found == curves.end()) {
+            found = curves.emplace(shape, new_curve(*device, n_points, segments, n_segments, straight)).first;
+            api().AttachGeometryByID(scene, found->second.geometry, shape);
+        }
+        set_curve_points(*device, found->second, points);
     }
 
     void set_quadric(const Quadric &values) {
@@ -295,6 +313,12 @@ void Accel::set_quadric(uint32_t shape, QuadricKind kind, const float to_world[1
     std::copy(to_world, to_world + 12, q.to_world);
     std::copy(to_object, to_object + 12, q.to_object);
     impl_->set_quadric(q);
+}
+
+void Accel::set_curve(uint32_t shape, const float *points, size_t n_points, const uint32_t *segments, size_t n_segments,
+                      bool straight) {
+    impl_->ensure_process();
+    impl_->set_curve(shape, points, n_points, segments, n_segments, straight);
 }
 
 float Accel::set_heights(uint32_t shape, const float *heights, int rows, int columns, bool linear) {

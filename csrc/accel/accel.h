@@ -24,7 +24,8 @@ struct RayBatch {
 struct HitBatch {
     uint32_t *shape, *primitive;  // shape = Accel::Miss: nothing was hit
     float *t, *b1,
-        *b2;  // weights of a triangle's second and third vertex; 0 on quadrics, (u, v) on height fields
+        *b2;  // weights of a triangle's second and third vertex; 0 on quadrics, (u, v) on height fields; on curves
+              // b1 is the place along the segment
 };
 
 // What measures Embree by itself needs of an acceleration structure.
@@ -52,6 +53,10 @@ public:
     void set_mesh(uint32_t shape, const float *positions, size_t n_vertices, const uint32_t *faces, size_t n_faces);
     // Where a unit shape is; matrices of 3 rows of 4.
     void set_quadric(uint32_t shape, QuadricKind kind, const float to_world[12], const float to_object[12]);
+    // Copies a curve: control points and radii (n_points, 4), the first control point of each segment. May be set again
+    // with the same numbers of both.
+    void set_curve(uint32_t shape, const float *points, size_t n_points, const uint32_t *segments, size_t n_segments,
+                   bool straight);
     // Heights (rows, columns) over the square [-1, 1]^2, see height_field.h, which stay in use; and where they are in
     // the world. Both are to be set, neither needs a commit. `refer`: the same heights at another address. Returns the
     // largest of their absolute values.

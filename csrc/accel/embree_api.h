@@ -15,16 +15,30 @@ using Geometry = struct GeometryObject *;
 
 constexpr uint32_t InvalidGeometry = 0xffffffffu;
 
-enum Format : int { FormatUInt3 = 0x5003, FormatFloat3 = 0x9003 };
-enum GeometryType : int { GeometryTriangle = 0, GeometryUser = 120 };
-enum BufferType : int { BufferIndex = 0, BufferVertex = 1 };
+enum Format : int {
+    FormatUChar = 0x1001,
+    FormatUInt = 0x5001,
+    FormatUInt3 = 0x5003,
+    FormatFloat3 = 0x9003,
+    FormatFloat4 = 0x9004
+};
+enum GeometryType : int {
+    GeometryTriangle = 0,
+    GeometryRoundLinear = 16,
+    GeometryRoundBSpline = 32,
+    GeometryUser = 120
+};
+enum BufferType : int { BufferIndex = 0, BufferVertex = 1, BufferFlags = 32 };
+enum CurveFlags : int { CurveNeighborLeft = 1, CurveNeighborRight = 2 };
 enum BuildQuality : int { BuildLow = 0, BuildMedium = 1, BuildHigh = 2, BuildRefit = 3 };
 enum SceneFlags : int { SceneDynamic = 1 };
 enum Property : int {
     PropertyVersion = 0,  // major * 10000 + minor * 100 + patch
     PropertyNativeRay8 = 33,
     PropertyNativeRay16 = 34,
+    PropertyFilters = 66,
     PropertyTriangles = 96,
+    PropertyCurves = 99,
     PropertyUserGeometry = 100
 };
 enum QueryFlags : int { QueryIncoherent = 0, QueryCoherent = 1 << 16 };
@@ -84,6 +98,15 @@ struct UserFunctionArguments {
     uint32_t n, geometry;
 };
 
+// Of a hit that may be refused: `valid` becomes 0 then. Rays and hits lie as in Ray and Hit.
+struct FilterFunctionArguments {
+    int *valid;
+    void *user, *context;
+    const float *rays, *hits;
+    uint32_t n;
+};
+
+using FilterFunction = void (*)(const FilterFunctionArguments *);
 using BoundsFunction = void (*)(const BoundsFunctionArguments *);
 using UserFunction = void (*)(const UserFunctionArguments *);
 using ErrorFunction = void (*)(void *user, int code, const char *message);
@@ -113,6 +136,8 @@ using ErrorFunction = void (*)(void *user, int code, const char *message);
     X(void, SetGeometryBoundsFunction, (Geometry, BoundsFunction, void *user))                                \
     X(void, SetGeometryIntersectFunction, (Geometry, UserFunction))                                           \
     X(void, SetGeometryOccludedFunction, (Geometry, UserFunction))                                            \
+    X(void, SetGeometryIntersectFilterFunction, (Geometry, FilterFunction))                                   \
+    X(void, SetGeometryOccludedFilterFunction, (Geometry, FilterFunction))                                    \
     X(void, Intersect1, (Scene, RayHit<1> *, QueryArguments *))                                               \
     X(void, Intersect4, (const int *valid, Scene, RayHit<4> *, QueryArguments *))                             \
     X(void, Intersect8, (const int *valid, Scene, RayHit<8> *, QueryArguments *))                             \

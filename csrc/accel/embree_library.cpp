@@ -66,9 +66,12 @@ std::string check_version(const Api &api, rtc::Device device) {
                        std::to_string(version % 100);
     if (version < 40400 || version >= 50000)
         throw std::runtime_error("the library is Embree " + text + ", expected at least 4.4 and below 5" + Remedy);
-    if (!api.GetDeviceProperty(device, rtc::PropertyTriangles) ||
-        !api.GetDeviceProperty(device, rtc::PropertyUserGeometry))
-        throw std::runtime_error("the library was built without triangles or user geometries" + std::string(Remedy));
+    for (auto [property, name] : {std::pair(rtc::PropertyTriangles, "triangles"),
+                                  {rtc::PropertyCurves, "curves"},
+                                  {rtc::PropertyUserGeometry, "user geometries"},
+                                  {rtc::PropertyFilters, "filters"}})
+        if (!api.GetDeviceProperty(device, property))
+            throw std::runtime_error("the library was built without " + std::string(name) + Remedy);
     return text;
 }
 

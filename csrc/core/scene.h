@@ -31,7 +31,10 @@ enum ShapeFlags : int32_t {
     IsDisk = 16,
     IsHeightField = 32,
     IsCylinder = 64,
-    IsCurved = IsSphere | IsDisk | IsHeightField | IsCylinder
+    IsCurve = 128,
+    IsStraight = 512,  // a curve of linear segments
+    HasMatrix = IsSphere | IsDisk | IsHeightField | IsCylinder,
+    IsCurved = HasMatrix | IsCurve
 };
 
 struct ShapeInfo {
@@ -43,7 +46,8 @@ struct ShapeInfo {
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");
 
-// All that belongs to a vertex of a mesh, so that it is one load a lane. Numbers that a mesh does not have are zero.
+// All that belongs to a vertex of a mesh, so that it is one load a lane. Numbers that a mesh does not have are zero. Of
+// a curve's control point n[0] is the radius.
 template <class S>
 struct alignas(8 * sizeof(S)) VertexRow {
     S p[3], n[3], uv[2];
@@ -64,7 +68,8 @@ struct SceneView {
     const Record *textures, *bsdfs, *emitters, *sensors, *volumes, *phases;
     int32_t n_textures, n_bsdfs, n_emitters, n_sensors;
 
-    // geometry: all meshes one after the other, indices global
+    // geometry: all meshes and curves one after the other, indices global; a curve's segment has that of its first
+    // control point
     const S *vertices;  // VertexRow
     const uint32_t *faces;
     const ShapeInfo *shapes;

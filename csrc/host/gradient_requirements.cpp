@@ -16,7 +16,8 @@ GradientRequirements::GradientRequirements(const SceneLayout &layout, const std:
     for (size_t i = 0; i < layout.shapes.size(); ++i)
         moved_shapes_[i] = (layout.shapes[i].flags & IsHeightField) && tensor(layout.shapes[i].heights);
     for (const MeshSource &mesh : layout.meshes)
-        moved_shapes_[size_t(mesh.shape)] = tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords);
+        moved_shapes_[size_t(mesh.shape)] =
+            tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords) || tensor(mesh.radii);
 }
 
 bool GradientRequirements::number(int32_t offset) const {
@@ -131,7 +132,7 @@ GeometrySizes GradientRequirements::geometry_sizes() const {
     for (const MeshSource &mesh : layout_.meshes) {
         bool rectangle = mesh.vertices < 0;
         if (rectangle ? shape(size_t(mesh.shape)) : tensor(mesh.vertices)) r.positions = 3 * n;
-        if (tensor(mesh.normals)) r.normals = 3 * n;
+        if (tensor(mesh.normals) || tensor(mesh.radii)) r.normals = 3 * n;
         if (tensor(mesh.texcoords)) r.texcoords = 2 * n;
     }
     return r;

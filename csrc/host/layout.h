@@ -20,7 +20,7 @@ struct SceneObject {
 using SceneObjects = std::map<std::string, std::vector<SceneObject>>;  // by category
 
 struct IndexArray {
-    const int32_t *data;  // (rows, 3)
+    const int32_t *data;  // (rows, 3), or of a curve (rows)
     int64_t rows;
 };
 
@@ -42,6 +42,7 @@ inline bool is_default(const Record &texture) { return texture.field[Record::Ext
 struct MeshSource {
     int shape, vertices, normals, texcoords;  // slots or -1; a rectangle has none
     int first_vertex, n_vertices;
+    int radii = -1;  // of a curve, whose control points are its vertices
 };
 
 struct SceneLayout {

@@ -86,6 +86,7 @@ private:
     void begin_mesh(ShapeInfo &info, int64_t n_vertices, int64_t n_faces, const std::string &at);
     void add_mesh(int i, ShapeInfo &info);
     void add_height_field(int i, ShapeInfo &info);
+    void add_curve(int i, ShapeInfo &info);
     void add_rectangle(int i, ShapeInfo &info);
     void connect_attributes();
 

@@ -13,7 +13,7 @@ void LayoutBuilder::connect_shapes() {
         ShapeInfo &info = out_.shapes[size_t(i)];
         info = ShapeInfo{};
         info.first_attribute = -1;
-        int bsdf, emitter, flip, interior = PlanarFields::Interior;
+        int bsdf, emitter, flip = -1, interior = PlanarFields::Interior;
         if (type == MeshModel::model.type) {
             bsdf = MeshModel::BsdfIndex, emitter = MeshModel::EmitterIndex, flip = MeshModel::Flip;
             interior = MeshModel::Interior;
@@ -30,6 +30,10 @@ void LayoutBuilder::connect_shapes() {
             bsdf = HeightFieldModel::BsdfIndex, emitter = HeightFieldModel::EmitterIndex;
             flip = HeightFieldModel::Flip, interior = HeightFieldModel::Interior;
             add_height_field(i, info);
+        } else if (type == BSplineCurveModel::model.type || type == LinearCurveModel::model.type) {
+            bsdf = CurveFields::BsdfIndex, emitter = CurveFields::EmitterIndex, interior = CurveFields::Interior;
+            info.flags |= type == LinearCurveModel::model.type ? IsCurve | IsStraight : IsCurve;
+            add_curve(i, info);
         } else {
             bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
             if (type == RectangleModel::model.type)
@@ -42,7 +46,7 @@ void LayoutBuilder::connect_shapes() {
         info.interior = value("shape", i, interior);
         info.exterior = value("shape", i, interior + 1);
         if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
-        if (value("shape", i, flip)) info.flags |= FlipNormals;
+        if (flip >= 0 && value("shape", i, flip)) info.flags |= FlipNormals;
         if (info.emitter >= 0 && !(info.flags & IsCurved)) {
             info.cdf_offset = out_.n_cdf_faces;
             out_.n_cdf_faces += info.n_faces;
@@ -106,6 +110,33 @@ void LayoutBuilder::add_height_field(int i, ShapeInfo &info) {
     if (s.size() != 2) fail(where("shape", i, "heights"), "a tensor of shape (H, W)", text(s));
     if (value("shape", i, HeightFieldModel::EmitterIndex) >= 0)
         fail(where("shape", i, "emitter"), "none: a height field cannot emit", "an emitter");
+}
+
+void LayoutBuilder::add_curve(int i, ShapeInfo &info) {
+    const int points = value("shape", i, CurveFields::ControlPoints), radii = value("shape", i, CurveFields::Radii);
+    const auto &s = shapes_[size_t(points)], &r = shapes_[size_t(radii)];
+    if (s.size() != 2 || s[1] != 3) fail(where("shape", i, "control_points"), "a tensor of shape (N, 3)", text(s));
+    if (r.size() != 1 || r[0] != s[0])
+        fail(where("shape", i, "radii"), "a tensor of shape (" + std::to_string(s[0]) + ",)", text(r));
+    for (int f : {CurveFields::EmitterIndex, CurveFields::Interior, CurveFields::Exterior})
+        if (value("shape", i, f) >= 0)
+            fail(where("shape", i, CurveFields::fields[f].name), "none: a curve neither emits nor bounds a medium",
+                 "one");
+    const IndexArray &array = arrays_[size_t(value("shape", i, CurveFields::Segments))];
+    const std::string at = where("shape", i, "segments");
+    if (array.rows < 1 || !array.data) fail(at, "at least one segment", "an empty array");
+    const int last = info.flags & IsStraight ? 1 : 3;
+    begin_mesh(info, s[0], array.rows, at);
+    for (int64_t k = 0; k < array.rows; ++k) {
+        int32_t first = array.data[k];
+        if (first < 0 || first + last >= s[0])
+            fail(at, "control points from 0 to " + std::to_string(s[0] - 1 - last),
+                 std::to_string(first) + " for segment " + std::to_string(k));
+        for (int corner = 0; corner < 3; ++corner) out_.faces.push_back(uint32_t(info.first_vertex + first));
+    }
+    MeshSource curve{i, points, -1, -1, info.first_vertex, int(s[0])};
+    curve.radii = radii;
+    out_.meshes.push_back(curve);
 }
 
 void LayoutBuilder::add_rectangle(int i, ShapeInfo &info) {

@@ -48,7 +48,7 @@ bool SceneData<S>::same_geometry(const SceneData &other) const {
     const SceneLayout &a = layout_, &b = other.layout_;
     auto same_mesh = [](const MeshSource &x, const MeshSource &y) {
         return x.shape == y.shape && x.vertices == y.vertices && x.normals == y.normals && x.texcoords == y.texcoords &&
-               x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices;
+               x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices && x.radii == y.radii;
     };
     auto same_shape = [&](const ShapeInfo &x, const ShapeInfo &y) {
         if (x.flags & y.flags & IsHeightField)
@@ -155,6 +155,8 @@ std::vector<uint8_t> SceneData<S>::with_silent_changes(const std::vector<const S
             compare_rows(mesh.normals, &VertexRow<S>::n, begin, end);
             compare_rows(mesh.texcoords, &VertexRow<S>::uv, begin, end);
         }
+        if (mesh.radii >= 0 && !dirty[size_t(mesh.radii)])
+            dirty[size_t(mesh.radii)] = !same_radii(mesh, params[size_t(mesh.radii)]);
     }
     for (size_t i = 0; i < layout_.shapes.size(); ++i) {
         const ShapeInfo &shape = layout_.shapes[i];

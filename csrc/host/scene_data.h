@@ -133,6 +133,14 @@ private:
             for (size_t k = 0; k < N; ++k) same &= (rows[i].*column)[k] == from[N * i + k];
         return same;
     }
+    bool same_radii(const MeshSource &curve, const S *from) const {
+        const VertexRow<S> *rows = &vertices_[size_t(curve.first_vertex)];
+        bool same = true;
+        for (size_t i = 0; i < size_t(curve.n_vertices); ++i) same &= rows[i].n[0] == from[i];
+        return same;
+    }
+    bool update_curve(const MeshSource &curve, const std::vector<const S *> &params, const std::vector<uint8_t> &dirty,
+                      bool first);
     void update_rectangle(const MeshSource &mesh, bool first);
     void update_quadric(int shape);
     void update_heights(int shape, const S *heights, bool changed, bool moved);

@@ -26,6 +26,9 @@ void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const G
         copy(mesh.vertices, 3, to.positions);
         copy(mesh.normals, 3, to.normals);
         copy(mesh.texcoords, 2, to.texcoords);
+        if (const S *radii = mesh.radii >= 0 ? tangents[size_t(mesh.radii)] : nullptr; radii && !to.normals.empty())
+            for (size_t i = 0; i < size_t(mesh.n_vertices); ++i)
+                to.normals[(size_t(mesh.first_vertex) + i) * 3] = radii[i];
         if (mesh.vertices >= 0 || to.positions.empty()) continue;
         const S *m = &to.constants[size_t(records[size_t(mesh.shape)].field[PlanarFields::ToWorld])];
         for (size_t i = 0; i < 4; ++i)
@@ -35,7 +38,7 @@ void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const G
     }
     for (size_t i = 0; i < n_shapes; ++i) {
         const int32_t *field = records[i].field;
-        if (!(shapes_[i].flags & IsCurved)) continue;
+        if (!(shapes_[i].flags & HasMatrix)) continue;
         const Placement placement = placement_of(shapes_[i], field, constants_.data());
         S *matrix = &to.constants[matrices + 12 * i];
         std::fill_n(matrix, 12, S(0));
@@ -61,6 +64,9 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
         add(mesh.vertices, 3, sums.positions);
         add(mesh.normals, 3, sums.normals);
         add(mesh.texcoords, 2, sums.texcoords);
+        if (S *radii = mesh.radii >= 0 ? gradients[size_t(mesh.radii)] : nullptr; radii && !sums.normals.empty())
+            for (size_t i = 0; i < size_t(mesh.n_vertices); ++i)
+                radii[i] += S(sums.normals[(size_t(mesh.first_vertex) + i) * 3]);
         if (mesh.vertices >= 0 || sums.positions.empty()) continue;
         double *m = &sums.constants[size_t(records[size_t(mesh.shape)].field[PlanarFields::ToWorld])];
         for (size_t i = 0; i < 4; ++i)
@@ -73,7 +79,7 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
     }
     for (size_t i = 0; i < shapes_.size(); ++i) {
         const int32_t *field = records[i].field;
-        if (!(shapes_[i].flags & IsCurved)) continue;
+        if (!(shapes_[i].flags & HasMatrix)) continue;
         const Placement placement = placement_of(shapes_[i], field, constants_.data());
         const double *matrix = &sums.constants[n_constants() + 12 * i];
         const S *now = &constants_[size_t(field[0])];

@@ -23,7 +23,9 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     };
     bool rebuild = first;
     for (const MeshSource &mesh : layout_.meshes) {
-        if (mesh.vertices >= 0) {
+        if (mesh.radii >= 0) {
+            rebuild |= update_curve(mesh, params, dirty, first);
+        } else if (mesh.vertices >= 0) {
             rebuild |= update_mesh(mesh, params, dirty, first);
         } else if (changed(records[size_t(mesh.shape)].field[PlanarFields::ToWorld], 12)) {
             update_rectangle(mesh, first);
@@ -76,6 +78,43 @@ bool SceneData<S>::update_mesh(const MeshSource &mesh, const std::vector<const S
                       std::to_string(from[i]));
     copy(mesh.vertices, &VertexRow<S>::p);
     set_mesh(mesh, from, first);
+    return true;
+}
+
+// Returns whether the curve changed.
+template <class S>
+bool SceneData<S>::update_curve(const MeshSource &curve, const std::vector<const S *> &params,
+                                const std::vector<uint8_t> &dirty, bool first) {
+    const S *points = params[size_t(curve.vertices)], *radii = params[size_t(curve.radii)];
+    if (!dirty[size_t(curve.vertices)] && !dirty[size_t(curve.radii)]) return false;
+    const size_t n = size_t(curve.n_vertices);
+    if (!first && same_rows(curve, &VertexRow<S>::p, points, 0, curve.n_vertices) && same_radii(curve, radii))
+        return false;
+    std::vector<float> single(4 * n);
+    for (size_t i = 0; i < n; ++i) {
+        for (size_t k = 0; k < 3; ++k) {
+            if (!(std::abs(points[3 * i + k]) <= S(LargestCoordinate)))
+                bad_value(path("shape", curve.shape) + ": field 'control_points'", "coordinates up to 1e18",
+                          std::to_string(points[3 * i + k]));
+            single[4 * i + k] = float(points[3 * i + k]);
+        }
+        if (!(radii[i] >= 0 && radii[i] <= S(LargestCoordinate)))
+            bad_value(path("shape", curve.shape) + ": field 'radii'", "numbers that are not negative",
+                      std::to_string(radii[i]));
+        single[4 * i + 3] = float(radii[i]);
+    }
+    VertexRow<S> *rows = &vertices_[size_t(curve.first_vertex)];
+    for (size_t i = 0; i < n; ++i) {
+        std::copy_n(points + 3 * i, 3, rows[i].p);
+        rows[i].n[0] = radii[i];
+    }
+    const ShapeInfo &info = shapes_[size_t(curve.shape)];
+    std::vector<uint32_t> segments(size_t(info.n_faces));
+    for (size_t k = 0; k < segments.size(); ++k)
+        segments[k] = layout_.faces[(size_t(info.face_offset) + k) * 3] - uint32_t(curve.first_vertex);
+    accel_->set_curve(uint32_t(curve.shape), single.data(), n, segments.data(), segments.size(),
+                      info.flags & IsStraight);
+    ++counters_.meshes;
     return true;
 }
 

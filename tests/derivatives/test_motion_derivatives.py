@@ -37,6 +37,8 @@ MOVING = {
     ("volume", "gridvolume"): {"to_world"},
     ("shape", "heightfield"): {"to_world", "heights"},
     ("shape", "rectangle"): {"to_world"},
+    ("shape", "bsplinecurve"): {"control_points", "radii"},
+    ("shape", "linearcurve"): {"control_points", "radii"},
     ("texture", "bitmap"): {"to_uv"},
     ("texture", "mesh_attribute"): {"scale"},
     ("emitter", "envmap"): {"to_world"},

@@ -142,6 +142,24 @@ def pipe(bsdf: dict) -> dict:
     }
 
 
+TUBE = [[-3.0, 0.1, -0.2], [-1.0, -0.1, 0.1], [0.2, 0.1, -0.1], [1.2, 0.0, 0.1], [3.0, -0.2, 0.0]]
+
+
+def tube(bsdf: dict, kind: str = "bsplinecurve") -> dict:
+    """A curve across the view of `at_ball`, wider than it and open beyond it, whose azimuth begins above."""
+    points = torch.tensor(TUBE, dtype=torch.float64)
+    radii = torch.tensor([0.8, 0.95, 0.85, 0.95, 0.9], dtype=torch.float64)
+    if kind == "linearcurve":  # one cone: joints of several have edges
+        points, radii = points[[0, -1]], radii[[0, 1]]
+    return {"type": kind, "control_points": points, "radii": radii, "bsdf": bsdf}
+
+
+def rod(bsdf: dict) -> dict:
+    """The sphere at the end of a curve, which goes away from the camera of `at_ball`."""
+    points = [[0.05, 0.1, -0.1], [0.1, -0.2, -5.0]]
+    return {"type": "linearcurve", "control_points": points, "radii": [0.9, 0.5], "bsdf": bsdf}
+
+
 def grid() -> dict:
     """A smooth volume of colours, seen from within between its voxels."""
     z, y, x = torch.meshgrid(*(torch.arange(n, dtype=torch.float64) for n in (24, 24, 24)), indexing="ij")
@@ -234,6 +252,14 @@ SCENES = {
     "cylinder_light": lambda: scene(2, above(), floor=floor(), lamp=lamp("cylinder")),
     "pipe": lambda: scene(2, at_ball(), pipe=pipe(PAINT), room=black_room()),
     "metal_pipe": lambda: scene(3, at_ball(), pipe=pipe(METAL), room=black_room()),
+    "tube": lambda: scene(2, at_ball(), tube=tube(PAINT), room=black_room()),
+    "metal_tube": lambda: scene(3, at_ball(), tube=tube(METAL), room=black_room()),
+    "carved_tube": lambda: scene(2, at_ball(), tube=tube(CARVED), room=black_room()),
+    "bumpy_tube": lambda: scene(2, at_ball(), tube=tube(BUMPS), room=black_room()),
+    "wire": lambda: scene(2, at_ball(), wire=tube(PAINT, "linearcurve"), room=black_room()),
+    "metal_wire": lambda: scene(3, at_ball(), wire=tube(METAL, "linearcurve"), room=black_room()),
+    "brushed_wire": lambda: scene(3, at_ball(), wire=tube(ALONG, "linearcurve"), room=black_room()),
+    "rod": lambda: scene(3, at_ball(), rod=rod(METAL), room=black_room()),
     "carved_floor": lambda: scene(2, above(), floor=floor(CARVED), lamp=lamp("rectangle")),
     "carved_pipe": lambda: scene(2, at_ball(), pipe=pipe(CARVED), room=black_room()),
     "carved_hills": lambda: scene(2, above(), hills=hills(CARVED, floor()["to_world"], 0.04), lamp=lamp("disk")),

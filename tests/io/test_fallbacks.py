@@ -63,13 +63,13 @@ def test_lights_shapes_and_what_refers_to_them(monkeypatch):
     without(monkeypatch, "sunsky")
     scene, said = load(
         sun={"type": "sunsky", "turbidity": 4},
-        fur={"type": "bsplinecurve", "filename": "nowhere.txt"},
+        fur={"type": "ellipsoids", "filename": "nowhere.ply"},
         group={"type": "ellipsoids", "filename": "nowhere.ply"},
         light={"type": "volumelight"},
         ball={**SPHERE, "bsdf": {"type": "ref", "id": "fur"}},
     )
     assert set(scene) == {"sun", "ball"} and scene.sun.type == "constant"
-    assert any("fur: 'bsplinecurve' is not supported and was left out" in s for s in said)
+    assert any("fur: 'ellipsoids' is not supported and was left out" in s for s in said)
     assert any("ball.bsdf: refers to 'fur', which was left out" in s for s in said)
     assert np.isfinite(tr.render(scene, sensor=tr.PerspectiveCamera(), spp=1, crop=(0, 0, 2, 2)).numpy()).all()
 

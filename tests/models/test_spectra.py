@@ -124,7 +124,6 @@ def test_spectra_from_files(tmp_path):
         ({"type": "regular", "values": "1 2 3"}, "'wavelength_min' is missing"),
         ({"type": "blackbody", "temperature": -1}, "positive temperature"),
         ({"type": "blackbody", "temprature": 1}, "'temperature'"),
-        ({"type": "uniform", "wavelength_min": 400}, "not supported"),
     ],
 )
 def test_mistakes_are_named(spectrum, message):

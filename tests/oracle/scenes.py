@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
 import reference_scenes as r
 
 from .layered_scenes import layers, normals
 from .material_scenes import brushed, glass, glossy, rough, turned_brushed
-from .scene_parts import MIRROR, SIZE, hills, small, smoothed, tube
+from .scene_parts import MIRROR, SIZE, hills, metal, small, smoothed, tube
 
 
 def moving() -> dict:
@@ -42,6 +43,40 @@ def moving() -> dict:
         floor=r._floor(r._bitmap(32, 6, 4)),
         lamp=r._lamp(r._bitmap(33, 3, 4, 1.0, 9.0)),
         bulb={"type": "point", "position": [1.0, 2.0, 2.0], "intensity": r._rgb(5.0, 4.0, 3.0)},
+    )
+
+
+def curves() -> dict:
+    """Bent tubes and jointed cones, with coats that follow their coordinates, tangents and places."""
+    points = np.random.default_rng(51).uniform(-1, 1, (8, 3)) * [1.6, 0.7, 0.7]
+    points = points[np.argsort(points[:, 0])]
+    brushed = {**metal(52), "alpha_u": 0.3, "alpha_v": 0.5}
+    del brushed["alpha"]
+    return r._scene(
+        {"type": "path", "max_depth": 4, "rr_depth": 3},
+        r._camera(fov=50),
+        tubes={
+            "type": "bsplinecurve",
+            "control_points": points + np.array([0, 0.6, 0]),
+            "radii": [0.3, 0.4, 0.2, 0.5, 0.3, 0.4, 0.3, 0.4],
+            "segment_indices": [0, 4],
+            "bsdf": {"type": "twosided", "bsdf": r._diffuse(r._bitmap(53, 4, 5, to_uv=r.TO_UV))},
+        },
+        wires={
+            "type": "linearcurve",
+            "control_points": points[::-1] * [1, 1, -1] - np.array([0, 0.4, 0.2]),
+            "radii": [0.2, 0.3, 0.2, 0.25, 0.15, 0.3, 0.2, 0.2],
+            "bsdf": {"type": "twosided", "bsdf": brushed},
+        },
+        bumps={
+            "type": "bsplinecurve",
+            "control_points": points[:4] * [2.0, 1, 1] + np.array([0.5, 0, -1.5]),
+            "radii": 0.4,
+            "bsdf": {"type": "bumpmap", "texture": r._bitmap(54, 4, 4), "scale": 0.1, "bsdf": r._diffuse(0.6)},
+        },
+        floor=r._floor(r._bitmap(55, 6, 4)),
+        lamp=r._lamp(r._bitmap(56, 3, 4, 1.0, 9.0)),
+        sky={"type": "constant", "radiance": 0.3},
     )
 
 
@@ -143,5 +178,5 @@ SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
     **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, layers, normals, lights, splits)},
     **SENSORS,
-    **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed)},
+    **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed, curves)},
 }

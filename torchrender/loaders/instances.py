@@ -16,6 +16,7 @@ import torch
 from ..errors import describe, nearest
 from ..scene import registry, values
 from ..scene.context import Context, Reference
+from ..scene.curves import Curve
 from ..scene.mesh import Mesh
 from ..scene.plugin import Plugin
 
@@ -150,6 +151,15 @@ def _copy(shape: Plugin, matrix: torch.Tensor, ctx: Context) -> Plugin:
         )
         if shape.computed_normals:
             made.compute_normals()
+    elif isinstance(shape, Curve):
+        scale = torch.linalg.vector_norm(matrix[:3, :3], dim=0)
+        if float((scale - scale.mean()).abs().max()) > 1e-4 * float(scale.mean()):
+            ctx.error(
+                f"an instance of a {shape.type} is turned, moved and scaled by one factor, which its matrix is not"
+            )
+        given["radii"] = given["radii"] * scale.mean().to(given["radii"].dtype)
+        segments = shape.segment_indices
+        made = type(shape)(**given, segment_indices=segments, to_world=matrix, _context=ctx)
     else:
         own = given["to_world"]
         given["to_world"] = values.rounded(matrix @ own.to(torch.float64), own, ctx)

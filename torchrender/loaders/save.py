@@ -13,6 +13,8 @@ import torch
 from .. import io
 from ..integrators import TYPES, Integrator
 from ..io._files import as_path
+from ..io.curves import write_curves
+from ..scene.curves import Curve
 from ..scene.declaration import CHILD_KINDS
 from ..scene.film import FILTER_PARAMETERS, Film
 from ..scene.mesh import Mesh
@@ -170,7 +172,11 @@ class _Writer:
         where = f"{where}_{name}" if where else name
         kind = "ply" if isinstance(plugin, Mesh) else plugin.type
         self.line(depth, plugin.category, close=False, type=kind, id=self.ids.get(id(plugin)), **nested)
-        done = self.mesh(plugin, depth + 1, where) if isinstance(plugin, Mesh) else set()
+        done: set[str] = set()
+        if isinstance(plugin, Mesh):
+            done = self.mesh(plugin, depth + 1, where)
+        elif isinstance(plugin, Curve):
+            done = self.curve(plugin, depth + 1, where)
         done |= self.field_of_view(plugin, depth + 1)
         if plugin.category == "sensor":
             done |= self.sensor(plugin, depth + 1)
@@ -266,6 +272,16 @@ class _Writer:
         if flat:
             self.value(depth, "face_normals", True)
         return {"vertex_positions", "faces", "vertex_normals", "vertex_texcoords", "face_normals"}
+
+    def curve(self, curve: Curve, depth: int, where: str) -> set[str]:
+        """The curve as a text file; returns the fields that are done with that."""
+        path, said = self.file("curves", where, ".txt")
+        points, radii, segments = (
+            t.detach().cpu().numpy() for t in (curve.control_points, curve.radii, curve.segment_indices)
+        )
+        write_curves(path, points, radii, segments, curve.order)
+        self.line(depth, "string", name="filename", value=said)
+        return {"control_points", "radii", "segment_indices"}
 
     # ------------------------------------------------------------------------------------- what is no parameter
     def field_of_view(self, plugin: Plugin, depth: int) -> set[str]:

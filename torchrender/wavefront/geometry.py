@@ -10,6 +10,7 @@ import torch
 
 from ..heightfield import evaluate
 from ..surface import (
+    CURVE,
     CYLINDER,
     HEIGHT_FIELD,
     MESH,
@@ -126,8 +127,8 @@ def glue(
     """The points of these coordinates, attached to the surfaces alone. Spheres and disks take `position` and `uv`."""
     b, position, uv = barycentric.detach(), position.detach(), uv.detach()
     kind = surfaces.kind[shape]
-    on_mesh, on_field = kind == MESH, kind == HEIGHT_FIELD
-    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh & ~on_field).nonzero()[:, 0]
+    on_mesh, on_other = kind == MESH, (kind == HEIGHT_FIELD) | (kind == CURVE)
+    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh & ~on_other).nonzero()[:, 0]
     rows = [flat, curved]
     pieces = [
         _on_triangles(surfaces, shape[flat], primitive[flat], b[flat]),
@@ -136,6 +137,9 @@ def glue(
     for index in surfaces.heights:
         rows.append((shape == index).nonzero()[:, 0])
         pieces.append(_on_height_field(surfaces, index, uv[rows[-1]]))
+    for index in surfaces.curves:
+        rows.append((shape == index).nonzero()[:, 0])
+        pieces.append(_on_curve(surfaces, index, primitive[rows[-1]], b[rows[-1]]))
     return Glued.cat(pieces)[torch.argsort(torch.cat(rows))]
 
 
@@ -175,3 +179,11 @@ def _on_height_field(surfaces: Surfaces, index: int, uv: torch.Tensor) -> Glued:
     normal = normalize(up) * (-1.0 if bool(surfaces.flip[index]) else 1.0)
     area = up * torch.linalg.det(matrix[:3, :3])
     return Glued(transform_point(matrix, local), normal, normal, uv, area)
+
+
+def _on_curve(surfaces: Surfaces, index: int, primitive: torch.Tensor, b: torch.Tensor) -> Glued:
+    position, along, around = surfaces.segments(index, primitive).evaluate(*b.unbind(1))
+    area = torch.linalg.cross(around, along)
+    normal = normalize(area)
+    uv = torch.stack([b[:, 0], surfaces.along_curve(index, primitive, b[:, 1])], 1)
+    return Glued(position, normal, normal, uv, area)

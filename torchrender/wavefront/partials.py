@@ -7,7 +7,7 @@ import math
 import torch
 
 from ..heightfield import evaluate
-from ..surface import CYLINDER, HEIGHT_FIELD, MESH, SPHERE, inverse_linear, transform_vector
+from ..surface import CURVE, CYLINDER, HEIGHT_FIELD, MESH, SPHERE, inverse_linear, transform_vector
 from .world import At, World
 
 
@@ -15,11 +15,17 @@ def partials(world: World, at: At, p: torch.Tensor) -> tuple[torch.Tensor, torch
     """dp/du and dp/dv (N, 3) at points p (N, 3)."""
     surfaces = world.surfaces
     kind = surfaces.kind[at.shape]
-    flat, curved = (kind == MESH).nonzero()[:, 0], ((kind != MESH) & (kind != HEIGHT_FIELD)).nonzero()[:, 0]
+    other = (kind == MESH) | (kind == HEIGHT_FIELD) | (kind == CURVE)
+    flat, curved = (kind == MESH).nonzero()[:, 0], (~other).nonzero()[:, 0]
     pieces = [(flat, _along_triangles(world, at[flat])), (curved, _along_quadrics(world, at.shape[curved], p[curved]))]
     for index in surfaces.heights:
         rows = (at.shape == index).nonzero()[:, 0]
         pieces.append((rows, _along_heights(world, index, at.barycentric[rows])))
+    for index, (*_, segments, _straight) in surfaces.curves.items():
+        rows = (at.shape == index).nonzero()[:, 0]
+        here = at[rows]
+        _, along, around = surfaces.segments(index, here.primitive).evaluate(*here.barycentric.unbind(1))
+        pieces.append((rows, (around, along * len(segments))))
     du = dv = torch.zeros_like(p)
     for rows, (u, v) in pieces:
         du, dv = du.index_put((rows,), u), dv.index_put((rows,), v)

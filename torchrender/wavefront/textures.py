@@ -126,6 +126,11 @@ def surface_position(world: World, at: At) -> torch.Tensor:
         z = evaluate_heights(heights, at.barycentric[rows], interpolation)[0]
         p = torch.cat([2 * at.barycentric[rows] - 1, z[:, None]], 1)
         result = result.index_put((rows,), transform_point(matrix[rows], p))
+    for index in surfaces.curves:
+        rows = (at.shape == index).nonzero()[:, 0]
+        here = at[rows]
+        p, _, _ = surfaces.segments(index, here.primitive).evaluate(*here.barycentric.unbind(1))
+        result = result.index_put((rows,), p)
     return result
 
 

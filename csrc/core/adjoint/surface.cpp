@@ -1,6 +1,7 @@
 #include "surface.h"
 
 #include "../shape/partials.h"
+#include "curve.h"
 #include "heightfield.h"
 
 namespace tr {
@@ -12,7 +13,15 @@ TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at,
     using S = ScalarOf<F>;
     auto wanted = sink.wants_shape(at.shape, active);
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curved = active && !mesh && !field;
+    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    if (any(curve)) {
+        F segments = curve_segments<F>(scene, at.shape, curve);
+        CurveAdjoint<F> bar(scene, at, shape, curve);
+        bar.add(gv * segments, gu);
+        to.b.x = select(curve, to.b.x + bar.b1, to.b.x);
+        to.b.y = select(curve, to.b.y + bar.b2, to.b.y);
+        bar.spread(Vec3<F>{F(0), F(0), F(0)}, curve && wanted, sink);
+    }
     if (any(mesh && wanted)) {
         TriangleMap<F, S> map(scene, shape, at.primitive, mesh);
         auto lanes = mesh && wanted, mapped = lanes && map.mapped;
@@ -224,13 +233,18 @@ TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint
     if (scene.has_tangents()) sweep_partials(scene, at, shape, g.tangent, g.tangent_v, active, g.at, sink);
     g.p = g.p + g.at.p;
     auto mesh = active && !shape.has(IsCurved);
-    auto field = active && shape.has(IsHeightField), curved = active && !mesh && !field;
+    auto field = active && shape.has(IsHeightField), curve = active && shape.has(IsCurve);
+    auto curved = active && !mesh && !field && !curve;
     Vec3<F> zero{F(0), F(0), F(0)};
     RayAdjoint<F> r{zero, zero}, other = r;
     if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, shape, mesh, r.d, sink);
     if (any(field)) {
         other.o = sweep_height_fields(scene, at, in, g, field, other.d, sink);
         r = {select(field, other.o, r.o), select(field, other.d, r.d)};
+    }
+    if (any(curve)) {
+        other.o = sweep_curve(scene, at, in, g, shape, curve, other.d, sink);
+        r = {select(curve, other.o, r.o), select(curve, other.d, r.d)};
     }
     if (any(curved)) {
         other.o = sweep_curved(scene, at, p, in, g, curved, CurvedKind<F>(shape, curved), other.d, sink);
@@ -252,7 +266,9 @@ TR_LARGE void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at,
         const F weight[3] = {F(1) - at.b1 - at.b2, at.b1, at.b2};
         for (int k = 0; k < 3; ++k) sweep_mesh_vertex(VertexArray::Positions, corner[k], p_bar * weight[k], mesh, sink);
     }
-    auto field = wanted && shape.has(IsHeightField), curved = wanted && !mesh && !field;
+    auto field = wanted && shape.has(IsHeightField), curve = wanted && shape.has(IsCurve);
+    auto curved = wanted && !mesh && !field && !curve;
+    if (any(curve)) CurveAdjoint<F>(scene, at, shape, curve).spread(p_bar, curve, sink);
     if (any(field)) sweep_height_positions(scene, at, p_bar, field, sink);
     if (any(curved)) {
         F to_object[12];

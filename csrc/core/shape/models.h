@@ -84,6 +84,30 @@ struct HeightFieldModel {
                                     0,       "HeightField"};
 };
 
+// Both kinds of curves have the same fields.
+struct CurveFields {
+    enum { ControlPoints, Radii, Segments, BsdfIndex, EmitterIndex, Interior, Exterior };
+    static constexpr Field fields[] = {
+        {"control_points", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "(N, 3), world space"},
+        {"radii", Kind::Tensor, None, 0, INFINITY, GeometryEdges, "(N,), at the control points"},
+        {"segments", Kind::Indices, None, 0, INFINITY, "", "the first control point of each segment (S,)"},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", "refused: curves cannot emit"},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "refused: rays do not meet a curve from inside"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "refused"},
+    };
+};
+
+struct BSplineCurveModel : CurveFields {
+    static constexpr Model model = {
+        "shape", "bsplinecurve", "Tubes along uniform cubic B-splines.", CurveFields::fields, 7, 0, "BSplineCurve"};
+};
+
+struct LinearCurveModel : CurveFields {
+    static constexpr Model model = {"shape", "linearcurve", "Cones between spheres.", CurveFields::fields, 7,
+                                    0,       "LinearCurve"};
+};
+
 // Disk and rectangle have the same fields.
 struct PlanarFields {
     enum { ToWorld, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };

@@ -87,7 +87,11 @@ TR_NOINLINE PositionPartials<F> position_partials(const SceneView<S> &scene, con
         r = {select(m, u, r.u), select(m, v, r.v)};
     };
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curved = active && !mesh && !field;
+    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    if (any(curve)) {
+        const CurvePoint<F> point(scene, at, shape, curve);
+        take(curve, point.around, point.along * curve_segments<F>(scene, at.shape, curve));
+    }
     if (any(mesh)) {
         PositionPartials<F> p = TriangleMap<F, S>(scene, shape, at.primitive, mesh).partials();
         take(mesh, p.u, p.v);

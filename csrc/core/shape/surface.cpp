@@ -58,7 +58,20 @@ TR_LARGE Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &
         meet_height_fields(scene, at.shape, ray.o, ray.d, field, at.b1, at.b2, t, si.p, ns);
         si.ng = select(field, ns, si.ng);
     }
-    auto curved = active && !mesh && !field;
+    auto curve = active && shape.has(IsCurve);
+    if (any(curve)) {
+        meet_curves(scene, ray.o, ray.d, shape, curve, at, t);
+        const CurvePoint<F> point(scene, at, shape, curve);
+        si.p = select(curve, point.p, si.p);
+        si.ng = select(curve, normalize(point.area), si.ng);
+        ns = select(curve, si.ng, ns);
+        if (scene.textured) {
+            Vec2<F> own = curve_coordinates(scene, at, curve);
+            given = {select(curve, own.x, given.x), select(curve, own.y, given.y)};
+            mapped = mapped || curve;
+        }
+    }
+    auto curved = active && !mesh && !field && !curve;
     if (any(curved)) {
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
@@ -92,10 +105,11 @@ TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F>
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     Vec3<F> p{F(0), F(0), F(0)};
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curved = active && !mesh && !field;
+    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    if (any(curve)) p = select(curve, CurvePoint<F>(scene, at, shape, curve).p, p);
     if (any(mesh)) {
         Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh);
-        p = tri.p0 + tri.e1 * at.b1 + tri.e2 * at.b2;
+        p = select(mesh, tri.p0 + tri.e1 * at.b1 + tri.e2 * at.b2, p);
     }
     if (any(field))
         each_height_field<F>(

@@ -2,17 +2,10 @@
 #pragma once
 
 #include "../math/warp.h"
+#include "curve.h"
 #include "heightfield.h"
 
 namespace tr {
-
-// A point on a surface, as short as it can be stored. On a triangle (b1, b2) are barycentric, on curved shapes they are
-// the texture coordinates.
-template <class F>
-struct SurfacePoint {
-    UIntOf<F> shape, primitive;
-    F b1, b2;
-};
 
 // The same with its texture coordinates (valid where the scene has textures, see SceneView::textured), which several
 // look-ups need.
@@ -111,6 +104,11 @@ TR_INLINE Vec2<F> texture_coordinates(const SceneView<S> &scene, const SurfacePo
         }
         Vec2<F> given = interpolate_coordinates(corners, at.b1, at.b2);
         uv = {select(has, given.x, uv.x), select(has, given.y, uv.y)};
+    }
+    auto curve = active && shape.has(IsCurve);
+    if (any(curve)) {
+        Vec2<F> own = curve_coordinates(scene, at, curve);
+        uv.y = select(curve, own.y, uv.y);
     }
     return uv;
 }
