@@ -1,7 +1,7 @@
 """Render scenes of the tests with Mitsuba 3.9.1 into files of `tests/data`.
 
 Those of `tests/helpers/reference_scenes.py` go into `references.npz` and `camera_references.npz`, those of
-`tests/helpers/{layer,brushed,media}_scenes.py` into files of their own.
+`tests/helpers/{layer,brushed,hair,media}_scenes.py` into files of their own.
 
 Run in Mitsuba's own environment (needs mitsuba and numpy only):
 
@@ -25,6 +25,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
 import brushed_scenes  # noqa: E402
+import hair_scenes  # noqa: E402
 import layer_scenes  # noqa: E402
 import media_scenes  # noqa: E402
 import reference_scenes as rs  # noqa: E402
@@ -34,6 +35,7 @@ FILES = {
     "layer_references.npz": layer_scenes.SCENES,
     "camera_references.npz": rs.CAMERAS,
     "brushed_references.npz": brushed_scenes.SCENES,
+    "hair_references.npz": hair_scenes.SCENES,
     "media_references.npz": media_scenes.SCENES,
 }
 RUNS = 16
@@ -78,9 +80,12 @@ def mean_and_variance(samples: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray
 
 def gradients(scene, description, integrator, weight, seed: int) -> dict[str, np.ndarray]:
     params = mi.traverse(scene)
+    # where a texture could be, Mitsuba has one, but for the pigments of hair
+    spellings = {n: (n, f"{n}.value", n.removesuffix(".value")) for n in description.gradients}
+    keys = {n: next(key for key in spellings[n] if key in params) for n in description.gradients}
+    params.keep(list(keys.values()))  # hair with pigments has a sigma_a that is None, which no derivative passes
     leaves = {}
-    for name in description.gradients:
-        key = name if name in params else f"{name}.value"  # where a texture could be, Mitsuba has one
+    for name, key in keys.items():
         value = type(params[key])(dr.detach(params[key]))
         dr.enable_grad(value)
         params[key] = leaves[name] = value

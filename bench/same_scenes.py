@@ -64,7 +64,7 @@ def _models() -> Iterator[Case]:
         yield Case(f"models/{name}", make, BOTH, others=True)
     for name, make in table("reference_scenes", "CAMERAS").items():
         yield Case(f"cameras/{name}", lambda make=make: small(make().scene), BOTH)
-    for module in ("layer_scenes", "brushed_scenes"):
+    for module in ("layer_scenes", "brushed_scenes", "hair_scenes"):
         for name, make in table(module).items():
             yield Case(f"{module.partition('_')[0]}/{name}", lambda make=make: small(make().scene), BOTH, others=True)
     yield Case("small/ball_and_wall", table("small_scene", "ball_and_wall"), BOTH)

@@ -37,6 +37,7 @@
     X(PolarimetricPlastic)  \
     X(PrincipledThin)       \
     X(RednerMaterial)       \
+    X(Hair)                 \
     X(AnisotropicConductor) \
     X(AnisotropicDielectric)
 

@@ -54,6 +54,7 @@ MOVING = {
     ("bsdf", "roughplastic"): {"eta", "alpha"},
     ("bsdf", "pplastic"): {"eta"},
     ("bsdf", "principled"): {"eta", "specular"},
+    ("bsdf", "hair"): {"longitudinal_roughness", "azimuthal_roughness", "scale_tilt", "eta", "scale"},
     ("bsdf", "bumpmap"): {"scale"},
     ("sensor", "perspective"): LENS | {"distortion"},
     ("sensor", "thinlens"): LENS | {"aperture_radius", "focus_distance"},

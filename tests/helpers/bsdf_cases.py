@@ -103,6 +103,13 @@ POLARIMETRIC = {
     "pplastic_ggx": _plastic(type="pplastic", distribution="ggx", alpha=0.3, specular_reflectance=rgb(0.9, 0.5, 0.2)),
     "pplastic_beckmann": _plastic(type="pplastic", distribution="beckmann", alpha=0.15, int_ior=1.8, ext_ior=1.0),
 }
+HAIR = {
+    "hair": {"type": "hair"},
+    "hair_blond": {"type": "hair", "eumelanin": 0.3, "pheomelanin": 0.5, "azimuthal_roughness": 0.6},
+    "hair_dyed": {"type": "hair", "sigma_a": rgb(0.1, 0.3, 0.6), "scale": 2.0, "scale_tilt": -4.0},
+    "hair_sleek": {"type": "hair", "longitudinal_roughness": 0.15, "azimuthal_roughness": 0.15, "int_ior": 1.4},
+    "hair_coarse": {"type": "hair", "longitudinal_roughness": 0.8, "azimuthal_roughness": 0.9, "ext_ior": 1.1},
+}
 DELTA = {
     "conductor": {"type": "conductor", "material": "Cu"},
     "plastic": _plastic(specular_reflectance=rgb(0.9, 0.5, 0.2)),
@@ -114,8 +121,9 @@ FILES = {
     "bsdf_references.npz": (SMOOTH, DELTA),
     "anisotropic_bsdf_references.npz": (ANISOTROPIC, {}),
     "pplastic_bsdf_references.npz": (POLARIMETRIC, {}),
+    "hair_bsdf_references.npz": (HAIR, {}),
 }
-ALL_SMOOTH = SMOOTH | ANISOTROPIC | POLARIMETRIC
+ALL_SMOOTH = SMOOTH | ANISOTROPIC | POLARIMETRIC | HAIR
 
 
 def directions(n: int = N, seed: int = 3) -> tuple[np.ndarray, np.ndarray]:

@@ -187,6 +187,7 @@ del FROSTED_ALONG["alpha"]
 TOY = {"type": "plastic", "diffuse_reflectance": bitmap(), "int_ior": 1.5}
 MUG = {**TOY, "type": "roughplastic", "distribution": "ggx", "alpha": 0.4}
 CUP = {**MUG, "type": "pplastic"}
+FIBRE = {"type": "hair", "sigma_a": bitmap(), "longitudinal_roughness": 0.5, "azimuthal_roughness": 0.6}
 PANE = {"type": "thindielectric", "int_ior": 1.5}
 LACQUER = {
     "type": "principled",
@@ -260,6 +261,8 @@ SCENES = {
     "metal_wire": lambda: scene(3, at_ball(), wire=tube(METAL, "linearcurve"), room=black_room()),
     "brushed_wire": lambda: scene(3, at_ball(), wire=tube(ALONG, "linearcurve"), room=black_room()),
     "rod": lambda: scene(3, at_ball(), rod=rod(METAL), room=black_room()),
+    "hairy_pipe": lambda: scene(2, at_ball(), pipe=pipe(FIBRE), room=black_room()),
+    "hairy_tube": lambda: scene(2, at_ball(), tube=tube(FIBRE), room=black_room()),
     "carved_floor": lambda: scene(2, above(), floor=floor(CARVED), lamp=lamp("rectangle")),
     "carved_pipe": lambda: scene(2, at_ball(), pipe=pipe(CARVED), room=black_room()),
     "carved_hills": lambda: scene(2, above(), hills=hills(CARVED, floor()["to_world"], 0.04), lamp=lamp("disk")),

@@ -15,6 +15,7 @@ T = tr.Transform
 GLASS, FROSTED = {"type": "dielectric"}, {"type": "roughdielectric", "alpha": 0.3}
 SOFT = {"type": "roughdielectric", "alpha": 0.2, "distribution": "ggx"}
 MIRROR = {"type": "conductor", "eta": 0.2, "k": 3.9}
+HAIR = {"type": "hair", "eumelanin": 0.2, "scale_tilt": 5.0, "azimuthal_roughness": 0.6}
 HALF_MIRROR = {"type": "conductor", "eta": 1.5, "k": 2.0, "specular_reflectance": ls.RGB}
 BIG_LAMP = {**ls.area(), "to_world": ls.facing_down(0.1, 1.1, 0.1) @ T.scale([1.0, 0.9, 1])}
 PLATE = ls.T.translate([0, 0.45, 0]) @ T.scale([1.5, 0.05, 1.5])
@@ -78,6 +79,27 @@ SCENES = {
         {},
     ),
     "frosted slab": (ls.room(light=ls.area(), slab=ls.slab(SOFT)), {}),
+    "fibres": (
+        ls.room(
+            light=ls.area(),
+            thick={"type": "cylinder", "p0": [-0.9, -0.4, 0.4], "p1": [0.9, 0.3, 0.1], "radius": 0.3, "bsdf": HAIR},
+            fine={"type": "cylinder", "p0": [-0.8, 0.5, 0.2], "p1": [0.7, -0.7, 0.4], "radius": 0.1, "bsdf": HAIR},
+        ),
+        # Beyond, light inside is a few percent short: rays start off the surface, and the factor by which importance
+        # differs from radiance there, of both cosines, is that of the points themselves.
+        {"max_depth": 2},
+    ),
+    "hair on a sheet": (
+        ls.room(
+            light=ls.area(),
+            sheet={
+                "type": "rectangle",
+                "to_world": T.translate([0.1, -0.2, 0.3]) @ T.rotate([1, 0, 0], -40),
+                "bsdf": HAIR,
+            },
+        ),
+        {"max_depth": 4},
+    ),
     "glass over the floor": (
         ls.floor_view(light=BIG_LAMP, slab={"type": "cube", "to_world": PLATE, "bsdf": GLASS}),
         {},

@@ -122,6 +122,11 @@ SCENES = {
         (*(f"floor.bsdf.brdf_0.{n}" for n in ("normalmap.data", "nested_bsdf.alpha_u.value")), *BEAM, PLACE, *CAMERA),
         2,
     ),
+    "hair": (
+        lambda: ls.floor_view(light=ls.area(), floor=ls.floor(bsdf={"type": "hair", "eumelanin": 0.3})),
+        (*(f"floor.bsdf.{n}" for n in ("eumelanin.value", "longitudinal_roughness", "eta")), *BEAM, PLACE, *CAMERA),
+        2,
+    ),
     "through layers": (lambda: ls.floor_view(light=ls.area(), sheet=veil()), (*VEIL, *BEAM, *FLOOR), 3),
     "beam through layers": (lambda: ls.floor_view(light=ls.beam(), sheet=veil()), (*VEIL, *BEAM, *FLOOR), 3),
     "meter under layers": (lambda: ls.metered(light=ls.area(), sheet=veil()), (*VEIL, *BEAM, PLACE), 3),

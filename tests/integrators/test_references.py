@@ -13,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import brushed_scenes
+import hair_scenes
 import layer_scenes
 import numpy as np
 import pytest
@@ -24,14 +25,14 @@ import torchrender as tr
 
 DATA = Path(__file__).resolve().parents[1] / "data"
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
-ALL = {**reference_scenes.SCENES, **layer_scenes.SCENES, **brushed_scenes.SCENES}
+ALL = {**reference_scenes.SCENES, **layer_scenes.SCENES, **brushed_scenes.SCENES, **hair_scenes.SCENES}
 
 
 @pytest.fixture(scope="module")
 def references() -> dict[str, np.ndarray]:
     return {
         key: value
-        for name in ("references", "layer_references", "brushed_references")
+        for name in ("references", "layer_references", "brushed_references", "hair_references")
         for key, value in np.load(DATA / f"{name}.npz").items()
     }
 

@@ -44,7 +44,7 @@ def test_materials(monkeypatch):
         a={**SPHERE, "bsdf": {"type": "pplastic", "diffuse_reflectance": green, "alpha": 0.2}},
         b={**SPHERE, "bsdf": {"type": "mask", "opacity": 0.5, "inner": {"type": "ref", "id": "shared"}}},
         c={**SPHERE, "bsdf": {"type": "roughconductor", "material": "Au", "alpha": 0.3}},
-        d={**SPHERE, "bsdf": {"type": "hair"}},
+        d={**SPHERE, "bsdf": {"type": "measured", "filename": "nowhere.bsdf"}},
         shared={"type": "principled", "base_color": green, "metallic": 0.5},
         e={**SPHERE, "bsdf": {"type": "twosided", "x": {"type": "bumpmap", "bsdf": {"type": "diffuse"}}}},
         f={**SPHERE, "bsdf": {"type": "thindielectric"}},

@@ -33,8 +33,8 @@ def test_values(name):
     assert (expected > 0).double().mean() > 0.3
     # Mitsuba computes in single precision, and masks Beckmann facets by a rational fit of Smith's function; its weights
     # of luminance, which tints depend on, have more digits than the rounded ones of Rec. 709. What gets through a rough
-    # coating is found by quadrature, with fewer nodes there.
-    rtol = 6e-3 if "beckmann" in name else 3e-3 if name.startswith("roughplastic") else 1e-4
+    # coating is found by quadrature, with fewer nodes there; the Bessel function of hair is rounded, see test_hair.py.
+    rtol = 6e-3 if "beckmann" in name or "hair" in name else 3e-3 if name.startswith("roughplastic") else 1e-4
     torch.testing.assert_close(value, expected, rtol=rtol, atol=1e-6 * float(expected.max()))
 
 

@@ -41,7 +41,7 @@ def test_samples_follow_their_density(name, theta):
     assert float(found.weight.max()) < 3  # times up to 1.6^2 where light leaves the denser side
 
 
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("name", [n for n in CASES if not n.startswith("hair")])  # where on a fibre depends on wi
 def test_reciprocity_of_reflection(name):
     of = probe(CASES[name])
     wi, other = directions(3000, 2), directions(3000, 3)
@@ -88,6 +88,11 @@ ENDS = [
     *({"type": "thindielectric", "eta": eta} for eta in (0.7, 1.0, 3.0)),
     *({"type": "redner", "roughness": r, "specular_reflectance": x} for r in (0.0, 1e-4, 1.0) for x in (0.0, 1.0)),
     *({"type": "roughdielectric", "alpha": a} for a in (0.0, 1e-4, 1.0)),
+    *(
+        {"type": "hair", "longitudinal_roughness": a, "azimuthal_roughness": b, "sigma_a": s, "eta": eta}
+        for a, b in ((0.0, 1.0), (1.0, 0.0), (0.0, 0.0), (1.0, 1.0))
+        for s, eta in ((0.0, 1.0), (0.0, 1.55), (1e4, 1.0), (1e4, 3.0))
+    ),
     *(
         {"type": kind, "alpha_u": a, "alpha_v": b, "distribution": d}
         for kind in ("roughconductor", "roughdielectric")

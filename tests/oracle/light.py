@@ -26,6 +26,7 @@ from torchrender.wavefront.world import At
 
 from .bsdf import MODELS
 from .bsdf.common import fresnel_dielectric
+from .bsdf.hair import Hair
 from .bsdf.smooth import Dielectric
 from .film import splat
 from .world import World
@@ -40,6 +41,16 @@ class LightDielectric(Dielectric):
         eta_ti = fresnel_dielectric(wi[:, 2], self.eta)[3]
         expanded = torch.where(lobe == 0, 1.0, 1 / eta_ti**2)[:, None]
         return super().eval(wi, wo, lobe) * expanded
+
+
+class LightHair(Hair):
+    """As light sees it, which arrives along wi: radiance the other way. Lobes are sampled evenly around the fibre."""
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        return super().eval(wo, wi, lobe) * (wo[:, 2:] / wi[:, 2:]).abs()
+
+
+AS_LIGHT_SEES_THEM = {"dielectric": LightDielectric, "hair": LightHair}
 
 
 class PinholeView:
@@ -171,7 +182,7 @@ def render(
         for number in found.resolved.unique().tolist():
             chosen = (found.resolved == number).nonzero()[:, 0]
             record = world.records["bsdf"][number]
-            kind = LightDielectric if record.type == "dielectric" else MODELS[record.type]
+            kind = AS_LIGHT_SEES_THEM.get(record.type, MODELS[record.type])
             bsdf = kind(world, record, here[chosen])
             above = found[chosen]
             x, g, w = (t[chosen] for t in (position, ng, -d))

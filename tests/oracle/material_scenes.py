@@ -268,3 +268,36 @@ def turned_brushed() -> dict:
         lamp=r._lamp(r._bitmap(152, 3, 4, 1.0, 9.0)),
         sky={"type": "envmap", "data": r._noise(153, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
     )
+
+
+def fibres() -> dict:
+    """Hair by its pigments and by its absorption, on cylinders, seen from outside and inside, on meshes and spheres."""
+
+    def fibre(start: list[float], end: list[float], radius: float, **hair) -> dict:
+        return {"type": "cylinder", "p0": start, "p1": end, "radius": radius, "bsdf": {"type": "hair", **hair}}
+
+    return r._scene(
+        {"type": "path", "max_depth": 5, "rr_depth": 3},
+        r._camera(),
+        brown=fibre([-1.6, -0.6, 0.2], [-0.4, 1.1, 0.5], 0.4, eumelanin=r._bitmap(161, 4, 5), scale_tilt=5.0),
+        dyed=fibre(
+            [-0.4, -0.7, 0.9],
+            [1.0, 0.6, 0.3],
+            0.3,
+            sigma_a=r._bitmap(162, 4, 4),
+            scale=1.7,
+            longitudinal_roughness=0.15,
+        ),
+        hollow={
+            **fibre([0.5, 0.9, 1.0], [1.3, 0.1, 0.6], 0.35, pheomelanin=0.4, azimuthal_roughness=0.7, eta=1.3),
+            "flip_normals": True,
+        },
+        tube=tube(
+            to_world=r.translate(0.9, -0.4, 0.9) @ r.scale(0.5),
+            bsdf={"type": "hair", "sigma_a": r._rgb(0.1, 0.4, 0.8), "longitudinal_roughness": 0.6},
+        ),
+        ball={"type": "sphere", "center": [0.1, 0.6, -1.0], "radius": 0.6, "bsdf": {"type": "hair", "eumelanin": 0.1}},
+        floor=r._floor(r._bitmap(163, 5, 5)),
+        lamp=r._lamp(r._bitmap(164, 3, 4, 1.0, 9.0)),
+        sky={"type": "envmap", "data": r._noise(165, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},
+    )

@@ -8,7 +8,7 @@ import numpy as np
 import reference_scenes as r
 
 from .layered_scenes import layers, normals
-from .material_scenes import brushed, glass, glossy, rough, turned_brushed
+from .material_scenes import brushed, fibres, glass, glossy, rough, turned_brushed
 from .scene_parts import MIRROR, SIZE, hills, metal, small, smoothed, tube
 
 
@@ -178,5 +178,5 @@ SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
     **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, layers, normals, lights, splits)},
     **SENSORS,
-    **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed, curves)},
+    **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed, curves, fibres)},
 }

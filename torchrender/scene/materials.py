@@ -364,6 +364,46 @@ class PPlastic(RoughDielectric):
     unsupported = DIRECTIONS
 
 
+# Absorption of the pigments of concentration 1 in red, green and blue, per radius of a hair: d'Eon, Francois, Hill,
+# Letteri and Aubry, "An Energy-Conserving Hair Reflectance Model", EGSR 2011, as pbrt and Mitsuba have it.
+MELANIN = {"eumelanin": ((0.419, 0.697, 1.37), 1.3), "pheomelanin": ((0.187, 0.4, 1.05), 0.2)}
+
+
+@register
+class Hair(Dielectric):
+    """Hair and fur as of Chiang and others (2016): light off a rough fibre with tilted scales, and through it.
+
+    The fibre lies across the tangent dp/du: its axis is the normal times the tangent, as on cylinders and curves, of
+    which u goes around. Its colour is given by `sigma_a`, or else by the pigments.
+
+    Args:
+        sigma_a: absorption per radius of the fibre (texture).
+        scale: factor of `sigma_a` (number), default 1; pigments are not scaled.
+        eumelanin: concentration of the brown pigment (texture), default 1.3: 0.3 blond, 1.3 brown, 8 black.
+        pheomelanin: concentration of the red pigment (texture), default 0.2.
+        eumelanin_absorption, pheomelanin_absorption: absorption of either at concentration 1 (textures).
+        longitudinal_roughness: along the fibre (number), 0 to 1, default 0.3. Below 0.001 it counts as 0.001.
+        azimuthal_roughness: around it (number), 0 to 1, default 0.3. Below 0.001 it counts as 0.001.
+        scale_tilt: angle of the scales with the fibre in degrees (number), default 2.
+        int_ior: index of refraction inside, a number or a material name; default ``"amber"`` (1.55).
+        ext_ior: index of refraction outside; default ``"air"`` (1.000277).
+        eta: relative index of refraction, in place of the two, at least 1.
+    """
+
+    category, type = "bsdf", "hair"
+    inside = "amber"
+
+    def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        pigments = [name for name in (*MELANIN, *(f"{name}_absorption" for name in MELANIN)) if name in properties]
+        if "sigma_a" in properties and pigments:
+            ctx.error(f"hair: give sigma_a, or {' and '.join(pigments)}, but not both")
+        if "sigma_a" not in properties:
+            for name, (absorption, concentration) in MELANIN.items():
+                properties.setdefault(name, concentration)
+                properties.setdefault(f"{name}_absorption", absorption)
+        return super().prepare(properties, ctx)
+
+
 @register
 class Principled(Plugin):
     """Burley's principled BSDF: from dielectrics over metals to glass by a few numbers from 0 to 1.

@@ -13,6 +13,11 @@
 //   sample(params, wi, u0, u1, u2) -> BsdfSample
 //   direction(params, wi, lobe)   models with delta lobes: where such a lobe sends wi
 //
+// or, where value and density are found together (`static constexpr bool Joint = true`), in place of pdf and sample
+//
+//   eval_pdf(params, wi, wo, transport) -> BsdfValue
+//   sample(params, wi, u0, u1, u2, transport) -> Vec3    the direction, of the density that eval_pdf gives
+//
 // and ends with TR_BSDF(Model).
 #pragma once
 
@@ -36,6 +41,11 @@ template <class M, class = void>
 struct IsTabulated : std::false_type {};
 template <class M>
 struct IsTabulated<M, std::enable_if_t<M::Tabulated>> : std::true_type {};
+
+template <class M, class = void>
+struct IsJoint : std::false_type {};
+template <class M>
+struct IsJoint<M, std::enable_if_t<M::Joint>> : std::true_type {};
 
 template <class M>
 constexpr BsdfInfo bsdf_info() {
@@ -196,18 +206,30 @@ struct KernelsOf {
     TR_HD static void eval_pdf(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, Transport transport,
                                BsdfValue<F> &r) {
         auto params = unpack<M>(at);
+        if constexpr (IsJoint<M>::value) {
+            r = M::eval_pdf(params, wi, wo, transport);
+            return;
+        } else {
+            r.pdf = M::pdf(params, wi, wo);
+        }
         if constexpr (Smooth)
             r.f = eval_model<M>(params, wi, wo, IntOf<F>(0), transport);
         else
             r.f = uniform_spectrum(F(0));
-        r.pdf = M::pdf(params, wi, wo);
     }
 
     TR_HD static void sample(const Parameters &at, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2,
                              Transport transport, BsdfSample<F> &sample, Spectrum<F> &f) {
         auto params = unpack<M>(at);
-        sample = M::sample(params, wi, u0, u1, u2);
-        f = eval_model<M>(params, wi, sample.wo, sample.lobe, transport);
+        if constexpr (IsJoint<M>::value) {
+            Vec3<F> wo = M::sample(params, wi, u0, u1, u2, transport);
+            BsdfValue<F> value = M::eval_pdf(params, wi, wo, transport);
+            sample = {wo, value.pdf, F(1), IntOf<F>(0), MaskOf<F>(false)};
+            f = value.f;
+        } else {
+            sample = M::sample(params, wi, u0, u1, u2);
+            f = eval_model<M>(params, wi, sample.wo, sample.lobe, transport);
+        }
     }
 
     TR_HD static void vjp(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe,

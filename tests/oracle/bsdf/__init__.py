@@ -12,6 +12,7 @@ from torchrender.wavefront import bsdfs
 from torchrender.wavefront.bsdf import Bsdf
 
 from .coated import Plastic, PPlastic, RoughPlastic
+from .hair import Hair
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
@@ -32,6 +33,7 @@ MODELS: dict[str, type[Bsdf]] = {
     "principled": Principled,
     "principledthin": PrincipledThin,
     "redner": RednerMaterial,
+    "hair": Hair,
     "null": Null,
     "mask": Null,  # what is met of one where it is not
 }
