@@ -54,6 +54,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import io as io
     from . import optim as optim
     from . import rotation as rotation
+    from . import sdfgrid as sdfgrid
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
@@ -70,7 +71,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
 _count_fused_steps()
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "daylight", "heightfield", "io", "optim", "rotation", "testing", "typing")
+_LAZY_MODULES = ("constraints", "daylight", "heightfield", "io", "optim", "rotation", "sdfgrid", "testing", "typing")
 _MODULES = ("backends", "integrators")
 _LAZY_NAMES = {
     "tonemap": "image",

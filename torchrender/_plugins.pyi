@@ -45,6 +45,7 @@ from .scene.phases import TabulatedPhase as TabulatedPhase
 from .scene.plugin import Plugin
 from .scene.point_sensors import DistantSensor as DistantSensor
 from .scene.point_sensors import RadianceMeter as RadianceMeter
+from .scene.sdfgrid import SdfGrid as SdfGrid
 from .scene.sensor import IrradianceMeter as IrradianceMeter
 from .scene.shapes import Cylinder as Cylinder
 from .scene.shapes import Disk as Disk

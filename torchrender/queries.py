@@ -59,7 +59,8 @@ def ray_intersect(
 
     Derivatives are those of the intersection with the triangle or curved shape that is hit: the point slides along the
     ray as the surface moves. That a ray may come to hit something else, at a silhouette, is no part of them. They exist
-    with respect to origins, directions, vertices, normals, texture coordinates, `to_world`, centers, radii and heights;
+    with respect to origins, directions, vertices, normals, texture coordinates, `to_world`, centers, radii, heights and
+    grids of distances;
     in reverse and forward mode, and of any order (height fields: up to the seventh). A ray that misses has
     derivatives of zero.
 

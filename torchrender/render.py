@@ -266,7 +266,7 @@ def render(
             second_moment="second_moment" in names or (stack is not None and stack.second_moment),
             statistics=scene.statistics,
             requirements=GradientRequirements(
-                packed, scene.warned, alpha, volumetric, steady=light and film.filter.type == "box"
+                packed, scene.warned, alpha, volumetric, steady=light and film.filter.type == "box", particles=light
             ),
             film=film,
             features=shown,

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import torch
 
-from . import heightfield
+from . import heightfield, sdfgrid
 from .curves import Segments
 from .scene.declaration import models
 from .scene.packing import Layout
 from .scene.scene import Scene
 
-MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER, CURVE = 0, 1, 2, 3, 4, 5
-CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER}
+MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER, CURVE, SDF_GRID = 0, 1, 2, 3, 4, 5, 6
+CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER, "sdfgrid": SDF_GRID}
 CURVES = {"bsplinecurve": CURVE, "linearcurve": CURVE}
 CORNERS = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))  # of the rectangle, counter-clockwise seen from +z
 RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
@@ -29,8 +29,8 @@ RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 class SurfacePoints:
     """Points on surfaces: `t` (N,), `position`, `normal`, `shading_normal` (N, 3), `uv`, `barycentric` (N, 2).
 
-    On curves `barycentric` is the azimuth in turns and the place along the segment, on other curved shapes it repeats
-    the texture coordinates.
+    On curves `barycentric` is the azimuth in turns and the place along the segment, on a grid of distances the place in a
+    cell; on other curved shapes it repeats the texture coordinates.
     """
 
     t: torch.Tensor
@@ -46,17 +46,18 @@ class Surfaces:
     """All shapes of a scene, vertices and faces of meshes one after the other. S shapes, V vertices, F faces.
 
     Attributes:
-        kind: (S,) int64, mesh (a rectangle is one), sphere, disk, cylinder, height field or curve.
+        kind: (S,) int64, mesh (a rectangle is one), sphere, disk, cylinder, height field, curve or grid of distances.
         flip: (S,) bool, normals are turned round.
         smooth, textured: (S,) bool, there are vertex normals, texture coordinates.
         first_face, first_vertex: (S,) int64, where a shape's faces and vertices begin.
         faces: (F, 3) int64, indices into all vertices.
         positions, normals: (V, 3), world space. texcoords: (V, 2).
-        to_world: (S, 4, 4), from the unit sphere, disk or cylinder, or the square of a height field, to the world; the
-            identity for meshes.
+        to_world: (S, 4, 4), from the unit sphere, disk or cylinder, the square of a height field or the cube of a grid
+            to the world; the identity for meshes.
         heights: of a height field, by its position among the shapes: heights (H, W) and interpolation.
         curves: of a curve, likewise: control points (N, 3), radii (N,), first control points (S,), and whether its
             segments are straight.
+        grids: of a grid of distances likewise: the grid (D, H, W, 1) and its kind of normals.
     """
 
     kind: torch.Tensor
@@ -72,6 +73,7 @@ class Surfaces:
     to_world: torch.Tensor
     heights: dict[int, tuple[torch.Tensor, str]]
     curves: dict[int, tuple[torch.Tensor, torch.Tensor, torch.Tensor, bool]]
+    grids: dict[int, tuple[torch.Tensor, str]]
 
     @classmethod
     def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
@@ -80,7 +82,7 @@ class Surfaces:
         whole, truth = {**real, "dtype": torch.int64}, {**real, "dtype": torch.bool}
         identity = torch.eye(4, **real)
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
-        faces, positions, normals, texcoords, heights, curves = [], [], [], [], {}, {}
+        faces, positions, normals, texcoords, heights, curves, grids = [], [], [], [], {}, {}, {}
         n_vertices = n_faces = 0
         for kind, numbers, _ in layout.objects["shape"]:
             value = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
@@ -122,6 +124,8 @@ class Surfaces:
             if kind == "heightfield":
                 interpolation = heightfield.INTERPOLATIONS[value["interpolation"]]
                 heights[len(kinds)] = (tensors[value["heights"]], interpolation)
+            if kind == "sdfgrid":
+                grids[len(kinds)] = (tensors[value["grid"]], sdfgrid.NORMALS[value["normals"]])
             kinds.append({**CURVED, **CURVES}.get(kind, MESH))
             flips.append(flip)
             smooth.append(has_normals)
@@ -142,6 +146,7 @@ class Surfaces:
             to_world=torch.stack(matrices) if matrices else identity.expand(0, 4, 4),
             heights=heights,
             curves=curves,
+            grids=grids,
         )
 
     def meet(
@@ -180,6 +185,12 @@ class Surfaces:
             if len(here):
                 rows.append(here)
                 pieces.append(self._on_curve(index, primitive[here], origins[here], directions[here], t[here]))
+        for index in self.grids:
+            here = (shape == index).nonzero()[:, 0]
+            if len(here):
+                rows.append(here)
+                ray = origins[here], directions[here], t[here]
+                pieces.append(self._on_sdf_grid(index, primitive[here], *ray))
         if len(pieces) == 1:
             return pieces[0]
         back = torch.argsort(torch.cat(rows))
@@ -281,6 +292,32 @@ class Surfaces:
         normal = normalize(torch.linalg.cross(around, along))
         uv = torch.stack([b1, self.along_curve(index, primitive, b2)], 1)
         return SurfacePoints(t, position, normal, normal, uv, torch.stack([b1, b2], 1))
+
+    def _on_sdf_grid(
+        self, index: int, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor
+    ) -> SurfacePoints:
+        matrix, (grid, normals) = self.to_world[index], self.grids[index]
+        inverse = inverse_linear(matrix)
+        lo, ld = transform_vector(inverse, o - matrix[:3, 3]), transform_vector(inverse, d)
+        cell, axis = sdfgrid.decode(grid, primitive)
+        corner, n = sdfgrid.corners(grid, cell), sdfgrid.cell_counts(grid)
+        t = near.detach()
+        for _ in range(3):  # as on height fields
+            value, slope = sdfgrid.interpolate(corner, (lo + ld * t[:, None]) * n - cell)
+            change = dot(slope * n, ld)
+            grazing = change == 0
+            t = t - torch.where(grazing, 0.0, value / torch.where(grazing, 1.0, change))
+        local = lo + ld * t[:, None]
+        at = local * n - cell
+        slope = sdfgrid.interpolate(corner, at)[1]
+        sign = 1 - 2 * self.flip[index].to(o.dtype)
+        normal = normalize(transform_normal(inverse, slope * n)) * sign
+        shading = normal
+        if normals == "smooth":
+            shading = normalize(transform_normal(inverse, sdfgrid.smooth_gradient(grid, cell, at))) * sign
+        others = (axis[:, None] + torch.tensor([1, 2], device=axis.device)) % 3
+        place = at.gather(1, others)
+        return SurfacePoints(t, transform_point(matrix, local), normal, shading, torch.zeros_like(place), place)
 
 
 def _placed(matrix: torch.Tensor, center: torch.Tensor, radius: torch.Tensor) -> torch.Tensor:

@@ -15,6 +15,7 @@
 #include "face_list.h"
 #include "height_field.h"
 #include "quadric.h"
+#include "sdf_grid.h"
 #include "tree_cost.h"
 
 namespace tr {
@@ -62,6 +63,14 @@ struct Accel::Impl {
     FaceList faces;
     Box rest;
     std::map<uint32_t, HeightField> fields;
+    std::map<uint32_t, SdfGrid> grids;
+    // Something that is neither in the list nor Embree's.
+    bool beside() const { return !fields.empty() || !grids.empty(); }
+    template <class Function>
+    void for_beside(Function &&f) const {
+        for (const auto &entry : fields) f(entry.second);
+        for (const auto &entry : grids) f(entry.second);
+    }
     // Unbuilt; one good tree for everything that stands still; one made in less time; a tree for each mesh.
     enum class Stage { Unbuilt, Still, Moved, Moving } stage = Stage::Unbuilt;
     bool hurry = false;  // the first build is a fast one, too
@@ -329,6 +338,8 @@ void Accel::place_heights(uint32_t shape, const float to_world[12], const float 
 }
 void Accel::refer_heights(uint32_t shape, const float *heights) { impl_->fields.at(shape).refer(heights); }
 
+SdfGrid &Accel::sdf_grid(uint32_t shape) { return impl_->grids[shape]; }
+
 void Accel::commit(bool fast) {
     impl_->ensure_process();
     impl_->commit(fast);
@@ -343,10 +354,10 @@ void Accel::bounds(float out[6]) const {
     for (int i = 0; i < 3; ++i) {
         out[i] = std::min(impl_->rest.lower[i], listed.lower[i]);
         out[3 + i] = std::max(impl_->rest.upper[i], listed.upper[i]);
-        for (const auto &[shape, field] : impl_->fields) {
-            out[i] = std::min(out[i], field.bounds().lower[i]);
-            out[3 + i] = std::max(out[3 + i], field.bounds().upper[i]);
-        }
+        impl_->for_beside([&](const auto &one) {
+            out[i] = std::min(out[i], one.bounds().lower[i]);
+            out[3 + i] = std::max(out[3 + i], one.bounds().upper[i]);
+        });
     }
 }
 
@@ -386,8 +397,8 @@ void occluded_near(const Box &box, const RayBatch &rays, uint8_t *hit, size_t n,
 }  // namespace
 
 void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
-    // the list comes first also when it is empty and there is nothing but height fields: it marks misses
-    if (impl_->faces.size() == 0 && (impl_->fields.empty() || !impl_->rest.empty())) {
+    // the list comes first also when it is empty and there is nothing but what is beside both: it marks misses
+    if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->intersect(rays, hits, n, coherent);
     } else {
         impl_->faces.intersect(rays, hits, n);
@@ -395,13 +406,14 @@ void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool
             intersect_near(impl_->rest, rays, hits, n,
                            [&](NearRays &near) { impl_->intersect(near.rays(), near.hits(), near.n, coherent); });
     }
-    for (const auto &entry : impl_->fields)
-        intersect_near(entry.second.bounds(), rays, hits, n,
-                       [&](NearRays &near) { entry.second.intersect(near.rays(), near.hits(), near.n); });
+    impl_->for_beside([&](const auto &one) {
+        intersect_near(one.bounds(), rays, hits, n,
+                       [&](NearRays &near) { one.intersect(near.rays(), near.hits(), near.n); });
+    });
 }
 
 void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
-    if (impl_->faces.size() == 0 && (impl_->fields.empty() || !impl_->rest.empty())) {
+    if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->occluded(rays, hit, n);
     } else {
         impl_->faces.occluded(rays, hit, n);
@@ -409,9 +421,10 @@ void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
             occluded_near(impl_->rest, rays, hit, n,
                           [&](NearRays &near) { impl_->occluded(near.rays(), near.occluded, near.n); });
     }
-    for (const auto &entry : impl_->fields)
-        occluded_near(entry.second.bounds(), rays, hit, n,
-                      [&](NearRays &near) { entry.second.occluded(near.rays(), near.occluded, near.n); });
+    impl_->for_beside([&](const auto &one) {
+        occluded_near(one.bounds(), rays, hit, n,
+                      [&](NearRays &near) { one.occluded(near.rays(), near.occluded, near.n); });
+    });
 }
 
 void Accel::set_query_width(int width) {

@@ -38,6 +38,8 @@ struct EmbreeScene {
 // The unit sphere, the unit disk in the plane z = 0, and the open cylinder of radius 1 about the z axis from 0 to 1.
 enum class QuadricKind { Sphere, Disk, Cylinder };
 
+class SdfGrid;
+
 class Accel {
 public:
     static constexpr uint32_t Miss = 0xffffffffu;
@@ -63,6 +65,8 @@ public:
     float set_heights(uint32_t shape, const float *heights, int rows, int columns, bool linear);
     void place_heights(uint32_t shape, const float to_world[12], const float to_object[12]);
     void refer_heights(uint32_t shape, const float *heights);
+    // Likewise the grid of distances of a shape, made when it is first asked for.
+    SdfGrid &sdf_grid(uint32_t shape);
     // Makes the changes visible to queries. The first build is the best one (`fast`: a faster one), that after a first
     // motion a faster one. Where things move again, every mesh has a tree of its own, which then follows the vertices
     // (is refitted), and is built again when it has become bad by it.

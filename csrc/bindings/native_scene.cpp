@@ -56,6 +56,7 @@ public:
                 {"meshes", c.meshes},
                 {"quadrics", c.quadrics},
                 {"height_fields", c.height_fields},
+                {"sdf_grids", c.sdf_grids},
                 {"environments", c.environments}};
     }
 

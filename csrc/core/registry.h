@@ -46,7 +46,7 @@ namespace tr {
 using Textures = TypeList<ConstantTexture, Bitmap, Checkerboard, MeshAttribute, VolumeTexture>;
 // (Emitters: emitter/emitter.h, phase functions: phase/phase.h.)
 using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, HeightFieldModel, CylinderModel,
-                        BSplineCurveModel, LinearCurveModel>;
+                        BSplineCurveModel, LinearCurveModel, SdfGridModel>;
 using Sensors =
     TypeList<Perspective, IrradianceMeter, ThinLens, Orthographic, Fisheye, Panorama, RadianceMeter, Distant>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;

@@ -32,8 +32,9 @@ enum ShapeFlags : int32_t {
     IsHeightField = 32,
     IsCylinder = 64,
     IsCurve = 128,
+    IsSdfGrid = 256,
     IsStraight = 512,  // a curve of linear segments
-    HasMatrix = IsSphere | IsDisk | IsHeightField | IsCylinder,
+    HasMatrix = IsSphere | IsDisk | IsHeightField | IsCylinder | IsSdfGrid,
     IsCurved = HasMatrix | IsCurve
 };
 
@@ -41,7 +42,7 @@ struct ShapeInfo {
     int32_t flags, face_offset, bsdf, emitter;  // ShapeLanes
     int32_t n_faces, cdf_offset, first_vertex, first_attribute;
     int32_t interior, exterior;      // media, -1: none; none on both sides: the medium goes on behind the shape
-    int32_t heights, interpolation;  // of a height field: the slot of its tensor
+    int32_t heights, interpolation;  // of a height field or a grid of distances: the slot of its tensor
     int32_t reserved[4];
 };
 static_assert(sizeof(ShapeInfo) == 64, "gathered with a stride of 16 integers");

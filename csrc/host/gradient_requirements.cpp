@@ -14,7 +14,7 @@ GradientRequirements::GradientRequirements(const SceneLayout &layout, const std:
     std::sort(offsets_.begin(), offsets_.end());
     moved_shapes_.assign(layout.shapes.size(), 0);
     for (size_t i = 0; i < layout.shapes.size(); ++i)
-        moved_shapes_[i] = (layout.shapes[i].flags & IsHeightField) && tensor(layout.shapes[i].heights);
+        moved_shapes_[i] = (layout.shapes[i].flags & (IsHeightField | IsSdfGrid)) && tensor(layout.shapes[i].heights);
     for (const MeshSource &mesh : layout.meshes)
         moved_shapes_[size_t(mesh.shape)] =
             tensor(mesh.vertices) || tensor(mesh.normals) || tensor(mesh.texcoords) || tensor(mesh.radii);

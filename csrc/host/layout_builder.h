@@ -87,6 +87,8 @@ private:
     void add_mesh(int i, ShapeInfo &info);
     void add_height_field(int i, ShapeInfo &info);
     void add_curve(int i, ShapeInfo &info);
+    void add_sdf_grid(int i, ShapeInfo &info);
+    void check_without_coordinates(int bsdf, const std::string &at);
     void add_rectangle(int i, ShapeInfo &info);
     void connect_attributes();
 

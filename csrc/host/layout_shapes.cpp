@@ -2,6 +2,7 @@
 #include <limits>
 
 #include "../core/registry.h"
+#include "../core/shape/sdfgrid.h"
 #include "layout_builder.h"
 
 namespace tr {
@@ -34,6 +35,10 @@ void LayoutBuilder::connect_shapes() {
             bsdf = CurveFields::BsdfIndex, emitter = CurveFields::EmitterIndex, interior = CurveFields::Interior;
             info.flags |= type == LinearCurveModel::model.type ? IsCurve | IsStraight : IsCurve;
             add_curve(i, info);
+        } else if (type == SdfGridModel::model.type) {
+            bsdf = SdfGridModel::BsdfIndex, emitter = SdfGridModel::EmitterIndex, flip = SdfGridModel::Flip;
+            interior = SdfGridModel::Interior;
+            add_sdf_grid(i, info);
         } else {
             bsdf = PlanarFields::BsdfIndex, emitter = PlanarFields::EmitterIndex, flip = PlanarFields::Flip;
             if (type == RectangleModel::model.type)
@@ -137,6 +142,30 @@ void LayoutBuilder::add_curve(int i, ShapeInfo &info) {
     MeshSource curve{i, points, -1, -1, info.first_vertex, int(s[0])};
     curve.radii = radii;
     out_.meshes.push_back(curve);
+}
+
+void LayoutBuilder::add_sdf_grid(int i, ShapeInfo &info) {
+    info.flags |= IsSdfGrid;
+    if (value("shape", i, SdfGridModel::Normals) == 0) info.flags |= HasNormals;
+    info.heights = value("shape", i, SdfGridModel::Grid);
+    const auto &s = shapes_[size_t(info.heights)];
+    if (s.size() != 4 || s[3] != 1 || s[0] < 2 || s[1] < 2 || s[2] < 2)
+        fail(where("shape", i, "grid"), "a tensor of shape (D, H, W, 1) with D, H, W > 1", text(s));
+    int bits = 0;
+    for (size_t k = 0; k < 3; ++k) bits += SdfCellBits::of(int32_t(s[k]) - 1);
+    if (bits > SdfCellBits::Most)
+        fail(where("shape", i, "grid"), "at most 2^29 cells, each side rounded up to a power of two", text(s));
+    if (value("shape", i, SdfGridModel::EmitterIndex) >= 0)
+        fail(where("shape", i, "emitter"), "none: a grid of distances cannot emit", "an emitter");
+    int bsdf = value("shape", i, SdfGridModel::BsdfIndex);
+    if (bsdf >= 0) check_without_coordinates(bsdf, where("shape", i, "bsdf"));
+}
+
+void LayoutBuilder::check_without_coordinates(int bsdf, const std::string &at) {
+    if (is_bsdf(bsdf, FollowsTangent) || is_bsdf(bsdf, PerturbsNormals))
+        fail(at, "a bsdf without directions along the surface: an sdfgrid has no texture coordinates",
+             "'" + list("bsdf")[size_t(bsdf)].type + "'");
+    for_nested(bsdf, [&](int nested, const std::string &) { check_without_coordinates(nested, at); });
 }
 
 void LayoutBuilder::add_rectangle(int i, ShapeInfo &info) {

@@ -51,7 +51,7 @@ bool SceneData<S>::same_geometry(const SceneData &other) const {
                x.first_vertex == y.first_vertex && x.n_vertices == y.n_vertices && x.radii == y.radii;
     };
     auto same_shape = [&](const ShapeInfo &x, const ShapeInfo &y) {
-        if (x.flags & y.flags & IsHeightField)
+        if (x.flags & y.flags & (IsHeightField | IsSdfGrid))
             return x.flags == y.flags && x.heights == y.heights && x.interpolation == y.interpolation &&
                    a.tensor_shapes[size_t(x.heights)] == b.tensor_shapes[size_t(y.heights)];
         return x.flags == y.flags && x.face_offset == y.face_offset && x.n_faces == y.n_faces &&
@@ -160,7 +160,7 @@ std::vector<uint8_t> SceneData<S>::with_silent_changes(const std::vector<const S
     }
     for (size_t i = 0; i < layout_.shapes.size(); ++i) {
         const ShapeInfo &shape = layout_.shapes[i];
-        if (!(shape.flags & IsHeightField) || dirty[size_t(shape.heights)]) continue;
+        if (!(shape.flags & (IsHeightField | IsSdfGrid)) || dirty[size_t(shape.heights)]) continue;
         const int64_t n = layout_.slot_sizes[size_t(shape.heights)];
         dirty[size_t(shape.heights)] = fingerprint(params[size_t(shape.heights)], n) != heights_[i].fingerprint;
     }

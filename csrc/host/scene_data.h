@@ -53,6 +53,7 @@ public:
         uint64_t meshes = 0, quadrics = 0;  // shapes whose geometry was set
         uint64_t environments = 0;          // tables of an environment map
         uint64_t height_fields = 0;         // ranges of heights
+        uint64_t sdf_grids = 0;             // empty space around surfaces
     };
     Counters counters() const;
 
@@ -95,7 +96,8 @@ private:
     std::vector<ShapeInfo> shapes_;
     std::vector<S> matrices_, areas_, area_cdf_;
     std::vector<uint8_t> dark_;  // emitting meshes without any area
-    // Of a height field, by shape: its heights in single precision where they are in double, and what they were.
+    // Of a height field or a grid of distances, by shape: its heights in single precision where they are in double, and
+    // what they were.
     struct HeightsCopy {
         std::vector<float> single;
         uint64_t fingerprint = 0;
@@ -144,6 +146,8 @@ private:
     void update_rectangle(const MeshSource &mesh, bool first);
     void update_quadric(int shape);
     void update_heights(int shape, const S *heights, bool changed, bool moved);
+    void update_sdf_grid(int shape, const S *values, bool changed, bool moved);
+    const float *in_single(int shape, const S *values, bool changed);
     Affine set_matrices(int shape);
     void set_mesh(const MeshSource &mesh, const S *positions, bool first);
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);

@@ -1,6 +1,7 @@
 // The geometry of a scene: the renderer's tables, areas of lights, and what Embree gets.
 #include <algorithm>
 
+#include "../accel/sdf_grid.h"
 #include "../core/registry.h"
 #include "placement.h"
 #include "scene_data.h"
@@ -38,6 +39,11 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         if (shapes_[size_t(i)].flags & IsHeightField) {
             size_t slot = size_t(shapes_[size_t(i)].heights);
             update_heights(i, params[slot], first || dirty[slot], changed(field[HeightFieldModel::ToWorld], 12));
+            continue;
+        }
+        if (shapes_[size_t(i)].flags & IsSdfGrid) {
+            size_t slot = size_t(shapes_[size_t(i)].heights);
+            update_sdf_grid(i, params[slot], first || dirty[slot], changed(field[SdfGridModel::ToWorld], 12));
             continue;
         }
         if (shapes_[size_t(i)].flags & IsSphere)
@@ -245,22 +251,27 @@ void SceneData<S>::update_quadric(int shape) {
     ++counters_.quadrics;
 }
 
+// The values of a height field or a grid of distances, and what there is to be remembered of them.
+template <class S>
+const float *SceneData<S>::in_single(int shape, const S *values, bool changed) {
+    HeightsCopy &copy = heights_[size_t(shape)];
+    const int64_t n = layout_.slot_sizes[size_t(shapes_[size_t(shape)].heights)];
+    if (changed) copy.fingerprint = fingerprint(values, n);
+    if constexpr (sizeof(S) == 4) {
+        return values;
+    } else {
+        if (changed) copy.single.assign(values, values + n);
+        return copy.single.data();
+    }
+}
+
 // Height fields are not Embree's: nothing is committed.
 template <class S>
 void SceneData<S>::update_heights(int shape, const S *heights, bool changed, bool moved) {
     const ShapeInfo &info = shapes_[size_t(shape)];
-    HeightsCopy &copy = heights_[size_t(shape)];
     const auto &sizes = layout_.tensor_shapes[size_t(info.heights)];
-    const int64_t n = layout_.slot_sizes[size_t(info.heights)];
-    const float *single;
-    if constexpr (sizeof(S) == 4) {
-        single = heights;
-    } else {
-        if (changed) copy.single.assign(heights, heights + n);
-        single = copy.single.data();
-    }
+    const float *single = in_single(shape, heights, changed);
     if (changed) {
-        copy.fingerprint = fingerprint(heights, n);
         float largest = accel_->set_heights(uint32_t(shape), single, sizes[0], sizes[2], info.interpolation != 0);
         if (!(largest <= float(LargestCoordinate)))
             bad_value(path("shape", shape) + ": field 'heights'", "heights up to 1e18", std::to_string(largest));
@@ -273,6 +284,27 @@ void SceneData<S>::update_heights(int shape, const S *heights, bool changed, boo
     float matrices[24];
     std::copy_n(&matrices_[size_t(shape) * 24], 24, matrices);
     accel_->place_heights(uint32_t(shape), matrices, matrices + 12);
+}
+
+// Nor are grids of distances.
+template <class S>
+void SceneData<S>::update_sdf_grid(int shape, const S *values, bool changed, bool moved) {
+    const auto &sizes = layout_.tensor_shapes[size_t(shapes_[size_t(shape)].heights)];  // rows, columns, 1, slices
+    const float *single = in_single(shape, values, changed);
+    SdfGrid &grid = accel_->sdf_grid(uint32_t(shape));
+    if (changed) {
+        float largest = grid.set_values(uint32_t(shape), single, {sizes[1], sizes[0], sizes[3]});
+        if (!(largest <= float(LargestCoordinate)))
+            bad_value(path("shape", shape) + ": field 'grid'", "values up to 1e18", std::to_string(largest));
+        ++counters_.sdf_grids;
+    } else {
+        grid.refer(single);
+    }
+    if (!moved) return;
+    set_matrices(shape);
+    float matrices[24];
+    std::copy_n(&matrices_[size_t(shape) * 24], 24, matrices);
+    grid.set_matrices(matrices, matrices + 12);
 }
 
 // A ray that meets none of these boxes meets no light; they are larger than what rounding may shift.

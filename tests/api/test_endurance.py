@@ -82,6 +82,7 @@ def test_updates_are_counted_from_the_first_rendering():
         "mesh_rebuilds": 0,
         "environments": 1,
         "height_fields": 0,
+        "sdf_grids": 0,
     }
 
 

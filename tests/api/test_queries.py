@@ -35,6 +35,11 @@ def all_shapes() -> dict:
             "heights": torch.sin(torch.arange(20.0)).reshape(4, 5) * 0.3,
             "to_world": translate(1.2, 1.0, 0.8) @ MIRROR @ rotate("x", 25) @ scale(0.6),
         },
+        "distances": {
+            "type": "sdfgrid",
+            "grid": torch.sin(torch.arange(60.0)).reshape(3, 4, 5) * 0.2 + torch.linspace(-0.5, 0.6, 4)[:, None],
+            "to_world": translate(-0.4, 1.3, 1.0) @ MIRROR @ rotate("x", 60) @ scale(1.3, 0.9, 1.3),
+        },
     }
 
 
@@ -61,7 +66,7 @@ def test_attached_geometry_equals_the_core(dtype):
     scene = scene_of(dtype)
     origins, directions = grid(dtype=dtype)
     hits = tr.ray_intersect(scene, origins, directions)
-    assert sorted(set(hits.shape_id[hits.valid].tolist())) == list(range(10))
+    assert sorted(set(hits.shape_id[hits.valid].tolist())) == list(range(11))
     assert 0.2 < hits.valid.double().mean() < 0.9
     surfaces = tr.surface.Surfaces.of(scene, scene.layout(), tr.scene.gather.gather(scene, scene.layout(), None))
     rows = hits.valid.nonzero()[:, 0]
@@ -104,7 +109,7 @@ def hit_rays(scene: tr.Scene, n: int = 23) -> tuple[torch.Tensor, torch.Tensor]:
             moved = tr.ray_intersect(scene, origins, directions + shift)
             stable = stable & (moved.shape_id == hits.shape_id) & (moved.prim_id == hits.prim_id)
             stable = stable & ((moved.uv - hits.uv).abs().amax(1) < 0.3)  # no seam in between
-    assert sorted(set(hits.shape_id[stable].tolist())) == list(range(10))
+    assert sorted(set(hits.shape_id[stable].tolist())) == list(range(11))
     return origins[stable], directions[stable]
 
 

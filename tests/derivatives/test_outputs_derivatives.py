@@ -67,6 +67,13 @@ SURFACES = {
     "flipped rectangle": lambda: plate("rectangle", flip_normals=True),
     "disk": lambda: plate("disk"),
     "height field": lambda: plate("heightfield", heights=torch.sin(torch.arange(20.0)).reshape(4, 5) * 0.2),
+    "distances": lambda: {
+        "type": "sdfgrid",
+        "grid": torch.linspace(-0.5, 0.6, 4)[:, None, None] + 0.02 * torch.sin(torch.arange(80.0)).reshape(4, 5, 4),
+        "to_world": tr.Transform.rotate([0.6, 0.8, 0], 20)
+        @ tr.Transform.scale([10, 8, 2]).translate([-0.5, -0.5, -0.5]),
+        "bsdf": {"type": "diffuse", "reflectance": texture()},
+    },
     "cylinder": lambda: {
         "type": "cylinder",
         "p0": [-7.0, 1.0, -4.0],

@@ -129,6 +129,22 @@ def hills(bsdf: dict, to_world: Transform, amplitude: float) -> dict:
     return {"type": "heightfield", "heights": heights, "to_world": to_world, "bsdf": bsdf}
 
 
+def distances(bsdf: dict, size: float = 2.25, center: float = 0.0, flip: bool = False, **more) -> dict:
+    """A dented ball of radius 0.4 `size` as a coarse grid of signed distances; nothing turns where cells meet."""
+    z, y, x = torch.meshgrid(*(torch.linspace(0, 1, n, dtype=torch.float64) - 0.5 for n in (8, 9, 10)), indexing="ij")
+    grid = torch.sqrt(x * x + 1.1 * y * y + z * z) - 0.4 + 0.01 * torch.sin(9 * x + 7 * y - 5 * z)
+    to_world = Transform.translate([center, 0.1, 0]) @ Transform.rotate([1, 2, 1], 25) @ Transform.scale(size)
+    to_world = to_world @ Transform.translate([-0.5, -0.5, -0.5])
+    return {"type": "sdfgrid", "grid": grid, "to_world": to_world, "flip_normals": flip, "bsdf": bsdf, **more}
+
+
+def saddle(bsdf: dict) -> dict:
+    """A surface in a single cell, whose own normals therefore go on everywhere; it fills the view of `above`."""
+    grid = torch.tensor([[[-0.5, -0.3], [-0.45, -0.6]], [[0.5, 0.55], [0.4, 0.6]]], dtype=torch.float64)
+    to_world = Transform.rotate([1, 0, 0], -70) @ Transform.scale([8, 8, 4]) @ Transform.translate([-0.5, -0.5, -0.5])
+    return {"type": "sdfgrid", "grid": grid, "normals": "analytic", "to_world": to_world, "bsdf": bsdf}
+
+
 def pipe(bsdf: dict) -> dict:
     """A tube across the view of `at_ball`, wider than it and open beyond it, whose azimuth begins behind."""
     turned = Transform.rotate([1, 0, 0], -90)
@@ -175,6 +191,7 @@ METAL = {
     "k": {"type": "rgb", "value": [3.9, 2.4, 2.2]},
 }
 GLASS = {"type": "dielectric", "int_ior": 1.3, "ext_ior": 1.0}
+PLAIN = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.5, 0.4]}}
 PAINT = {"type": "diffuse", "reflectance": bitmap()}
 FROSTED = {"type": "roughdielectric", "distribution": "ggx", "alpha": 0.4, "int_ior": 1.3, "ext_ior": 1.0}
 
@@ -303,6 +320,17 @@ SCENES = {
     "frosted_in_room": lambda: scene(4, at_ball(), ball=ball(FROSTED), room=black_room()),
     "hills": lambda: scene(2, above(), hills=hills(PAINT, floor()["to_world"], 0.04), lamp=lamp("rectangle")),
     "glass_hills": lambda: scene(4, at_ball(), lens=hills(GLASS, Transform.scale(0.6), 0.08), room=black_room()),
+    "saddle": lambda: scene(2, above(), floor=saddle(PLAIN), lamp=lamp("rectangle")),
+    "distances": lambda: scene(2, at_ball(), ball=distances(CARVED), room=black_room()),
+    "metal_distances": lambda: scene(3, at_ball(), ball=distances(METAL), room=black_room()),
+    # seen from a smooth vertex, and from one on a grid
+    "hall_of_distances": lambda: scene(
+        4,
+        camera([0.3, 0.1, 0.4], [2, 0.1, 0], 60),
+        hall=distances(PLAIN, 6.0, flip=True),
+        bulb={"type": "point", "position": [-0.4, 0.3, 0.2], "intensity": {"type": "rgb", "value": [9, 8, 7]}},
+    ),
+    "glass_distances": lambda: scene(4, at_ball(), lens=distances(GLASS), room=black_room()),
     "brushed_in_room": lambda: scene(3, at_ball(), ball=ball(BRUSHED), room=black_room()),
     "toy_in_room": lambda: scene(3, at_ball(), ball=ball(TOY), room=black_room()),
     "toy_mesh": lambda: scene(3, at_ball(), ball=mesh_ball(TOY), room=black_room()),

@@ -27,7 +27,7 @@ from torchrender.wavefront.volumes import VOLUMES
 
 LAYERS = ("twosided", "blendbsdf", "normalmap", "bumpmap")  # torchrender/wavefront/layers.py
 SURFACES = {"bsdf": (*MODELS, *LAYERS), "emitter": EMITTERS, "texture": TEXTURES, "volume": VOLUMES, "sensor": SENSORS}
-SURFACES["shape"] = (*LIGHT_SHAPES, "heightfield", "bsplinecurve", "linearcurve")  # the last three cannot emit
+SURFACES["shape"] = (*LIGHT_SHAPES, "heightfield", "bsplinecurve", "linearcurve", "sdfgrid")  # the last cannot emit
 ENTRIES = {**SURFACES, "phase": PHASES, "medium": MEDIA}
 OF_LIGHT = {("emitter", "directionalarea"), ("sensor", "irradiancemeter")}  # see test_particle_oracle.py
 

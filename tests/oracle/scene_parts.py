@@ -36,6 +36,14 @@ def hills(seed: int, **more) -> dict:
     return {"type": "heightfield", "heights": heights, **more}
 
 
+def distances(seed: int, **more) -> dict:
+    """A dented ball, as a grid whose numbers are off by chance."""
+    random = np.random.default_rng(seed)
+    z, y, x = np.meshgrid(*(np.linspace(-0.5, 0.5, n) for n in (5, 6, 7)), indexing="ij")
+    grid = np.sqrt(x * x + y * y + z * z) - 0.35 + random.uniform(-0.03, 0.03, x.shape)
+    return {"type": "sdfgrid", "grid": grid[..., None], **more}
+
+
 def smoothed(mesh: tr.Mesh) -> tr.Mesh:
     """The mesh with normals that follow its positions, as one from a file without normals has."""
     mesh.compute_normals()

@@ -9,7 +9,7 @@ import reference_scenes as r
 
 from .layered_scenes import layers, normals
 from .material_scenes import brushed, fibres, glass, glossy, rough, turned_brushed
-from .scene_parts import MIRROR, SIZE, hills, metal, small, smoothed, tube
+from .scene_parts import MIRROR, SIZE, distances, hills, metal, small, smoothed, tube
 
 
 def moving() -> dict:
@@ -77,6 +77,41 @@ def curves() -> dict:
         floor=r._floor(r._bitmap(55, 6, 4)),
         lamp=r._lamp(r._bitmap(56, 3, 4, 1.0, 9.0)),
         sky={"type": "constant", "radiance": 0.3},
+    )
+
+
+def grids() -> dict:
+    """Distances on grids: smooth and analytic normals, mirrored and turned, of metal, glass and colours in space."""
+    return r._scene(
+        {"type": "path", "max_depth": 5, "rr_depth": 3},
+        r._camera(fov=50),
+        left=distances(
+            81,
+            to_world=r.translate(-1.4, -0.6, -0.5) @ MIRROR @ r.rotate("x", 20) @ r.scale(1.2),
+            bsdf=r._diffuse(
+                {"type": "volume", "volume": {"type": "gridvolume", "data": r._noise(82, 3, 4, 0.2, 0.9)[None]}}
+            ),
+        ),
+        middle=distances(
+            83,
+            normals="analytic",
+            flip_normals=True,
+            to_world=r.translate(-0.5, -0.7, -0.2) @ r.rotate("y", 30) @ r.scale(1.1, 1.4, 0.9),
+            bsdf={"type": "twosided", "bsdf": r._diffuse(r._rgb(0.7, 0.4, 0.3))},
+        ),
+        right=distances(
+            84,
+            to_world=r.translate(0.6, -0.8, 0.0) @ r.rotate("z", 10) @ r.scale(1.1),
+            bsdf={"type": "dielectric", "int_ior": 1.3},
+        ),
+        behind=distances(
+            85,
+            to_world=r.translate(0.0, 0.2, -1.2) @ r.scale(1.3),
+            bsdf={"type": "conductor"},
+        ),
+        floor=r._floor(r._bitmap(32, 6, 4)),
+        lamp=r._lamp(r._bitmap(33, 3, 4, 1.0, 9.0)),
+        sky={"type": "envmap", "data": r._noise(86, 5, 7, 0.1, 2.0), "to_world": r.rotate("x", 50)},
     )
 
 
@@ -176,7 +211,10 @@ SENSORS: dict[str, Callable[[], dict]] = {
 }
 SCENES: dict[str, Callable[[], dict]] = {
     **{name: lambda name=name: small(r.SCENES[name]().scene) for name in r.SCENES},
-    **{f.__name__: lambda f=f: small(f()) for f in (moving, glass, rough, glossy, layers, normals, lights, splits)},
+    **{
+        f.__name__: lambda f=f: small(f())
+        for f in (moving, glass, rough, glossy, layers, normals, lights, splits, grids)
+    },
     **SENSORS,
     **{f.__name__: lambda f=f: small(f()) for f in (brushed, turned_brushed, curves, fibres)},
 }

@@ -9,7 +9,7 @@ from torch import nn
 
 from ..errors import describe, nearest
 
-_WRAP_MODES = ("repeat", "mirror", "clamp")
+_WRAP_MODES = ("repeat", "mirror", "clamp", "corners")
 
 # How an optimiser's state scales when a tensor of n entries becomes one of m: each new entry receives about n / m of
 # the old gradient, so a first moment scales with it, a second moment with its square, a count or a length not at all.
@@ -27,7 +27,7 @@ def resample(tensor: torch.Tensor, size: Sequence[int], wrap_mode: str | Sequenc
         tensor: (H, W, C) or (Z, Y, X, C), floating point; or any tensor whose leading dimensions are resampled.
         size: the new leading dimensions, such as (H, W); the remaining ones stay.
         wrap_mode: ``"repeat"``, ``"mirror"`` or ``"clamp"``: what lies beyond the border; one for all dimensions or one
-            for each.
+            for each. ``"corners"``: the first and the last number lie on the border, as those of an `sdfgrid`.
 
     Returns:
         Tensor with the new leading dimensions, differentiable. Each value is an average of old ones with weights that
@@ -55,6 +55,8 @@ def _resample_axis(tensor: torch.Tensor, axis: int, count: int, mode: str) -> to
     old = tensor.shape[axis]
     # Exact for all sizes in use: positions are small rationals, computed in double precision.
     position = (torch.arange(count, dtype=torch.float64) + 0.5) * (old / count) - 0.5
+    if mode == "corners":
+        position = torch.arange(count, dtype=torch.float64) * ((old - 1) / max(count - 1, 1))
     low = position.floor()
     weight = (position - low).to(tensor.dtype).to(tensor.device)
     shape = [1] * tensor.dim()
@@ -68,7 +70,7 @@ def _resample_axis(tensor: torch.Tensor, axis: int, count: int, mode: str) -> to
 def _wrap(index: torch.Tensor, size: int, mode: str) -> torch.Tensor:
     if mode == "repeat":
         return index % size
-    if mode == "clamp":
+    if mode in ("clamp", "corners"):
         return index.clamp(0, size - 1)
     folded = index % (2 * size)
     return torch.where(folded < size, folded, 2 * size - 1 - folded)
@@ -88,8 +90,8 @@ def upsample(
         module: a scene, or any module.
         name: the parameter's dotted name, such as ``"wall.bsdf.reflectance.data"``. If it is parametrised
             (`torchrender.constraints`), the value is resampled and the parameter behind it set accordingly.
-        size: the new leading dimensions: (H, W) of a texture or of heights, (Z, Y, X) of a volume; none smaller than
-            it is.
+        size: the new leading dimensions: (H, W) of a texture or of heights, (Z, Y, X) of a volume or a grid of
+            distances; none smaller than it is.
         optimizer: its state (moments and so on) is resampled with the parameter and scaled for the new number of
             entries, among which the gradient is shared out.
         wrap_mode: as in :func:`resample`; by default the module's own ``wrap_mode``, else ``"clamp"`` for volumes and

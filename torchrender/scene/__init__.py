@@ -8,6 +8,7 @@ from . import (  # noqa: F401  (they register their classes)
     media,
     mesh,
     phases,
+    sdfgrid,
     shapes,
     sunsky,
     textures,

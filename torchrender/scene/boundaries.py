@@ -30,8 +30,8 @@ def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:
     """One UserWarning for each mesh of `scene` that is the boundary of a medium and not closed.
 
     A medium is entered and left where a ray crosses a surface, so one whose boundary has holes leaks. Several meshes
-    may close a boundary together. Where a rectangle, disk, cylinder or height field takes part, nothing is said: those
-    have no edges in common with meshes that could be compared.
+    may close a boundary together. Where a rectangle, disk, cylinder, height field or grid of distances takes part,
+    nothing is said: those have no edges in common with meshes that could be compared.
     """
     if layout.boundaries_seen:
         return
@@ -43,7 +43,7 @@ def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:
                 groups.setdefault(medium, []).append((name, shape))
     groups.pop(id(None), None)
     for group in groups.values():
-        if any(shape.type in ("rectangle", "disk", "cylinder", "heightfield") for _, shape in group):
+        if any(shape.type in ("rectangle", "disk", "cylinder", "heightfield", "sdfgrid") for _, shape in group):
             continue
         loose = [(name, edge_sum(mesh)) for name, mesh in group if isinstance(mesh, Mesh)]
         if sum(total for _, total in loose) % 2**64 == 0:

@@ -86,10 +86,10 @@ stands for. `print(scene)` says the same for the parameters of one scene.
 
 How things move: what a ray of the camera, or one that was reflected or refracted smoothly, has hit slides over the
 surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material
-form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). So the
-derivative with respect to the place of an area light, or of a wall of a convex room, is complete but for the edges of
-shadows. What depends on the object: `to_uv` of a bitmap with nearest texels has no derivative; that of
-`vertex_normals` is complete on diffuse surfaces.
+form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020); those on an
+`sdfgrid` stay in the direction in which they are seen. So the derivative with respect to the place of an area light, or
+of a wall of a convex room, is complete but for the edges of shadows. What depends on the object: `to_uv` of a bitmap
+with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse surfaces.
 
 `tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
 rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of
@@ -102,7 +102,8 @@ refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking f
 `tr.ParticleTracer` has the same derivatives as the path tracers, with the motion of light over the film. That needs a
 filter with a slope: with the box filter, asking for the derivative of something that moves raises
 `tr.NotDifferentiableError`, and so does, with an `irradiancemeter`, the one with respect to the texture coordinates of
-its surface. A beam (`directionalarea`) moves and turns with its surface."""
+its surface, and every derivative of something that moves where there is an `sdfgrid`. A beam (`directionalarea`) moves
+and turns with its surface."""
 
 
 def page() -> str:

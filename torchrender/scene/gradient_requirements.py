@@ -17,6 +17,8 @@ STEADY = (
     "give the film another one, such as 'gaussian' or 'tent'"
 )
 
+ON_GRIDS = "the particle tracer has none with respect to what moves where there is an sdfgrid; the path tracer has"
+
 
 @dataclass
 class GradientRequirements:
@@ -28,6 +30,7 @@ class GradientRequirements:
         alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
         volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
         steady: the image is splatted by light paths with a filter that has no derivative.
+        particles: it is splatted by light paths.
     """
 
     layout: Layout
@@ -35,6 +38,7 @@ class GradientRequirements:
     alpha: bool = False
     volumetric: bool = False
     steady: bool = False
+    particles: bool = False
 
     def check(self, indices: Iterable[int]) -> None:
         """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
@@ -51,6 +55,8 @@ class GradientRequirements:
             refusal = refusal_of(slot, self.volumetric)
             if self.steady and not refusal and moves_rays(slot):
                 refusal = STEADY
+            if self.particles and not refusal and moves_rays(slot) and self._has_grids():
+                refusal = ON_GRIDS
             if refusal:
                 refuse(slot.name, refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
@@ -72,6 +78,9 @@ class GradientRequirements:
             clauses.append("alpha carries no derivative: that of coverage consists of moving silhouettes alone")
         if clauses:
             warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=depth_outside())
+
+    def _has_grids(self) -> bool:
+        return any(kind == "sdfgrid" for kind, _, _ in self.layout.objects["shape"])
 
     def _moves(self, index: int) -> bool:
         """Whether this parameter moves outlines in the image."""

@@ -63,6 +63,9 @@ class Slot:
         if self.attribute == "heights":  # of a height field: any size
             if len(shape) != 2 or 0 in shape:
                 raise ValueError(f"{what}: expected shape (H, W), got {shape}")
+        elif self.attribute == "grid":  # of distances: likewise
+            if len(shape) != 4 or shape[3] != 1 or min(shape[:3]) < 2:
+                raise ValueError(f"{what}: expected shape (D, H, W, 1) with D, H, W > 1, got {shape}")
         elif len(current) in (3, 4):  # texels and voxels: any size
             if len(shape) != len(current) or shape[-1] not in (1, channels) or 0 in shape:
                 size = "(H, W, C)" if len(current) == 3 else "(Z, Y, X, C)"

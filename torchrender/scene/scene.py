@@ -184,8 +184,8 @@ class Scene(Container):
         ``"scenes"``: the whole, because objects or shapes of parameters changed; ``"meshes"``, ``"quadrics"``: shapes
         whose geometry was set; ``"tree_builds"``: the acceleration structure; ``"mesh_refits"``, ``"mesh_rebuilds"``:
         one mesh's part of it, fitted to moved vertices or made again because that had made it slow;
-        ``"environments"``: tables of an environment map; ``"height_fields"``: ranges of heights. What did not change
-        is not made again. Counting begins anew when objects come or go.
+        ``"environments"``: tables of an environment map; ``"height_fields"``: ranges of heights; ``"sdf_grids"``: empty
+        space around surfaces. What did not change is not made again. Counting begins anew when objects come or go.
         """
         return {} if self._native is None else self._native.counters()
 

@@ -6,7 +6,7 @@ import importlib
 
 MODULES = """
     camera cameras curves emitters heightfield layers materials media mesh phases
-    point_sensors sensor shapes textures volumes
+    point_sensors sdfgrid sensor shapes textures volumes
 """
 
 for name in MODULES.split():

@@ -7,15 +7,15 @@ import math
 import torch
 
 from ..heightfield import evaluate
-from ..surface import CURVE, CYLINDER, HEIGHT_FIELD, MESH, SPHERE, inverse_linear, transform_vector
+from ..surface import CURVE, CYLINDER, HEIGHT_FIELD, MESH, SDF_GRID, SPHERE, inverse_linear, transform_vector
 from .world import At, World
 
 
 def partials(world: World, at: At, p: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """dp/du and dp/dv (N, 3) at points p (N, 3)."""
+    """dp/du and dp/dv (N, 3) at points p (N, 3); zero on grids of distances, which have no coordinates."""
     surfaces = world.surfaces
     kind = surfaces.kind[at.shape]
-    other = (kind == MESH) | (kind == HEIGHT_FIELD) | (kind == CURVE)
+    other = (kind == MESH) | (kind == HEIGHT_FIELD) | (kind == CURVE) | (kind == SDF_GRID)
     flat, curved = (kind == MESH).nonzero()[:, 0], (~other).nonzero()[:, 0]
     pieces = [(flat, _along_triangles(world, at[flat])), (curved, _along_quadrics(world, at.shape[curved], p[curved]))]
     for index in surfaces.heights:

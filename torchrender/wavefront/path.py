@@ -4,7 +4,8 @@ What is attached where things move (`World.moving`). The first point is the atta
 ray: it slides over the surface when that or the camera moves. The point that a ray sampled at a smooth vertex hits, or
 that is sampled on a light, is glued to its surface, and the measure is area: the direction is that from the one moving
 point to the other, and the weight gets the ratio J / J' of solid angles. The ray after a delta lobe is an attached
-function of the one before, and so is the point that it hits.
+function of the one before, and so is the point that it hits. Points on grids of distances are attached always, to a
+direction at rest where a smooth lobe was sampled.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ import torch
 from ..queries import Hits
 from ..scene.camera import Rays
 from ..scene.torch_bsdf import SurfaceInteraction
-from ..surface import dot, normalize
+from ..surface import SDF_GRID, dot, normalize
 from . import layers, numbers
 from .bsdf import Bsdf
 from .bsdfs import BSDFS
@@ -318,7 +319,10 @@ class WavefrontTracer:
         went_on: dict[str, torch.Tensor],
         rows: torch.Tensor,
     ) -> Paths:
-        """The paths along wo: glued to what they meet if the lobe is `smooth`, else attached."""
+        """The paths along wo: glued to what they meet if the lobe is `smooth`, else attached.
+
+        What meets a grid of distances is attached in any case, along a fixed direction if the lobe is smooth.
+        """
         paths, above = vertices.paths, vertices.above
         d = vertices.to_world(wo)
         d = reattach(normalize(d), d) if self.world.moving else normalize(d.detach())
@@ -326,12 +330,12 @@ class WavefrontTracer:
         o = offset_origin(position, paths.normal.detach(), d.detach())
         if smooth:
             d = d.detach()
-        elif self.world.moving:
+        if self.world.moving:
             o = reattach(o, paths.position)
         hits = self.world.intersect(o, d)
         if smooth and self.world.moving:
-            hits, ratio, towards = self.glued(hits, paths.position)
-            d = torch.where(hits.valid[:, None], reattach(d, towards), d)
+            hits, ratio, moved, towards = self.glued(hits, paths.position)
+            d = d.index_put((moved,), reattach(d[moved], towards))
             # The direction has changed its derivative, and in the last digits its value.
             value = self.bsdf(number, vertices).eval(vertices.wi, vertices.to_local(d), lobe)
             value = value * (above.weight * above.dimmed(d) * ratio)[:, None]
@@ -345,20 +349,27 @@ class WavefrontTracer:
             **arrival(hits),
         )
 
-    def glued(self, hits: Hits, x: torch.Tensor) -> tuple[Hits, torch.Tensor, torch.Tensor]:
-        """The hits, glued to their surfaces; J / J' and directions as seen from the points x they came from."""
-        rows = hits.valid.nonzero()[:, 0]
+    def glued(self, hits: Hits, x: torch.Tensor) -> tuple[Hits, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The hits, glued to their surfaces; J / J'; the rows of these hits, and their directions from the points x.
+
+        Points on grids of distances are not among them and stay as they are.
+        """
+        on_grid = self.world.surfaces.kind[hits.shape_id.clamp_min(0)] == SDF_GRID
+        slides = hits.valid & on_grid
+        rows = (hits.valid & ~on_grid).nonzero()[:, 0]
         shape, primitive = hits.shape_id[rows], hits.prim_id[rows]
         at = glue(self.world.surfaces, shape, primitive, hits.barycentric[rows], hits.position[rows], hits.uv[rows])
 
         def put(old: torch.Tensor, new: torch.Tensor) -> torch.Tensor:
-            return old.detach().index_put((rows,), reattach(old[rows], new))
+            return kept(old).index_put((rows,), reattach(old[rows], new))
+
+        def kept(old: torch.Tensor) -> torch.Tensor:
+            return torch.where(slides.reshape(-1, *[1] * (old.ndim - 1)), old, old.detach())
 
         moved: dict[str, torch.Tensor] = {name: put(getattr(hits, name), getattr(at, name)) for name in GLUED}
-        hits = hits._replace(**moved, t=hits.t.detach(), barycentric=hits.barycentric.detach())
+        hits = hits._replace(**moved, t=kept(hits.t), barycentric=kept(hits.barycentric))
         ratio = torch.ones_like(hits.t).index_put((rows,), at.solid_angle(x[rows]))
-        towards = torch.zeros_like(x).index_put((rows,), normalize(at.position - x[rows]))
-        return hits, ratio, towards
+        return hits, ratio, rows, normalize(at.position - x[rows])
 
     def sample_lights(self, vertices: Vertices, number: int, u: torch.Tensor, n_emitter: int, n_bsdf: int) -> None:
         """Light from a point on an emitter, where nothing is in between."""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ..heightfield import evaluate as evaluate_heights
+from ..sdfgrid import place as place_on_grid
 from ..surface import CYLINDER, DISK, MESH, SPHERE, transform_point
 from . import volumes
 from .color import luminance
@@ -131,6 +132,10 @@ def surface_position(world: World, at: At) -> torch.Tensor:
         here = at[rows]
         p, _, _ = surfaces.segments(index, here.primitive).evaluate(*here.barycentric.unbind(1))
         result = result.index_put((rows,), p)
+    for index, (grid, _) in surfaces.grids.items():
+        rows = (at.shape == index).nonzero()[:, 0]
+        p = place_on_grid(grid, at.primitive[rows], at.barycentric[rows])
+        result = result.index_put((rows,), transform_point(matrix[rows], p))
     return result
 
 

@@ -53,7 +53,9 @@ TR_LARGE void sweep_outputs(const SceneOf<F> &scene, const Record &record, const
     }
     auto mesh = active && !si.shape.has(IsCurved);
     if (any(mesh)) sweep_face_normal(scene, si, select(si.shape.has(FlipNormals), -face, face), mesh, sink);
-    hit.n = select(mesh, hit.n, hit.n + face);
+    auto grid = active && si.shape.has(IsSdfGrid);  // has two normals
+    hit.ng = select(grid, face, zero);
+    hit.n = select(mesh || grid, hit.n, hit.n + face);
 
     Arrival<F> in{active, d, t, zero, zero, F(0)};
     RayAdjoint<F> ray = sweep_surface(scene, si.at, si.p, in, hit, active, sink);

@@ -3,6 +3,7 @@
 #include "../shape/partials.h"
 #include "curve.h"
 #include "heightfield.h"
+#include "sdfgrid.h"
 
 namespace tr {
 
@@ -13,7 +14,8 @@ TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at,
     using S = ScalarOf<F>;
     auto wanted = sink.wants_shape(at.shape, active);
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    auto curve = active && shape.has(IsCurve);
+    auto curved = active && !mesh && !field && !curve && !shape.has(IsSdfGrid);
     if (any(curve)) {
         F segments = curve_segments<F>(scene, at.shape, curve);
         CurveAdjoint<F> bar(scene, at, shape, curve);
@@ -234,7 +236,7 @@ TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint
     g.p = g.p + g.at.p;
     auto mesh = active && !shape.has(IsCurved);
     auto field = active && shape.has(IsHeightField), curve = active && shape.has(IsCurve);
-    auto curved = active && !mesh && !field && !curve;
+    auto grid = active && shape.has(IsSdfGrid), curved = active && !mesh && !field && !curve && !grid;
     Vec3<F> zero{F(0), F(0), F(0)};
     RayAdjoint<F> r{zero, zero}, other = r;
     if (any(mesh)) r.o = sweep_triangle(scene, at, in, g, shape, mesh, r.d, sink);
@@ -245,6 +247,10 @@ TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint
     if (any(curve)) {
         other.o = sweep_curve(scene, at, in, g, shape, curve, other.d, sink);
         r = {select(curve, other.o, r.o), select(curve, other.d, r.d)};
+    }
+    if (any(grid)) {
+        other.o = sweep_sdf_grids(scene, at, in, g, grid, other.d, sink);
+        r = {select(grid, other.o, r.o), select(grid, other.d, r.d)};
     }
     if (any(curved)) {
         other.o = sweep_curved(scene, at, p, in, g, curved, CurvedKind<F>(shape, curved), other.d, sink);

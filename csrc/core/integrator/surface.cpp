@@ -153,7 +153,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         if (c.needs->geometry) {
             Vec3<F> segment = si.p - from.p;
             write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t,
-                          arrival_kind<F>(mask<F>(from.pdf == F(0))));
+                          arrival_kind<F>(mask<F>(from.pdf == F(0)) || si.shape.has(IsSdfGrid)));
         }
     } else {
         add_radiance(c, slot, beta, e, active, "emitter");

@@ -8,6 +8,9 @@ namespace tr {
 constexpr const char *GeometryEdges =
     "interior, without the motion of silhouettes, of shadow edges, and of creases and jumps of textures that are seen "
     "directly; zero where there are none or both sides of them are of equal colour";
+constexpr const char *GridEdges =
+    "interior, without the motion of silhouettes, of shadow edges and, with analytic normals, of the creases between "
+    "cells; zero where there are none or both sides of them are of equal colour";
 
 struct MeshModel {
     enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
@@ -106,6 +109,24 @@ struct BSplineCurveModel : CurveFields {
 struct LinearCurveModel : CurveFields {
     static constexpr Model model = {"shape", "linearcurve", "Cones between spheres.", CurveFields::fields, 7,
                                     0,       "LinearCurve"};
+};
+
+struct SdfGridModel {
+    static constexpr const char *NormalKinds[] = {"smooth", "analytic", nullptr};
+    enum { ToWorld, Grid, Normals, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
+    static constexpr Field fields[] = {
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GridEdges, "from the unit cube [0, 1]^3 to the world"},
+        {"grid", Kind::Tensor, None, -INFINITY, INFINITY, GridEdges,
+         "(D, H, W, 1), signed distances at the corners of cells, negative inside"},
+        {"normals", Kind::Int, 0, 0, 1, "", "smooth: shading normals that go on from cell to cell", NormalKinds},
+        {"flip_normals", Kind::Int, 0, 0, 1, "", "normals point to negative values", Boolean},
+        {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
+        {"emitter", Kind::Emitter, -1, 0, INFINITY, "", "refused: grids of distances cannot emit"},
+        {"interior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point away from"},
+        {"exterior", Kind::Medium, -1, 0, INFINITY, "", "medium on the side that normals point to"},
+    };
+    static constexpr Model model = {"shape", "sdfgrid", "Where a grid of signed distances is zero.", fields, 8,
+                                    0,       "SdfGrid"};
 };
 
 // Disk and rectangle have the same fields.

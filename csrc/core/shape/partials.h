@@ -1,6 +1,6 @@
 // The derivatives of a surface's position by its texture coordinates, dp/du and dp/dv. Coordinates are those that
 // look-ups start from: given ones of a mesh, its barycentric ones where it has none, and those of curved shapes (see
-// curved_coordinates). Zero where a triangle's do not vary.
+// curved_coordinates). Zero where a triangle's do not vary, and on grids of distances.
 #pragma once
 
 #include "surface.h"
@@ -87,7 +87,8 @@ TR_NOINLINE PositionPartials<F> position_partials(const SceneView<S> &scene, con
         r = {select(m, u, r.u), select(m, v, r.v)};
     };
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    auto curve = active && shape.has(IsCurve);
+    auto curved = active && !mesh && !field && !curve && !shape.has(IsSdfGrid);  // grids have no coordinates
     if (any(curve)) {
         const CurvePoint<F> point(scene, at, shape, curve);
         take(curve, point.around, point.along * curve_segments<F>(scene, at.shape, curve));

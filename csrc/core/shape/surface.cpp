@@ -71,7 +71,9 @@ TR_LARGE Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &
             mapped = mapped || curve;
         }
     }
-    auto curved = active && !mesh && !field && !curve;
+    auto grid = active && shape.has(IsSdfGrid);
+    if (any(grid)) meet_sdf_grids(scene, at.shape, at.primitive, ray.o, ray.d, grid, at.b1, at.b2, t, si.p, si.ng, ns);
+    auto curved = active && !mesh && !field && !curve && !grid;
     if (any(curved)) {
         F to_world[12], to_object[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);
@@ -93,7 +95,8 @@ TR_LARGE Interaction<F> make_interaction(const SceneOf<F> &scene, const Ray<F> &
     si.ng = select(flip, -si.ng, si.ng);
     ns = select(flip, -ns, ns);
     si.frame = make_frame(ns);
-    si.at = {at, {select(mapped, given.x, at.b1), select(mapped, given.y, at.b2)}};
+    Vec2<F> uv{select(mapped, given.x, at.b1), select(mapped, given.y, at.b2)};
+    si.at = {at, {select(grid, F(0), uv.x), select(grid, F(0), uv.y)}};
     si.shape = shape;
     si.t = t;
     return si;
@@ -105,8 +108,10 @@ TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F>
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     Vec3<F> p{F(0), F(0), F(0)};
     auto mesh = active && !shape.has(IsCurved), field = active && shape.has(IsHeightField);
-    auto curve = active && shape.has(IsCurve), curved = active && !mesh && !field && !curve;
+    auto curve = active && shape.has(IsCurve), grid = active && shape.has(IsSdfGrid);
+    auto curved = active && !mesh && !field && !curve && !grid;
     if (any(curve)) p = select(curve, CurvePoint<F>(scene, at, shape, curve).p, p);
+    if (any(grid)) sdf_positions(scene, at.shape, at.primitive, at.b1, at.b2, grid, p);
     if (any(mesh)) {
         Triangle<F, S> tri(scene, UIntOf<F>(shape.face_offset) + at.primitive, mesh);
         p = select(mesh, tri.p0 + tri.e1 * at.b1 + tri.e2 * at.b2, p);

@@ -4,6 +4,7 @@
 #include "../math/warp.h"
 #include "curve.h"
 #include "heightfield.h"
+#include "sdfgrid.h"
 
 namespace tr {
 
@@ -92,7 +93,8 @@ template <class F, class S>
 TR_INLINE Vec2<F> texture_coordinates(const SceneView<S> &scene, const SurfacePoint<F> &at, const MaskOf<F> &active) {
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     auto has = active && shape.has(HasTexcoords);
-    Vec2<F> uv{at.b1, at.b2};
+    auto bare = shape.has(IsSdfGrid);
+    Vec2<F> uv{select(bare, F(0), at.b1), select(bare, F(0), at.b2)};
     if (any(has)) {
         UIntOf<F> corner[3];
         gather_rows<F>(scene.faces, (UIntOf<F>(shape.face_offset) + at.primitive) * 3u, has, corner);
