@@ -1,14 +1,10 @@
 #include "bsdf_functions.h"
 
-#include <pybind11/stl.h>
-
 #include <mutex>
 
 #include "core/registry.h"
 #include "host/rough_transmittance.h"
 #include "rows.h"
-
-namespace py = pybind11;
 
 namespace tr {
 
@@ -187,6 +183,8 @@ private:
     }
 };
 
+}  // namespace
+
 std::unique_ptr<BsdfFunctions> make_bsdf_functions(const std::string &type, const std::string &dtype, int channels,
                                                    const std::vector<int32_t> &choices) {
     if (channels != 1 && channels != SpectrumSize)
@@ -196,38 +194,6 @@ std::unique_ptr<BsdfFunctions> make_bsdf_functions(const std::string &type, cons
     if (dtype == "float64") return std::make_unique<BsdfFunctionsOf<double>>(type, channels, choices);
 #endif
     throw std::invalid_argument("BsdfFunctions: dtype: this module does not compute in " + dtype);
-}
-
-using Release = py::call_guard<py::gil_scoped_release>;
-
-}  // namespace
-
-void declare_bsdf_functions(py::module_ &m) {
-    py::class_<BsdfFunctions>(m, "BsdfFunctions", py::module_local())
-        .def(py::init(&make_bsdf_functions), py::arg("type"), py::arg("dtype"), py::arg("channels"), py::arg("choices"))
-        // Names of the continuous fields, and of those that are colours, that are variables, and whose luminance is
-        // one.
-        .def_property_readonly("fields",
-                               [](const BsdfFunctions &self) {
-                                   const BsdfInfo &info = self.info();
-                                   py::list all, colors, variables, luminance;
-                                   for (int i = 0; i < info.n_continuous; ++i) {
-                                       const py::str name(info.model->fields[i].name);
-                                       all.append(name);
-                                       if (info.use[i] == BsdfInfo::Color) colors.append(name);
-                                       if (i < info.n_differentiable) variables.append(name);
-                                       if (i == info.luminance_of) luminance.append(name);
-                                   }
-                                   return py::dict(py::arg("all") = all, py::arg("colors") = colors,
-                                                   py::arg("variables") = variables, py::arg("luminance") = luminance);
-                               })
-        .def_property_readonly("channels", &BsdfFunctions::channels)
-        .def_property_readonly("tabulated", [](const BsdfFunctions &self) { return self.info().tabulated; })
-        .def("eval", &BsdfFunctions::eval, Release())
-        .def("pdf", &BsdfFunctions::pdf, Release())
-        .def("sample", &BsdfFunctions::sample, Release())
-        .def("eval_derivative", &BsdfFunctions::eval_derivative, Release())
-        .def("direction_derivative", &BsdfFunctions::direction_derivative, Release());
 }
 
 }  // namespace tr

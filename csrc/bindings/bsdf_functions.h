@@ -2,8 +2,6 @@
 // what `tr.native_bsdf` is made of.
 #pragma once
 
-#include <pybind11/pybind11.h>
-
 #include "core/bsdf/bsdf.h"
 #include "native_scene.h"
 
@@ -31,6 +29,8 @@ public:
     virtual void direction_derivative(size_t n, const Addresses &params, const Arrays &) const = 0;
 };
 
-void declare_bsdf_functions(pybind11::module_ &m);
+// Of the model `type`; channels of colours: 1 or 3; dtype: as of make_scene.
+std::unique_ptr<BsdfFunctions> make_bsdf_functions(const std::string &type, const std::string &dtype, int channels,
+                                                   const std::vector<int32_t> &choices);
 
 }  // namespace tr

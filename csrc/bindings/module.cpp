@@ -1,15 +1,16 @@
 // The Python module: what this build is, its models, and the scene. Tensors come as addresses; Python has checked
-// shape, type, device and contiguity.
+// shape, type, device and contiguity. What includes pybind11 is a header of this file alone: it takes a compiler
+// seconds wherever it is included.
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 
 #include <array>
 
 #include "accel/embree_library.h"
-#include "bsdf_functions.h"
+#include "declare_bsdf_functions.h"
+#include "declare_scene.h"
 #include "host/models.h"
 #include "samplers.h"
-#include "scene.h"
 
 namespace py = pybind11;
 

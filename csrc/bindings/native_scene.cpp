@@ -255,7 +255,7 @@ private:
         call.spp = c.spp, call.sample_offset = c.sample_offset;
         call.threads = c.threads;
         call.ray_record = ray_record_.get();
-        call.interrupted = Interruption(c.progress);
+        call.interrupted = c.interrupted;
         return call;
     }
 

@@ -1,4 +1,5 @@
-#include "scene.h"
+// A scene as Python sees it: one class for all variants.
+#pragma once
 
 #include <pybind11/stl.h>
 
@@ -7,14 +8,11 @@
 #include "cpu/zeros.h"
 #include "host/normals.h"
 #include "native_scene.h"
-
-namespace py = pybind11;
+#include "read_config.h"
 
 namespace tr {
 
-namespace {
-
-SceneObjects read_objects(const py::dict &given) {
+inline SceneObjects read_objects(const py::dict &given) {
     SceneObjects objects;
     for (const auto &[category, list] : given) {
         auto &to = objects[category.cast<std::string>()];
@@ -28,14 +26,14 @@ SceneObjects read_objects(const py::dict &given) {
     return objects;
 }
 
-ParameterValues values(const Addresses &params, const std::vector<bool> &dirty) {
+inline ParameterValues values(const Addresses &params, const std::vector<bool> &dirty) {
     return {params, {dirty.begin(), dirty.end()}};
 }
 
-constexpr std::pair<const char *, RayKind> ray_kinds[] = {{"camera", RayKind::Camera},
-                                                          {"bounce", RayKind::Bounce},
-                                                          {"camera shadow", RayKind::CameraShadow},
-                                                          {"bounce shadow", RayKind::BounceShadow}};
+inline constexpr std::pair<const char *, RayKind> ray_kinds[] = {{"camera", RayKind::Camera},
+                                                                 {"bounce", RayKind::Bounce},
+                                                                 {"camera shadow", RayKind::CameraShadow},
+                                                                 {"bounce shadow", RayKind::BounceShadow}};
 
 using Release = py::call_guard<py::gil_scoped_release>;
 
@@ -54,9 +52,7 @@ auto rendering(RenderStats (NativeScene::*call)(const Config &, const ParameterV
     };
 }
 
-}  // namespace
-
-void declare_scene(py::module_ &m) {
+inline void declare_scene(py::module_ &m) {
     m.def(
         "vertex_normals",
         [](const std::string &dtype, uintptr_t positions, size_t n_vertices, uintptr_t faces, size_t n_faces,
