@@ -45,6 +45,7 @@ from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
 CSRC = ROOT / "csrc"
+PRECOMPILED = CSRC / "precompiled.h"
 
 # The levels x86-64-v2, -v3 and -v4 flag by flag: compilers older than GCC 11 or clang 12 do not know the names.
 V2_FLAGS = ["-msse4.2", "-mpopcnt", "-mcx16", "-msahf"]
@@ -204,24 +205,38 @@ class Ninja:
             "  description = link $what",
         ]
         self.targets: list[Path] = []
+        self.headers: list[Path] = []
 
     def _edge(self, rule: str, target: Path, inputs: list[Path], flags: list[str], implicit: list[Path]) -> None:
         line = f"build {escape(str(target))}: {rule} " + " ".join(escape(str(p)) for p in inputs)
         if implicit:
             line += " | " + " ".join(escape(str(p)) for p in implicit)
-        what = f"{target.parent.name}/{target.name}" if rule == "link" else str(target.relative_to(self.directory))[:-2]
+        compiled = target.relative_to(self.directory).with_suffix("")
+        what = f"{target.parent.name}/{target.name}" if rule == "link" else str(compiled)
         self.lines += [line, f"  flags = {shlex.join(flags).replace('$', '$$')}", f"  what = {what}"]
 
     def objects(self, sources: list[Path], folder: str, flags: list[str]) -> list[Path]:
         """Compile ``sources`` with ``flags`` into objects under ``folder``; returns the objects' paths."""
-        made = []
+        header, made = self.precompiled(folder, flags), []
+        # Found in the folder before the header of this name in csrc, which a compiler reads that cannot use it.
+        flags = [f"-I{header.parent}", "-include", PRECOMPILED.name, *flags] if header else flags
         for source in sources:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
             # The bindings hand rows and addresses on: optimised fully, pybind11's templates take a third longer.
             own = ["-O1"] if source.parent.name == "bindings" else []
-            self._edge("compile", target, [source], flags + own, [])
+            self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
         return made
+
+    def precompiled(self, folder: str, flags: list[str]) -> Path | None:
+        """What the sources of ``folder`` have in front of them. Not for ccache, which by default keeps nothing then."""
+        if any("ccache" in word for word in self.compiler):
+            return None
+        header = self.directory / folder / f"{PRECOMPILED.name}.gch"
+        if header not in self.headers:
+            self._edge("compile", header, [PRECOMPILED], [*flags, "-x", "c++-header"], [])
+            self.headers.append(header)
+        return header
 
     def link(self, target: Path, objects: list[Path], flags: list[str], implicit: list[Path] | None = None) -> None:
         self._edge("link", target, objects, flags + shlex.split(os.environ.get("LDFLAGS", "")), implicit or [])

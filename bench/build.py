@@ -45,11 +45,11 @@ class Edge:
 
     @property
     def file(self) -> str:
-        return self.target.partition("/")[2].removesuffix(".o")
+        return self.target.partition("/")[2].removesuffix(".o").removesuffix(".gch")
 
     @property
     def is_object(self) -> bool:
-        return self.target.endswith(".o")
+        return self.target.endswith((".o", ".gch"))
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -101,6 +101,8 @@ def test_folders_without_a_build_are_refused(tmp_path):
 
 
 def test_linked_files_belong_to_their_module():
-    edges = [build.Edge(name, 0, 1, 0) for name in ("_core_v2.cpython-311.so", "native_tests_v2", "v2/host/a.o")]
+    names = ("_core_v2.cpython-311.so", "native_tests_v2", "v2/host/a.o", "v2/precompiled.h.gch")
+    edges = [build.Edge(name, 0, 1, 0) for name in names]
     assert {edge.module for edge in edges} == {"v2"}
-    assert [edge.is_object for edge in edges] == [False, False, True]
+    assert [edge.is_object for edge in edges] == [False, False, True, True]
+    assert [edge.file for edge in edges[2:]] == ["host/a", "precompiled.h"]

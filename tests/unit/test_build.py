@@ -31,17 +31,18 @@ sleep 0.5
 echo > "$out"
 """
 SOURCES = ("accel/accel.cpp", "host/scene.cpp", "bindings/module.cpp")
+HEADER = "precompiled.h"  # compiled first, for all of them
 
 
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
-    """A project with this one's setup.py, three sources, and a compiler that compiles nothing."""
+    """A project with this one's setup.py, four files to compile, and a compiler that compiles nothing."""
     for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(ROOT / name, tmp_path / name)
     text = (tmp_path / "setup.py").read_text()
     assert "STILL = 30" in text
     (tmp_path / "setup.py").write_text(text.replace("STILL = 30", "STILL = 0.3"))
-    for name in SOURCES:
+    for name in (HEADER, *SOURCES):
         (tmp_path / "csrc" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "csrc" / name).write_text("")
     (tmp_path / "torchrender").mkdir()
@@ -68,11 +69,12 @@ def built(project: Path) -> list[str]:
 
 def test_progress_in_a_pipe(project):
     lines = built(project)
-    assert lines[0] == "torchrender: compiling 3 files, 2 at a time"
+    assert lines[0] == "torchrender: compiling 4 files, 2 at a time"
     finished = [line for line in lines if line.startswith("[")]
-    assert [line.partition("]")[0] for line in finished] == ["[1/4", "[2/4", "[3/4", "[4/4"]
-    assert {line.partition("compile ")[2] for line in finished[:3]} == {f"scalar/{name[:-4]}" for name in SOURCES}
-    assert finished[3].startswith("[4/4] link ")
+    assert [line.partition("]")[0] for line in finished] == ["[1/5", "[2/5", "[3/5", "[4/5", "[5/5"]
+    assert finished[0].endswith(f"compile scalar/{HEADER}")
+    assert {line.partition("compile ")[2] for line in finished[1:4]} == {f"scalar/{name[:-4]}" for name in SOURCES}
+    assert finished[4].startswith("[5/5] link ")
     still = [line for line in lines if line not in finished][1:]
     assert still and all(re.fullmatch(r"torchrender: still compiling, \d+ s so far", line) for line in still)
     assert list((project / "torchrender").glob("_core_scalar*"))
@@ -83,6 +85,15 @@ def test_a_second_build_says_nothing_and_a_changed_file_is_one(project):
     assert built(project) == []
     (project / "csrc" / SOURCES[0]).write_text("int changed;\n")
     assert built(project)[0] == "torchrender: compiling 1 file"
+    (project / "csrc" / HEADER).write_text("int changed;\n")
+    assert built(project)[0].startswith("torchrender: compiling 4 files")
+
+
+def test_no_precompiled_header_for_ccache(project):
+    (project / "compiler").rename(project / "ccache")
+    subprocess.run(COMMAND, cwd=project, env=environment(project) | {"CXX": str(project / "ccache")}, check=True)
+    assert not list(project.rglob("*.gch"))
+    assert "precompiled.h" not in next((project / "build").rglob("build.ninja")).read_text()
 
 
 def test_progress_in_a_terminal(project):
@@ -101,8 +112,8 @@ def test_progress_in_a_terminal(project):
             written += part
     os.close(ours)
     text = written.decode()
-    assert process.returncode == 0 and text.startswith("torchrender: compiling 3 files, 2 at a time\r\n")
-    assert "\r[0/4] compile scalar/" in text and "[4/4] link " in text and "still compiling" not in text
+    assert process.returncode == 0 and text.startswith("torchrender: compiling 4 files, 2 at a time\r\n")
+    assert "\r[0/5] compile scalar/" in text and "[5/5] link " in text and "still compiling" not in text
 
 
 def test_a_failed_build_ends_in_a_sentence(project):
