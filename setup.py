@@ -311,6 +311,8 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         flags = compile_flags(isa, sanitize)
         if not is_mac and "clang" not in os.path.basename(ninja.compiler[-1]):
             flags.append("-fno-gnu-unique")
+            # Of plain numbers these take a tenth of the time, and gain nothing.
+            flags += ["-fno-gcse", "-fno-tree-pre"] if isa == "scalar" and IS_X86 else []
         objects = ninja.objects(library_sources(), isa, flags)
         objects += ninja.objects(binding_sources(), isa, [*flags, *python_flags, f"-DTR_MODULE_NAME=_core_{isa}"])
         link = ["-bundle", "-undefined", "dynamic_lookup"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
