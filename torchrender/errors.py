@@ -58,12 +58,19 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return "known here: " + ", ".join(names)
 
 
+def close_to(word: str, known: Iterable[str]) -> str:
+    """The question whether a known word is meant that is near `word` but for its case; empty where none is."""
+    names = {name.lower(): name for name in sorted(known)}
+    close = difflib.get_close_matches(word.lower(), names, n=1, cutoff=0.6)
+    return f"; did you mean {names[close[0]]!r}?" if close else ""
+
+
 def describe(value: object) -> str:
     """What came, for an error message: type, and shape and dtype where there are any."""
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape is not None and dtype is not None:
         return f"a {type(value).__name__} of shape {tuple(shape)} and dtype {dtype}"
-    text = repr(value)
+    text = " ".join(repr(value).split())
     if len(text) > 60:
         text = text[:57] + "..."
     return f"{text} ({type(value).__name__})"
