@@ -59,10 +59,10 @@ def nearest(word: str, known: Iterable[str]) -> str:
 
 
 def close_to(word: str, known: Iterable[str]) -> str:
-    """The question whether a known word is meant that is near `word` but for its case; empty where none is."""
+    """The question whether known words are meant that are near `word` but for their case; empty where none is."""
     names = {name.lower(): name for name in sorted(known)}
-    close = difflib.get_close_matches(word.lower(), names, n=1, cutoff=0.6)
-    return f"; did you mean {names[close[0]]!r}?" if close else ""
+    close = difflib.get_close_matches(word.lower(), names, n=3, cutoff=0.6)
+    return "; did you mean " + " or ".join(repr(names[c]) for c in close) + "?" if close else ""
 
 
 def describe(value: object) -> str:

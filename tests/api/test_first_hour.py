@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from first_scene import make
+from first_scene import make, said
 from PIL import Image
 
 import torchrender as tr
@@ -168,6 +168,17 @@ def test_strands_of_equal_length():
         *range(6, 11),
         *range(12, 17),
     ]
+
+
+@pytest.mark.parametrize("bsdf", [{"type": "dielectric"}, {"type": "mask", "inner": {"type": "roughdielectric"}}])
+def test_curves_of_glass_are_warned_about_once(bsdf):
+    wire = {"type": "linearcurve", "control_points": [[-1.0, 0, 0], [1, 0, 0]], "radii": 0.1, "bsdf": bsdf}
+    wires = scene(sky={"type": "constant"}, wire=wire)
+    with pytest.warns(UserWarning, match="wire: light that refracts into a curve leaves it unbent"):
+        tr.render(wires, spp=1, size=(2, 2))
+    assert said(wires) == []
+    wires["wire"] = {**wire, "bsdf": {"type": "hair"}}
+    assert said(wires) == []
 
 
 # ------------------------------------------------------------------------------------------------------------ pictures
