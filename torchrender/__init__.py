@@ -103,7 +103,12 @@ def __getattr__(name: str) -> Any:
             value = registry.plugin_class(*known[name])
             globals()[name] = value
             return value
-    raise AttributeError(f"module 'torchrender' has no attribute {name!r}")
+    message = f"module 'torchrender' has no attribute {name!r}"
+    if not name.startswith("_"):
+        from .errors import close_to
+
+        message += close_to(name, (n for n in __dir__() if not n.startswith("_")))
+    raise AttributeError(message)
 
 
 def __dir__() -> list[str]:

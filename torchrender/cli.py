@@ -63,10 +63,12 @@ def _parser() -> argparse.ArgumentParser:
     render.add_argument("-o", "--output", required=True, type=Path, help=".exr, .hdr, .pfm, .png or .jpg")
     render.add_argument("--spp", type=_positive, help="samples a pixel (default: the camera's own)")
     render.add_argument("--size", type=_size, metavar="WxH", help="pixels, such as 640x480 (default: the film's own)")
-    render.add_argument("--seed", type=int, default=0, help="(default %(default)s)")
+    render.add_argument("--seed", type=_integer, default=0, help="(default %(default)s)")
     render.add_argument("--integrator", help="path, volpath, ptracer, direct, ... (default: the scene's own)")
     render.add_argument("--sensor", help="index or name of a camera (default: the first)")
-    render.add_argument("--exposure", type=float, default=0.0, help="of .png and .jpg, in stops (default %(default)g)")
+    render.add_argument(
+        "--exposure", type=_number, default=0.0, help="of .png and .jpg, in stops (default %(default)g)"
+    )
     _tonemap_argument(render)
     render.add_argument("--denoise", action="store_true", help="with Open Image Denoise (pip install pyoidn)")
     render.add_argument(
@@ -88,12 +90,12 @@ def _parser() -> argparse.ArgumentParser:
     compare.add_argument("first", type=Path, help="an image")
     compare.add_argument("second", type=Path, help="an image of the same size, which errors are relative to")
     compare.add_argument("-o", "--output", type=Path, help="a picture of the differences in false colours, .png")
-    compare.add_argument("--limit", type=float, help="status 1 if the relative root mean square error is above this")
+    compare.add_argument("--limit", type=_number, help="status 1 if the relative root mean square error is above this")
 
     view = command("view", _view, "write a PNG of an image with a high dynamic range, and say where it is")
     view.add_argument("image", type=Path, help="an image")
     view.add_argument("-o", "--output", type=Path, help="(default: beside the image, with .png for its ending)")
-    view.add_argument("--exposure", type=float, help="in stops (default: the 99th percentile becomes white)")
+    view.add_argument("--exposure", type=_number, help="in stops (default: the 99th percentile becomes white)")
     _tonemap_argument(view)
     return parser
 
@@ -109,15 +111,31 @@ def _tonemap_argument(parser: argparse.ArgumentParser) -> None:
 
 def _scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", type=Path, help="Mitsuba XML, glTF, OBJ, PLY or STL")
-    parser.add_argument("-D", "--define", action="append", default=[], metavar="NAME=VALUE", help="of an XML's $NAME")
+    parser.add_argument(
+        "-D", "--define", action="append", default=[], metavar="NAME=VALUE", help="value of $NAME in an XML file"
+    )
     parser.add_argument("--variant", choices=("rgb", "mono"), default="rgb", help="(default %(default)s)")
     parser.add_argument("--double", action="store_true", help="double precision")
     parser.add_argument("--substitute", action="store_true", help="replace what is not supported by something near it")
     parser.add_argument("--trusted", action="store_true", help="the file may name files outside of its folder")
 
 
+def _integer(text: str) -> int:
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected an integer, got {text!r}") from None
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"expected a number, got {text!r}") from None
+
+
 def _positive(text: str) -> int:
-    number = int(text)
+    number = _integer(text)
     if number < 1:
         raise argparse.ArgumentTypeError(f"expected at least 1, got {text}")
     return number
@@ -243,7 +261,10 @@ def _compare(options: argparse.Namespace) -> int:
         print(f"{name:26}{value:.6g}")
     if options.output is not None:
         print(f"{options.output}: black is 0, white {float(size.max()):.4g}")
-    return 1 if options.limit is not None and not relative <= options.limit else 0
+    if options.limit is None or relative <= options.limit:
+        return 0
+    print(f"relative to the second {relative:.6g}: above the limit {options.limit:g}", file=sys.stderr)
+    return 1
 
 
 def _view(options: argparse.Namespace) -> int:

@@ -58,12 +58,19 @@ def nearest(word: str, known: Iterable[str]) -> str:
     return "known here: " + ", ".join(names)
 
 
+def close_to(word: str, known: Iterable[str]) -> str:
+    """The question whether known words are meant that are near `word` but for their case; empty where none is."""
+    names = {name.lower(): name for name in sorted(known)}
+    close = difflib.get_close_matches(word.lower(), names, n=3, cutoff=0.6)
+    return "; did you mean " + " or ".join(repr(names[c]) for c in close) + "?" if close else ""
+
+
 def describe(value: object) -> str:
     """What came, for an error message: type, and shape and dtype where there are any."""
     shape, dtype = getattr(value, "shape", None), getattr(value, "dtype", None)
     if shape is not None and dtype is not None:
         return f"a {type(value).__name__} of shape {tuple(shape)} and dtype {dtype}"
-    text = repr(value)
+    text = " ".join(repr(value).split())
     if len(text) > 60:
         text = text[:57] + "..."
     return f"{text} ({type(value).__name__})"

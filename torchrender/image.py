@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
+import numpy as np
 import torch
 
 if TYPE_CHECKING:
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 TonemapName: TypeAlias = Literal["srgb", "filmic"]
 """How linear radiance becomes what is displayed: see `tonemap`."""
 TONEMAPS = ("srgb", "filmic")
+Images: TypeAlias = "torch.Tensor | np.ndarray | Sequence[torch.Tensor | np.ndarray]"
+"""One image, a batch, or several images: see `show`."""
 
 
 def linear_to_srgb(linear: torch.Tensor) -> torch.Tensor:
@@ -100,7 +103,7 @@ def tonemap(
         ValueError: if there is no such curve.
     """
     if not isinstance(image, torch.Tensor) or not image.is_floating_point():
-        raise TypeError(f"image: expected a floating-point tensor, got {_describe(image)}")
+        raise TypeError(f"image: expected a floating-point tensor, got {_named(image)}")
     check_tonemap("curve", curve)
     gain = torch.exp2(torch.as_tensor(exposure, dtype=image.dtype, device=image.device))
     if image.dim() >= 3 and image.shape[-1] == 4:
@@ -126,14 +129,12 @@ def to_bytes(image: torch.Tensor) -> torch.Tensor:
     return (torch.nan_to_num(image.detach(), nan=0.0).clamp(0, 1) * 255 + 0.5).to(torch.uint8).cpu()
 
 
-def show(
-    image: torch.Tensor | Sequence[torch.Tensor], exposure: float = 0.0, *, tonemap: TonemapName = "srgb"
-) -> Image | None:
+def show(image: Images, exposure: float = 0.0, *, tonemap: TonemapName = "srgb") -> Image | None:
     """Show linear images, several of them side by side.
 
     Args:
-        image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4; a sequence of them of one height; or a batch,
-            (B, H, W, C) or (B, C, H, W). Channels may come first in single images, too.
+        image: linear radiance of shape (H, W, C) or (H, W), C in 1, 3, 4, a tensor or an array of NumPy; a sequence of
+            them of one height; or a batch, (B, H, W, C) or (B, C, H, W). Channels may come first in single images, too.
         exposure: in stops.
         tonemap: ``"srgb"`` or ``"filmic"``, the `curve` of `tr.tonemap`.
 
@@ -158,7 +159,7 @@ def show(
 def log_images(
     writer: Any,
     tag: str,
-    images: torch.Tensor | Sequence[torch.Tensor],
+    images: Images,
     step: int | None = None,
     *,
     exposure: float = 0.0,
@@ -182,24 +183,29 @@ def log_images(
     if not callable(add):
         raise TypeError(
             "writer: expected a torch.utils.tensorboard.SummaryWriter, or something else with add_image, got "
-            f"{_describe(writer)}"
+            f"{_named(writer)}"
         )
     add(tag, side_by_side(images, exposure, tonemap, "images").movedim(-1, 0).contiguous(), step)
 
 
-def side_by_side(
-    image: torch.Tensor | Sequence[torch.Tensor], exposure: float, curve: TonemapName, where: str = "image"
-) -> torch.Tensor:
+def side_by_side(image: Images, exposure: float, curve: TonemapName, where: str = "image") -> torch.Tensor:
     """Pictures as `show` takes them, tone mapped, as one: uint8 (H, W, C), C = 3 or 4. Errors begin with `where`."""
     check_tonemap("tonemap", curve)
+    if isinstance(image, np.ndarray):
+        image = torch.from_numpy(image)
+    if not isinstance(image, Iterable) or isinstance(image, str):
+        raise TypeError(f"{where}: expected an image (H, W, C) or (H, W), or a sequence of images, got {_named(image)}")
     single = isinstance(image, torch.Tensor) and image.dim() != 4
     images = [image] if single else list(image)
     if not images:
         raise ValueError(f"{where}: expected an image or a non-empty sequence of images, got an empty sequence")
     tiles = []
     for tile in images:
+        tile = torch.from_numpy(tile) if isinstance(tile, np.ndarray) else tile
         if not isinstance(tile, torch.Tensor) or tile.dim() not in (2, 3):
-            raise TypeError(f"{where}: expected tensors of shape (H, W, C) or (H, W), got {_describe(tile)}")
+            raise TypeError(f"{where}: expected tensors of shape (H, W, C) or (H, W), got {_named(tile)}")
+        if tile.dtype == torch.uint8:
+            raise TypeError(f"{where}: expected linear radiance, got bytes, {_named(tile)}; they are a picture already")
         tile = tile.unsqueeze(-1) if tile.dim() == 2 else tile
         if tile.shape[-1] not in (1, 3, 4) and tile.shape[0] in (1, 3, 4):
             tile = tile.movedim(0, -1)
@@ -228,7 +234,7 @@ def _with_alpha(tile: torch.Tensor) -> torch.Tensor:
     return torch.cat([tile, torch.full_like(tile[..., :1], 255)], dim=-1)
 
 
-def _describe(value: object) -> str:
+def _named(value: object) -> str:
     if isinstance(value, torch.Tensor):
         return f"a tensor of dtype {value.dtype} and shape {tuple(value.shape)}"
     return type(value).__name__

@@ -53,6 +53,7 @@ from .render_types import (
     SamplerName,
     SensorLike,
 )
+from .scene.boundaries import warn_of_glass_on_curves
 from .scene.gather import gather, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
@@ -215,6 +216,7 @@ def render(
         from .black_pictures import warn_of_missing_light  # when it is needed: importing the package is to be quick
 
         warn_of_missing_light(scene, packed)
+        warn_of_glass_on_curves(scene)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
     if light:

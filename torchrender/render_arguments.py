@@ -95,7 +95,7 @@ def film_of_size(film: Film, size: Any) -> Film:
     """`film` with `size` (H, W) in place of its own; itself if that is None."""
     if size is None:
         return film
-    height, width = film_size(size, Context(path=("render", "size")))
+    height, width = film_size(size, Context(path=("render: size",)))
     return replace(film, width=width, height=height, crop=None)
 
 

@@ -60,7 +60,8 @@ def chosen_sensors(packed: Layout, sensor: Any, one_size: bool = True) -> tuple[
                 "render: sensor: the scene has no camera; pass one, such as PerspectiveCamera.look_at(...)"
             )
         if not -len(own) <= index < len(own):
-            raise ValueError(f"render: sensor: index {index}, but the scene has {len(own)} cameras")
+            count = "1 camera" if len(own) == 1 else f"{len(own)} cameras"
+            raise ValueError(f"render: sensor: index {index}, but the scene has {count}")
         found.append((index % len(own), own[index]))
     sizes = {camera.film.window[2:] for _, camera in found}
     if one_size and len(sizes) > 1:

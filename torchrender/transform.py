@@ -49,7 +49,10 @@ class _Chainable:
 
 
 def _vector(value: Any, name: str, broadcast: bool = False) -> torch.Tensor:
-    tensor = torch.as_tensor(plain(value), dtype=torch.float64)
+    try:
+        tensor = torch.as_tensor(plain(value), dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError):
+        raise ValueError(f"{name}: expected three numbers, got {describe(value)}") from None
     if broadcast and tensor.ndim == 0:
         tensor = tensor.expand(3)
     if tensor.shape != (3,):
@@ -175,7 +178,8 @@ def as_matrix(value: Any, size: int, name: str) -> torch.Tensor:
         keep = torch.tensor([0, 1, 3])
         matrix = matrix[keep][:, keep]
     if matrix.shape != (size, size):
-        raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}")
+        hint = "; a place is tr.Transform.translate([x, y, z])" if matrix.shape == (3,) and size == 4 else ""
+        raise ValueError(f"{name}: expected a {size}x{size} matrix, got {describe(value)}{hint}")
     if not bool(torch.isfinite(matrix.detach()).all()):
         raise ValueError(f"{name}: the matrix has entries that are not finite")
     return matrix

@@ -93,7 +93,8 @@ def test_compare(capsys, tmp_path):
     for name, content in (("a", image), ("b", other)):
         tr.io.write_image(tmp_path / f"{name}.exr", content)
     a, b = tmp_path / "a.exr", tmp_path / "b.exr"
-    status, out, _ = run(capsys, "compare", b, a, "-o", tmp_path / "d.png", "--limit", 0.1)
+    status, out, err = run(capsys, "compare", b, a, "-o", tmp_path / "d.png", "--limit", 0.1)
+    assert err == "relative to the second 0.365148: above the limit 0.1\n"
     found = {line[:26].strip(): line[26:] for line in out.splitlines()}
     error = (1 / 30) ** 0.5
     assert status == 1  # beyond the limit
@@ -103,7 +104,8 @@ def test_compare(capsys, tmp_path):
     assert float(found["mean difference"]) == pytest.approx(1 / 30, rel=1e-5)
     picture = tr.io.read_image(tmp_path / "d.png", raw=True)
     assert picture.shape == (6, 5, 3) and float(picture[2, 3].min()) > 0.8 and int((picture.sum(-1) > 0).sum()) == 1
-    assert run(capsys, "compare", b, a, "--limit", 0.4)[0] == 0
+    status, _, err = run(capsys, "compare", b, a, "--limit", 0.4)
+    assert status == 0 and err == ""
     assert run(capsys, "compare", a, a, "--limit", 0)[0] == 0
     tr.io.write_image(b, image[:3])
     assert run(capsys, "compare", a, b) == (1, "", f"torchrender: {a} is (6, 5, 3), but {b} is (3, 5, 3)\n")
@@ -128,6 +130,9 @@ ERRORS = {
     "integrator": (("render", BOX, "-o", "a.png", "--integrator", "pathh"), 1, "did you mean 'path'"),
     "size": (("render", BOX, "-o", "a.png", "--size", "64"), 2, "expected WIDTHxHEIGHT, such as 640x480, got '64'"),
     "samples": (("render", BOX, "-o", "a.png", "--spp", "0"), 2, "expected at least 1, got 0"),
+    "samples in words": (("render", BOX, "-o", "a.png", "--spp", "x"), 2, "--spp: expected an integer, got 'x'"),
+    "seed": (("render", BOX, "-o", "a.png", "--seed", "1.5"), 2, "--seed: expected an integer, got '1.5'"),
+    "exposure": (("view", "a.exr", "--exposure", "x"), 2, "--exposure: expected a number, got 'x'"),
     "command": (("draw",), 2, "invalid choice: 'draw'"),
 }
 

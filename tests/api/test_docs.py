@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import torchrender as tr
-from torchrender.scene import derivatives
+from torchrender.scene import derivatives, registry
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -72,6 +72,16 @@ def test_examples_of_the_readme_run(tmp_path, monkeypatch, capsys):
     # The optimisation finds the red of the wall again (albedo 0.57, 0.04, 0.04), to what 24 x 24 pixels tell.
     assert namespace["red"].detach().tolist() == pytest.approx([0.57, 0.04, 0.04], abs=0.1)
     assert (tmp_path / "ball.png").exists()
+
+
+def test_the_readme_misses_nothing_that_is_there():
+    """No kind of shape, material or light that dicts have stands in the list of what is missing."""
+    missing = (ROOT / "README.md").read_text().partition("## What is not there yet")[2].partition("\n## ")[0]
+    assert "Spectral" in missing
+    kinds = {kind for kind, category in registry.scene_types().items() if category in ("shape", "bsdf", "emitter")}
+    words = {word.lower().removesuffix("s") for word in re.findall(r"[A-Za-z]{5,}", missing)}
+    words.discard("instance")  # there are copies; what is missing are true ones
+    assert not {word for word in words if any(kind.endswith(word) for kind in kinds)}
 
 
 def prose(page: Path) -> str:

@@ -69,7 +69,7 @@ CASES = [
     (diffuse([0.1, -0.5, 0.2]), "a.bsdf.reflectance.value: -0.5 is outside"),
     (diffuse(float("nan")), "a.bsdf.reflectance.value: has values that are not finite"),
     (diffuse([0.1, 0.2]), "a.bsdf.reflectance.* a colour of three numbers"),
-    (diffuse("red"), "a.bsdf.reflectance: expected numbers, got 'red'"),
+    (diffuse("red"), "a.bsdf.reflectance: expected a number, a colour, .*got 'red'"),
     (diffuse(None), None),  # None is "not given"
     (diffuse(torch.tensor([1 + 2j])), "a.bsdf.reflectance: expected real numbers"),
     (diffuse({"type": "rgb", "value": [1, 2]}), "rgb: expected three numbers"),

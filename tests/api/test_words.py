@@ -36,7 +36,7 @@ def test_size_makes_films_alike():
         tr.render(scene, spp=1, sensor=[0, 1])
     assert tr.render(scene, spp=1, sensor=[0, 1], size=(3, 4)).shape == (2, 3, 4, 3)
     for size, text in ((7, "expected \\(height, width\\)"), ((0, 3), "at least 1"), ((2.5, 3), "an integer")):
-        with pytest.raises(ValueError, match=f"render.size: {text}|render.size: expected {text}"):
+        with pytest.raises(ValueError, match=f"render: size: {text}|render: size: expected {text}"):
             tr.render(scene, spp=1, size=size)
 
 

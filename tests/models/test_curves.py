@@ -224,7 +224,7 @@ def test_saved_and_loaded(kind, tmp_path, file):
 REFUSED = [
     ({}, "give one of control_points and filename; got none"),
     ({"control_points": [[0.0, 0, 0, 1]] * 3}, r"curve.control_points: a bsplinecurve has at least 4, got 3"),
-    ({"control_points": [[0.0, 0, 0]] * 4}, r"expected an array of shape \(N, 4\), the radius in the last column, or"),
+    ({"control_points": [[0.0, 0, 0]] * 4}, r"expected an array of shape \(N, 4\) or \(M, K, 4\), the radius in"),
     ({"control_points": [[0.0, 0, 0, 1]] * 4, "radii": 1}, r"control_points: expected an array of shape \(N, 3\)"),
     ({"control_points": [[0.0, 0, 0]] * 4, "radii": [1.0] * 3}, r"radii: expected one number or an array"),
     ({"control_points": [[0.0, 0, 0]] * 4, "radii": -1}, r"-1 is outside the range \[0, inf\] of radii"),

@@ -184,7 +184,9 @@ def write_image(
         exr.write_exr(path, {"": _named_channels(path, image, channels)}, half)
         return
     if channels is not None or isinstance(image, (Mapping, tuple)):
-        raise ValueError(f"{path}: only EXR files have named channels")
+        fields = getattr(image, "_fields", None)
+        hint = f"; write one output, such as found.{fields[0]}" if fields else ""
+        raise ValueError(f"{path}: only EXR files have named channels{hint}")
     pixels = as_pixels("image", cast("torch.Tensor", image))
     if pixels.shape[-1] not in _DEFAULT_NAMES and (hint := advice(pixels)):
         raise ValueError(f"image: expected shape (H, W, C), got {pixels.shape}{hint}")

@@ -16,6 +16,7 @@ import torch
 
 from ..errors import describe
 from ..image import TonemapName, check_tonemap
+from ..transform import single
 from ._files import writable_file
 from .image import advice, as_pixels, display_values
 
@@ -82,6 +83,7 @@ def write_video(
     if raw and tonemap != "srgb":
         raise ValueError(f"tonemap: {tonemap!r} is for frames without raw=True")
     gif = path.suffix.lower() == ".gif"
+    fps, quality = single(fps), single(quality)
     if isinstance(fps, bool) or not isinstance(fps, (int, float)) or not 0 < fps <= (50 if gif else 1000):
         raise ValueError(
             f"fps: expected a number above 0, at most {50 if gif else 1000} for {path.suffix}, got {fps!r}"

@@ -106,7 +106,8 @@ def load_dict(
     """
     made_device = _settings("load_dict", variant, dtype, device)
     if not isinstance(description, Mapping):
-        raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}")
+        hint = "; tr.load_file reads files" if isinstance(description, (str, os.PathLike)) else ""
+        raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}{hint}")
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
     if description["type"] == "scene":
@@ -147,9 +148,16 @@ def load_file(
         trusted: the file may use files outside of its own folder, such as textures in ``../textures``. By default that
             is refused: a scene from elsewhere should not choose which files are read.
         parameters: values for the ``$parameters`` of an XML file.
+
+    Raises:
+        FileNotFoundError: if there is no such file, or one that it names is missing.
+        TypeError, ValueError: naming the file, the line or the place in the scene, and what was expected.
     """
     _settings("load_file", variant, dtype, device)
     _substituting("load_file", unsupported)
+    if not isinstance(path, (str, os.PathLike)):
+        hint = "; tr.load_dict takes dicts" if isinstance(path, Mapping) else ""
+        raise TypeError(f"load_file: path: expected a file name, got {describe(path)}{hint}")
     file = Path(path)
     if not file.exists():
         raise FileNotFoundError(f"load_file: no such file: {file}")
@@ -181,7 +189,16 @@ def from_trimesh(
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
 ) -> Scene:
-    """A scene from a `trimesh.Trimesh` or `trimesh.Scene`: meshes with their materials, a camera and a light."""
+    """A scene from a `trimesh.Trimesh` or `trimesh.Scene`: meshes with their materials, a camera and a light.
+
+    Args:
+        geometry: what to load. A camera that sees all of it, and a constant light, are added where it has none.
+        variant, dtype, device: as for `load_dict`.
+
+    Raises:
+        TypeError: if it is neither.
+        ValueError: if it holds no triangles.
+    """
     from . import geometry as loader
 
     _settings("from_trimesh", variant, dtype, device)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from ..errors import describe
 from ..io._files import existing_file, reading
 from ..transform import Transform
 from . import gltf
@@ -280,7 +281,8 @@ def _from_trimesh(obj: Any, name: str, header: dict[str, Any] | None) -> dict[st
     if isinstance(obj, trimesh.Trimesh):
         obj = trimesh.Scene(obj)
     if not isinstance(obj, trimesh.Scene):
-        raise TypeError(f"obj: expected a trimesh.Trimesh or trimesh.Scene, got {type(obj).__name__}")
+        hint = "; tr.load_file reads files" if isinstance(obj, (str, os.PathLike)) else ""
+        raise TypeError(f"geometry: expected a trimesh.Trimesh or trimesh.Scene, got {describe(obj)}{hint}")
     materials = Materials(name, header)
     shapes: dict[str, Any] = {}
     corners, taken = [], {"type", "integrator", "sensor", "light"}

@@ -1,4 +1,4 @@
-"""What media need before they are rendered: phase functions in their range, closed shapes around them."""
+"""What media and glass need before they are rendered: phase functions in their range, closed shapes around them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,14 @@ import torch
 
 from ..errors import warn_once
 from .context import Context
+from .curves import Curve
 from .mesh import Mesh
 from .packing import Layout
 from .plugin import Plugin
 from .scene import Scene
 from .validation import check_range
 
+_GLASS = ("dielectric", "roughdielectric", "anisotropicdielectric")
 # Odd constants of 64 bits with irregular digits, as signed numbers.
 _ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8796714831421723037)
 
@@ -55,6 +57,17 @@ def warn_of_open_boundaries(scene: Scene, layout: Layout) -> None:
                     "turn the same way round, and the medium leaks there"
                 )
                 warn_once(scene.warned, f"{name}: open", text)
+
+
+def warn_of_glass_on_curves(scene: Scene) -> None:
+    """One UserWarning for each curve that refracts: its inside is not met, so that light bends once, not twice."""
+    for name, shape in scene._modules.items():
+        if isinstance(shape, Curve) and any(getattr(m, "type", None) in _GLASS for m in shape.modules()):
+            text = (
+                f"{name}: light that refracts into a curve leaves it unbent, since rays meet curves from outside only; "
+                "a cylinder or a mesh is of glass on both sides, and hair has the BSDF 'hair'"
+            )
+            warn_once(scene.warned, f"{name}: glass", text)
 
 
 def edge_sum(mesh: Mesh) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 import torch
 from torch import nn
@@ -75,7 +75,8 @@ def check_names(plugin: Plugin, properties: Mapping[str, Any], ctx: Context) -> 
             continue
         is_built = registry.is_plugin(value) or isinstance(value, Reference)
         if not (nested and (is_built or (isinstance(value, Mapping) and "type" in value))):
-            ctx.error(f"{plugin.type} has no parameter {name!r}; {nearest(str(name), plugin.parameter_names())}")
+            hint = plugin.elsewhere.get(name) or nearest(str(name), plugin.parameter_names())
+            ctx.error(f"{plugin.type} has no parameter {name!r}; {hint}")
 
 
 def check_required(plugin: Plugin, ctx: Context) -> None:
@@ -218,6 +219,24 @@ def _daylight(value: Mapping[str, Any], ctx: Context) -> Plugin | Reference:
     return child
 
 
+def _refuse_word(word: str, category: str | None, ctx: Context) -> NoReturn:
+    """ValueError for a word where an object belongs, with the dict that is probably meant."""
+    types = registry.scene_types()
+    hint = f"the object with this id is {{'type': 'ref', 'id': {word!r}}}"
+    if word in types and category in (None, types[word]):
+        hint = f"an object of this type is {{'type': {word!r}}}"
+    elif category == "texture" and "." in word:
+        hint = f"an image file is {{'type': 'bitmap', 'filename': {word!r}}}"
+    elif category == "volume" and "." in word:
+        hint = f"a file of voxels is {{'type': 'gridvolume', 'filename': {word!r}}}"
+    expected = {
+        "texture": "a number, a colour, texels or a texture",
+        "volume": "a number, a colour, voxels or a volume",
+    }
+    what = expected.get(category or "", f"a {category or 'nested object'} (a dict or a built object)")
+    ctx.error(f"expected {what}, got {describe(word)}; {hint}")
+
+
 def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Reference:
     """`value` as an object of `category` (any if None).
 
@@ -252,15 +271,31 @@ def child_of(value: Any, category: str | None, ctx: Context) -> Plugin | Referen
                 ctx.error(f"expected a {category or 'nested object'}, got a colour")
             return registry.constant(value, ctx)
         return registry.build(value, ctx, category)
+    if isinstance(value, str):
+        _refuse_word(value, category, ctx)
     if category == "texture":
-        tensor = values.floating(value, ctx)
-        if tensor.ndim == 3:
-            return registry.build({"type": "bitmap", "data": value, "raw": True}, ctx, "texture")
+        if type(value).__module__.partition(".")[0] == "PIL":
+            return registry.build({"type": "bitmap", "bitmap": value}, ctx, "texture")
+        dimensions = values.floating(value, ctx).ndim
+        if dimensions == 3:
+            return registry.build({"type": "bitmap", "data": value}, ctx, "texture")
+        if dimensions > 1:
+            ctx.error(
+                f"expected a number, a colour of three numbers or texels (H, W, C), got {describe(value)}"
+                + ("; texels (H, W) of one channel are value[..., None]" if dimensions == 2 else "")
+            )
         return registry.constant(value, ctx)
     if category == "volume":
-        if values.floating(value, ctx).ndim in (3, 4):
+        dimensions = values.floating(value, ctx).ndim
+        if dimensions in (3, 4):
             return registry.build({"type": "gridvolume", "data": value}, ctx, "volume")
+        if dimensions > 1:
+            ctx.error(
+                "expected a number, a colour of three numbers or voxels (Z, Y, X) or (Z, Y, X, C), got "
+                f"{describe(value)}"
+            )
         return registry.build({"type": "constvolume", "value": value}, ctx, "volume")
     if type(value).__module__.partition(".")[0] == "trimesh":
         ctx.error(f"{describe(value)} becomes a shape by tr.Mesh(vertices=mesh.vertices, faces=mesh.faces)")
-    ctx.error(f"expected a {category or 'nested object'} (a dict or a built object), got {describe(value)}")
+    hint = f"; it is a class, of which {value.__name__}(...) makes an object" if isinstance(value, type) else ""
+    ctx.error(f"expected a {category or 'nested object'} (a dict or a built object), got {describe(value)}{hint}")

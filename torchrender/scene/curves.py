@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
 
 from ..errors import describe
 from . import values
+from .construction import check_names
 from .context import Context
 from .declaration import Field
 from .registry import register
@@ -32,6 +33,7 @@ class Curve(Shape):
         return ["control_points", "radii", "segment_indices", "filename", "to_world", "bsdf"]
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
+        check_names(self, {k: v for k, v in properties.items() if k not in self.parameter_names()}, ctx)
         given = [n for n in ("control_points", "filename") if properties.get(n) is not None]
         if len(given) != 1:
             ctx.error(f"give one of control_points and filename; got {' and '.join(given) or 'none'}")
@@ -41,7 +43,7 @@ class Curve(Shape):
                 if properties.get(name) is not None:
                     ctx.at(name).error("the file has them; give control_points in place of filename")
             rest |= self._from_file(properties["filename"], ctx.at("filename"))
-        points, radii = _points_and_radii(rest.pop("control_points"), rest.pop("radii", None), ctx)
+        points, radii, strands = _points_and_radii(rest.pop("control_points"), rest.pop("radii", None), ctx)
         matrix = properties.get("to_world")
         if matrix is not None:  # in double precision, so that the same dict gives the same curve in all scenes
             double = Context(ctx.color, torch.float64, ctx.device, ctx.path, ctx.folder)
@@ -49,9 +51,10 @@ class Curve(Shape):
             points = (points.to(torch.float64) @ matrix[:3, :3].T + matrix[:3, 3]).to(points.dtype)
         segments = rest.pop("segment_indices", None)
         if segments is None:
-            if len(points) <= self.order:
-                ctx.at("control_points").error(f"a {self.type} has at least {self.order + 1}, got {len(points)}")
-            segments = torch.arange(len(points) - self.order)
+            each = len(points) // max(strands, 1)
+            if each <= self.order:
+                ctx.at("control_points").error(f"a {self.type} has at least {self.order + 1}, got {each}")
+            segments = (torch.arange(strands)[:, None] * each + torch.arange(each - self.order)).flatten()
         segments = self._segments(segments, len(points), ctx.at("segment_indices"))
         return {**rest, "control_points": points, "radii": radii, "segment_indices": segments}
 
@@ -139,9 +142,11 @@ class BSplineCurve(Curve):
     segments, both from 0 to 1; the tangent dp/du goes around. Rays meet curves from outside only.
 
     Args:
-        control_points: (N, 3); with `radii` in a fourth column (N, 4) or flat (4 N,), as Mitsuba has them.
-        radii: (N,) or one number, at least 0.
-        segment_indices: (S,) integers, the first control point of each segment; without them all points are one curve.
+        control_points: (N, 3), or (M, K, 3) for M strands of K points, which become one after the other (N, 3); with
+            `radii` in a fourth column (N, 4), (M, K, 4) or flat (4 N,), as Mitsuba has them.
+        radii: (N,), (M, K) or one number, at least 0.
+        segment_indices: (S,) integers, the first control point of each segment; without them all points,
+            or those of each strand, are one curve.
         filename: a text file in place of these: ``x y z radius`` a line, an empty line between two curves.
         to_world: 4x4 matrix applied once to the points, when the curve is made; radii stay.
         bsdf: material; a curve cannot emit.
@@ -159,10 +164,11 @@ class LinearCurve(Curve):
     around. Rays meet curves from outside only.
 
     Args:
-        control_points: (N, 3), centres of the spheres; with `radii` in a fourth column (N, 4) or flat (4 N,), as
-            Mitsuba has them.
-        radii: (N,) or one number, at least 0.
-        segment_indices: (S,) integers, the first control point of each segment; without them all points are one curve.
+        control_points: (N, 3), centres of the spheres, or (M, K, 3) for M strands of K points, which become one after
+            the other (N, 3); with `radii` in a fourth column (N, 4), (M, K, 4) or flat (4 N,), as Mitsuba has them.
+        radii: (N,), (M, K) or one number, at least 0.
+        segment_indices: (S,) integers, the first control point of each segment; without them all points,
+            or those of each strand, are one curve.
         filename: a text file in place of these: ``x y z radius`` a line, an empty line between two curves.
         to_world: 4x4 matrix applied once to the points, when the curve is made; radii stay.
         bsdf: material; a curve cannot emit.
@@ -172,22 +178,32 @@ class LinearCurve(Curve):
     order = 1
 
 
-def _points_and_radii(points: Any, radii: Any, ctx: Context) -> tuple[torch.Tensor, torch.Tensor]:
-    """(N, 3) and (N,) from what is given, with radii in a fourth column or by themselves."""
+def _points_and_radii(points: Any, radii: Any, ctx: Context) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """(N, 3) and (N,) from what is given, with radii in a fourth column or by themselves, and the number of strands."""
+    if isinstance(points, Sequence) and len({len(p) for p in points if getattr(p, "ndim", 0) == 2}) > 1:
+        ctx.at("control_points").error(
+            "got strands of different lengths: give them one after the other (N, 3), and segment_indices, or a file"
+        )
     tensor = values.floating(points, ctx.at("control_points"))
+    strands = 1
+    if tensor.ndim == 3:
+        strands, tensor = len(tensor), tensor.flatten(0, 1)
     if radii is None and tensor.ndim == 1 and len(tensor) % 4 == 0:
         tensor = tensor.reshape(-1, 4)
     width = 4 if radii is None else 3
     if tensor.ndim != 2 or tensor.shape[1] != width:
-        expected = "(N, 4), the radius in the last column, or (N, 3) and radii" if radii is None else "(N, 3)"
+        expected = "(N, 4) or (M, K, 4), the radius in the last column, or (N, 3) or (M, K, 3) and radii"
+        expected = expected if radii is None else "(N, 3) or (M, K, 3)"
         ctx.at("control_points").error(f"expected an array of shape {expected}, got {describe(points)}")
     if not bool(torch.isfinite(tensor.detach()).all()):
         ctx.at("control_points").error("has values that are not finite")
     if radii is None:
-        return tensor[:, :3].contiguous(), tensor[:, 3].contiguous()
+        return tensor[:, :3].contiguous(), tensor[:, 3].contiguous(), strands
     own = values.floating(radii, ctx.at("radii"))
+    if own.ndim == 2 and own.shape == (strands, len(tensor) // max(strands, 1)):
+        own = own.flatten()
     if own.ndim == 0:
         own = own.expand(len(tensor))
     if own.shape != tensor.shape[:1]:
         ctx.at("radii").error(f"expected one number or an array of shape ({len(tensor)},), got {describe(radii)}")
-    return tensor.contiguous(), own.contiguous()
+    return tensor.contiguous(), own.contiguous(), strands

@@ -6,6 +6,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
+import torch
+
 from . import values
 from .context import Context
 from .plugin import Plugin
@@ -104,6 +107,8 @@ class _Turning(_Layer):
             if isinstance(given, Mapping) and given.get("type") == "bitmap":
                 raw = values.boolean(given.get("raw", True), ctx.at(name).at("raw"))
                 properties[name] = {**given, "raw": raw}
+            elif isinstance(given, (torch.Tensor, np.ndarray)) and given.ndim == 3:
+                properties[name] = {"type": "bitmap", "data": given, "raw": True}
         return properties
 
     def check(self, ctx: Context) -> None:

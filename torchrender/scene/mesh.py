@@ -83,6 +83,11 @@ class Mesh(Shape):
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         positions = properties.pop("vertices", properties.pop("vertex_positions", None))
+        if type(positions).__module__.partition(".")[0] == "trimesh" and hasattr(positions, "faces"):
+            ctx.at("vertices").error(
+                f"got {describe(positions)}: give its arrays, tr.Mesh(mesh.vertices, mesh.faces), or make it a scene "
+                "with its material by tr.from_trimesh(mesh)"
+            )
         if positions is None or "faces" not in properties:
             ctx.error("a mesh needs vertices (V, 3) and faces (F, 3)")
         positions = _rows(positions, 3, ctx.at("vertices"))

@@ -40,6 +40,7 @@ class Plugin(nn.Module):
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {}  # documented parameters without effect here: accepted values
     noted: ClassVar[dict[str, str]] = {}  # of those, what is said of a value that would have an effect elsewhere
     unsupported: ClassVar[tuple[str, ...]] = ()  # documented parameters that are not supported
+    elsewhere: ClassVar[dict[str, str]] = {}  # names that people look for here: what the error says in place of a guess
     words: ClassVar[tuple[str, ...]] = ()  # of scene dicts, which `prepare` turns into fields also when assigned
     open: ClassVar[bool] = False  # whether an object takes attributes of any name, as modules of users do
 

@@ -23,7 +23,8 @@ def resolve_references(scene: nn.Module, ctx: Context) -> None:
     own = {name: module for name, module in scene._modules.items() if isinstance(module, Plugin)}
     by_id.update(own)
     for module in own.values():
-        by_id.setdefault(module.__dict__.get("_key", ""), module)
+        if key := module.__dict__.get("_key"):
+            by_id.setdefault(key, module)
 
     def lookup(identifier: str, where: Context) -> Plugin:
         found = by_id.get(identifier) or by_id.get(identifier + "_")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import Any, ClassVar, cast
 
 from torch.utils.data._utils.collate import default_collate_fn_map
 
@@ -12,11 +12,20 @@ from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
 from .plugin import Plugin
 from .registry import DOCUMENTED, plugin_class, register
 
+_SIZE = "the size is that of its film, {'type': 'hdrfilm', 'width': 640, 'height': 480}, or render(..., size=(H, W))"
+_SAMPLES = "their number is that of its sampler, {'type': 'independent', 'sample_count': 64}, or render(..., spp=64)"
+_POSE = "where it is and looks is its 'to_world', tr.Transform.look_at(origin, target, up)"
+
 
 class Sensor(Plugin):
     """A film, and how it is sampled."""
 
     category = "sensor"
+    elsewhere: ClassVar[dict[str, str]] = {
+        **dict.fromkeys(("width", "height", "size", "resolution"), _SIZE),
+        **dict.fromkeys(("spp", "samples", "sample_count"), _SAMPLES),
+        **dict.fromkeys(("look_at", "lookat", "origin", "target", "up", "position"), _POSE),
+    }
 
     film: Film
     sampler: Sampler | None

@@ -50,7 +50,8 @@ class Bitmap(Plugin):
 
     Args:
         filename: image file; colours of 8 and 16 bit files are decoded from sRGB unless `raw`.
-        data: texels (H, W, C), C = 1 or 3, or (H, W); floating-point values are taken as they are (linear).
+        data: texels (H, W, C), C = 1 or 3, or (H, W); floating-point values are taken as they are (linear), bytes and
+            16-bit integers as an image file would hold them.
         bitmap: an image object or array, in place of the two.
         raw: do not decode sRGB.
         filter_type: ``"bilinear"`` or ``"nearest"``.

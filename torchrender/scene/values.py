@@ -120,7 +120,9 @@ def image(value: Any, ctx: Context) -> torch.Tensor:
     if tensor.ndim == 2:
         tensor = tensor[..., None]
     if tensor.ndim != 3 or tensor.shape[-1] not in (1, 2, 3, 4) or 0 in tensor.shape:
-        ctx.error(f"expected texels of shape (H, W, C) with 1 to 4 channels and H, W > 0, got {describe(value)}")
+        first = tensor.ndim == 3 and tensor.shape[0] in (1, 3, 4) and min(tensor.shape) > 0
+        hint = ", which looks like (C, H, W): C comes last here" if first else ""
+        ctx.error(f"expected texels of shape (H, W, C) with 1 to 4 channels and H, W > 0, got {describe(value)}{hint}")
     return to_channels(tensor, ctx).contiguous()
 
 
