@@ -54,7 +54,8 @@ from .render_types import (
     SensorLike,
 )
 from .scene.boundaries import warn_of_glass_on_curves
-from .scene.gather import gather, replace_placeholder
+from .scene.derivatives import moves_outlines
+from .scene.gather import gather, has_derivative, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
@@ -99,6 +100,8 @@ def render(
     sampler: SamplerName | None = None,
     range: RangeMode = "warn",
     progress: bool | None = None,
+    visibility: bool = True,
+    spp_visibility: int | None = None,
     on_interrupt: InterruptMode = "raise",
 ) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
@@ -158,6 +161,9 @@ def render(
         range: parameters that have left their physical range, such as an albedo that an optimiser has made 1.2:
             ``"warn"`` with a `RangeWarning`, once for each, which looks at the first few changes of a value and then at
             one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.
+        visibility: whether derivatives of shapes and cameras have the motion of silhouettes and creases that the camera
+            sees, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
+        spp_visibility: samples of outlines a pixel for it; None takes a quarter of `spp_grad`, at least 1; 0 none.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
         on_interrupt: what Ctrl-C does: ``"raise"`` KeyboardInterrupt, or ``"return"`` a picture of the samples that are
@@ -185,6 +191,10 @@ def render(
         raise ValueError("render: pixels and crop are both given; pixels count from the corner of the whole image")
     check_words(layout, nan, sampler, range)
     check_kinds_of_derivative(adaptive_grad, correlated)
+    if not isinstance(visibility, bool):
+        raise TypeError(f"render: visibility: expected True or False, got {describe(visibility)}")
+    if spp_visibility is not None:
+        spp_visibility = count("spp_visibility", spp_visibility, 0)
     if progress is not None and not isinstance(progress, bool):
         raise TypeError(f"render: progress: expected True, False or None, got {describe(progress)}")
     passes = count("passes", passes)
@@ -225,6 +235,8 @@ def render(
         warn_of_beams(scene, packed)
     if shows_radiance and packed.media:
         check_media(scene, packed, tensors, volumetric)
+    outlines = visibility and shows_radiance and spp_visibility != 0
+    outlines = outlines and not (light or volumetric or packed.torch_bsdfs)  # whose radiance the core does not know
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in steps(cameras, "views", progress):
@@ -268,7 +280,14 @@ def render(
             second_moment="second_moment" in names or (stack is not None and stack.second_moment),
             statistics=scene.statistics,
             requirements=GradientRequirements(
-                packed, scene.warned, alpha, volumetric, steady=light and film.filter.type == "box", particles=light
+                packed,
+                scene.warned,
+                alpha,
+                volumetric,
+                steady=light and film.filter.type == "box",
+                particles=light,
+                outlines=outlines,
+                silent=not visibility,
             ),
             film=film,
             features=shown,
@@ -291,9 +310,12 @@ def render(
             from .wavefront.function import wavefront_call
 
             traced = wavefront_call(scene, call, integrator_config, of_torch)
-            views.append(_view(scene, call, names, stack, used, functools.partial(traced.apply, used)))
+            radiance: Callable[[], Any] = functools.partial(traced.apply, used)
         else:
-            views.append(_view(scene, call, names, stack, used, functools.partial(RenderFunction.apply, call, *used)))
+            radiance = functools.partial(RenderFunction.apply, call, *used)
+        if outlines:
+            radiance = functools.partial(_with_outlines, scene, call, spp_visibility, used, radiance)
+        views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
 
@@ -355,6 +377,32 @@ def _view(
     if others:
         found.update(first_hits(scene, call, others, tensors))
     return found
+
+
+def _with_outlines(
+    scene: Scene,
+    call: RenderCall,
+    spp: int | None,
+    tensors: list[torch.Tensor],
+    radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
+) -> torch.Tensor | tuple[torch.Tensor, ...]:
+    """`radiance` with the derivative of outlines that the camera sees, where something that moves them may have one."""
+    result = radiance()
+    slots = call.layout.slots
+    if not any(has_derivative(t) for t, s in zip(tensors, slots, strict=True) if moves_outlines(s)):
+        return result
+    from .visibility.boundary import BoundaryFunction, boundary_of  # when it is needed
+
+    boundary = boundary_of(scene, call, max(1, call.spp_grad // 4) if spp is None else spp, tensors)
+    if boundary is None:
+        return result
+    term = BoundaryFunction.apply(boundary, *tensors)
+    if not isinstance(result, tuple):
+        return result + term
+    image, *rest = result
+    if call.alpha:
+        return image + term[0], rest[0] + term[1], *rest[1:]
+    return image + term, *rest
 
 
 def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:

@@ -88,6 +88,8 @@ class RendererSettings(TypedDict, total=False):
     sampler: SamplerName | None
     range: RangeMode
     progress: bool | None
+    visibility: bool
+    spp_visibility: int | None
     on_interrupt: InterruptMode
 
 

@@ -29,8 +29,8 @@ RECTANGLE_FACES = ((0, 1, 2), (0, 2, 3))
 class SurfacePoints:
     """Points on surfaces: `t` (N,), `position`, `normal`, `shading_normal` (N, 3), `uv`, `barycentric` (N, 2).
 
-    On curves `barycentric` is the azimuth in turns and the place along the segment, on a grid of distances the place in a
-    cell; on other curved shapes it repeats the texture coordinates.
+    On curves `barycentric` is the azimuth in turns and the place along the segment, on a grid of distances the place in
+    a cell; on other curved shapes it repeats the texture coordinates.
     """
 
     t: torch.Tensor

@@ -106,6 +106,7 @@ inline void declare_scene(py::module_ &m) {
             py::arg("objects"), py::arg("shapes"), py::arg("indices"), py::arg("previous") = nullptr)
         .def("counters", &NativeScene::counters, Release())
         .def("render", rendering(&NativeScene::render))
+        .def("render_rays", rendering(&NativeScene::rays))
         .def("render_vjp", rendering(&NativeScene::reverse))
         .def("render_jvp", rendering(&NativeScene::forward))
         .def("render_aov", rendering(&NativeScene::aov))

@@ -70,6 +70,16 @@ public:
         return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums});
     }
 
+    RenderStats rays(const Config &c, const ParameterValues &values, size_t n, const std::array<uintptr_t, 4> &rays,
+                     const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        auto at = [&](size_t k) { return reinterpret_cast<const S *>(rays[k]); };
+        const GivenRays<S> given{n, at(0), at(1), at(2), reinterpret_cast<const uint32_t *>(rays[3])};
+        return render_rays<S>(call(c), given, reinterpret_cast<S *>(out.at("image")),
+                              reinterpret_cast<S *>(out.at("alpha")));
+    }
+
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);

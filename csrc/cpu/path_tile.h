@@ -29,11 +29,16 @@ public:
         if (config_.volumetric) media_.emplace(wavefront, capacity, derivative != nullptr);
     }
 
+    // The first n slots, whose rays follow.
+    void begin(size_t n) {
+        n_slots_ = uint32_t(n);
+        wavefront.queues[0].n = 0;
+    }
+
     // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
     void start(size_t n, bool skip_zero_adjoint) {
-        n_slots_ = uint32_t(n);
+        begin(n);
         PathQueue<S> &queue = wavefront.queues[0];
-        queue.n = 0;
         PathContext<F> c = wavefront.context(false);
         for (uint32_t i = 0; i < n_slots_; i += W)
             start_paths(c, S(call_.film_width), S(call_.film_height), skip_zero_adjoint, i, n_slots_, queue);

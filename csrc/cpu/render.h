@@ -108,6 +108,19 @@ RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivat
 template <class S>
 RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
+// Rays with origins and unit directions (n, 3), and lengths; a key (n) stands for the pixel of a ray in what its random
+// numbers depend on.
+template <class S>
+struct GivenRays {
+    size_t n;
+    const S *o, *d, *length;
+    const uint32_t *key;
+};
+
+// Radiance (n, values) along rays in the place of those of a camera, and whether they see something (n).
+template <class S>
+RenderStats render_rays(const RenderCall<S> &call, const GivenRays<S> &rays, S *radiance, S *alpha);
+
 // The same by light tracing, without alpha and variance.
 template <class S>
 RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums = nullptr);

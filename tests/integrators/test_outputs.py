@@ -302,8 +302,9 @@ def test_coverage_of_moving_surfaces_is_warned_about_once():
     (matrix,) = scene.train_only("*.to_world")[:1]
     with pytest.warns(tr.MissingTermWarning) as caught:
         tr.render(scene, spp=1)
-        found = tr.render(scene, spp=1, outputs=("alpha",))
-        tr.render(scene, spp=1, outputs=("alpha",))
+        found = tr.render(scene, spp=1, outputs=("alpha",), spp_visibility=0)
+        tr.render(scene, spp=1, outputs=("alpha",), spp_visibility=0)
+        assert tr.render(scene, spp=1, outputs=("alpha",)).alpha.requires_grad
     assert [("alpha carries no derivative" in str(w.message)) for w in caught] == [False, True]
     assert matrix.requires_grad and not found.alpha.requires_grad
 

@@ -213,7 +213,8 @@ def test_what_moves_is_part_of_it():
     for scene, integrator in ((ours, wavefront()), (theirs, tr.PathTracer(3))):
         values = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in names}
         with pytest.warns(tr.MissingTermWarning, match="ball.center"):
-            image = tr.render(scene, integrator=integrator, seed=6, params=values)
+            # of silhouettes that the camera sees scenes with a TorchBSDF have no derivative
+            image = tr.render(scene, integrator=integrator, seed=6, params=values, spp_visibility=0)
         gradients.append(torch.autograd.grad(image.square().sum(), list(values.values())))
     for name, found, expected in zip(names, *gradients, strict=True):
         torch.testing.assert_close(found, expected, rtol=1e-8, atol=1e-11, msg=name)

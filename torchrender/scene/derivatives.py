@@ -74,6 +74,13 @@ def moves_rays(slot: Slot) -> bool:
     return slot.module.type == "mesh_attribute"
 
 
+def moves_outlines(slot: Slot) -> bool:
+    """Whether silhouettes, as a camera sees them, depend on a parameter."""
+    shading = ("vertex_normals", "vertex_texcoords")
+    own = slot.module.category == "sensor" or slot.attribute in slot.module.fields()
+    return slot.module.category in ("shape", "sensor") and own and slot.attribute not in shading
+
+
 PAGE = """# Which derivatives there are
 
 Made from the native declaration of the models, by
@@ -88,8 +95,11 @@ How things move: what a ray of the camera, or one that was reflected or refracte
 surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material
 form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020); those on an
 `sdfgrid` stay in the direction in which they are seen. So the derivative with respect to the place of an area light, or
-of a wall of a convex room, is complete but for the edges of shadows. What depends on the object: `to_uv` of a bitmap
-with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse surfaces.
+of a wall of a convex room, is complete but for the edges of shadows. Silhouettes and creases of
+meshes, spheres, disks and cylinders that the camera sees move with them, in radiance and alpha; other outputs,
+`tr.ParticleTracer` and scenes with a `tr.TorchBSDF` lack that, and so does `visibility=False`. What depends on the
+object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
+surfaces.
 
 `tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
 rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of

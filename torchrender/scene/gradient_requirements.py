@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from ..errors import MissingTermWarning, NotDifferentiableError, depth_outside
 from .derivatives import moves_rays, refusal_of
-from .packing import Layout
+from .packing import Layout, Slot
 
+EDGES = "shadow edges"  # in the declarations of what moves things
 COVERAGE = "outputs: alpha"  # among the names that were warned about
 
 STEADY = (
@@ -31,6 +32,9 @@ class GradientRequirements:
         volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
         steady: the image is splatted by light paths with a filter that has no derivative.
         particles: it is splatted by light paths.
+        outlines: whether the motion of silhouettes and creases that the camera sees is in the derivative; False also of
+            those who do not want to hear of it, see `silent`.
+        silent: missing motion of edges is not warned about.
     """
 
     layout: Layout
@@ -39,6 +43,8 @@ class GradientRequirements:
     volumetric: bool = False
     steady: bool = False
     particles: bool = False
+    outlines: bool = False
+    silent: bool = False
 
     def check(self, indices: Iterable[int]) -> None:
         """For the slots of these `indices`: NotDifferentiableError, or one MissingTermWarning for all of them.
@@ -60,7 +66,9 @@ class GradientRequirements:
             if refusal:
                 refuse(slot.name, refusal)
             if slot.caveat and slot.name not in self.warned and self._source(i) not in asked:
-                lacking.setdefault(slot.caveat, []).append(slot.name)
+                caveat = self._caveat(slot)
+                if caveat:
+                    lacking.setdefault(caveat, []).append(slot.name)
         if unused:
             self.warned.update(unused)
             text = f"{_listing(unused)}: nothing in the scene uses this, so that its gradient is zero"
@@ -73,11 +81,26 @@ class GradientRequirements:
                 clauses.append(
                     f"the derivative with respect to {_listing(names)} is without {missing}, which is {zero}"
                 )
-        if self.alpha and COVERAGE not in self.warned and any(self._moves(i) for i in asked):
+        if (
+            self.alpha
+            and not self.outlines
+            and not self.silent
+            and COVERAGE not in self.warned
+            and any(self._moves(i) for i in asked)
+        ):
             self.warned.add(COVERAGE)
             clauses.append("alpha carries no derivative: that of coverage consists of moving silhouettes alone")
         if clauses:
             warnings.warn("; ".join(clauses), MissingTermWarning, stacklevel=depth_outside())
+
+    def _caveat(self, slot: Slot) -> str:
+        """What this rendering's derivative lacks, and when that is zero; empty if nothing is to be said."""
+        if self.silent and EDGES in slot.caveat:
+            return ""
+        if self.outlines or EDGES not in slot.caveat or "silhouettes, " in slot.caveat:
+            return slot.caveat
+        seen = "the motion of silhouettes and creases that are seen directly, of "
+        return slot.caveat.replace("the motion of ", seen, 1)
 
     def _has_grids(self) -> bool:
         return any(kind == "sdfgrid" for kind, _, _ in self.layout.objects["shape"])

@@ -6,8 +6,11 @@
 namespace tr {
 
 constexpr const char *GeometryEdges =
-    "interior, without the motion of silhouettes, of shadow edges, and of creases and jumps of textures that are seen "
-    "directly; zero where there are none or both sides of them are of equal colour";
+    "interior, without the motion of shadow edges, of silhouettes that reflected light meets, and of jumps of textures "
+    "that are seen directly; zero where there are none or both sides of them are of equal colour";
+constexpr const char *CurvedEdges =
+    "interior, without the motion of silhouettes, of shadow edges, and of jumps of textures that are seen directly; "
+    "zero where there are none or both sides of them are of equal colour";
 constexpr const char *GridEdges =
     "interior, without the motion of silhouettes, of shadow edges and, with analytic normals, of the creases between "
     "cells; zero where there are none or both sides of them are of equal colour";
@@ -71,9 +74,9 @@ struct HeightFieldModel {
     static constexpr const char *Interpolations[] = {"bspline", "bilinear", nullptr};
     enum { ToWorld, Heights, Interpolation, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, CurvedEdges,
          "from the square [-1, 1]^2 and heights along +z to the world"},
-        {"heights", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges,
+        {"heights", Kind::Tensor, None, -INFINITY, INFINITY, CurvedEdges,
          "(H, W), over the square like the texels of a bitmap: row 0 at v = 0, clamped outside"},
         {"interpolation", Kind::Int, 0, 0, 1, "", "bspline: a cubic B-spline with these control values",
          Interpolations},
@@ -91,8 +94,8 @@ struct HeightFieldModel {
 struct CurveFields {
     enum { ControlPoints, Radii, Segments, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
-        {"control_points", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "(N, 3), world space"},
-        {"radii", Kind::Tensor, None, 0, INFINITY, GeometryEdges, "(N,), at the control points"},
+        {"control_points", Kind::Tensor, None, -INFINITY, INFINITY, CurvedEdges, "(N, 3), world space"},
+        {"radii", Kind::Tensor, None, 0, INFINITY, CurvedEdges, "(N,), at the control points"},
         {"segments", Kind::Indices, None, 0, INFINITY, "", "the first control point of each segment (S,)"},
         {"bsdf", Kind::Bsdf, -1, 0, INFINITY, "", ""},
         {"emitter", Kind::Emitter, -1, 0, INFINITY, "", "refused: curves cannot emit"},

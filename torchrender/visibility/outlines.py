@@ -1,0 +1,216 @@
+"""Which outlines a camera may see: pieces of edges, contours and rims, and points on them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from ..surface import CYLINDER, DISK, MESH, SPHERE, Surfaces, inverse_linear, transform_point, transform_vector
+from .edges import Edges, EdgeTable, edge_table
+
+PIXELS = 16.0  # length of a piece on the film
+MOST = 256  # pieces of an edge or contour
+CONTOUR, RIM, LOWER_RIM, UPPER_RIM, LEFT_LINE, RIGHT_LINE = range(6)
+CURVES_OF = {SPHERE: (CONTOUR,), DISK: (RIM,), CYLINDER: (LOWER_RIM, UPPER_RIM, LEFT_LINE, RIGHT_LINE)}
+
+
+@dataclass
+class Viewpoint:
+    """Where rays of a camera come from: a `point` (3,) with a lens of a `radius` around it, or a `direction` (3,)."""
+
+    point: torch.Tensor | None
+    direction: torch.Tensor
+    radius: float = 0.0
+
+    def towards(self, points: torch.Tensor) -> torch.Tensor:
+        """Vectors from the camera to points (N, 3)."""
+        return self.direction.expand_as(points) if self.point is None else points - self.point
+
+
+@dataclass
+class Pieces:
+    """Parts of outlines: what they are part of, their interval of its parameter, and their weights when one is chosen.
+
+    `edge` is a row of the edges, or -1; of a quadric then `shape` and `curve` (CONTOUR ...) say which outline it is.
+    """
+
+    edge: torch.Tensor
+    shape: torch.Tensor
+    curve: torch.Tensor
+    begin: torch.Tensor
+    end: torch.Tensor
+    weight: torch.Tensor
+
+    def __getitem__(self, rows: torch.Tensor) -> Pieces:
+        return Pieces(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
+
+
+@dataclass
+class OutlinePoints:
+    """Points on outlines: `position` (N, 3), which may be attached; its derivative by the parameter, `along` (N, 3).
+
+    `valid`: there is one, and an outline or a crease it is.
+    """
+
+    position: torch.Tensor
+    along: torch.Tensor
+    valid: torch.Tensor
+
+
+class Outlines:
+    """The outlines of a scene's surfaces.
+
+    Args:
+        surfaces: the scene's, attached to parameters.
+        table: the edges as they were found before, if they still hold.
+        moves: (S,) bool, which shapes' outlines are wanted.
+    """
+
+    def __init__(self, surfaces: Surfaces, table: EdgeTable | None, moves: torch.Tensor) -> None:
+        self.surfaces = surfaces
+        self.positions = surfaces.positions.detach()
+        if table is None or not table.holds(self.positions):
+            table = edge_table(surfaces.faces, self.positions)
+        self.table = table
+        self.moves = moves
+        meshes = (surfaces.kind == MESH).nonzero()[:, 0]
+        begins = surfaces.first_face[meshes].contiguous()
+        faces = torch.arange(len(surfaces.faces))
+        self.shape_of_face = meshes[torch.searchsorted(begins, faces, right=True) - 1] if len(meshes) else faces
+        corner = self.positions[surfaces.faces]
+        normal = torch.linalg.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
+        self.face_normals = torch.nn.functional.normalize(normal, dim=1)
+
+    def candidates(self, view: Viewpoint) -> tuple[Edges, torch.Tensor]:
+        """Edges of meshes that can be outlines or creases from there, and a weight for each.
+
+        Creases, of which both faces are seen, are those where normals, materials or texture coordinates jump.
+        """
+        edges = self.table.plain
+        if len(self.table.fans):
+            edges = _joined(edges, self.table.fans)
+        edges = edges.rows(self.moves[self.shape_of_face[edges.face]].any(1))
+        n0, n1 = self.face_normals[edges.face[:, 0]], self.face_normals[edges.face[:, 1]]
+        towards = view.towards(self.positions[edges.v0[:, 0]])
+        s0, s1 = (n0 * towards).sum(1), (n1 * towards).sum(1)
+        margin = view.radius + 1e-6 * torch.linalg.vector_norm(towards, dim=1)
+        same = ((s0 > margin) & (s1 > margin)) | ((s0 < -margin) & (s1 < -margin))
+        shape = self.shape_of_face[edges.face[:, :2]]
+        split = (edges.v0[:, 0] != edges.v0[:, 1]) | (edges.v1[:, 0] != edges.v1[:, 1]) | (shape[:, 0] != shape[:, 1])
+        bend = 1 - (n0 * n1).sum(1)
+        flat = ~self.surfaces.smooth[shape[:, 0]] & (bend > 1e-6)
+        crease = torch.where(split | flat, bend.clamp(0.05, 1.0), torch.zeros_like(bend))
+        weight = torch.where((edges.count != 2) | ~same, torch.ones_like(bend), crease)
+        kept = weight > 0
+        return edges.rows(kept), weight[kept]
+
+    def whole(self, view: Viewpoint) -> tuple[Edges, Pieces]:
+        """All outlines uncut: candidate edges, and contours and rims of quadrics that move."""
+        edges, weight = self.candidates(view)
+        n = len(edges)
+        quadrics = [
+            (index, curve)
+            for index, kind in enumerate(self.surfaces.kind.tolist())
+            for curve in CURVES_OF.get(kind, ())
+            if bool(self.moves[index])
+        ]
+        zero, none = torch.zeros(n + len(quadrics), dtype=weight.dtype), torch.full((n + len(quadrics),), -1)
+        edge, shape, curve = none.clone(), none.clone(), none.clone()
+        edge[:n] = torch.arange(n)
+        if quadrics:
+            shape[n:], curve[n:] = torch.tensor(quadrics).T
+        ones = torch.ones(len(quadrics), dtype=weight.dtype)
+        return edges, Pieces(edge, shape, curve, zero, zero + 1, torch.cat([weight, ones]))
+
+    def points(
+        self, edges: Edges, pieces: Pieces, s: torch.Tensor, origin: torch.Tensor, parallel: bool, exact: bool = True
+    ) -> OutlinePoints:
+        """Points at parameters s (N,) of the outlines that pieces belong to.
+
+        Args:
+            origin: (N, 3) where rays come from, or, `parallel`, their directions.
+            exact: whether what is no outline from there, nor a crease, is told apart.
+        """
+        on_edge, rest = (pieces.edge >= 0).nonzero()[:, 0], (pieces.edge < 0).nonzero()[:, 0]
+        rows, found = [on_edge, rest], []
+        found.append(self._on_edges(edges.rows(pieces.edge[on_edge]), s[on_edge], origin[on_edge], parallel, exact))
+        found.append(
+            self._on_quadrics(pieces.shape[rest], pieces.curve[rest], s[rest], origin[rest].detach(), parallel)
+        )
+        back = torch.argsort(torch.cat(rows))
+        return OutlinePoints(*(torch.cat([getattr(f, n) for f in found])[back] for n in ("position", "along", "valid")))
+
+    def _on_edges(
+        self, edges: Edges, s: torch.Tensor, origin: torch.Tensor, parallel: bool, exact: bool
+    ) -> OutlinePoints:
+        there = (torch.arange(edges.v0.shape[1]) < edges.count[:, None]).to(s.dtype)[..., None]
+        share = there / edges.count[:, None, None]  # copies of a vertex share its motion
+        a, b = ((self.surfaces.positions[v] * share).sum(1) for v in (edges.v0, edges.v1))
+        position, along = a + (b - a) * s[:, None], (b - a).detach()
+        valid = torch.ones_like(s, dtype=torch.bool)
+        if exact:  # all faces on one side of the plane through ray and edge; or a crease, whatever its sides
+            towards = origin if parallel else position.detach() - origin
+            across = torch.linalg.cross(towards, along)
+            third = self.positions[edges.third] - a.detach()[:, None]
+            side = (third * across[:, None]).sum(2)
+            outline = ~((side > 0).any(1) & (side < 0).any(1))
+            shape = self.shape_of_face[edges.face]
+            split = (edges.v0 != edges.v0[:, :1]).any(1) | (edges.v1 != edges.v1[:, :1]).any(1)
+            split = split | (shape != shape[:, :1]).any(1)
+            valid = outline | split | ~self.surfaces.smooth[shape[:, 0]]
+        return OutlinePoints(position, along, valid)
+
+    def _on_quadrics(
+        self, shape: torch.Tensor, curve: torch.Tensor, s: torch.Tensor, origin: torch.Tensor, parallel: bool
+    ) -> OutlinePoints:
+        matrix = self.surfaces.to_world[shape]
+        plain = matrix.detach()
+        inverse = inverse_linear(plain)
+        o = transform_vector(inverse, origin if parallel else origin - plain[:, :3, 3])
+        round_, line = curve == CONTOUR, curve >= LEFT_LINE
+        flat = torch.where(round_[:, None], o, o * o.new_tensor([1.0, 1.0, 0.0]))  # of a cylinder across its axis
+        square = (flat * flat).sum(1)
+        valid = square > 0 if parallel else (square > 1) | ~(round_ | line)
+        length = torch.where(valid, square, torch.ones_like(square)).sqrt()[:, None]
+        axis = flat / length
+        # the circle (pair of points) of tangency: its centre and radius
+        near = (
+            torch.zeros_like(length) if parallel else torch.where(valid[:, None], 1 / length, torch.zeros_like(length))
+        )
+        radius = (1 - near * near).clamp(min=0.0).sqrt()
+        sign = torch.where(axis[:, 2:] < 0, -1.0, 1.0).to(axis.dtype)  # Duff et al. 2017
+        a = -1 / (sign + axis[:, 2:])
+        b = axis[:, :1] * axis[:, 1:2] * a
+        u = torch.cat([1 + sign * axis[:, :1] ** 2 * a, sign * b, -sign * axis[:, :1]], 1)
+        v = torch.cat([b, sign + axis[:, 1:2] ** 2 * a, -axis[:, 1:2]], 1)
+        phi = 2 * math.pi * s[:, None]
+        zero, one = torch.zeros_like(phi), torch.ones_like(phi)
+        contour = axis * near + (u * phi.cos() + v * phi.sin()) * radius
+        around = (v * phi.cos() - u * phi.sin()) * radius * (2 * math.pi)
+        height = (curve == UPPER_RIM).to(s.dtype)[:, None]
+        rim = torch.cat([phi.cos(), phi.sin(), height], 1)
+        along_rim = torch.cat([-phi.sin(), phi.cos(), zero], 1) * (2 * math.pi)
+        across = torch.cat([-axis[:, 1:2], axis[:, :1], zero], 1) * torch.where(curve == LEFT_LINE, 1.0, -1.0)[
+            :, None
+        ].to(s)
+        side = axis * near + across * radius + torch.cat([zero, zero, s[:, None]], 1)
+        local = torch.where(round_[:, None], contour, torch.where(line[:, None], side, rim))
+        along = torch.where(
+            round_[:, None], around, torch.where(line[:, None], torch.cat([zero, zero, one], 1), along_rim)
+        )
+        return OutlinePoints(transform_point(matrix, local), transform_vector(plain, along), valid)
+
+
+def _joined(a: Edges, b: Edges) -> Edges:
+    """Both, as wide as the wider."""
+    width = max(a.v0.shape[1], b.v0.shape[1])
+
+    def padded(x: torch.Tensor) -> torch.Tensor:
+        return torch.cat([x, x[:, :1].expand(-1, width - x.shape[1])], 1)
+
+    def both(name: str) -> torch.Tensor:
+        return torch.cat([padded(getattr(a, name)), padded(getattr(b, name))])
+
+    return Edges(both("v0"), both("v1"), both("third"), both("face"), torch.cat([a.count, b.count]))
