@@ -1,0 +1,88 @@
+"""The wanted pixels of a film, and what places on it get of them and give to them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import torch
+
+from ..render_call import RenderCall
+from ..wavefront.film import filter_weight
+
+
+class FilmPlaces:
+    """The wanted pixels as an image of their own rectangle, with radiance and, in the last channel, alpha."""
+
+    def __init__(self, call: RenderCall) -> None:
+        self.filter = call.film.filter
+        self.reach = 0 if self.filter.type == "box" else max(1, math.ceil(self.filter.reach - 0.5))
+        self.y0, self.x0, self.height, self.width = call.config["crop"]
+        self.channels = call.native.channels + 1
+        self.where: torch.Tensor | None = None
+        if call.pixels is not None:
+            chosen = torch.as_tensor(call.pixels, dtype=torch.int64)
+            self.where = chosen[:, 0] * self.width + chosen[:, 1]
+        top, left, rows, columns = call.config["window"]
+        y = self._integral(self.y0, self.height, top, rows)
+        x = self._integral(self.x0, self.width, left, columns)
+        self.normal = (y[:, None] * x)[..., None]
+
+    def _integral(self, first: int, count: int, begin: int, size: int) -> torch.Tensor:
+        """Of the filter of each pixel along an axis, over the part of the film that has samples."""
+        if self.reach == 0:
+            return torch.ones(count, dtype=torch.float64)
+        steps = 64
+        offset = (torch.arange(-self.reach * steps, (self.reach + 1) * steps, dtype=torch.float64) + 0.5) / steps
+        value = filter_weight(self.filter, offset - 0.5) / steps
+        at = first + torch.arange(count)[:, None] + offset
+        return (value * ((at >= begin) & (at < begin + size))).sum(1)
+
+    def empty(self) -> torch.Tensor:
+        return torch.zeros(self.height, self.width, self.channels, dtype=torch.float64)
+
+    def near_wanted(self, x: torch.Tensor, y: torch.Tensor, reach: int) -> torch.Tensor:
+        """1 within `reach` of a wanted pixel, and where a place is not known; else 0."""
+        wanted = torch.zeros(1, 1, self.height, self.width)
+        wanted.view(-1)[self.where] = 1
+        near = torch.nn.functional.max_pool2d(wanted, 2 * reach + 1, 1, reach)[0, 0]
+        known = torch.isfinite(x + y)
+        row = torch.nan_to_num(y, 0, 0, 0).clamp(0, self.height - 1).long()
+        column = torch.nan_to_num(x, 0, 0, 0).clamp(0, self.width - 1).long()
+        return torch.where(known, near[row, column].to(x.dtype), torch.ones_like(x))
+
+    def add(self, image: torch.Tensor, values: torch.Tensor, channels: slice) -> None:
+        """Values (n, C) of the wanted pixels."""
+        flat = image.view(-1, self.channels)[:, channels]
+        if self.where is None:
+            flat += values
+        else:
+            flat.index_add_(0, self.where, values.to(flat.dtype))
+
+    def results(self, image: torch.Tensor) -> torch.Tensor:
+        flat = image.view(-1, self.channels)
+        return flat if self.where is None else flat[self.where]
+
+    def _taps(self, place: torch.Tensor) -> Iterator[tuple[torch.Tensor, torch.Tensor]]:
+        """Pixels around places (N, 2) and their weights, zero outside."""
+        corner = torch.floor(place).long()
+        for dy in range(-self.reach, self.reach + 1):
+            row = corner[:, 1] + dy
+            wy = filter_weight(self.filter, row + 0.5 - place[:, 1])
+            for dx in range(-self.reach, self.reach + 1):
+                column = corner[:, 0] + dx
+                weight = wy * filter_weight(self.filter, column + 0.5 - place[:, 0])
+                y, x = row - self.y0, column - self.x0
+                inside = (y >= 0) & (y < self.height) & (x >= 0) & (x < self.width)
+                index = torch.where(inside, y * self.width + x, torch.zeros_like(y))
+                yield index, torch.where(inside, weight, torch.zeros_like(weight))[:, None]
+
+    def collect(self, image: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
+        """What samples at places (N, 2) get of the pixels that they reach: (N, C)."""
+        flat = image.view(-1, self.channels)
+        return sum((flat[index] * weight for index, weight in self._taps(place)), torch.zeros(1, dtype=flat.dtype))
+
+    def splat(self, image: torch.Tensor, place: torch.Tensor, values: torch.Tensor) -> None:
+        flat = image.view(-1, self.channels)
+        for index, weight in self._taps(place):
+            flat.index_add_(0, index, values.to(flat.dtype) * weight)

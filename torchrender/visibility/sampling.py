@@ -1,0 +1,237 @@
+"""Samples of the outlines that a camera sees, and the colours on both sides of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from ..render_call import RenderCall
+from ..scene.camera_rays import Rays
+from ..scene.scene import Scene
+from ..seeds import mix
+from ..wavefront.world import World
+from .film_places import film_places
+from .film_sums import FilmPlaces
+from .outlines import MOST, PIXELS, Outlines, Pieces, Viewpoint
+
+STREAM = 0x766973  # tells the seed of outlines from those of paths
+CHUNK = 1 << 13  # samples at a time: in the cache, and too few for torch to share them among threads
+SIDE = 2.0**-9  # how far beside an outline its colours are looked at, in pixels
+
+
+@dataclass
+class BoundaryCall:
+    """The boundary term of one rendering: `spp` samples a wanted pixel; `moves`: by shape, whether it may move."""
+
+    call: RenderCall
+    scene: Scene
+    spp: int
+    moves: torch.Tensor
+
+
+def samples(
+    boundary: BoundaryCall, params: Sequence[torch.Tensor]
+) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+    """In chunks: jumps of colour and alpha with all weights (N, C + 1), rates (N,), attached, and film places (N, 2).
+
+    They are the same in both modes, so that these agree to rounding.
+    """
+    call = boundary.call
+    sampler = _Sampler(boundary, params)
+    sampler.prepare()
+    if sampler.total <= 0:
+        return
+    wanted = math.prod(call.size)
+    for number, config in enumerate(call.configs(derivative=True)):
+        generator = torch.Generator().manual_seed(mix(config["seed"], STREAM) >> 1)
+        count = boundary.spp * wanted
+        first = float(torch.rand((), generator=generator, dtype=torch.float64))
+        for begin in range(0, count, CHUNK):
+            n = min(CHUNK, count - begin)
+            at = (begin + torch.arange(n, dtype=torch.float64) + first) / count
+            key = torch.arange(begin, begin + n, dtype=torch.int64) + number * count
+            yield from sampler.draw(at, key, config, 1.0 / (count * call.passes), generator)
+            sampler.world.begin()
+
+
+class _Sampler:
+    """Outlines of the scene as one camera sees them."""
+
+    def __init__(self, boundary: BoundaryCall, params: Sequence[torch.Tensor]) -> None:
+        call = boundary.call
+        self.call = call
+        self.sensor, self.size = call.config["sensor"], call.config["film_size"]
+        self.world = World(boundary.scene, call.layout, call.native, params, moving=True)
+        self.record = self.world.records["sensor"][self.sensor]
+        self.parallel = self.record.type == "orthographic"
+        known = call.layout.edges
+        table = known[1] if known is not None and known[0] == call.layout.index_key() else None
+        self.outlines = Outlines(self.world.surfaces, table, boundary.moves)
+        call.layout.edges = (call.layout.index_key(), self.outlines.table)
+        to_world = self.world.tensor("sensor", self.record, "to_world").detach()
+        radius = 0.0
+        if self.record.type == "thinlens":
+            radius = float(self.world.tensor("sensor", self.record, "aperture_radius").detach())
+            radius *= float(torch.linalg.matrix_norm(to_world[:3, :3], 2))
+        self.view = Viewpoint(None if self.parallel else to_world[:3, 3], to_world[:3, 2], radius)
+        self.total = 0.0
+
+    def prepare(self) -> None:
+        """Cut outlines into pieces, and weigh these by their length on the film, where pixels there are wanted."""
+        with torch.no_grad():
+            self.edges, whole = self.outlines.whole(self.view)
+            length, _, seen = self._on_film(whole, 8)
+            number = torch.where(seen, (length / PIXELS).ceil(), torch.zeros_like(length)).clamp(0, MOST).long()
+            number = torch.where(seen & (whole.edge < 0), number.clamp(min=32), number)
+            rows = torch.arange(len(number)).repeat_interleave(number)
+            first = (torch.cumsum(number, 0) - number)[rows]
+            step = (torch.arange(len(rows)) - first).to(whole.begin.dtype)
+            pieces, parts = whole[rows], number[rows].to(whole.begin.dtype)
+            pieces.begin, pieces.end = step / parts, (step + 1) / parts
+            length, middle, seen = self._on_film(pieces, 2)
+            _, _, height, width = self.call.config["crop"]
+            length = length.clamp(max=float(height + width))
+            weight = pieces.weight * torch.where(seen, length, torch.zeros_like(length))
+            film = FilmPlaces(self.call)
+            margin = length + film.reach + 1 + (0.5 * (height + width) if self.view.radius > 0 else 0)
+            x, y = middle[:, 0] - film.x0, middle[:, 1] - film.y0
+            inside = (x > -margin) & (x < width + margin) & (y > -margin) & (y < height + margin)
+            weight = torch.where(inside | ~torch.isfinite(x + y), weight, torch.zeros_like(weight))
+            if film.where is not None:
+                weight = weight * film.near_wanted(x, y, int(PIXELS) + film.reach)
+            kept = (weight > 0).nonzero()[:, 0]
+            self.pieces = pieces[kept]
+            self.cdf = torch.cumsum(weight[kept].double(), 0)
+            self.total = float(self.cdf[-1]) if len(kept) else 0.0
+
+    def _on_film(self, pieces: Pieces, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Lengths of pieces on the film, roughly, places of their middles, and whether anything can be seen of them."""
+        n, real = len(pieces.begin), pieces.begin.dtype
+        share = torch.linspace(0, 1, steps + 1, dtype=real)
+        places = []
+        for s in share:
+            at = pieces.begin + (pieces.end - pieces.begin) * s
+            places.append(self._places(self._origin_points(pieces, at), torch.full((n, 2), 0.5, dtype=real)))
+        place = torch.stack(places)
+        there = torch.isfinite(place).all(2)
+        step = torch.linalg.vector_norm(place[1:] - place[:-1], dim=2)
+        both = there[1:] & there[:-1]
+        unknown = (there[1:] ^ there[:-1]).to(real) * (PIXELS * 2)
+        length = torch.where(both, step, unknown).sum(0)
+        if self.record.type == "panorama":  # around the seam
+            length = torch.where(both, step.clamp(max=self.size[1] / 4), unknown).sum(0)
+        return length, place[steps // 2], there.any(0) | (self.view.radius > 0)
+
+    def _origin_points(self, pieces: Pieces, at: torch.Tensor) -> torch.Tensor:
+        origin = self.view.direction if self.view.point is None else self.view.point
+        return self.outlines.points(
+            self.edges, pieces, at, origin.expand(len(at), 3), self.parallel, exact=False
+        ).position
+
+    def _places(self, points: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
+        return film_places(self.world, self.sensor, self.size, points.detach(), lens)
+
+    def draw(
+        self, at: torch.Tensor, key: torch.Tensor, config: dict[str, Any], share: float, generator: torch.Generator
+    ) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
+        """Samples at places of the distribution of pieces, in [0, 1)."""
+        real = self.world.dtype
+        numbers = torch.rand(len(at), 3, generator=generator, dtype=torch.float64)
+        self.outlines.surfaces = self.world.surfaces
+        index = torch.searchsorted(self.cdf, at * self.total, right=True).clamp(max=len(self.cdf) - 1)
+        mass = self.cdf[index] - torch.where(index > 0, self.cdf[(index - 1).clamp(min=0)], 0.0)
+        pieces = self.pieces[index]
+        s = (pieces.begin + (pieces.end - pieces.begin) * numbers[:, 0]).to(real)
+        lens = numbers[:, 1:].to(real)
+        density = mass / self.total / (pieces.end - pieces.begin)  # by the parameter
+        origin = self._origins(lens)
+        point = self.outlines.points(self.edges, pieces, s, origin, self.parallel)
+        b, along = point.position, point.along
+        with torch.no_grad():
+            place = self._places(b, lens)
+            kept = (point.valid & torch.isfinite(place).all(1)).nonzero()[:, 0]
+        b, along, place, lens, density, key = b[kept], along[kept], place[kept], lens[kept], density[kept], key[kept]
+        if not len(kept):
+            return
+        rays = self.world.camera_rays(self.sensor, self.size, place, lens)
+        with torch.no_grad():
+            towards = b - rays.origins
+            distance = (towards * rays.directions).sum(1)
+            apart = torch.linalg.vector_norm(towards - rays.directions * distance[:, None], dim=1)
+            across = torch.linalg.cross(rays.directions, along)
+            turned = torch.linalg.vector_norm(across, dim=1)  # sin times the length of `along`
+            normal = across / turned.clamp(min=1e-30)[:, None]
+            area = self._pixel_area(place, lens, distance)
+            side = torch.maximum(SIDE * area.sqrt(), 32 * torch.finfo(real).eps * (1 + b.abs().amax(1)))
+            good = (turned > 0) & (area > 0) & (distance > 0) & (distance < rays.tmax)
+            good = good & (apart < 1e-3 * distance)  # the lens does show it there
+            near = distance * (1 - 1e-3)
+            good = good & ~self._hidden(rays.origins, rays.directions, near, good)
+            kept = good.nonzero()[:, 0]
+            if not len(kept):
+                return
+            offset = normal[kept] * side[kept, None]
+            both = [self._places(b[kept] + sign * offset, lens[kept]) for sign in (-1.0, 1.0)]
+            values = self._radiance(torch.cat(both), lens[kept].repeat(2, 1), key[kept].repeat(2), config)
+            jump = values[: len(kept)] - values[len(kept) :]
+            weight = turned[kept] / area[kept] / density[kept] * share
+            jump = (
+                jump.double() * torch.where(torch.isfinite(weight), weight, torch.zeros_like(weight))[:, None].double()
+            )
+        o, d = rays.origins[kept], rays.directions[kept]
+        rate = ((b[kept] - o - d * distance[kept, None]) * normal[kept]).sum(1)
+        yield jump, rate.double(), place[kept].double()
+
+    def _origins(self, lens: torch.Tensor) -> torch.Tensor:
+        if self.view.point is None:
+            return self.view.direction.expand(len(lens), 3)
+        if self.record.type != "thinlens":
+            return self.view.point.expand(len(lens), 3)
+        with torch.no_grad():  # rays begin on the near plane: back to the lens
+            middle = torch.tensor([self.size[1] / 2, self.size[0] / 2], dtype=lens.dtype).expand(len(lens), 2)
+            rays = self.world.camera_rays(self.sensor, self.size, middle, lens)
+            axis = torch.nn.functional.normalize(self.view.direction, dim=0)
+            back = ((rays.origins - self.view.point) @ axis) / (rays.directions @ axis)
+            return rays.origins - rays.directions * back[:, None]
+
+    def _pixel_area(self, place: torch.Tensor, lens: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
+        """Area perpendicular to the ray, at that distance, of what a pixel sees."""
+        step = 0.05
+        columns = []
+        for x, y in ((step, 0.0), (0.0, step)):
+            move = place.new_tensor([x, y])
+            plus, minus = (self.world.camera_rays(self.sensor, self.size, place + m, lens) for m in (move, -move))
+            ends = [r.origins + r.directions * distance[:, None] for r in (plus, minus)]
+            columns.append((ends[0] - ends[1]) / (2 * step))
+        area = torch.linalg.cross(columns[0], columns[1])
+        direction = self.world.camera_rays(self.sensor, self.size, place, lens).directions
+        return (area * direction).sum(1).abs()
+
+    def _hidden(self, o: torch.Tensor, d: torch.Tensor, reach: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
+        """Whether something is before the outline; emitters that the camera does not see are not."""
+        reach = torch.where(wanted, reach, torch.full_like(reach, -1.0))
+        if not self.call.config["hide_emitters"]:
+            return self.world.occluded(o, d, reach)
+        hits = self.world.first_hits(Rays(o, d, reach), True)
+        return hits.valid
+
+    def _radiance(
+        self, place: torch.Tensor, lens: torch.Tensor, key: torch.Tensor, config: dict[str, Any]
+    ) -> torch.Tensor:
+        """Radiance and alpha (N, C + 1) of camera rays through places (N, 2)."""
+        rays = self.world.camera_rays(self.sensor, self.size, place, lens)
+        there = torch.isfinite(place).all(1)
+        o, d, reach = (torch.where(there.view(-1, *[1] * (t.ndim - 1)), t.detach(), 0.0).contiguous() for t in rays)
+        reach = torch.where(there, reach, torch.full_like(reach, -1.0))
+        keys = (key & 0xFFFFFFFF).to(torch.uint32).contiguous()
+        n, native = len(place), self.call.native
+        image, alpha = (torch.empty(n, c, dtype=native.dtype) for c in (native.channels, 1))
+        addresses = [t.data_ptr() for t in (o, d, reach, keys)]
+        out = {"image": image.data_ptr(), "alpha": alpha.data_ptr()}
+        native.call("render_rays", self.world.plain, config, n, addresses, out)
+        values = torch.cat([image, alpha], 1)
+        return torch.where(torch.isfinite(values), values, torch.zeros_like(values))
