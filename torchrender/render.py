@@ -55,12 +55,13 @@ from .render_types import (
 )
 from .scene.boundaries import warn_of_glass_on_curves
 from .scene.derivatives import moves_outlines
-from .scene.gather import gather, has_derivative, replace_placeholder
+from .scene.gather import gather, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
 from .scene.sensor import default_sampler
+from .scene.values import in_forward_mode
 from .seeds import seeds
 
 if TYPE_CHECKING:
@@ -388,8 +389,10 @@ def _with_outlines(
 ) -> torch.Tensor | tuple[torch.Tensor, ...]:
     """`radiance` with the derivative of outlines that the camera sees, where something that moves them may have one."""
     result = radiance()
-    slots = call.layout.slots
-    if not any(has_derivative(t) for t, s in zip(tensors, slots, strict=True) if moves_outlines(s)):
+    layout = call.layout
+    if layout.outlines is None:
+        layout.outlines = [i for i, slot in enumerate(layout.slots) if moves_outlines(slot)]
+    if not any(tensors[i].requires_grad for i in layout.outlines) and not in_forward_mode():
         return result
     from .visibility.boundary import BoundaryFunction, boundary_of  # when it is needed
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -49,10 +50,13 @@ def check_kinds_of_derivative(adaptive_grad: Any, correlated: Any) -> None:
         )
 
 
+_default = functools.cache(PathTracer)
+
+
 def as_integrator(scene: Scene, integrator: Any) -> Integrator:
     """The integrator that is given, described or named; the scene's own, else a path tracer, if it is None."""
     if integrator is None:
-        integrator = scene.integrator or PathTracer()
+        integrator = scene.integrator or _default()  # nobody else gets hold of it
     elif isinstance(integrator, (Mapping, str)):
         given = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
         kind = given.get("type")

@@ -93,6 +93,7 @@ class Layout:
     lights_seen: bool = False  # whether there are lights was looked at
     torch_bsdfs: dict[int, TorchBSDF] = field(default_factory=dict)  # those written in PyTorch, by row
     torch_names: dict[str, TorchBSDF] = field(default_factory=dict)  # the same by each of their paths
+    outlines: list[int] | None = None  # slots of what moves them, once that was asked
     edges: Any = None  # of all meshes, and the index arrays they were found with, see visibility/edges.py
 
     def index_key(self) -> list[tuple[int, int, int]]:

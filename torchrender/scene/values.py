@@ -45,6 +45,11 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
     return tensor.to(dtype=target, device=ctx.device)
 
 
+def in_forward_mode() -> bool:
+    """Whether tensors may carry tangents."""
+    return forward_ad._current_level >= 0
+
+
 def has_tangent(tensor: torch.Tensor) -> bool:
     """Whether `tensor` carries a tangent of forward mode, which no attribute of it tells."""
     return forward_ad._current_level >= 0 and forward_ad.unpack_dual(tensor).tangent is not None
