@@ -164,7 +164,8 @@ def render(
             one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.
         visibility: whether derivatives of shapes and cameras have the motion of silhouettes and creases that the camera
             sees, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
-        spp_visibility: samples of outlines a pixel for it; None takes a quarter of `spp_grad`, at least 1; 0 none.
+        spp_visibility: samples of outlines a pixel for it; None takes a quarter of `spp_grad`, at least 1, fewer where
+            outlines are short; 0 none.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
         on_interrupt: what Ctrl-C does: ``"raise"`` KeyboardInterrupt, or ``"return"`` a picture of the samples that are
@@ -396,7 +397,7 @@ def _with_outlines(
         return result
     from .visibility.boundary import BoundaryFunction, boundary_of  # when it is needed
 
-    boundary = boundary_of(scene, call, max(1, call.spp_grad // 4) if spp is None else spp, tensors)
+    boundary = boundary_of(scene, call, spp, tensors)
     if boundary is None:
         return result
     term = BoundaryFunction.apply(boundary, *tensors)

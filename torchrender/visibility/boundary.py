@@ -111,7 +111,9 @@ class _Jvp(DerivativeFunction):
         return image, values[:, -1].reshape(call.size).to(call.native.dtype)
 
 
-def boundary_of(scene: Scene, call: RenderCall, spp: int, tensors: Sequence[torch.Tensor]) -> BoundaryCall | None:
+def boundary_of(
+    scene: Scene, call: RenderCall, spp: int | None, tensors: Sequence[torch.Tensor]
+) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
     layout, sensor = call.layout, call.config["sensor"]
     kind, numbers, _ = layout.objects["sensor"][sensor]
@@ -128,4 +130,6 @@ def boundary_of(scene: Scene, call: RenderCall, spp: int, tensors: Sequence[torc
     moves = [camera or asked("shape", k, row) for k, row, _ in layout.objects["shape"]]
     if not any(moves):
         return None
-    return BoundaryCall(call, scene, spp, torch.tensor(moves))
+    return BoundaryCall(
+        call, scene, max(1, call.spp_grad // 4) if spp is None else spp, torch.tensor(moves), spp is None
+    )

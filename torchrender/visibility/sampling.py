@@ -20,17 +20,22 @@ from .outlines import MOST, PIXELS, Outlines, Pieces, Viewpoint
 
 STREAM = 0x766973  # tells the seed of outlines from those of paths
 CHUNK = 1 << 13  # samples at a time: in the cache, and too few for torch to share them among threads
+LENGTHWISE = 4
 SIDE = 2.0**-9  # how far beside an outline its colours are looked at, in pixels
 
 
 @dataclass
 class BoundaryCall:
-    """The boundary term of one rendering: `spp` samples a wanted pixel; `moves`: by shape, whether it may move."""
+    """The boundary term of one rendering: `spp` samples a wanted pixel; `moves`: by shape, whether it may move.
+
+    With `by_length` short outlines get fewer: for each pixel of their length `LENGTHWISE` times those of a pixel.
+    """
 
     call: RenderCall
     scene: Scene
     spp: int
     moves: torch.Tensor
+    by_length: bool
 
 
 def samples(
@@ -45,10 +50,11 @@ def samples(
     sampler.prepare()
     if sampler.total <= 0:
         return
-    wanted = math.prod(call.size)
+    count = boundary.spp * math.prod(call.size)
+    if boundary.by_length:
+        count = min(count, math.ceil(LENGTHWISE * call.spp_grad * sampler.total))
     for number, config in enumerate(call.configs(derivative=True)):
         generator = torch.Generator().manual_seed(mix(config["seed"], STREAM) >> 1)
-        count = boundary.spp * wanted
         first = float(torch.rand((), generator=generator, dtype=torch.float64))
         for begin in range(0, count, CHUNK):
             n = min(CHUNK, count - begin)
