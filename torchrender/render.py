@@ -209,8 +209,9 @@ def render(
         shown = check_features(scene, packed, features, names)
     cameras, batched = chosen_sensors(packed, sensor, one_size=size is None)
     if integrator is None:
-        chosen_integrator = measuring(scene, chosen_integrator, [camera for _, camera in cameras])
-        integrator_config = chosen_integrator.config()
+        measured = measuring(scene, chosen_integrator, [camera for _, camera in cameras])
+        if measured is not chosen_integrator:
+            chosen_integrator, integrator_config = measured, measured.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
