@@ -34,8 +34,8 @@ from .loaders.dict import load_dict as load_dict
 from .loaders.dict import load_file as load_file
 from .loaders.dict import variants as variants
 from .progress import progress as progress
-from .render import Renderer as Renderer
 from .render import render as render
+from .renderer import Renderer as Renderer
 from .scene import Scene as Scene
 from .scene import written as _written  # noqa: F401
 from .scene.film import SAMPLERS as SAMPLERS

@@ -175,22 +175,16 @@ class Surfaces:
         if len(quadric):
             rows.append(quadric)
             pieces.append(self._on_quadrics(shape[quadric], origins[quadric], directions[quadric], t[quadric]))
-        for index in self.heights:
-            here = (shape == index).nonzero()[:, 0]
-            if len(here):
-                rows.append(here)
-                pieces.append(self._on_height_field(index, origins[here], directions[here], t[here]))
-        for index in self.curves:
-            here = (shape == index).nonzero()[:, 0]
-            if len(here):
-                rows.append(here)
-                pieces.append(self._on_curve(index, primitive[here], origins[here], directions[here], t[here]))
-        for index in self.grids:
-            here = (shape == index).nonzero()[:, 0]
-            if len(here):
-                rows.append(here)
-                ray = origins[here], directions[here], t[here]
-                pieces.append(self._on_sdf_grid(index, primitive[here], *ray))
+        for indices, on_shape in (
+            (self.heights, self._on_height_field),
+            (self.curves, self._on_curve),
+            (self.grids, self._on_sdf_grid),
+        ):
+            for index in indices:
+                here = (shape == index).nonzero()[:, 0]
+                if len(here):
+                    rows.append(here)
+                    pieces.append(on_shape(index, primitive[here], origins[here], directions[here], t[here]))
         if len(pieces) == 1:
             return pieces[0]
         back = torch.argsort(torch.cat(rows))
@@ -249,7 +243,9 @@ class Surfaces:
         uv = curved_coordinates(local, sphere, cylinder)
         return SurfacePoints(t, transform_point(matrix, local), normal, normal, uv, uv)
 
-    def _on_height_field(self, index: int, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor) -> SurfacePoints:
+    def _on_height_field(
+        self, index: int, _primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor, near: torch.Tensor
+    ) -> SurfacePoints:
         matrix, (heights, interpolation) = self.to_world[index], self.heights[index]
         inverse = inverse_linear(matrix)
         lo, ld = transform_vector(inverse, o - matrix[:3, 3]), transform_vector(inverse, d)

@@ -3,8 +3,8 @@
 #include <mutex>
 
 #include "core/registry.h"
+#include "cpu/packet_rows.h"
 #include "host/rough_transmittance.h"
-#include "rows.h"
 
 namespace tr {
 

@@ -4,8 +4,8 @@
 
 #include "core/sensor/camera.h"
 #include "cpu/aovs.h"
+#include "cpu/packet_rows.h"
 #include "probes.h"
-#include "rows.h"
 
 namespace tr {
 

@@ -5,7 +5,7 @@
 #include "core/bsdf/parameters.h"
 #include "core/integrator/bsdf_stack.h"
 #include "core/phase/phase.h"
-#include "rows.h"
+#include "cpu/packet_rows.h"
 
 namespace tr {
 

@@ -1,4 +1,5 @@
 // Radiance along rays that are given.
+#include "packet_rows.h"
 #include "path_tile.h"
 #include "work_items.h"
 
@@ -20,27 +21,17 @@ void start_rays(PathTile<F> &tile, const GivenRays<ScalarOf<F>> &rays, size_t be
         slots.row[k] = slots.column[k] = 0;
         slots.film_x[k] = slots.film_y[k] = S(0);
     }
-    constexpr uint32_t W = uint32_t(Lanes<F>::Width);
     PathQueue<S> &queue = tile.wavefront.queues[0];
     const Spectrum<F> one = uniform_spectrum(F(1));
-    for (uint32_t i = 0; i < n; i += W) {
-        alignas(64) S column[7][W] = {};
-        for (uint32_t k = 0; k < std::min(W, n - i); ++k) {
-            for (size_t c = 0; c < 3; ++c) {
-                column[c][k] = rays.o[3 * (begin + i + k) + c];
-                column[3 + c][k] = rays.d[3 * (begin + i + k) + c];
-            }
-            column[6][k] = rays.length[begin + i + k];
-        }
-        auto vector = [&](int first) {
-            return Vec3<F>{load<F>(column[first]), load<F>(column[first + 1]), load<F>(column[first + 2])};
-        };
+    for (uint32_t i = 0; i < n; i += uint32_t(Lanes<F>::Width)) {
+        const PacketRows<F> rows(begin + i, begin + n);
         write(slots.alpha, i, F(0));
         write(slots.radiance, i, uniform_spectrum(F(0)));
-        const Vec3<F> o = vector(0);
-        const U slot = U(i) + lane_index<F>();
-        append(queue, PathState<F>{o, vector(3), load<F>(column[6]), o, F(0), one, F(1), one, slot, U(0u), U(0u)},
-               mask<F>(slot < U(n)));
+        const Vec3<F> o = rows.vector(rays.o);
+        append(queue,
+               PathState<F>{o, rows.vector(rays.d), rows.number(rays.length), o, F(0), one, F(1), one,
+                            U(i) + lane_index<F>(), U(0u), U(0u)},
+               rows.active);
     }
 }
 

@@ -7,6 +7,7 @@ import torch
 from ..errors import warn_once
 from .context import Context
 from .curves import Curve
+from .hashing import ODD, hash_places, mix
 from .mesh import Mesh
 from .packing import Layout
 from .plugin import Plugin
@@ -14,8 +15,6 @@ from .scene import Scene
 from .validation import check_range
 
 _GLASS = ("dielectric", "roughdielectric", "anisotropicdielectric")
-# Odd constants of 64 bits with irregular digits, as signed numbers.
-_ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8796714831421723037)
 
 
 def check_phases(layout: Layout, tensors: list[torch.Tensor]) -> None:
@@ -76,17 +75,9 @@ def edge_sum(mesh: Mesh) -> int:
     Vertices in one place count as one. An edge from a to b adds u(a) v(b) - u(b) v(a) with two hashes of places, which
     changes its sign with the direction; by chance the sum, modulo 2^64, vanishes with a probability of about 1e-19.
     """
-    places = (mesh.vertex_positions.detach().double() + 0.0).view(torch.int64)  # + 0.0: minus zero becomes zero
-    u = _mix(_mix(places[:, 0] * _ODD[0] + places[:, 1] * _ODD[1]) * _ODD[3] + places[:, 2] * _ODD[2])
+    u = hash_places(mesh.vertex_positions)
     faces = mesh.faces.long()
-    from_, to = u[faces], _mix(u * _ODD[2])[faces]
+    from_, to = u[faces], mix(u * ODD[2])[faces]
     following = [1, 2, 0]
     total = int((from_ * to[:, following] - from_[:, following] * to).sum())
     return (-total if mesh.flip_normals else total) % 2**64
-
-
-def _mix(x: torch.Tensor) -> torch.Tensor:
-    """A hash of 64-bit integers, by multiplications and shifts; overflow wraps around."""
-    for constant in _ODD[:2]:
-        x = (x ^ (x >> 29)) * constant
-    return x ^ (x >> 32)

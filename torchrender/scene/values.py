@@ -52,7 +52,7 @@ def in_forward_mode() -> bool:
 
 def has_tangent(tensor: torch.Tensor) -> bool:
     """Whether `tensor` carries a tangent of forward mode, which no attribute of it tells."""
-    return forward_ad._current_level >= 0 and forward_ad.unpack_dual(tensor).tangent is not None
+    return in_forward_mode() and forward_ad.unpack_dual(tensor).tangent is not None
 
 
 def number(value: Any, ctx: Context) -> torch.Tensor:

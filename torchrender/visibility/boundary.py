@@ -72,7 +72,7 @@ class _Vjp(DerivativeFunction):
         wanted = [leaf for leaf, n in zip(leaves, needed, strict=True) if n]
         grads = [torch.zeros_like(leaf) for leaf in wanted]
         with torch.enable_grad():
-            for jump, rate, place in samples(boundary, leaves):
+            for jump, rate, place in samples(boundary, leaves, film):
                 weight = (film.collect(adjoint, place) * jump).sum(1)
                 found = torch.autograd.grad((rate * weight).sum(), wanted, allow_unused=True)
                 for total, part in zip(grads, found, strict=True):
@@ -93,7 +93,7 @@ class _Jvp(DerivativeFunction):
         leaves = [p.detach().requires_grad_(i in given) for i, p in enumerate(params) if p is not None]
         wanted = [leaves[i] for i in given]
         with torch.enable_grad():
-            for jump, rate, place in samples(boundary, leaves):
+            for jump, rate, place in samples(boundary, leaves, film):
                 # a product with tangents as the derivative of products with adjoints
                 dummy = torch.zeros_like(rate, requires_grad=True)
                 pulled = torch.autograd.grad(rate, wanted, dummy, create_graph=True, allow_unused=True)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import torch
 
-_ODD = (-7046029254386353131, -4417276706812531889, 1609587929392839161, -8663945395140668459)  # multipliers of hashes
+from ..scene.hashing import hash_places
 
 
 @dataclass
@@ -44,13 +44,8 @@ class EdgeTable:
 
 
 def weld(positions: torch.Tensor) -> torch.Tensor:
-    """For each vertex (V, 3) the first one that is in the same place, by hashes of the bits of coordinates."""
-    bits = (positions.detach().double() + 0.0).view(torch.int64)  # + 0.0: minus zero becomes zero
-    key = torch.zeros_like(bits[:, 0])
-    for k in range(3):  # mixed in between: signs are the highest bits, two of which would cancel in a sum
-        key = (key + bits[:, k]) * _ODD[k]
-        key = (key ^ (key >> 29)) * _ODD[3]
-        key = key ^ (key >> 32)
+    """For each vertex (V, 3) the first one that is in the same place, by hashes."""
+    key = hash_places(positions)
     order = torch.argsort(key, stable=True)
     ordered = key[order]
     first = torch.ones_like(ordered, dtype=torch.bool)

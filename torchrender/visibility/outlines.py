@@ -97,14 +97,19 @@ class Outlines:
         s0, s1 = (n0 * towards).sum(1), (n1 * towards).sum(1)
         margin = view.radius + 1e-6 * torch.linalg.vector_norm(towards, dim=1)
         same = ((s0 > margin) & (s1 > margin)) | ((s0 < -margin) & (s1 < -margin))
-        shape = self.shape_of_face[edges.face[:, :2]]
-        split = (edges.v0[:, 0] != edges.v0[:, 1]) | (edges.v1[:, 0] != edges.v1[:, 1]) | (shape[:, 0] != shape[:, 1])
+        split, flat = self._jumps(edges)
         bend = 1 - (n0 * n1).sum(1)
-        flat = ~self.surfaces.smooth[shape[:, 0]] & (bend > 1e-6)
+        flat = flat & (bend > 1e-6)
         crease = torch.where(split | flat, bend.clamp(0.05, 1.0), torch.zeros_like(bend))
         weight = torch.where((edges.count != 2) | ~same, torch.ones_like(bend), crease)
         kept = weight > 0
         return edges.rows(kept), weight[kept]
+
+    def _jumps(self, edges: Edges) -> tuple[torch.Tensor, torch.Tensor]:
+        """Whether faces have vertices or shapes of their own at an edge, and whether they are shaded flat."""
+        shape = self.shape_of_face[edges.face]
+        split = (edges.v0 != edges.v0[:, :1]).any(1) | (edges.v1 != edges.v1[:, :1]).any(1)
+        return split | (shape != shape[:, :1]).any(1), ~self.surfaces.smooth[shape[:, 0]]
 
     def whole(self, view: Viewpoint) -> tuple[Edges, Pieces]:
         """All outlines uncut: candidate edges, and contours and rims of quadrics that move."""
@@ -156,10 +161,8 @@ class Outlines:
             third = self.positions[edges.third] - a.detach()[:, None]
             side = (third * across[:, None]).sum(2)
             outline = ~((side > 0).any(1) & (side < 0).any(1))
-            shape = self.shape_of_face[edges.face]
-            split = (edges.v0 != edges.v0[:, :1]).any(1) | (edges.v1 != edges.v1[:, :1]).any(1)
-            split = split | (shape != shape[:, :1]).any(1)
-            valid = outline | split | ~self.surfaces.smooth[shape[:, 0]]
+            split, flat = self._jumps(edges)
+            valid = outline | split | flat
         return OutlinePoints(position, along, valid)
 
     def _on_quadrics(

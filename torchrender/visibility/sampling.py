@@ -39,7 +39,7 @@ class BoundaryCall:
 
 
 def samples(
-    boundary: BoundaryCall, params: Sequence[torch.Tensor]
+    boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces
 ) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
     """In chunks: jumps of colour and alpha with all weights (N, C + 1), rates (N,), attached, and film places (N, 2).
 
@@ -47,7 +47,7 @@ def samples(
     """
     call = boundary.call
     sampler = _Sampler(boundary, params)
-    sampler.prepare()
+    sampler.prepare(film)
     if sampler.total <= 0:
         return
     count = boundary.spp * math.prod(call.size)
@@ -86,7 +86,7 @@ class _Sampler:
         self.view = Viewpoint(None if self.parallel else to_world[:3, 3], to_world[:3, 2], radius)
         self.total = 0.0
 
-    def prepare(self) -> None:
+    def prepare(self, film: FilmPlaces) -> None:
         """Cut outlines into pieces, and weigh these by their length on the film, where pixels there are wanted."""
         with torch.no_grad():
             self.edges, whole = self.outlines.whole(self.view)
@@ -99,10 +99,9 @@ class _Sampler:
             pieces, parts = whole[rows], number[rows].to(whole.begin.dtype)
             pieces.begin, pieces.end = step / parts, (step + 1) / parts
             length, middle, seen = self._on_film(pieces, 2)
-            _, _, height, width = self.call.config["crop"]
+            height, width = film.height, film.width
             length = length.clamp(max=float(height + width))
             weight = pieces.weight * torch.where(seen, length, torch.zeros_like(length))
-            film = FilmPlaces(self.call)
             margin = length + film.reach + 1 + (0.5 * (height + width) if self.view.radius > 0 else 0)
             x, y = middle[:, 0] - film.x0, middle[:, 1] - film.y0
             inside = (x > -margin) & (x < width + margin) & (y > -margin) & (y < height + margin)
@@ -171,7 +170,7 @@ class _Sampler:
             across = torch.linalg.cross(rays.directions, along)
             turned = torch.linalg.vector_norm(across, dim=1)  # sin times the length of `along`
             normal = across / turned.clamp(min=1e-30)[:, None]
-            area = self._pixel_area(place, lens, distance)
+            area = self._pixel_area(place, lens, rays.directions, distance)
             side = torch.maximum(SIDE * area.sqrt(), 32 * torch.finfo(real).eps * (1 + b.abs().amax(1)))
             good = (turned > 0) & (area > 0) & (distance > 0) & (distance < rays.tmax)
             good = good & (apart < 1e-3 * distance)  # the lens does show it there
@@ -204,8 +203,10 @@ class _Sampler:
             back = ((rays.origins - self.view.point) @ axis) / (rays.directions @ axis)
             return rays.origins - rays.directions * back[:, None]
 
-    def _pixel_area(self, place: torch.Tensor, lens: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
-        """Area perpendicular to the ray, at that distance, of what a pixel sees."""
+    def _pixel_area(
+        self, place: torch.Tensor, lens: torch.Tensor, direction: torch.Tensor, distance: torch.Tensor
+    ) -> torch.Tensor:
+        """Area perpendicular to the ray in that direction, at that distance, of what a pixel sees."""
         step = 0.05
         columns = []
         for x, y in ((step, 0.0), (0.0, step)):
@@ -214,7 +215,6 @@ class _Sampler:
             ends = [r.origins + r.directions * distance[:, None] for r in (plus, minus)]
             columns.append((ends[0] - ends[1]) / (2 * step))
         area = torch.linalg.cross(columns[0], columns[1])
-        direction = self.world.camera_rays(self.sensor, self.size, place, lens).directions
         return (area * direction).sum(1).abs()
 
     def _hidden(self, o: torch.Tensor, d: torch.Tensor, reach: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
@@ -222,8 +222,7 @@ class _Sampler:
         reach = torch.where(wanted, reach, torch.full_like(reach, -1.0))
         if not self.call.config["hide_emitters"]:
             return self.world.occluded(o, d, reach)
-        hits = self.world.first_hits(Rays(o, d, reach), True)
-        return hits.valid
+        return self.world.first_hits(Rays(o, d, reach), hide_emitters=True).valid
 
     def _radiance(
         self, place: torch.Tensor, lens: torch.Tensor, key: torch.Tensor, config: dict[str, Any]

@@ -64,7 +64,7 @@ TR_NOINLINE Vec3<F> sweep_sdf_grids(const SceneView<S> &scene, const SurfacePoin
                                     GradientSink<F> &sink) {
     Vec3<F> r{F(0), F(0), F(0)};
     auto any_wanted = sink.wants_shape(at.shape, active);
-    each_sdf_grid<F>(scene, at.shape, active, [&](uint32_t one, const SdfGridView<S> &grid, MaskOf<F> lanes) {
+    each_shape<SdfGridView, F>(scene, at.shape, active, [&](uint32_t one, const SdfGridView<S> &grid, MaskOf<F> lanes) {
         const S *to_object = scene.shape_matrices + 24 * size_t(one) + 12;
         const SdfPoint<F> p = sdf_point(grid, at.primitive, at.b1, at.b2, lanes);
         const Vec3<F> m = transform_normal(to_object, p.gradient(grid));

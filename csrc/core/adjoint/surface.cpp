@@ -62,15 +62,15 @@ TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at,
         if (any(moved)) sweep_matrix<F>(at.shape, matrix, moved, sink);
     };
     if (any(field))
-        each_height_field<F>(scene, at.shape, field,
-                             [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
-                                 const S *to_world = scene.shape_matrices + 24 * size_t(one);
-                                 hand_on(to_world, height_partials(height_at(heights, at.b1, at.b2, lanes)), lanes);
-                                 auto moved = lanes && wanted;
-                                 if (any(moved))
-                                     sweep_heights(heights, at.b1, at.b2, F(0), transform_normal(to_world, gu).z,
-                                                   transform_normal(to_world, gv).z, moved, sink);
-                             });
+        each_shape<HeightView, F>(
+            scene, at.shape, field, [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
+                const S *to_world = scene.shape_matrices + 24 * size_t(one);
+                hand_on(to_world, height_partials(height_at(heights, at.b1, at.b2, lanes)), lanes);
+                auto moved = lanes && wanted;
+                if (any(moved))
+                    sweep_heights(heights, at.b1, at.b2, F(0), transform_normal(to_world, gu).z,
+                                  transform_normal(to_world, gv).z, moved, sink);
+            });
     if (any(curved)) {
         F to_world[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);

@@ -3,7 +3,7 @@
 #pragma once
 
 #include "../math/spline.h"
-#include "../scene.h"
+#include "surface_point.h"
 
 namespace tr {
 
@@ -92,17 +92,6 @@ TR_INLINE HeightPoint<F> height_at(const HeightView<S> &heights, const F &u, con
     return r;
 }
 
-// Calls f(shape, heights, lanes) for every height field that a lane is on.
-template <class F, class S, class Function>
-TR_INLINE void each_height_field(const SceneView<S> &scene, const UIntOf<F> &shape, MaskOf<F> open, Function &&f) {
-    while (any(open)) {
-        uint32_t one = first_lane(shape, open);
-        auto lanes = open && mask<F>(shape == one);
-        f(one, HeightView<S>(scene, one), lanes);
-        open = open && !lanes;
-    }
-}
-
 // Distance and coordinates of the intersection near t, which is known to single precision: Newton's iteration, whose
 // steps count only where they come nearer.
 template <class F, class S>
@@ -130,15 +119,16 @@ template <class F, class S>
 TR_NOINLINE void meet_height_fields(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &o,
                                     const Vec3<F> &d, const MaskOf<F> &active, F &u, F &v, F &t, Vec3<F> &p,
                                     Vec3<F> &n) {
-    each_height_field<F>(scene, shape, active, [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
-        const S *to_world = scene.shape_matrices + 24 * size_t(one), *to_object = to_world + 12;
-        if constexpr (sizeof(S) == 8)
-            refine_height(heights, transform_point(to_object, o), transform_vector(to_object, d), t, u, v, lanes);
-        HeightPoint<F> h = height_at(heights, u, v, lanes);
-        Vec3<F> local{F(2) * u - F(1), F(2) * v - F(1), h.z}, up{F(-0.5) * h.u, F(-0.5) * h.v, F(1)};
-        p = select(lanes, transform_point(to_world, local), p);
-        n = select(lanes, normalize(transform_normal(to_object, up)), n);
-    });
+    each_shape<HeightView, F>(
+        scene, shape, active, [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
+            const S *to_world = scene.shape_matrices + 24 * size_t(one), *to_object = to_world + 12;
+            if constexpr (sizeof(S) == 8)
+                refine_height(heights, transform_point(to_object, o), transform_vector(to_object, d), t, u, v, lanes);
+            HeightPoint<F> h = height_at(heights, u, v, lanes);
+            Vec3<F> local{F(2) * u - F(1), F(2) * v - F(1), h.z}, up{F(-0.5) * h.u, F(-0.5) * h.v, F(1)};
+            p = select(lanes, transform_point(to_world, local), p);
+            n = select(lanes, normalize(transform_normal(to_object, up)), n);
+        });
 }
 
 }  // namespace tr

@@ -98,12 +98,12 @@ TR_NOINLINE PositionPartials<F> position_partials(const SceneView<S> &scene, con
         take(mesh, p.u, p.v);
     }
     if (any(field))
-        each_height_field<F>(scene, at.shape, field,
-                             [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
-                                 auto l = height_partials(height_at(heights, at.b1, at.b2, lanes));
-                                 const S *to_world = scene.shape_matrices + 24 * size_t(one);
-                                 take(lanes, transform_vector(to_world, l.u), transform_vector(to_world, l.v));
-                             });
+        each_shape<HeightView, F>(scene, at.shape, field,
+                                  [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
+                                      auto l = height_partials(height_at(heights, at.b1, at.b2, lanes));
+                                      const S *to_world = scene.shape_matrices + 24 * size_t(one);
+                                      take(lanes, transform_vector(to_world, l.u), transform_vector(to_world, l.v));
+                                  });
     if (any(curved)) {
         F to_world[12];
         gather_matrix<F>(scene.shape_matrices, at.shape * 24u, curved, to_world);

@@ -6,7 +6,7 @@
 #pragma once
 
 #include "../math/rows.h"
-#include "../scene.h"
+#include "surface_point.h"
 
 namespace tr {
 
@@ -210,17 +210,6 @@ struct SdfSmoothNormal {
     }
 };
 
-// Calls f(shape, grid, lanes) for every grid that a lane is on.
-template <class F, class S, class Function>
-TR_INLINE void each_sdf_grid(const SceneView<S> &scene, const UIntOf<F> &shape, MaskOf<F> open, Function &&f) {
-    while (any(open)) {
-        uint32_t one = first_lane(shape, open);
-        auto lanes = open && mask<F>(shape == one);
-        f(one, SdfGridView<S>(scene, one), lanes);
-        open = open && !lanes;
-    }
-}
-
 // The point that is stored as (primitive, b1, b2).
 template <class F, class S>
 TR_INLINE SdfPoint<F> sdf_point(const SdfGridView<S> &grid, const UIntOf<F> &primitive, const F &b1, const F &b2,
@@ -259,37 +248,40 @@ template <class F, class S>
 TR_NOINLINE void meet_sdf_grids(const SceneView<S> &scene, const UIntOf<F> &shape, const UIntOf<F> &primitive,
                                 const Vec3<F> &o, const Vec3<F> &d, const MaskOf<F> &active, F &b1, F &b2, F &t,
                                 Vec3<F> &p, Vec3<F> &ng, Vec3<F> &ns) {
-    each_sdf_grid<F>(scene, shape, active, [&](uint32_t one, const SdfGridView<S> &grid, const MaskOf<F> &lanes) {
-        const S *to_world = scene.shape_matrices + 24 * size_t(one), *to_object = to_world + 12;
-        SdfPoint<F> at(grid, primitive, lanes);
-        UIntOf<F> axis = primitive & ((1u << SdfCellBits::Axis) - 1);
-        if constexpr (sizeof(S) == 8) {
-            at.at[0] = at.at[1] = at.at[2] = F(0);
-            refine_sdf(grid, at, axis, transform_point(to_object, o), transform_vector(to_object, d), t, b1, b2, lanes);
-        }
-        at.put(axis, b1, b2);
-        p = select(lanes, transform_point(to_world, at.local(grid)), p);
-        auto unit = [&](const Vec3<F> &gradient) {
-            Vec3<F> n = transform_normal(to_object, gradient);
-            F squared = squared_norm(n);
-            auto usable = mask<F>(squared > F(0));
-            return select(usable, n * rsqrt(select(usable, squared, F(1))), Vec3<F>{F(0), F(0), F(1)});
-        };
-        Vec3<F> n = unit(at.gradient(grid));
-        ng = select(lanes, n, ng);
-        if (scene.shapes[one].flags & HasNormals) n = unit(SdfSmoothNormal<F>(grid, at, lanes).sum);
-        ns = select(lanes, n, ns);
-    });
+    each_shape<SdfGridView, F>(
+        scene, shape, active, [&](uint32_t one, const SdfGridView<S> &grid, const MaskOf<F> &lanes) {
+            const S *to_world = scene.shape_matrices + 24 * size_t(one), *to_object = to_world + 12;
+            SdfPoint<F> at(grid, primitive, lanes);
+            UIntOf<F> axis = primitive & ((1u << SdfCellBits::Axis) - 1);
+            if constexpr (sizeof(S) == 8) {
+                at.at[0] = at.at[1] = at.at[2] = F(0);
+                refine_sdf(grid, at, axis, transform_point(to_object, o), transform_vector(to_object, d), t, b1, b2,
+                           lanes);
+            }
+            at.put(axis, b1, b2);
+            p = select(lanes, transform_point(to_world, at.local(grid)), p);
+            auto unit = [&](const Vec3<F> &gradient) {
+                Vec3<F> n = transform_normal(to_object, gradient);
+                F squared = squared_norm(n);
+                auto usable = mask<F>(squared > F(0));
+                return select(usable, n * rsqrt(select(usable, squared, F(1))), Vec3<F>{F(0), F(0), F(1)});
+            };
+            Vec3<F> n = unit(at.gradient(grid));
+            ng = select(lanes, n, ng);
+            if (scene.shapes[one].flags & HasNormals) n = unit(SdfSmoothNormal<F>(grid, at, lanes).sum);
+            ns = select(lanes, n, ns);
+        });
 }
 
 // The positions of stored points.
 template <class F, class S>
 TR_NOINLINE void sdf_positions(const SceneView<S> &scene, const UIntOf<F> &shape, const UIntOf<F> &primitive,
                                const F &b1, const F &b2, const MaskOf<F> &active, Vec3<F> &p) {
-    each_sdf_grid<F>(scene, shape, active, [&](uint32_t one, const SdfGridView<S> &grid, const MaskOf<F> &lanes) {
-        Vec3<F> local = sdf_point(grid, primitive, b1, b2, lanes).local(grid);
-        p = select(lanes, transform_point(scene.shape_matrices + 24 * size_t(one), local), p);
-    });
+    each_shape<SdfGridView, F>(
+        scene, shape, active, [&](uint32_t one, const SdfGridView<S> &grid, const MaskOf<F> &lanes) {
+            Vec3<F> local = sdf_point(grid, primitive, b1, b2, lanes).local(grid);
+            p = select(lanes, transform_point(scene.shape_matrices + 24 * size_t(one), local), p);
+        });
 }
 
 }  // namespace tr

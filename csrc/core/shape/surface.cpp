@@ -117,7 +117,7 @@ TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F>
         p = select(mesh, tri.p0 + tri.e1 * at.b1 + tri.e2 * at.b2, p);
     }
     if (any(field))
-        each_height_field<F>(
+        each_shape<HeightView, F>(
             scene, at.shape, field, [&](uint32_t one, const HeightView<S> &heights, const MaskOf<F> &lanes) {
                 Vec3<F> local{F(2) * at.b1 - F(1), F(2) * at.b2 - F(1), height_at(heights, at.b1, at.b2, lanes).z};
                 p = select(lanes, transform_point(scene.shape_matrices + 24 * size_t(one), local), p);

@@ -13,4 +13,15 @@ struct SurfacePoint {
     F b1, b2;
 };
 
+// Calls f(shape, view, lanes) for every shape that a lane is on, with a View of what it has.
+template <template <class> class View, class F, class S, class Function>
+TR_INLINE void each_shape(const SceneView<S> &scene, const UIntOf<F> &shape, MaskOf<F> open, Function &&f) {
+    while (any(open)) {
+        uint32_t one = first_lane(shape, open);
+        auto lanes = open && mask<F>(shape == one);
+        f(one, View<S>(scene, one), lanes);
+        open = open && !lanes;
+    }
+}
+
 }  // namespace tr
