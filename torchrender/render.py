@@ -25,6 +25,7 @@ from .render_arguments import (
     film_config,
     film_of_size,
     measuring,
+    pair,
     pixels_inside,
 )
 from .render_call import RenderCall
@@ -99,7 +100,7 @@ def render(
     range: RangeMode = "warn",
     progress: bool | None = None,
     visibility: bool = True,
-    spp_visibility: int | None = None,
+    spp_visibility: int | tuple[int, int] | None = None,
     on_interrupt: InterruptMode = "raise",
 ) -> torch.Tensor | Outputs:
     """Render `scene`: linear radiance (H, W, C), differentiable in the scene's parameters.
@@ -159,10 +160,11 @@ def render(
         range: parameters that have left their physical range, such as an albedo that an optimiser has made 1.2:
             ``"warn"`` with a `RangeWarning`, once for each, which looks at the first few changes of a value and then at
             one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.
-        visibility: whether derivatives of shapes and cameras have the motion of silhouettes and creases that the camera
-            sees, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
-        spp_visibility: samples of outlines a pixel for it; None takes a quarter of `spp_grad`, at least 1, fewer where
-            outlines are short; 0 none.
+        visibility: whether derivatives of shapes, cameras and lights have the motion of silhouettes, creases and
+            shadows, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
+        spp_visibility: samples of outlines a pixel for it: a number, or one for those that the camera sees, one for
+            shadows and reflections; None takes a quarter of `spp_grad`, at least 1, fewer where outlines are short; 0
+            leaves these out.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
         on_interrupt: what Ctrl-C does: ``"raise"`` KeyboardInterrupt, or ``"return"`` a picture of the samples that are
@@ -192,8 +194,7 @@ def render(
     check_kinds_of_derivative(adaptive_grad, correlated)
     if not isinstance(visibility, bool):
         raise TypeError(f"render: visibility: expected True or False, got {describe(visibility)}")
-    if spp_visibility is not None:
-        spp_visibility = count("spp_visibility", spp_visibility, 0)
+    spp_outlines = pair("spp_visibility", spp_visibility)
     if progress is not None and not isinstance(progress, bool):
         raise TypeError(f"render: progress: expected True, False or None, got {describe(progress)}")
     passes = count("passes", passes)
@@ -235,7 +236,7 @@ def render(
         warn_of_beams(scene, packed)
     if shows_radiance and packed.media:
         check_media(scene, packed, tensors, volumetric)
-    outlines = visibility and shows_radiance and spp_visibility != 0
+    outlines = visibility and shows_radiance and spp_outlines != (0, 0)
     outlines = outlines and not (light or volumetric or packed.torch_bsdfs)  # whose radiance the core does not know
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
@@ -314,7 +315,7 @@ def render(
         else:
             radiance = functools.partial(RenderFunction.apply, call, *used)
         if outlines:
-            radiance = functools.partial(_with_outlines, scene, call, spp_visibility, used, radiance)
+            radiance = functools.partial(_with_outlines, scene, call, spp_outlines, used, radiance)
         views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
@@ -382,7 +383,7 @@ def _view(
 def _with_outlines(
     scene: Scene,
     call: RenderCall,
-    spp: int | None,
+    spp: tuple[int, int] | None,
     tensors: list[torch.Tensor],
     radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
 ) -> torch.Tensor | tuple[torch.Tensor, ...]:

@@ -95,6 +95,18 @@ def count(name: str, value: Any, minimum: int = 1, maximum: int = 1 << 32) -> in
     return value
 
 
+def pair(name: str, value: Any) -> tuple[int, int] | None:
+    """Two numbers of samples: `value` twice if it is one, or None."""
+    if value is None:
+        return None
+    if isinstance(value, (tuple, list)):
+        if len(value) != 2:
+            raise ValueError(f"render: {name}: expected a number or two of them, got {len(value)}")
+        return count(f"{name}[0]", value[0], 0), count(f"{name}[1]", value[1], 0)
+    both = count(name, value, 0)
+    return both, both
+
+
 def film_of_size(film: Film, size: Any) -> Film:
     """`film` with `size` (H, W) in place of its own; itself if that is None."""
     if size is None:

@@ -89,7 +89,7 @@ class RendererSettings(TypedDict, total=False):
     range: RangeMode
     progress: bool | None
     visibility: bool
-    spp_visibility: int | None
+    spp_visibility: int | tuple[int, int] | None
     on_interrupt: InterruptMode
 
 

@@ -70,12 +70,12 @@ public:
         return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums});
     }
 
-    RenderStats rays(const Config &c, const ParameterValues &values, size_t n, const std::array<uintptr_t, 4> &rays,
-                     const Arrays &out) override {
+    RenderStats rays(const Config &c, const ParameterValues &values, size_t n, const std::array<uintptr_t, 5> &rays,
+                     int depth, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
         auto at = [&](size_t k) { return reinterpret_cast<const S *>(rays[k]); };
-        const GivenRays<S> given{n, at(0), at(1), at(2), reinterpret_cast<const uint32_t *>(rays[3])};
+        const GivenRays<S> given{n, depth, at(0), at(1), at(2), at(3), reinterpret_cast<const uint32_t *>(rays[4])};
         return render_rays<S>(call(c), given, reinterpret_cast<S *>(out.at("image")),
                               reinterpret_cast<S *>(out.at("alpha")));
     }

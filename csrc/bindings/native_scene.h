@@ -36,9 +36,10 @@ public:
     virtual RenderStats aov_forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                     const Arrays &out) = 0;
 
-    // Radiance along rays: their origins, directions, lengths and keys, see GivenRays; `image` and `alpha`.
-    virtual RenderStats rays(const Config &, const ParameterValues &, size_t n, const std::array<uintptr_t, 4> &rays,
-                             const Arrays &out) = 0;
+    // Radiance along rays: their origins, directions, lengths, densities and keys, and the vertices before them, see
+    // GivenRays; `image` and `alpha`.
+    virtual RenderStats rays(const Config &, const ParameterValues &, size_t n, const std::array<uintptr_t, 5> &rays,
+                             int depth, const Arrays &out) = 0;
 
     // Rays: origins and directions (n, 3) and lengths (n,).
     virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,

@@ -45,26 +45,26 @@ public:
     }
 
     // Traces the paths to their ends. Without a limit of depth a path may go on for ever: `stop` is asked at every
-    // vertex, and ends the paths.
+    // vertex, and ends the paths. `first` vertices are behind the rays already.
     template <class Stop>
-    void run(bool recording, Stop &&stop) {
+    void run(bool recording, Stop &&stop, int first = 0) {
         wavefront.tape.begin_block(0);
         wavefront.tape.checkpoints.clear();
         PathQueue<S> *queues = wavefront.queues;
-        if (config_.max_depth == 0 || queues[0].n == 0) return;
+        if ((config_.max_depth >= 0 && first >= config_.max_depth) || queues[0].n == 0) return;
         if (media_) return run_volumetric(recording, stop);
         wavefront.trace(queues[0]);
-        if (config_.hide_emitters) wavefront.pass_emitters();
-        const bool scatters = config_.max_depth < 0 || config_.max_depth > 1;
-        for (int split = 0; split < splits(config_) && !stop(); ++split) {
+        if (config_.hide_emitters && first == 0) wavefront.pass_emitters();
+        const bool scatters = config_.max_depth < 0 || config_.max_depth > first + 1;
+        for (int split = 0; split < (first == 0 ? splits(config_) : 1) && !stop(); ++split) {
             if (split > 0) {
                 if (wavefront.recorder.on()) wavefront.recorder.set_split(size_t(split));
                 if (wavefront.replay.on()) wavefront.replay.set_split(size_t(split));
                 wavefront.trace(queues[0]);
             }
             PathQueue<S> *current = &queues[0], *next = &queues[1], *spare = &queues[2];
-            step(*current, *next, {0, split, scatters}, recording, TapeLevel<S>::NoParent);
-            for (int depth = 1; next->n > 0 && !stop() && (config_.max_depth < 0 || depth < config_.max_depth);
+            step(*current, *next, {first, split, scatters}, recording, TapeLevel<S>::NoParent);
+            for (int depth = first + 1; next->n > 0 && !stop() && (config_.max_depth < 0 || depth < config_.max_depth);
                  ++depth) {
                 current = next;
                 std::swap(next, spare);

@@ -108,12 +108,14 @@ RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivat
 template <class S>
 RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
-// Rays with origins and unit directions (n, 3), and lengths; a key (n) stands for the pixel of a ray in what its random
-// numbers depend on.
+// Rays with origins and unit directions (n, 3), lengths, and the densities with which these directions are sampled, 0
+// as for camera rays; a key (n) stands for the pixel of a ray in what its random numbers depend on. `depth` vertices of
+// their paths are behind them.
 template <class S>
 struct GivenRays {
     size_t n;
-    const S *o, *d, *length;
+    int depth;
+    const S *o, *d, *length, *pdf;
     const uint32_t *key;
 };
 

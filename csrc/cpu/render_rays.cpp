@@ -29,7 +29,7 @@ void start_rays(PathTile<F> &tile, const GivenRays<ScalarOf<F>> &rays, size_t be
         write(slots.radiance, i, uniform_spectrum(F(0)));
         const Vec3<F> o = rows.vector(rays.o);
         append(queue,
-               PathState<F>{o, rows.vector(rays.d), rows.number(rays.length), o, F(0), one, F(1), one,
+               PathState<F>{o, rows.vector(rays.d), rows.number(rays.length), o, rows.number(rays.pdf), one, F(1), one,
                             U(i) + lane_index<F>(), U(0u), U(0u)},
                rows.active);
     }
@@ -50,7 +50,7 @@ RenderStats render_rays(const RenderCall<S> &call, const GivenRays<S> &rays, S *
             const uint32_t n = uint32_t(std::min(RaysPerBatch, end - begin));
             tile.begin(n);
             start_rays(tile, rays, begin, n);
-            tile.run(false, stop);
+            tile.run(false, stop, rays.depth);
             for (uint32_t k = 0; k < n; ++k) {
                 for (int c = 0; c < call.values; ++c)
                     radiance[(begin + k) * size_t(call.values) + size_t(c)] = tile.slots.radiance[c][k];

@@ -301,7 +301,7 @@ def test_coverage_of_moving_surfaces_is_warned_about_once():
         tr.render(scene, spp=1, outputs=("rgb", "alpha"))  # colours do not move outlines
     (matrix,) = scene.train_only("*.to_world")[:1]
     with pytest.warns(tr.MissingTermWarning) as caught:
-        tr.render(scene, spp=1)
+        tr.render(scene, spp=1, spp_visibility=0)
         found = tr.render(scene, spp=1, outputs=("alpha",), spp_visibility=0)
         tr.render(scene, spp=1, outputs=("alpha",), spp_visibility=0)
         assert tr.render(scene, spp=1, outputs=("alpha",)).alpha.requires_grad

@@ -75,7 +75,9 @@ def moves_rays(slot: Slot) -> bool:
 
 
 def moves_outlines(slot: Slot) -> bool:
-    """Whether silhouettes, as a camera sees them, depend on a parameter."""
+    """Whether silhouettes or shadows depend on a parameter."""
+    if slot.module.category == "emitter":
+        return slot.attribute in ("position", "to_world")
     shading = ("vertex_normals", "vertex_texcoords")
     own = slot.module.category == "sensor" or slot.attribute in slot.module.fields()
     return slot.module.category in ("shape", "sensor") and own and slot.attribute not in shading
@@ -91,13 +93,11 @@ the rest of the derivative is there, and asking for it gives one `tr.MissingTerm
 for it raises `tr.NotDifferentiableError`. The parameters of a texture or volume have what the parameter has that it
 stands for. `print(scene)` says the same for the parameters of one scene.
 
-How things move: what a ray of the camera, or one that was reflected or refracted smoothly, has hit slides over the
-surface. Points to which light was sampled or scattered are glued to theirs, and integrated over area (the material
-form of Zhang, Miller, Yan, Gkioulekas and Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020); those on an
-`sdfgrid` stay in the direction in which they are seen. So the derivative with respect to the place of an area light, or
-of a wall of a convex room, is complete but for the edges of shadows. Silhouettes and creases of
-meshes, spheres, disks and cylinders that the camera sees move with them, in radiance and alpha; other outputs,
-`tr.ParticleTracer` and scenes with a `tr.TorchBSDF` lack that, and so does `visibility=False`. What depends on the
+How things move: what a ray of the camera, or one that was reflected or refracted, has hit slides over the surface;
+points on what emits are glued to it, and integrated over area (the material form of Zhang, Miller, Yan, Gkioulekas and
+Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
+and cylinders move with them, in radiance, and in alpha what the camera sees. Other outputs, `tr.ParticleTracer` and
+scenes with a `tr.TorchBSDF` lack that, and so does `visibility=False`. What depends on the
 object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
 surfaces.
 

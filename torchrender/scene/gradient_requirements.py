@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 from ..errors import MissingTermWarning, NotDifferentiableError, depth_outside
 from .derivatives import moves_rays, refusal_of
+from .moving_edges import MARK, moving_caveat
 from .packing import Layout, Slot
 
-EDGES = "shadow edges"  # in the declarations of what moves things
 COVERAGE = "outputs: alpha"  # among the names that were warned about
 
 STEADY = (
@@ -95,12 +95,9 @@ class GradientRequirements:
 
     def _caveat(self, slot: Slot) -> str:
         """What this rendering's derivative lacks, and when that is zero; empty if nothing is to be said."""
-        if self.silent and EDGES in slot.caveat:
+        if self.silent and MARK in slot.caveat:
             return ""
-        if self.outlines or EDGES not in slot.caveat or "silhouettes, " in slot.caveat:
-            return slot.caveat
-        seen = "the motion of silhouettes and creases that are seen directly, of "
-        return slot.caveat.replace("the motion of ", seen, 1)
+        return moving_caveat(self.layout, slot.caveat, self.outlines)
 
     def _has_grids(self) -> bool:
         return any(kind == "sdfgrid" for kind, _, _ in self.layout.objects["shape"])

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from ..integrators import VolumetricPathTracer
+from ..integrators import ParticleTracer, VolumetricPathTracer
 from .derivatives import describe_derivative, refusal_of
+from .moving_edges import moving_caveat
 from .packing import Layout, pack, top_level
 
 if TYPE_CHECKING:
@@ -29,10 +30,12 @@ def summarise(scene: Scene) -> str:
     volumetric = isinstance(integrator, VolumetricPathTracer)
     notes: list[str] = []
     layout = pack(scene, ())
+    outlines = not (isinstance(integrator, (ParticleTracer, VolumetricPathTracer)) or layout.torch_bsdfs)
     rows = []
     for slot in layout.slots:
         tensor = slot.tensor()
-        derivative, note = describe_derivative(refusal_of(slot, volumetric), slot.caveat)
+        caveat = moving_caveat(layout, slot.caveat, outlines)
+        derivative, note = describe_derivative(refusal_of(slot, volumetric), caveat)
         if note and note not in notes:
             notes.append(note)
         derivative += f" [{notes.index(note) + 1}]" if note else ""

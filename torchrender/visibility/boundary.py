@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
@@ -12,9 +13,15 @@ from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.scene import Scene
+from .choice import Choice
 from .film_places import SENSORS
 from .film_sums import FilmPlaces
-from .sampling import BoundaryCall, samples
+from .lights import outlines_before_lights, share_in_view
+from .sampling import PLACING, Boundary, BoundaryCall, Samples
+from .seen import seen_outlines
+from .vertices import outlines_before_surfaces
+
+MOVING_LIGHTS = ("point", "spot", "projector", "directional")
 
 
 class BoundaryFunction(UnbatchedFunction):
@@ -48,6 +55,20 @@ class BoundaryFunction(UnbatchedFunction):
         return found if ctx.boundary.call.alpha else found[0]
 
 
+@contextlib.contextmanager
+def few_threads() -> Iterator[int]:
+    """One thread for PyTorch's own operations; gives the number for the core.
+
+    They are too small here for more: beside other programs threads that wait for each other take many times as long.
+    """
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield threads
+    finally:
+        torch.set_num_threads(threads)
+
+
 class _Vjp(DerivativeFunction):
     @staticmethod
     def forward(
@@ -71,8 +92,10 @@ class _Vjp(DerivativeFunction):
         leaves = [p.detach().requires_grad_(n) for p, n in zip(params, needed, strict=True)]
         wanted = [leaf for leaf, n in zip(leaves, needed, strict=True) if n]
         grads = [torch.zeros_like(leaf) for leaf in wanted]
-        with torch.enable_grad():
-            for jump, rate, place in samples(boundary, leaves, film):
+        with few_threads() as threads, torch.enable_grad():
+            for jump, rate, place in samples(boundary, leaves, film, threads):
+                if not rate.requires_grad:
+                    continue
                 weight = (film.collect(adjoint, place) * jump).sum(1)
                 found = torch.autograd.grad((rate * weight).sum(), wanted, allow_unused=True)
                 for total, part in zip(grads, found, strict=True):
@@ -92,8 +115,10 @@ class _Jvp(DerivativeFunction):
         given = {i: t.detach() for i, t in enumerate(tangents) if t is not None}
         leaves = [p.detach().requires_grad_(i in given) for i, p in enumerate(params) if p is not None]
         wanted = [leaves[i] for i in given]
-        with torch.enable_grad():
-            for jump, rate, place in samples(boundary, leaves, film):
+        with few_threads() as threads, torch.enable_grad():
+            for jump, rate, place in samples(boundary, leaves, film, threads):
+                if not rate.requires_grad:
+                    continue
                 # a product with tangents as the derivative of products with adjoints
                 dummy = torch.zeros_like(rate, requires_grad=True)
                 pulled = torch.autograd.grad(rate, wanted, dummy, create_graph=True, allow_unused=True)
@@ -111,25 +136,45 @@ class _Jvp(DerivativeFunction):
         return image, values[:, -1].reshape(call.size).to(call.native.dtype)
 
 
+def samples(boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces, threads: int) -> Samples:
+    """In chunks: jumps of colour and alpha with all weights (N, C + 1), rates (N,), attached, and film places (N, 2).
+
+    They are the same in both modes, so that these agree to rounding.
+    """
+    scene = Boundary(boundary, params, film, threads)
+    if boundary.spp[0] > 0:
+        yield from seen_outlines(scene)
+    max_depth = boundary.call.config["max_depth"]
+    if boundary.spp[1] > 0 and not 0 <= max_depth < 2:
+        choice = Choice(scene)
+        if len(choice):
+            in_view = share_in_view(scene, choice)
+            if bool(boundary.moves.any()):
+                yield from outlines_before_surfaces(scene, choice, in_view)
+            yield from outlines_before_lights(scene, choice, in_view)
+
+
 def boundary_of(
-    scene: Scene, call: RenderCall, spp: int | None, tensors: Sequence[torch.Tensor]
+    scene: Scene, call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]
 ) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
     layout, sensor = call.layout, call.config["sensor"]
     kind, numbers, _ = layout.objects["sensor"][sensor]
-    if kind not in SENSORS or spp == 0:
+    if kind not in SENSORS or spp == (0, 0):
         return None
 
     def asked(category: str, kind: str, row: Sequence[int]) -> bool:
-        of_tensors = [f.kind in ("transform", "float", "point", "tensor") for f in models()[category, kind].fields]
+        fields = models()[category, kind].fields
         return any(
-            is_slot and n >= 0 and has_derivative(tensors[n]) for n, is_slot in zip(row, of_tensors, strict=True)
+            f.kind in PLACING and n >= 0 and has_derivative(tensors[n]) for n, f in zip(row, fields, strict=True)
         )
 
     camera = asked("sensor", kind, numbers)
     moves = [camera or asked("shape", k, row) for k, row, _ in layout.objects["shape"]]
-    if not any(moves):
+    lights = any(asked("emitter", k, row) for k, row, _ in layout.objects["emitter"] if k in MOVING_LIGHTS)
+    if not any(moves) and not lights:
         return None
+    each = max(1, call.spp_grad // 4)
     return BoundaryCall(
-        call, scene, max(1, call.spp_grad // 4) if spp is None else spp, torch.tensor(moves), spp is None
+        call, scene, spp or (each, each), torch.tensor(moves, dtype=torch.bool), camera, lights, spp is None
     )

@@ -51,6 +51,31 @@ class FilmPlaces:
         column = torch.nan_to_num(x, 0, 0, 0).clamp(0, self.width - 1).long()
         return torch.where(known, near[row, column].to(x.dtype), torch.ones_like(x))
 
+    def wanted(self, place: torch.Tensor) -> torch.Tensor:
+        """Whether places (N, 2) are in wanted pixels, about: (N,) bool."""
+        x, y = torch.floor(place[:, 0]).long() - self.x0, torch.floor(place[:, 1]).long() - self.y0
+        inside = (x >= 0) & (x < self.width) & (y >= 0) & (y < self.height)
+        if self.where is None:
+            return inside
+        chosen = torch.zeros(self.height * self.width, dtype=torch.bool)
+        chosen[self.where] = True
+        return inside & chosen[torch.where(inside, y * self.width + x, 0)]
+
+    def cells(self, window: tuple[int, int, int, int]) -> torch.Tensor:
+        """Corners (n, 2), x and y, of the squares of the film, within its sampled window, that reach wanted pixels."""
+        top, left, rows, columns = window
+        y = torch.arange(max(top, self.y0 - self.reach), min(top + rows, self.y0 + self.height + self.reach))
+        x = torch.arange(max(left, self.x0 - self.reach), min(left + columns, self.x0 + self.width + self.reach))
+        grid = torch.stack(torch.meshgrid(y, x, indexing="ij"), 2).flip(2).reshape(-1, 2)
+        if self.where is None or not len(grid):
+            return grid
+        wanted = torch.zeros(1, 1, self.height, self.width)
+        wanted.view(-1)[self.where] = 1
+        pad = self.reach
+        near = torch.nn.functional.max_pool2d(torch.nn.functional.pad(wanted, [pad] * 4), 2 * pad + 1, 1, pad)[0, 0]
+        row, column = grid[:, 1] - self.y0 + pad, grid[:, 0] - self.x0 + pad
+        return grid[near[row, column] > 0]
+
     def add(self, image: torch.Tensor, values: torch.Tensor, channels: slice) -> None:
         """Values (n, C) of the wanted pixels."""
         flat = image.view(-1, self.channels)[:, channels]

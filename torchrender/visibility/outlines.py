@@ -9,9 +9,11 @@ import torch
 
 from ..surface import CYLINDER, DISK, MESH, SPHERE, Surfaces, inverse_linear, transform_point, transform_vector
 from .edges import Edges, EdgeTable, edge_table
+from .tree import ALWAYS, CREASE, EDGE, ELEMENT, ROUND, elements
 
 PIXELS = 16.0  # length of a piece on the film
 MOST = 256  # pieces of an edge or contour
+HOLLOW = 0.1  # weight of edges that can be seen from behind only
 CONTOUR, RIM, LOWER_RIM, UPPER_RIM, LEFT_LINE, RIGHT_LINE = range(6)
 CURVES_OF = {SPHERE: (CONTOUR,), DISK: (RIM,), CYLINDER: (LOWER_RIM, UPPER_RIM, LEFT_LINE, RIGHT_LINE)}
 
@@ -51,12 +53,16 @@ class Pieces:
 class OutlinePoints:
     """Points on outlines: `position` (N, 3), which may be attached; its derivative by the parameter, `along` (N, 3).
 
-    `valid`: there is one, and an outline or a crease it is.
+    `valid`: there is one, and an outline or a crease it is. `front` (N,): 1 where what hides something is on the side
+    of (direction of the ray) x `along`, -1 where on the other, 0 of creases, which hide nothing. `room` (N,): how far
+    across the ray the faces beside an edge reach.
     """
 
     position: torch.Tensor
     along: torch.Tensor
     valid: torch.Tensor
+    front: torch.Tensor
+    room: torch.Tensor
 
 
 class Outlines:
@@ -111,6 +117,45 @@ class Outlines:
         split = (edges.v0 != edges.v0[:, :1]).any(1) | (edges.v1 != edges.v1[:, :1]).any(1)
         return split | (shape != shape[:, :1]).any(1), ~self.surfaces.smooth[shape[:, 0]]
 
+    def all(self) -> tuple[Edges, torch.Tensor]:
+        """Edges that can be outlines or creases from somewhere, and elements (E, 17) of a tree of them, see tree.py."""
+        edges = self.table.plain
+        if len(self.table.fans):
+            edges = _joined(edges, self.table.fans)
+        n0, n1 = self.face_normals[edges.face[:, 0]], self.face_normals[edges.face[:, 1]]
+        bend = (1 - (n0 * n1).sum(1)).clamp(min=0.0)
+        split, flat = self._jumps(edges)
+        kept = ((bend > 1e-7) | split | (edges.count != 2)).nonzero()[:, 0]
+        edges, n0, n1, bend, split, flat = edges.rows(kept), n0[kept], n1[kept], bend[kept], split[kept], flat[kept]
+        a, b = self.positions[edges.v0[:, 0]], self.positions[edges.v1[:, 0]]
+        hollow = (n0 * (self.positions[edges.third[:, 1]] - a)).sum(1) > 0
+        weight = torch.where(hollow & (edges.count == 2), HOLLOW, 1.0)
+        kind = torch.where(edges.count == 2, torch.where(split | flat, CREASE, EDGE), ALWAYS)
+        bend = torch.where(split, bend.clamp(min=0.05), bend)
+        return edges, elements(a, b, n0, n1, weight, bend, kind, torch.full_like(kind, -2))
+
+    def quadrics(self) -> tuple[list[tuple[int, int]], torch.Tensor]:
+        """All contours, rims and lines of quadrics as (shape, curve), and their elements."""
+        surfaces = self.surfaces
+        curves = [(i, c) for i, kind in enumerate(surfaces.kind.tolist()) for c in CURVES_OF.get(kind, ())]
+        if not curves:
+            return [], torch.zeros(0, ELEMENT)
+        shape, curve = torch.tensor(curves).T
+        matrix = surfaces.to_world[shape].detach()
+        x, y, z, place = matrix[:, :3].unbind(2)
+        upper = (curve == UPPER_RIM)[:, None]
+        radius = torch.linalg.matrix_norm(matrix[:, :3, :3], 2) * torch.where(curve == CONTOUR, 1.0, 0.0)
+        across = torch.maximum(torch.linalg.vector_norm(x, dim=1), torch.linalg.vector_norm(y, dim=1))
+        radius = torch.where(curve == CONTOUR, radius, across)
+        line = curve >= LEFT_LINE  # somewhere on the cylinder: around its axis
+        size = torch.where(line, radius + 0.5 * torch.linalg.vector_norm(z, dim=1), radius)
+        centre = torch.where(line[:, None], place + 0.5 * z, torch.where(upper, place + z, place))
+        zero = torch.zeros_like(place)
+        end = torch.cat([size[:, None], zero[:, :2]], 1)
+        ones = torch.ones_like(size)
+        weight = torch.where(line, 0.3, 1.0).to(size)
+        return curves, elements(centre, end, zero, zero, weight, ones, torch.full_like(shape, ROUND), shape)
+
     def whole(self, view: Viewpoint) -> tuple[Edges, Pieces]:
         """All outlines uncut: candidate edges, and contours and rims of quadrics that move."""
         edges, weight = self.candidates(view)
@@ -145,7 +190,9 @@ class Outlines:
             self._on_quadrics(pieces.shape[rest], pieces.curve[rest], s[rest], origin[rest].detach(), parallel)
         )
         back = torch.argsort(torch.cat(rows))
-        return OutlinePoints(*(torch.cat([getattr(f, n) for f in found])[back] for n in ("position", "along", "valid")))
+        return OutlinePoints(
+            *(torch.cat([getattr(f, n) for f in found])[back] for n in OutlinePoints.__dataclass_fields__)
+        )
 
     def _on_edges(
         self, edges: Edges, s: torch.Tensor, origin: torch.Tensor, parallel: bool, exact: bool
@@ -154,16 +201,18 @@ class Outlines:
         share = there / edges.count[:, None, None]  # copies of a vertex share its motion
         a, b = ((self.surfaces.positions[v] * share).sum(1) for v in (edges.v0, edges.v1))
         position, along = a + (b - a) * s[:, None], (b - a).detach()
-        valid = torch.ones_like(s, dtype=torch.bool)
+        valid, front, room = torch.ones_like(s, dtype=torch.bool), torch.zeros_like(s), torch.full_like(s, math.inf)
         if exact:  # all faces on one side of the plane through ray and edge; or a crease, whatever its sides
             towards = origin if parallel else position.detach() - origin
             across = torch.linalg.cross(towards, along)
             third = self.positions[edges.third] - a.detach()[:, None]
             side = (third * across[:, None]).sum(2)
-            outline = ~((side > 0).any(1) & (side < 0).any(1))
+            right, left = (side > 0).any(1), (side < 0).any(1)
             split, flat = self._jumps(edges)
-            valid = outline | split | flat
-        return OutlinePoints(position, along, valid)
+            valid = ~(right & left) | split | flat
+            front = torch.where(right & left, 0.0, right.to(s) - left.to(s))
+            room = side.abs().amin(1) / torch.linalg.vector_norm(across, dim=1).clamp(min=1e-30)
+        return OutlinePoints(position, along, valid, front, room)
 
     def _on_quadrics(
         self, shape: torch.Tensor, curve: torch.Tensor, s: torch.Tensor, origin: torch.Tensor, parallel: bool
@@ -203,7 +252,13 @@ class Outlines:
         along = torch.where(
             round_[:, None], around, torch.where(line[:, None], torch.cat([zero, zero, one], 1), along_rim)
         )
-        return OutlinePoints(transform_point(matrix, local), transform_vector(plain, along), valid)
+        position, tangent = transform_point(matrix, local), transform_vector(plain, along)
+        with torch.no_grad():
+            inwards = transform_vector(plain, local * local.new_tensor([-1.0, -1.0, 0.0]))
+            middle = torch.where(round_[:, None], transform_vector(plain, -local), inwards)
+            towards = origin if parallel else position - origin
+            front = torch.sign((torch.linalg.cross(towards, tangent) * middle).sum(1))
+        return OutlinePoints(position, tangent, valid, front, torch.full_like(s, math.inf))
 
 
 def _joined(a: Edges, b: Edges) -> Edges:

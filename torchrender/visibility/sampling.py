@@ -1,4 +1,4 @@
-"""Samples of the outlines that a camera sees, and the colours on both sides of them."""
+"""Samples of all outlines, and what the three ways to find them have in common."""
 
 from __future__ import annotations
 
@@ -11,199 +11,79 @@ import torch
 
 from ..render_call import RenderCall
 from ..scene.camera_rays import Rays
+from ..scene.declaration import models
 from ..scene.scene import Scene
 from ..seeds import mix
+from ..wavefront.path import offset_origin
 from ..wavefront.world import World
 from .film_places import film_places
 from .film_sums import FilmPlaces
-from .outlines import MOST, PIXELS, Outlines, Pieces, Viewpoint
+from .outlines import Outlines
 
 STREAM = 0x766973  # tells the seed of outlines from those of paths
 CHUNK = 1 << 13  # samples at a time: in the cache, and too few for torch to share them among threads
-LENGTHWISE = 4
-SIDE = 2.0**-9  # how far beside an outline its colours are looked at, in pixels
+PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
+
+NEAR = 0.02  # what is close, in sizes of the scene
+
+Found = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+Samples = Iterator[Found]
 
 
 @dataclass
 class BoundaryCall:
-    """The boundary term of one rendering: `spp` samples a wanted pixel; `moves`: by shape, whether it may move.
+    """The boundary term of one rendering.
 
-    With `by_length` short outlines get fewer: for each pixel of their length `LENGTHWISE` times those of a pixel.
+    `spp` samples a wanted pixel of outlines that the camera sees, and of those that points on surfaces see; `moves`
+    says which shapes may move, all if the `camera` does, and `lights` whether lights without extent may. With
+    `by_length` short outlines get fewer samples.
     """
 
     call: RenderCall
     scene: Scene
-    spp: int
+    spp: tuple[int, int]
     moves: torch.Tensor
+    camera: bool
+    lights: bool
     by_length: bool
 
 
-def samples(
-    boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces
-) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
-    """In chunks: jumps of colour and alpha with all weights (N, C + 1), rates (N,), attached, and film places (N, 2).
+class Boundary:
+    """A scene with its outlines, as one camera sees it."""
 
-    They are the same in both modes, so that these agree to rounding.
-    """
-    call = boundary.call
-    sampler = _Sampler(boundary, params)
-    sampler.prepare(film)
-    if sampler.total <= 0:
-        return
-    count = boundary.spp * math.prod(call.size)
-    if boundary.by_length:
-        count = min(count, math.ceil(LENGTHWISE * call.spp_grad * sampler.total))
-    for number, config in enumerate(call.configs(derivative=True)):
-        generator = torch.Generator().manual_seed(mix(config["seed"], STREAM) >> 1)
-        first = float(torch.rand((), generator=generator, dtype=torch.float64))
-        for begin in range(0, count, CHUNK):
-            n = min(CHUNK, count - begin)
-            at = (begin + torch.arange(n, dtype=torch.float64) + first) / count
-            key = torch.arange(begin, begin + n, dtype=torch.int64) + number * count
-            yield from sampler.draw(at, key, config, 1.0 / (count * call.passes), generator)
-            sampler.world.begin()
-
-
-class _Sampler:
-    """Outlines of the scene as one camera sees them."""
-
-    def __init__(self, boundary: BoundaryCall, params: Sequence[torch.Tensor]) -> None:
+    def __init__(self, boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces, threads: int) -> None:
         call = boundary.call
-        self.call = call
+        self.given, self.call, self.film, self.threads = boundary, call, film, threads
         self.sensor, self.size = call.config["sensor"], call.config["film_size"]
-        self.world = World(boundary.scene, call.layout, call.native, params, moving=True)
+        self.world = World(boundary.scene, call.layout, call.native, _placing(call, params), moving=True)
         self.record = self.world.records["sensor"][self.sensor]
-        self.parallel = self.record.type == "orthographic"
-        known = call.layout.edges
-        table = known[1] if known is not None and known[0] == call.layout.index_key() else None
+        key, known = call.layout.index_key(), call.layout.edges
+        table = known[1] if known is not None and known[0] == key else None
         self.outlines = Outlines(self.world.surfaces, table, boundary.moves)
-        call.layout.edges = (call.layout.index_key(), self.outlines.table)
-        to_world = self.world.tensor("sensor", self.record, "to_world").detach()
-        radius = 0.0
-        if self.record.type == "thinlens":
-            radius = float(self.world.tensor("sensor", self.record, "aperture_radius").detach())
-            radius *= float(torch.linalg.matrix_norm(to_world[:3, :3], 2))
-        self.view = Viewpoint(None if self.parallel else to_world[:3, 3], to_world[:3, 2], radius)
-        self.total = 0.0
+        if self.outlines.table is not table:
+            call.layout.edges = (key, self.outlines.table)
+        self.real = self.world.dtype
+        box = call.native.handle.bounding_box()
+        self.near = NEAR * math.dist(box[:3], box[3:])
 
-    def prepare(self, film: FilmPlaces) -> None:
-        """Cut outlines into pieces, and weigh these by their length on the film, where pixels there are wanted."""
-        with torch.no_grad():
-            self.edges, whole = self.outlines.whole(self.view)
-            length, _, seen = self._on_film(whole, 8)
-            number = torch.where(seen, (length / PIXELS).ceil(), torch.zeros_like(length)).clamp(0, MOST).long()
-            number = torch.where(seen & (whole.edge < 0), number.clamp(min=32), number)
-            rows = torch.arange(len(number)).repeat_interleave(number)
-            first = (torch.cumsum(number, 0) - number)[rows]
-            step = (torch.arange(len(rows)) - first).to(whole.begin.dtype)
-            pieces, parts = whole[rows], number[rows].to(whole.begin.dtype)
-            pieces.begin, pieces.end = step / parts, (step + 1) / parts
-            length, middle, seen = self._on_film(pieces, 2)
-            height, width = film.height, film.width
-            length = length.clamp(max=float(height + width))
-            weight = pieces.weight * torch.where(seen, length, torch.zeros_like(length))
-            margin = length + film.reach + 1 + (0.5 * (height + width) if self.view.radius > 0 else 0)
-            x, y = middle[:, 0] - film.x0, middle[:, 1] - film.y0
-            inside = (x > -margin) & (x < width + margin) & (y > -margin) & (y < height + margin)
-            weight = torch.where(inside | ~torch.isfinite(x + y), weight, torch.zeros_like(weight))
-            if film.where is not None:
-                weight = weight * film.near_wanted(x, y, int(PIXELS) + film.reach)
-            kept = (weight > 0).nonzero()[:, 0]
-            self.pieces = pieces[kept]
-            self.cdf = torch.cumsum(weight[kept].double(), 0)
-            self.total = float(self.cdf[-1]) if len(kept) else 0.0
+    def begin(self) -> None:
+        """Before every chunk: what is attached to the parameters once more."""
+        self.world.begin()
+        self.outlines.surfaces = self.world.surfaces
 
-    def _on_film(self, pieces: Pieces, steps: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Lengths of pieces on the film, roughly, places of their middles, and whether anything can be seen of them."""
-        n, real = len(pieces.begin), pieces.begin.dtype
-        share = torch.linspace(0, 1, steps + 1, dtype=real)
-        places = []
-        for s in share:
-            at = pieces.begin + (pieces.end - pieces.begin) * s
-            places.append(self._places(self._origin_points(pieces, at), torch.full((n, 2), 0.5, dtype=real)))
-        place = torch.stack(places)
-        there = torch.isfinite(place).all(2)
-        step = torch.linalg.vector_norm(place[1:] - place[:-1], dim=2)
-        both = there[1:] & there[:-1]
-        unknown = (there[1:] ^ there[:-1]).to(real) * (PIXELS * 2)
-        length = torch.where(both, step, unknown).sum(0)
-        if self.record.type == "panorama":  # around the seam
-            length = torch.where(both, step.clamp(max=self.size[1] / 4), unknown).sum(0)
-        return length, place[steps // 2], there.any(0) | (self.view.radius > 0)
+    def configs(self, stream: int) -> Iterator[tuple[int, dict[str, Any], torch.Generator]]:
+        """Number, settings and random numbers of each pass."""
+        for number, config in enumerate(self.call.configs(derivative=True)):
+            seed = mix(config["seed"], stream)
+            yield number, {**config, "seed": seed, "threads": self.threads}, torch.Generator().manual_seed(seed >> 1)
 
-    def _origin_points(self, pieces: Pieces, at: torch.Tensor) -> torch.Tensor:
-        origin = self.view.direction if self.view.point is None else self.view.point
-        return self.outlines.points(
-            self.edges, pieces, at, origin.expand(len(at), 3), self.parallel, exact=False
-        ).position
-
-    def _places(self, points: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
+    def places(self, points: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
         return film_places(self.world, self.sensor, self.size, points.detach(), lens)
 
-    def draw(
-        self, at: torch.Tensor, key: torch.Tensor, config: dict[str, Any], share: float, generator: torch.Generator
-    ) -> Iterator[tuple[torch.Tensor, torch.Tensor, torch.Tensor]]:
-        """Samples at places of the distribution of pieces, in [0, 1)."""
-        real = self.world.dtype
-        numbers = torch.rand(len(at), 3, generator=generator, dtype=torch.float64)
-        self.outlines.surfaces = self.world.surfaces
-        index = torch.searchsorted(self.cdf, at * self.total, right=True).clamp(max=len(self.cdf) - 1)
-        mass = self.cdf[index] - torch.where(index > 0, self.cdf[(index - 1).clamp(min=0)], 0.0)
-        pieces = self.pieces[index]
-        s = (pieces.begin + (pieces.end - pieces.begin) * numbers[:, 0]).to(real)
-        lens = numbers[:, 1:].to(real)
-        density = mass / self.total / (pieces.end - pieces.begin)  # by the parameter
-        origin = self._origins(lens)
-        point = self.outlines.points(self.edges, pieces, s, origin, self.parallel)
-        b, along = point.position, point.along
-        with torch.no_grad():
-            place = self._places(b, lens)
-            kept = (point.valid & torch.isfinite(place).all(1)).nonzero()[:, 0]
-        b, along, place, lens, density, key = b[kept], along[kept], place[kept], lens[kept], density[kept], key[kept]
-        if not len(kept):
-            return
-        rays = self.world.camera_rays(self.sensor, self.size, place, lens)
-        with torch.no_grad():
-            towards = b - rays.origins
-            distance = (towards * rays.directions).sum(1)
-            apart = torch.linalg.vector_norm(towards - rays.directions * distance[:, None], dim=1)
-            across = torch.linalg.cross(rays.directions, along)
-            turned = torch.linalg.vector_norm(across, dim=1)  # sin times the length of `along`
-            normal = across / turned.clamp(min=1e-30)[:, None]
-            area = self._pixel_area(place, lens, rays.directions, distance)
-            side = torch.maximum(SIDE * area.sqrt(), 32 * torch.finfo(real).eps * (1 + b.abs().amax(1)))
-            good = (turned > 0) & (area > 0) & (distance > 0) & (distance < rays.tmax)
-            good = good & (apart < 1e-3 * distance)  # the lens does show it there
-            near = distance * (1 - 1e-3)
-            good = good & ~self._hidden(rays.origins, rays.directions, near, good)
-            kept = good.nonzero()[:, 0]
-            if not len(kept):
-                return
-            offset = normal[kept] * side[kept, None]
-            both = [self._places(b[kept] + sign * offset, lens[kept]) for sign in (-1.0, 1.0)]
-            values = self._radiance(torch.cat(both), lens[kept].repeat(2, 1), key[kept].repeat(2), config)
-            jump = values[: len(kept)] - values[len(kept) :]
-            weight = turned[kept] / area[kept] / density[kept] * share
-            jump = (
-                jump.double() * torch.where(torch.isfinite(weight), weight, torch.zeros_like(weight))[:, None].double()
-            )
-        o, d = rays.origins[kept], rays.directions[kept]
-        rate = ((b[kept] - o - d * distance[kept, None]) * normal[kept]).sum(1)
-        yield jump, rate.double(), place[kept].double()
+    def rays(self, place: torch.Tensor, lens: torch.Tensor) -> Rays:
+        return self.world.camera_rays(self.sensor, self.size, place, lens)
 
-    def _origins(self, lens: torch.Tensor) -> torch.Tensor:
-        if self.view.point is None:
-            return self.view.direction.expand(len(lens), 3)
-        if self.record.type != "thinlens":
-            return self.view.point.expand(len(lens), 3)
-        with torch.no_grad():  # rays begin on the near plane: back to the lens
-            middle = torch.tensor([self.size[1] / 2, self.size[0] / 2], dtype=lens.dtype).expand(len(lens), 2)
-            rays = self.world.camera_rays(self.sensor, self.size, middle, lens)
-            axis = torch.nn.functional.normalize(self.view.direction, dim=0)
-            back = ((rays.origins - self.view.point) @ axis) / (rays.directions @ axis)
-            return rays.origins - rays.directions * back[:, None]
-
-    def _pixel_area(
+    def pixel_area(
         self, place: torch.Tensor, lens: torch.Tensor, direction: torch.Tensor, distance: torch.Tensor
     ) -> torch.Tensor:
         """Area perpendicular to the ray in that direction, at that distance, of what a pixel sees."""
@@ -211,32 +91,78 @@ class _Sampler:
         columns = []
         for x, y in ((step, 0.0), (0.0, step)):
             move = place.new_tensor([x, y])
-            plus, minus = (self.world.camera_rays(self.sensor, self.size, place + m, lens) for m in (move, -move))
+            plus, minus = (self.rays(place + m, lens) for m in (move, -move))
             ends = [r.origins + r.directions * distance[:, None] for r in (plus, minus)]
             columns.append((ends[0] - ends[1]) / (2 * step))
         area = torch.linalg.cross(columns[0], columns[1])
         return (area * direction).sum(1).abs()
 
-    def _hidden(self, o: torch.Tensor, d: torch.Tensor, reach: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        """Whether something is before the outline; emitters that the camera does not see are not."""
-        reach = torch.where(wanted, reach, torch.full_like(reach, -1.0))
-        if not self.call.config["hide_emitters"]:
-            return self.world.occluded(o, d, reach)
-        return self.world.first_hits(Rays(o, d, reach), hide_emitters=True).valid
-
-    def _radiance(
-        self, place: torch.Tensor, lens: torch.Tensor, key: torch.Tensor, config: dict[str, Any]
+    def radiance(
+        self,
+        rays: Rays,
+        key: torch.Tensor,
+        config: dict[str, Any],
+        depth: int = 0,
+        pdf: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Radiance and alpha (N, C + 1) of camera rays through places (N, 2)."""
-        rays = self.world.camera_rays(self.sensor, self.size, place, lens)
-        there = torch.isfinite(place).all(1)
-        o, d, reach = (torch.where(there.view(-1, *[1] * (t.ndim - 1)), t.detach(), 0.0).contiguous() for t in rays)
-        reach = torch.where(there, reach, torch.full_like(reach, -1.0))
+        """Radiance and alpha (N, C + 1) along rays, `depth` vertices of whose paths are behind them.
+
+        `pdf` (N,) is the density with which their directions are sampled beside lights; without it, or 0, they alone
+        are to find the light.
+        """
+        o, d, reach = (t.detach().contiguous() for t in rays)
         keys = (key & 0xFFFFFFFF).to(torch.uint32).contiguous()
-        n, native = len(place), self.call.native
+        n, native = len(o), self.call.native
+        density = torch.zeros(n, dtype=native.dtype) if pdf is None else pdf.detach().contiguous()
         image, alpha = (torch.empty(n, c, dtype=native.dtype) for c in (native.channels, 1))
-        addresses = [t.data_ptr() for t in (o, d, reach, keys)]
+        addresses = [t.data_ptr() for t in (o, d, reach, density, keys)]
         out = {"image": image.data_ptr(), "alpha": alpha.data_ptr()}
-        native.call("render_rays", self.world.plain, config, n, addresses, out)
+        native.call("render_rays", self.world.plain, config, n, addresses, depth, out)
         values = torch.cat([image, alpha], 1)
         return torch.where(torch.isfinite(values), values, torch.zeros_like(values))
+
+    def beside(
+        self, origin: torch.Tensor, normal: torch.Tensor, b: torch.Tensor, across: torch.Tensor, room: torch.Tensor
+    ) -> Rays:
+        """Rays from points (of surfaces with these normals, or 0) past an outline's points b, displaced across it."""
+        distance = torch.linalg.vector_norm(b - origin, dim=1)
+        side = torch.maximum(torch.minimum(distance * 2.0**-14, room / 8), least_side(b))
+        at = b + across * side[:, None]
+        d = torch.nn.functional.normalize(at - origin, dim=1)
+        o = offset_origin(origin, normal, d)
+        d = torch.nn.functional.normalize(at - o, dim=1)
+        return Rays(o, d, torch.full_like(distance, math.inf))
+
+    def apart(self, distance: torch.Tensor) -> torch.Tensor:
+        """Of points at a distance, the share, in [0, 1), of what the one gets from the other that lights find."""
+        square = distance * distance
+        return square / (square + self.near * self.near)
+
+
+def least_side(b: torch.Tensor) -> torch.Tensor:
+    """How far beside points (N, 3) rays can be told apart from them, whatever the scene's type: rays are single."""
+    return 32 * 2.0**-24 * (1 + b.abs().amax(1))
+
+
+def is_crease_seen(front: torch.Tensor, distance: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+    """False of creases (`front` is 0) beside which a ray goes on, instead of meeting the crease's own face.
+
+    Then the face is narrower than what rays can tell apart, and the jump another outline's.
+    """
+    return (front != 0) | ((t - distance).abs() < 5e-3 * distance)
+
+
+def _placing(call: RenderCall, params: Sequence[torch.Tensor]) -> list[torch.Tensor]:
+    """The tensors, those detached that place neither shapes nor cameras nor lights."""
+    kept = set()
+    for category in ("shape", "sensor", "emitter"):
+        for kind, numbers, _ in call.layout.objects[category]:
+            fields = models()[category, kind].fields
+            kept |= {n for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0}
+    return [p if i in kept else p.detach() for i, p in enumerate(params)]
+
+
+def joined(found: list[Found]) -> Samples:
+    """All of them as one, since they share a graph."""
+    if found:
+        yield torch.cat([f[0] for f in found]), torch.cat([f[1] for f in found]), torch.cat([f[2] for f in found])

@@ -354,9 +354,10 @@ class WavefrontTracer:
 
         Points on grids of distances are not among them and stay as they are.
         """
-        on_grid = self.world.surfaces.kind[hits.shape_id.clamp_min(0)] == SDF_GRID
-        slides = hits.valid & on_grid
-        rows = (hits.valid & ~on_grid).nonzero()[:, 0]
+        shape = hits.shape_id.clamp_min(0)
+        glued = hits.valid & (self.shape_emitter[shape] >= 0) & (self.world.surfaces.kind[shape] != SDF_GRID)
+        slides = hits.valid & ~glued
+        rows = glued.nonzero()[:, 0]
         shape, primitive = hits.shape_id[rows], hits.prim_id[rows]
         at = glue(self.world.surfaces, shape, primitive, hits.barycentric[rows], hits.position[rows], hits.uv[rows])
 

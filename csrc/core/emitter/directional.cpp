@@ -10,7 +10,7 @@ struct DirectionalEmitter {
         {"irradiance", Kind::Spectrum, 1, 0, INFINITY, "interior",
          "power per area perpendicular to its direction, W / m^2"},
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
-         "interior, without moving shadow edges; zero where nothing casts a shadow of it",
+         "interior, without shadow edges that are seen in mirrors or through glass; zero where there are none",
          "light travels along its +z axis"},
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",

@@ -8,7 +8,8 @@ struct PointEmitter {
     static constexpr Field fields[] = {
         {"intensity", Kind::Spectrum, 1, 0, INFINITY, "interior", "radiant intensity, W / sr"},
         {"position", Kind::Point, 0, -INFINITY, INFINITY,
-         "interior, without moving shadow edges; zero where nothing casts a shadow of it", "where it is, world space"},
+         "interior, without shadow edges that are seen in mirrors or through glass; zero where there are none",
+         "where it is, world space"},
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},

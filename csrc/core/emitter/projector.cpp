@@ -8,8 +8,8 @@ namespace tr {
 struct ProjectorEmitter {
     static constexpr bool HasFrame = true;
     static constexpr const char *Edges =
-        "interior, without the motion of the image's border and of shadow edges; zero "
-        "where the image is black at its border and nothing casts a shadow of it";
+        "interior, without the motion of the image's border, and of shadow edges that are seen in mirrors or through "
+        "glass; zero where the image is black at its border and there are no such edges";
     static constexpr Field fields[] = {
         {"irradiance", Kind::Texture, 1, 0, INFINITY, "interior",
          "what a white diffuse screen at distance 1 shows, W / (m^2 sr); row 0 is at the top"},

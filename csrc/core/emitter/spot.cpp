@@ -17,7 +17,7 @@ struct SpotEmitter {
          "angle between the axis and where the intensity begins to fall, degrees; 3/4 of cutoff_angle"},
         {"texture", Kind::Texture, 1, 0, INFINITY, "interior", "factor of the intensity", nullptr, Optional},
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY,
-         "interior, without moving shadow edges; zero where nothing casts a shadow of it",
+         "interior, without shadow edges that are seen in mirrors or through glass; zero where there are none",
          "the light's frame to the world, no scale; it looks along +z"},
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",

@@ -152,8 +152,9 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
         if (c.needs->geometry) {
             Vec3<F> segment = si.p - from.p;
-            write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t,
-                          arrival_kind<F>(mask<F>(from.pdf == F(0)) || si.shape.has(IsSdfGrid)));
+            // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
+            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || si.shape.has(IsSdfGrid);
+            write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t, arrival_kind<F>(slides));
         }
     } else {
         add_radiance(c, slot, beta, e, active, "emitter");

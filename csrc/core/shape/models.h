@@ -6,14 +6,15 @@
 namespace tr {
 
 constexpr const char *GeometryEdges =
-    "interior, without the motion of shadow edges, of silhouettes that reflected light meets, and of jumps of textures "
-    "that are seen directly; zero where there are none or both sides of them are of equal colour";
+    "interior, without the motion of edges that are seen in mirrors or through glass, and of jumps of textures; zero "
+    "where there are none or both sides of them are of equal colour";
 constexpr const char *CurvedEdges =
-    "interior, without the motion of silhouettes, of shadow edges, and of jumps of textures that are seen directly; "
-    "zero where there are none or both sides of them are of equal colour";
+    "interior, without the motion of its silhouettes, of edges that are seen in mirrors or through glass, and of jumps "
+    "of textures; zero where there are none or both sides of them are of equal colour";
 constexpr const char *GridEdges =
-    "interior, without the motion of silhouettes, of shadow edges and, with analytic normals, of the creases between "
-    "cells; zero where there are none or both sides of them are of equal colour";
+    "interior, without the motion of its silhouettes and, with analytic normals, of the creases between cells, of "
+    "edges that are seen in mirrors or through glass, and of jumps of textures; zero where there are none or both "
+    "sides of them are of equal colour";
 
 struct MeshModel {
     enum { Vertices, Faces, Normals, Texcoords, FaceNormals, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
@@ -21,8 +22,8 @@ struct MeshModel {
         {"vertices", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges, "positions (V, 3), world space"},
         {"faces", Kind::Indices, None, 0, INFINITY, "", "vertex indices (F, 3)"},
         {"normals", Kind::Tensor, -1, -INFINITY, INFINITY,
-         "interior, without the motion of edges seen through smooth reflection or refraction; zero where there are "
-         "none or both sides of them are of equal colour",
+         "interior, without the motion of edges that are seen in mirrors or through glass; zero where there are none "
+         "or both sides of them are of equal colour",
          "vertex normals (V, 3), world space", nullptr, Optional},
         {"texcoords", Kind::Tensor, -1, -INFINITY, INFINITY,
          "interior, without the jumps of nearest and checkerboard textures; zero where textures are bilinear",
