@@ -22,6 +22,7 @@ BENCHMARKS = {
     "smoke": "one full-size iteration of the smoke, and what a reconstruction finds in a given time",
     "slab": "one full-size iteration of the translucent slab",
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
+    "visibility": "derivatives by what moves: efficiency and bias of silhouettes, shadows and indirect light",
     "caustics": "one iteration of a refractive height field that throws a picture",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
     "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",

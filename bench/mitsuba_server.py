@@ -144,6 +144,16 @@ class Server:
     def caustics(self, seed: int, spp: int, spp_grad: int) -> dict:
         return self.plate.iteration(seed, spp, spp_grad)
 
+    def load_moved(self, direction: list) -> dict:
+        from mitsuba_visibility import Moved
+
+        (name,) = self.names
+        self.moved = Moved(self.mi, self.dr, self.scene, self.params, name, direction)
+        return {"loaded": True}
+
+    def derivative(self, seed: int, **settings) -> dict:
+        return self.moved.derivative(seed, **settings)
+
     def _not_finite(self, tensor) -> int:
         return int(self.dr.count(~self.dr.isfinite(tensor.array))[0])
 

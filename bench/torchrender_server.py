@@ -111,6 +111,21 @@ class Server:
     def caustics(self, seed: int, spp: int, spp_grad: int, passes: int = 1) -> dict:
         return self.plate.iteration(seed, spp=spp, spp_grad=spp_grad, passes=passes)
 
+    def load_moved(self, name: str, resolution: int, spp: int) -> dict:
+        import tempfile
+
+        from bench.visibility_ours import Moved
+        from bench.visibility_scenes import MOVING
+
+        (moving,) = [moving for moving in MOVING if moving.name == name]
+        with tempfile.TemporaryDirectory(prefix="bench-") as folder:
+            self.moved = Moved(moving, Path(folder), resolution, spp, **self.settings)
+        return {"loaded": True}
+
+    def derivative(self, seed: int) -> dict:
+        derivative, seconds = self.moved.derivative(seed)
+        return {"derivative": derivative, "seconds": seconds}
+
 
 if __name__ == "__main__":
     serve(Server)

@@ -48,6 +48,16 @@ class Server:
     def caustics(self, seed, spp, spp_grad):
         return {{"forward": 0.5, "backward": 1.5, "loss": 2.0, "bad image": 1, "bad gradient": 0}}
 
+    def load_moved(self, direction):
+        assert len(direction) == 3 and len(self.parameters) == 1
+        return {{"loaded": True}}
+
+    def derivative(self, seed, settings, seeds):
+        if settings["guiding"] == "grid":
+            raise ValueError("no grid of %d" % seeds)
+        seconds = 0.25 if settings["guiding"] == "octree" else 1.0
+        return {{"derivative": 1.0 + 0.1 * (seed % 2), "seconds": seconds / settings["sppi"]}}
+
     def loss_gradient(self, seed, values, file, **arguments):
         import numpy as np
 

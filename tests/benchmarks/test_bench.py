@@ -326,6 +326,38 @@ def test_caustics(tmp_path, fake_peer, capsys):
     assert "Mitsuba is measured in one pass, got --passes 2" in capsys.readouterr().err
 
 
+def test_visibility(tmp_path, fake_peer):
+    small = ["--search", "2", "--differences", "2", "--difference-spp", "4", "--peer", f"mitsuba={sys.executable}"]
+    result = run(tmp_path, "visibility", *TINY, *small, "--only", "small lamp")
+    efficiency, bias, searched = (table["rows"] for table in result["tables"])
+    assert [row["program"] for row in efficiency] == ["ours", "Mitsuba", "Mitsuba, defaults"]
+    assert efficiency[0]["setting"] == "" and efficiency[0]["time s"]["n"] == 2
+    assert 0 < efficiency[0]["time s"]["median"] < 10
+    # octrees are fastest, and the more indirect samples the better; nothing is seen directly
+    assert efficiency[1]["setting"] == "direct_projective, octree 64, 2/0/32"
+    assert efficiency[2]["setting"] == "direct_projective, octree 512, 2/2/2"
+    assert efficiency[1]["efficiency"] == pytest.approx(1 / (0.005 * 0.25 / 32))
+    assert efficiency[2]["efficiency"] == pytest.approx(1 / (0.005 * 0.25 / 2))
+    assert [row["derivative"] for row in bias[1:]] == pytest.approx([1.05, 1.05])
+    for row in bias:
+        error = (row["error"] ** 2 + row["error of these"] ** 2) ** 0.5
+        assert row["z"] == pytest.approx((row["derivative"] - row["differences"]) / error)
+    assert len(searched) == 2 * 3 + 4
+    (table, *_) = result["tables"]
+    assert sum("no grid of" in note for note in table["notes"]) == 4
+
+
+def test_visibility_that_peers_do_not_have(tmp_path, fake_peer):
+    small = ["--quick", "--difference-spp", "4", "--peer", f"mitsuba={sys.executable}"]
+    result = run(tmp_path, "visibility", *TINY, *small, "--only", "point light")
+    efficiency, bias = result["tables"]
+    assert [row["program"] for row in efficiency["rows"] + bias["rows"]] == ["ours", "ours"]
+    assert any("not in Mitsuba: the boundary terms" in note for note in efficiency["notes"])
+    assert result["settings"]["resolution"] == 64 and efficiency["rows"][0]["time s"]["n"] == 4
+    with pytest.raises(SystemExit, match="no scene's name contains 'teapot'"):
+        main(["visibility", *TINY, "--only", "teapot"])
+
+
 def test_rays(tmp_path):
     rows = run(tmp_path, "rays", *TINY, "--only", "Cornell")["tables"][0]["rows"]
     assert [row["rays"] for row in rows] == ["camera", "bounce", "camera shadow", "bounce shadow"]

@@ -145,3 +145,11 @@ def test_this_torchrender_is_not_passed_on_by_the_environment(monkeypatch, tmp_p
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")]))
     with peers.Peers([("torchrender", sys.executable)], 1) as (peer,):
         assert peer.version.startswith(tr.__version__) and peer.key == TITLE
+
+
+def test_visibility_finds_the_same_derivatives(tmp_path):
+    options = ["--differences", "2", "--difference-spp", "2", "--only", "receiver"]
+    efficiency, (ours, before) = tables(tmp_path, "visibility", *TINY, *options)
+    assert [row["program"] for row in efficiency] == ["ours", TITLE]
+    assert before["program"] == TITLE and ours["derivative"] != 0
+    assert before["derivative"] == pytest.approx(ours["derivative"], rel=1e-4)
