@@ -1,8 +1,8 @@
 """Redner's half of the benchmarks. Runs in Redner's own environment (Python 3.7), where torchrender is not installed.
 
-The protocol is in `serving.py`, the file of a scene in `scene_arrays.py`. Nothing that moves is differentiated, so
-Redner's edge sampling, which is for that, is switched off. Samples are independent ones, which is the default of
-`RenderFunction`. Redner takes all processors that this process may run on.
+The protocol is in `serving.py`, the file of a scene in `scene_arrays.py`. Where nothing that moves is differentiated,
+Redner's edge sampling, which is for that, is switched off; where something does: `redner_visibility.py`. Samples are
+independent ones, which is the default of `RenderFunction`. Redner takes all processors that this process may run on.
 """
 
 from __future__ import annotations
@@ -133,6 +133,15 @@ class Server:
         if file:
             np.savez(file, *[gradient.double().numpy() for gradient in gradients])
         return {"sums": [float(gradient.double().sum()) for gradient in gradients], "seconds": seconds}
+
+    def load_moved(self, arrays: str, name: str, direction: list, max_depth: int, resolution: int, spp: int) -> dict:
+        from redner_visibility import Moved
+
+        self.moved = Moved(self.pyredner, self.torch, arrays, name, direction, max_depth, resolution, spp)
+        return {"loaded": True}
+
+    def derivative(self, seed: int) -> dict:
+        return self.moved.derivative(seed)
 
 
 if __name__ == "__main__":

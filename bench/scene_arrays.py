@@ -1,11 +1,12 @@
 """A scene as plain arrays, for renderers that cannot read its file: what `redner_server.py` takes.
 
 Only what the five scenes consist of: meshes and rectangles, diffuse, one-sided or two-sided, with constant or bitmap
-colours, area lights, one perspective camera without a principal point.
+colours, area lights, a constant sky, one perspective camera without a principal point.
 
 The .npz file holds ``to_world`` (4, 4) of the camera, ``fov`` (degrees, along x), and for shape i ``i.vertices``
 (V, 3), ``i.faces`` (F, 3), ``i.normals`` (V, 3) and ``i.uv`` (V, 2) where there are any, ``i.colour`` (3,) or
-(H, W, 3), ``i.parameter`` (that colour's name), ``i.two_sided``, and ``i.radiance`` (3,) of lights.
+(H, W, 3), ``i.parameter`` (that colour's name), ``i.two_sided``, ``i.name``, and ``i.radiance`` (3,) of lights; ``sky``
+(3,) is the radiance of a sky.
 """
 
 from __future__ import annotations
@@ -64,6 +65,12 @@ def arrays_of(scene: tr.Scene) -> dict[str, np.ndarray]:
     shapes = [(name, child) for name, child in scene.named_children() if getattr(child, "category", "") == "shape"]
     for i, (name, shape) in enumerate(shapes):
         found.update({f"{i}.{key}": value for key, value in _shape_arrays(name, shape, names).items()})
+        found[f"{i}.name"] = np.array(name)
+    for _, child in scene.named_children():
+        if getattr(child, "category", "") == "emitter":
+            if child.type != "constant":
+                raise ValueError(f"expected area lights and a constant sky, got {child.type!r}")
+            found["sky"] = child.radiance.value.detach().numpy()
     return found
 
 

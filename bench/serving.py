@@ -27,10 +27,11 @@ before any request, is {"version": str, "import_seconds": float}.
                                      -> {"forward": seconds, "backward": seconds, "loss": float, "bad image": int,
                                          "bad gradient": int}
     {"do": "load_moved", "direction": [x, y, z]}       the one parameter of the loaded scene is moved; torchrender gets
-                                        "name", "resolution" and "spp", and loads the scene itself
+                                        "name", "resolution" and "spp", and loads the scene itself, Redner its "arrays"
+                                        and the "name" of what moves, "max_depth", "resolution" and "spp" besides
     {"do": "derivative", "seed": int, "settings": dict, "seeds": int}
                                      -> {"derivative": float, "seconds": float}    of mean(image * weight) by the
-                                        motion; torchrender gets the seed alone
+                                        motion; "settings" and "seeds" are Mitsuba's alone
     {"do": "settle"}                 -> {"memory": MiB}       what is in use now; its peak is measured anew from here
     {"do": "memory"}                 -> {"peak": MiB}
     {"do": "quit"}

@@ -1,6 +1,7 @@
 """The scenes of the benchmark of moving silhouettes and shadows, as dicts for `torchrender.load_dict`.
 
-Lamp, blocker and floor are those of Redner's test of shadows (`test_shadow_blocker.py`). Boxes and monkeys do not touch what is below them: where solids touch or cross, outlines are not edges of either.
+Lamp, blocker and floor are those of Redner's test of shadows (`test_shadow_blocker.py`). Boxes and monkeys do not touch
+what is below them: where solids touch or cross, outlines are not edges of either.
 """
 
 from __future__ import annotations

@@ -61,6 +61,10 @@ class Runs:
         """Variance times seconds, the reciprocal of the efficiency."""
         return self.variance * median(self.seconds)
 
+    def error(self, true: float) -> float:
+        """Mean squared error times seconds: where there is a bias, noise alone says nothing."""
+        return fmean((derivative - true) ** 2 for derivative in self.derivatives) * median(self.seconds)
+
 
 Estimate = Callable[[int], tuple[float, float]]  # derivative and seconds, of a seed
 
@@ -94,7 +98,12 @@ def counted(best: Setting) -> list[Setting]:
 
 
 def search(
-    moving: Moving, spp: int, seeds: range, estimate_of: Callable[[Setting], Estimate], quick: bool = False
+    moving: Moving,
+    spp: int,
+    seeds: range,
+    estimate_of: Callable[[Setting], Estimate],
+    true: float,
+    quick: bool = False,
 ) -> tuple[dict[Setting, Runs], dict[Setting, str]]:
     """Runs of all settings that were tried, the best of the first step with other counts; what failed, and why."""
     tried: dict[Setting, Runs] = {}
@@ -109,10 +118,10 @@ def search(
 
     attempt(guided(moving, spp, GUIDINGS[:1] if quick else GUIDINGS))
     if tried and not quick:
-        attempt(counted(best_of(tried)))
+        attempt(counted(best_of(tried, true)))
     return tried, failed
 
 
-def best_of(tried: dict[Setting, Runs]) -> Setting:
-    """That of the least variance times seconds."""
-    return min(tried, key=lambda setting: tried[setting].cost)
+def best_of(tried: dict[Setting, Runs], true: float) -> Setting:
+    """That of the least mean squared error times seconds."""
+    return min(tried, key=lambda setting: tried[setting].error(true))

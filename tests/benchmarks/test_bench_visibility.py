@@ -65,14 +65,22 @@ def test_the_best_setting_is_found_in_two_steps():
 
         return estimate
 
-    tried, failed = search(moving, 4, range(10, 14), estimate_of)
+    tried, failed = search(moving, 4, range(10, 14), estimate_of, 0.0)
     assert not failed and all(seeds == [9, 10, 11, 12, 13] for seeds in asked.values())
     assert list(tried) == list(asked)
     assert len(tried) == 2 * len(GUIDINGS) + 4  # two of the factors are the same where nothing is seen directly
-    best = best_of(tried)
+    best = best_of(tried, 0.0)
     assert (best.guiding, best.seeds, best.counts) == ("grid", 64, (4, 0, 64))
-    # the variance of 0, 1, 0, 1 is 1 / 3
+    # the variance of 0, 1, 0, 1 is 1 / 3, its mean square 1 / 2
     assert tried[best].cost == pytest.approx(2 / 3 / 64**2)
+    assert tried[best].error(0.0) == pytest.approx(1 / 64**2)
+
+
+def test_a_quiet_bias_is_not_the_best():
+    noisy, biased = Runs([0.9, 1.1, 1.0], [1.0] * 3), Runs([0.5, 0.51, 0.5], [0.1] * 3)
+    first, second = guided(BY_NAME["silhouettes"], 8)
+    assert biased.cost < noisy.cost
+    assert best_of({first: noisy, second: biased}, 1.0) == first
 
 
 def test_settings_have_the_terms_that_a_scene_has():
