@@ -35,6 +35,7 @@ from .visibility_scenes import MOVING, Moving
 from .visibility_search import RR_DEPTH, Estimate, Runs, Setting, best_of, default, search
 
 SEARCH_SEED = 1 << 20  # far from the rounds'
+OFF, SIGNIFICANT = 0.05, 4.0  # a mean that is off by this share of what is right, and by as many deviations, is biased
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -122,7 +123,7 @@ class Compared:
         seeds = range(SEARCH_SEED, SEARCH_SEED + max(2, options.search))
         self.tried, failed = search(moving, options.spp, seeds, estimate_of, self.true.mean, options.quick)
         for setting, error in failed.items():
-            self.notes.append(f"{moving.name}: {setting}: {error}.")
+            self.notes.append(f"{moving.name}: {setting}: {error}")
         if not self.tried:
             return
         self.settings = {peer.title: best_of(self.tried, self.true.mean)}
@@ -142,7 +143,9 @@ class Compared:
         return found
 
     def efficiency_rows(self, found: dict[str, Runs]) -> Iterator[dict[str, Any]]:
-        ours, true = found["ours"].cost, self.true
+        true = self.true
+        right = {who: not biased(Sums.of(runs.derivatives), true) for who, runs in found.items()}
+        ours = found["ours"].cost if right["ours"] else 0.0
         for who, runs in found.items():
             row: dict[str, Any] = {"scene": self.moving.name, "program": who, "setting": ""}
             if who in self.settings:
@@ -152,8 +155,8 @@ class Compared:
             row["off by %"] = 100 * (runs.mean / true.mean - 1) if true.mean else None
             row["time s"] = Measured.of(runs.seconds)
             row["efficiency"] = 1 / runs.cost if runs.cost else None
-            row["our efficiency / its"] = runs.cost / ours if ours else None
-            row["to an error of 5 % s"] = runs.cost / (0.05 * true.mean) ** 2 if true.mean else None
+            row["our efficiency / its"] = runs.cost / ours if ours and right[who] else None
+            row["to an error of 5 % s"] = runs.cost / (0.05 * true.mean) ** 2 if right[who] else None
             yield row
 
     def bias_rows(self, found: dict[str, Runs]) -> Iterator[dict[str, Any]]:
@@ -176,6 +179,11 @@ class Compared:
             row["time s"] = Measured.of(runs.seconds)
             row["efficiency"] = 1 / runs.cost if runs.cost else None
             yield {**row, "squared error x s": runs.error(self.true.mean)}
+
+
+def biased(mean: Sums, true: Sums) -> bool:
+    """Whether a mean is too far from what is right for noise alone."""
+    return abs(mean.mean - true.mean) > OFF * abs(true.mean) and abs(mean.z(true)) > SIGNIFICANT
 
 
 def asked(peer: Peer, seed: int, **request: Any) -> tuple[float, float]:
@@ -204,8 +212,9 @@ def run(options: argparse.Namespace) -> Result:
     labels = ["scene", "program"]
     plot = {"kind": "bars", "columns": ["to an error of 5 % s"], "y": "seconds to a standard error of 5 %"}
     said = [
-        "Efficiency is 1 / (variance x s) of one estimate, and says nothing where that is biased. To an error of 5 %: "
-        "the seconds after which the standard error is 5 % of the derivative.",
+        "Efficiency is 1 / (variance x s) of one estimate, and says nothing where that is biased: there is no ratio "
+        f"where either mean is off by more than {100 * OFF:.0f} % and {SIGNIFICANT:.0f} deviations. To an error of 5 "
+        "%: the seconds after which the standard error is 5 % of the derivative.",
         "Settings: integrator, guiding and samples that it starts from, samples a pixel of interior, silhouettes and "
         "others.",
     ]

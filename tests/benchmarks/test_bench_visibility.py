@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import torch
 
-from bench.finite_differences import SEED
+from bench.finite_differences import SEED, Sums
 from bench.serving import weight_of
+from bench.visibility import biased
 from bench.visibility_differences import differences
 from bench.visibility_ours import Moved
 from bench.visibility_scenes import MOVING
@@ -95,6 +96,13 @@ def test_settings_have_the_terms_that_a_scene_has():
         "settings": {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 8},
         "seeds": 512,
     }
+
+
+def test_what_counts_as_biased():
+    true = Sums(1.0, 1e-4)
+    assert not biased(Sums(1.04, 0.0), true)  # by 4 deviations, but by less than 5 %
+    assert not biased(Sums(1.3, 0.01), true)  # by 30 %, but by less than 3 deviations
+    assert biased(Sums(1.3, 1e-4), true) and biased(Sums(0.0, 0.0), true)
 
 
 def test_cost_is_variance_times_seconds():
