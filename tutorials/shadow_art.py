@@ -1,0 +1,234 @@
+"""One tube, two shadows: find a surface that throws a heart on one wall and a star on another.
+
+    python tutorials/shadow_art.py            # 2 pictures of 128 x 128 pixels, 450 steps
+    python tutorials/shadow_art.py --demo     # 2 of 48 x 48, 60 steps
+
+Two suns shine along two axes, each on a wall of its own, and a tube that is bent to a ring hangs between. The cameras
+look at the walls only: in their pictures there is no tube, nothing but its shadows, and all that the vertices of the
+tube change there is where the shadows end. So the whole derivative is that of moving shadow edges.
+
+As in `mesh_from_pictures.py` the optimiser moves ``u = (I + lambda L) vertices``, so that its steps are smooth. The
+heart has a hole, since a tube that is bent to a ring has one; the star shows none, since from that side it hides it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from pathlib import Path
+from typing import Any
+
+import torch
+from checkpoints import Checkpoint
+from meshes import cameras, write_ply
+from pictures import save, save_curves
+
+import torchrender as tr
+
+VERTICES = "tube.vertex_positions"
+WALL = 2.0  # from the middle to the walls, which are 2 * WALL wide and high
+SEEN = 1.2  # half of what a picture shows of its wall
+HEIGHT = 0.9  # both shadows reach from -HEIGHT to HEIGHT: what is high in one is as high in the other
+
+
+def tube(rings: int, corners: int, radius: float = 0.6, thickness: float = 0.25) -> tuple[torch.Tensor, torch.Tensor]:
+    """A tube bent to a ring about z: (rings * corners, 3) vertices and twice as many triangles, facing outside."""
+    along = (2 * math.pi / rings * torch.arange(rings))[:, None]
+    around = (2 * math.pi / corners * torch.arange(corners))[None, :]
+    far = radius + thickness * torch.cos(around)
+    z = (thickness * torch.sin(around)).expand(rings, -1)
+    vertices = torch.stack([far * torch.cos(along), far * torch.sin(along), z], dim=-1).reshape(-1, 3)
+    i, j = torch.meshgrid(torch.arange(rings), torch.arange(corners), indexing="ij")
+    ring, corner = (i + 1) % rings * corners, (j + 1) % corners
+    a, b, c, d = i * corners + j, ring + j, ring + corner, i * corners + corner
+    return vertices, torch.stack([a, b, c, a, c, d], dim=-1).reshape(-1, 3)
+
+
+def heart(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Inside of a heart with a hole of its own shape, which reaches from -HEIGHT to HEIGHT in y."""
+
+    def inside(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        return (x.square() + y.square() - 1) ** 3 < x.square() * y**3
+
+    # This curve of degree six lies between y = -1 and 1.2272.
+    x, y = x / HEIGHT * 1.1136, y / HEIGHT * 1.1136 + 0.1136
+    return inside(x, y) & ~inside(x / 0.45, (y - 0.05) / 0.45)
+
+
+def star(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    """Inside of a star with five tips, which reaches from -HEIGHT to HEIGHT in y."""
+    low = -math.cos(math.pi / 5)  # of the two tips below, where the one above is at 1
+    scale = (1 - low) / (2 * HEIGHT)
+    x, y = x * scale, y * scale + (1 + low) / 2
+    # Folded into half of one of its tips, the star is on one side of a line from the tip to the corner between two.
+    half = math.pi / 5
+    angle = torch.remainder(torch.atan2(x, y) + half, 2 * half) - half
+    radius = torch.hypot(x, y)
+    across, out = (radius * torch.sin(angle)).abs(), radius * torch.cos(angle)
+    inner = 0.5
+    corner = (inner * math.sin(half), inner * math.cos(half))
+    return (1 - out) * corner[0] > across * (1 - corner[1])
+
+
+def draw(inside: Any, resolution: int, detail: int = 8) -> torch.Tensor:
+    """A shadow as a picture (H, W, 3): 1 in the light, 0 inside, shares between on the border."""
+    n = resolution * detail
+    side = SEEN * ((torch.arange(n) + 0.5) / n * 2 - 1)
+    y, x = torch.meshgrid(-side, side, indexing="ij")
+    share = torch.nn.functional.avg_pool2d((~inside(x, y)).float()[None], detail)[0]
+    return share[..., None].expand(-1, -1, 3).contiguous()
+
+
+def make_scene(vertices: torch.Tensor, faces: torch.Tensor, resolution: int) -> tr.Scene:
+    """The tube between two walls, a sun for each and a camera for each, `heart` behind and `star` on the left."""
+    white = {"type": "diffuse", "reflectance": 1.0}
+    place = tr.Transform.translate([0, 0, -WALL]) @ tr.Transform.scale(WALL)
+    turned = tr.Transform.rotate([0, 1, 0], 90)  # what is behind is on the left
+    mesh = tr.Mesh(vertices, faces, bsdf={"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.5}})
+    mesh.compute_normals()
+    scene: dict[str, Any] = {"type": "scene", "tube": mesh}
+    for name, to_world in {"heart": tr.Transform(), "star": turned}.items():
+        scene[f"{name}_wall"] = {"type": "rectangle", "to_world": to_world @ place, "bsdf": white}
+        # An irradiance of pi on a white wall is a radiance of 1.
+        scene[f"{name}_sun"] = {
+            "type": "directional",
+            "to_world": to_world @ tr.Transform.look_at([0, 0, 0], [0, 0, -1], [0, 1, 0]),
+            "irradiance": math.pi,
+        }
+        # Close to the wall, with the tube behind.
+        camera = tr.Transform.look_at([0, 0, 0.1 - WALL], [0, 0, -WALL], [0, 1, 0]) @ tr.Transform.scale(
+            [SEEN, SEEN, 1]
+        )
+        scene[f"{name}_camera"] = {
+            "type": "orthographic",
+            "to_world": to_world @ camera,
+            "near_clip": 1e-3,
+            "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}},
+        }
+    return tr.load_dict(scene)
+
+
+def run(
+    folder: Path,
+    *,
+    rings: int = 192,
+    corners: int = 48,
+    resolution: int = 128,
+    spp: int = 16,
+    iterations: int = 450,
+    rate: float = 0.2,
+    smoothness: float = 10.0,
+    save_every: int = 50,
+    restart: bool = False,
+) -> dict[str, float]:
+    """The whole program; returns the mean squared error of both pictures at the start and at the end.
+
+    Args:
+        folder: where pictures, the mesh and the checkpoint go.
+        rings, corners: of the tube.
+        resolution: pixels along either side of a picture.
+        spp: samples a pixel of the rendered pictures, and of their derivative. A sample asks one of the two suns, by
+            chance: a step's loss is the noise of that at last, which the error at the end, of 256 samples, has less of.
+        iterations: steps of the optimiser.
+        rate: how far u moves in the first steps, at most; it falls to a twentieth.
+        smoothness: lambda of the large steps.
+        save_every: iterations after which pictures and checkpoint are written.
+        restart: begin anew, whatever checkpoint there is.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    settings: dict[str, Any] = {
+        "tube": [rings, corners],
+        "resolution": resolution,
+        "spp": spp,
+        "iterations": iterations,
+        "rate": rate,
+        "smoothness": smoothness,
+    }
+    checkpoint = Checkpoint(folder / "checkpoint.pt", settings, restart)
+    state = checkpoint.load()
+    target = torch.stack([draw(heart, resolution), draw(star, resolution)])
+    save(torch.cat(list(target), dim=1), folder, "target")
+
+    vertices, faces = tube(rings, corners)
+    scene = make_scene(vertices, faces, resolution)
+    # Light that walls and tube send each other is left out: shadows are black.
+    direct = tr.DirectIllumination()
+    both = ["heart_camera", "star_camera"]
+    renderer = tr.Renderer(scene, integrator=direct, sensor=both, spp=spp, sampler="sobol", layout="bhwc")
+    smoothing = tr.optim.MeshSmoothing(len(vertices), faces, smoothness)
+    u = torch.nn.Parameter(smoothing.to_differential(vertices) if state is None else state["u"])
+    # One length for the steps of all vertices: Adam's own for each entry would make the surface rough again.
+    optimiser = tr.optim.UniformAdam([u], lr=rate, betas=(0.9, 0.99))
+    generator = torch.Generator().manual_seed(0)  # all chance in the loop comes from here
+    curves: dict[str, list[float]] = {"loss": []}
+    first = 0
+    if state is not None:
+        optimiser.load_state_dict(state["optimiser"])
+        generator.set_state(state["random"])
+        curves, first = state["curves"], state["iteration"]
+        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+
+    bar = tr.progress(range(first, iterations), desc="shadow art", initial=first, total=iterations)
+    for iteration in bar:
+        for group in optimiser.param_groups:
+            group["lr"] = rate * 0.05 ** (iteration / iterations)
+        optimiser.zero_grad()
+        images = renderer(seed=generator, params={VERTICES: smoothing.from_differential(u)})
+        loss = (images - target).square().mean()
+        loss.backward()
+        optimiser.step()
+        curves["loss"].append(loss.item())
+        bar.set_postfix(loss=f"{loss.item():.4f}")
+
+        done = iteration + 1
+        if done % save_every == 0 or done == iterations:
+            save(torch.cat(list(images.detach()), dim=1), folder, "progress")
+            save_curves(curves, folder / "loss.png", "Shadow art: squared error of both pictures")
+            checkpoint.save(
+                iteration=done,
+                u=u.detach(),
+                optimiser=optimiser.state_dict(),
+                random=generator.get_state(),
+                curves=curves,
+            )
+
+    found = smoothing.from_differential(u.detach())
+    write_ply(folder / "tube.ply", found, faces)
+    with torch.no_grad():
+        images = renderer(seed=1_000_000, spp=256, params={VERTICES: found})
+        save(torch.cat(list(images), dim=1), folder, "result")
+        # The tube and both walls from the corner where the suns are, in a little light of the sky besides.
+        scene.tube.vertex_positions = found
+        scene["sky"] = {"type": "constant", "radiance": 0.3}
+        (corner,) = cameras(torch.tensor([[4.0, 1.0, 4.0]]), 4 * resolution, 40.0)
+        save(tr.render(scene, sensor=corner, spp=64, seed=1_000_001), folder, "corner")
+    result = {"start": curves["loss"][0], "end": float((images - target).square().mean())}
+    print(f"mean squared error of both shadows: {result['start']:.4f} at the start, {result['end']:.4f} now")
+    return result
+
+
+def main(argv: list[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--demo", action="store_true", help="a coarser tube, 48 x 48 pixels, 60 steps")
+    parser.add_argument("--iterations", type=int, help="steps of the optimiser (default 450)")
+    parser.add_argument("--resolution", type=int, help="pixels along a side (default 128)")
+    parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
+    parser.add_argument("--output", type=Path, default=Path("output/shadow_art"), help="folder for the results")
+    options = parser.parse_args(argv)
+    settings: dict[str, Any] = {}
+    if options.demo:
+        settings |= {"rings": 96, "corners": 24, "smoothness": 3.0, "resolution": 48, "iterations": 60}
+    for name in ("iterations", "resolution"):
+        if getattr(options, name) is not None:
+            settings[name] = getattr(options, name)
+    start = time.perf_counter()
+    try:
+        run(options.output, restart=options.restart, **settings)
+    except ValueError as error:
+        parser.error(str(error))
+    print(f"results are in {options.output}; {time.perf_counter() - start:.1f} s")
+
+
+if __name__ == "__main__":
+    main()
