@@ -1,7 +1,7 @@
 """A sphere becomes a monkey: find the surface of an object from pictures of it.
 
     python tutorials/mesh_from_pictures.py            # 16 pictures of 128 x 128 pixels, 200 steps, then finer
-    python tutorials/mesh_from_pictures.py --demo     # the same, smaller: about a minute
+    python tutorials/mesh_from_pictures.py --demo     # the same, smaller
 
 Sixteen cameras photograph Blender's monkey under a sky and a lamp, and say for every pixel how much of it the monkey
 covers (alpha). We know cameras, lights and the colour of the material, and begin with a sphere of 20480 triangles. What
@@ -206,8 +206,8 @@ def run(
     rows = [turntable(make_scene(*mesh), resolution) for mesh in ((vertices, faces), true)]
     save(torch.cat(rows), folder, "turntable")
     for name, values in judged.items():
-        chamfer_, iou = values["chamfer"], values["IoU"]
-        print(f"{name:>8}: chamfer distance {100 * chamfer_:.3f} % of the diagonal, IoU of new masks {iou:.4f}")
+        apart, iou = values["chamfer"], values["IoU"]
+        print(f"{name:>8}: chamfer distance {100 * apart:.3f} % of the diagonal, IoU of new masks {iou:.4f}")
     return {f"{name} {key}": value for name, values in judged.items() for key, value in values.items()}
 
 
