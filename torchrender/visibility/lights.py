@@ -172,7 +172,7 @@ class _Shadows:
                 return None
             row, y, b, r, free, d = row[kept], y[kept], b[kept], r[kept], free[kept], d[kept]
             if far:
-                rays = Rays(b + free * least_side(b)[:, None], d, torch.full_like(r, math.inf))
+                rays = Rays(b + free * least_side(b, 1.0)[:, None], d, torch.full_like(r, math.inf))
                 passed = ~world.occluded(rays.origins, -d, rays.tmax)
             else:
                 rays = scene.beside(y, places.normal[row], b, free, point.room[kept])

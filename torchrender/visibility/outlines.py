@@ -55,7 +55,8 @@ class OutlinePoints:
 
     `valid`: there is one, and an outline or a crease it is. `front` (N,): 1 where what hides something is on the side
     of (direction of the ray) x `along`, -1 where on the other, 0 of creases, which hide nothing. `room` (N,): how far
-    across the ray the faces beside an edge reach.
+    across the ray the faces beside an edge reach; `rim` (N,): how far across it, in front, interpolated normals look
+    away.
     """
 
     position: torch.Tensor
@@ -63,6 +64,7 @@ class OutlinePoints:
     valid: torch.Tensor
     front: torch.Tensor
     room: torch.Tensor
+    rim: torch.Tensor
 
 
 class Outlines:
@@ -202,6 +204,7 @@ class Outlines:
         a, b = ((self.surfaces.positions[v] * share).sum(1) for v in (edges.v0, edges.v1))
         position, along = a + (b - a) * s[:, None], (b - a).detach()
         valid, front, room = torch.ones_like(s, dtype=torch.bool), torch.zeros_like(s), torch.full_like(s, math.inf)
+        rim = torch.zeros_like(s)
         if exact:  # all faces on one side of the plane through ray and edge; or a crease, whatever its sides
             towards = origin if parallel else position.detach() - origin
             across = torch.linalg.cross(towards, along)
@@ -211,8 +214,28 @@ class Outlines:
             split, flat = self._jumps(edges)
             valid = ~(right & left) | split | flat
             front = torch.where(right & left, 0.0, right.to(s) - left.to(s))
-            room = side.abs().amin(1) / torch.linalg.vector_norm(across, dim=1).clamp(min=1e-30)
-        return OutlinePoints(position, along, valid, front, room)
+            reach = side.abs() / torch.linalg.vector_norm(across, dim=1).clamp(min=1e-30)[:, None]
+            room = reach.amin(1)
+            if bool(self.surfaces.smooth.any()):
+                rim = torch.where(front != 0, self._rim(edges, s, towards, reach), 0.0)
+        return OutlinePoints(position, along, valid, front, room, rim)
+
+    def _rim(self, edges: Edges, s: torch.Tensor, towards: torch.Tensor, reach: torch.Tensor) -> torch.Tensor:
+        """How far across rays, on faces that are seen, interpolated normals look away from where these come from.
+
+        There a surface is black although it is seen. That ends at a line on the face, which moves about like the edge,
+        and what is beyond is what the edge's motion uncovers.
+        """
+        normals = self.surfaces.normals.detach()
+        seen = (self.face_normals[edges.face] * towards[:, None]).sum(2) < 0
+        first = seen.to(s).argmax(1)
+        row = torch.arange(len(s))
+        v0, v1, third = (x[row, first] for x in (edges.v0, edges.v1, edges.third))
+        at_edge = ((normals[v0] * (1 - s[:, None]) + normals[v1] * s[:, None]) * towards).sum(1)
+        inside = (normals[third] * towards).sum(1)
+        share = torch.where(at_edge > 0, at_edge / (at_edge - inside.clamp(max=0.0)).clamp(min=1e-30), 0.0)
+        smooth = self.surfaces.smooth[self.shape_of_face[edges.face[row, first]]] & seen.any(1)
+        return torch.where(smooth, share.clamp(max=1.0) * reach[row, first], 0.0)
 
     def _on_quadrics(
         self, shape: torch.Tensor, curve: torch.Tensor, s: torch.Tensor, origin: torch.Tensor, parallel: bool
@@ -258,7 +281,7 @@ class Outlines:
             middle = torch.where(round_[:, None], transform_vector(plain, -local), inwards)
             towards = origin if parallel else position - origin
             front = torch.sign((torch.linalg.cross(towards, tangent) * middle).sum(1))
-        return OutlinePoints(position, tangent, valid, front, torch.full_like(s, math.inf))
+        return OutlinePoints(position, tangent, valid, front, torch.full_like(s, math.inf), torch.zeros_like(s))
 
 
 def _joined(a: Edges, b: Edges) -> Edges:

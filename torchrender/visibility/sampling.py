@@ -24,6 +24,7 @@ STREAM = 0x766973  # tells the seed of outlines from those of paths
 CHUNK = 1 << 13  # samples at a time: in the cache, and too few for torch to share them among threads
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 
+RIM = 1.05  # how far beyond the rim of interpolated normals, in widths of it
 NEAR = 0.02  # what is close, in sizes of the scene
 
 Found = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
@@ -122,12 +123,22 @@ class Boundary:
         return torch.where(torch.isfinite(values), values, torch.zeros_like(values))
 
     def beside(
-        self, origin: torch.Tensor, normal: torch.Tensor, b: torch.Tensor, across: torch.Tensor, room: torch.Tensor
+        self,
+        origin: torch.Tensor,
+        normal: torch.Tensor,
+        b: torch.Tensor,
+        across: torch.Tensor,
+        room: torch.Tensor,
+        rim: torch.Tensor | float = 0.0,
     ) -> Rays:
-        """Rays from points (of surfaces with these normals, or 0) past an outline's points b, displaced across it."""
+        """Rays from points (of surfaces with these normals, or 0) past an outline's points b, a little beside them.
+
+        Args:
+            across: (N, 3) unit vectors to which side. room: see `OutlinePoints`. rim: (N,) how far further.
+        """
         distance = torch.linalg.vector_norm(b - origin, dim=1)
-        side = torch.maximum(torch.minimum(distance * 2.0**-14, room / 8), least_side(b))
-        at = b + across * side[:, None]
+        side = torch.maximum(torch.minimum(distance * 2.0**-17, room / 8), least_side(b, distance))
+        at = b + across * (side + rim)[:, None]
         d = torch.nn.functional.normalize(at - origin, dim=1)
         o = offset_origin(origin, normal, d)
         d = torch.nn.functional.normalize(at - o, dim=1)
@@ -139,9 +150,12 @@ class Boundary:
         return square / (square + self.near * self.near)
 
 
-def least_side(b: torch.Tensor) -> torch.Tensor:
-    """How far beside points (N, 3) rays can be told apart from them, whatever the scene's type: rays are single."""
-    return 32 * 2.0**-24 * (1 + b.abs().amax(1))
+def least_side(b: torch.Tensor, distance: torch.Tensor | float) -> torch.Tensor:
+    """How far beside points (N, 3) rays that begin at a distance can be told apart from those to the points.
+
+    Whatever the scene's type: rays are traced in single precision.
+    """
+    return 8 * 2.0**-24 * (b.abs().amax(1) + distance)
 
 
 def is_crease_seen(front: torch.Tensor, distance: torch.Tensor, t: torch.Tensor) -> torch.Tensor:

@@ -9,10 +9,10 @@ import torch
 
 from ..scene.camera_rays import Rays
 from .outlines import MOST, PIXELS, Pieces, Viewpoint
-from .sampling import CHUNK, STREAM, Boundary, Samples, is_crease_seen, least_side
+from .sampling import CHUNK, RIM, STREAM, Boundary, Samples, is_crease_seen, least_side
 
 LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a pixel
-SIDE = 2.0**-9  # how far beside an outline its colours are looked at, in pixels
+SIDE = 2.0**-14  # how far beside an outline its colours are looked at, in pixels
 
 
 def seen_outlines(scene: Boundary) -> Samples:
@@ -122,7 +122,7 @@ class _SeenOutlines:
             place = self.scene.places(b, lens)
             kept = (point.valid & torch.isfinite(place).all(1)).nonzero()[:, 0]
         b, along, place, lens, density, key = b[kept], along[kept], place[kept], lens[kept], density[kept], key[kept]
-        front, room = point.front[kept], point.room[kept]
+        front, room, rim = point.front[kept], point.room[kept], point.rim[kept]
         if not len(kept):
             return
         rays = self.scene.rays(place, lens)
@@ -134,21 +134,21 @@ class _SeenOutlines:
             turned = torch.linalg.vector_norm(across, dim=1)  # sin times the length of `along`
             normal = across / turned.clamp(min=1e-30)[:, None]
             area = self.scene.pixel_area(place, lens, rays.directions, distance)
-            side = torch.maximum(torch.minimum(SIDE * area.sqrt(), room / 8), least_side(b))
+            side = torch.maximum(torch.minimum(SIDE * area.sqrt(), room / 8), least_side(b, distance))
             good = (turned > 0) & (area > 0) & (distance > 0) & (distance < rays.tmax)
             good = good & (apart < 1e-3 * distance)  # the lens does show it there
-            near = distance * (1 - 1e-3)
-            good = good & ~self._hidden(rays.origins, rays.directions, near, good)
             kept = good.nonzero()[:, 0]
             if not len(kept):
                 return
-            offset = normal[kept] * side[kept, None]
-            both = [self.scene.places(b[kept] + sign * offset, lens[kept]) for sign in (-1.0, 1.0)]
-            both = self._rays(torch.cat(both), lens[kept].repeat(2, 1))
+            both = self._beside(rays, b, normal, side, torch.where(front != 0, RIM * rim, 0.0), front, kept)
+            open_ = self._open(both, front[kept], distance[kept]).nonzero()[:, 0]
+            if not len(open_):
+                return
+            both = Rays(*(x[torch.cat([open_, open_ + len(kept)])] for x in both))
+            kept = kept[open_]
             values = self.scene.radiance(both, key[kept].repeat(2), config)
             jump = values[: len(kept)] - values[len(kept) :]
             weight = turned[kept] / area[kept] / density[kept] * share
-            weight = torch.where(self._sees_creases(both, front[kept], distance[kept]), weight, 0.0)
             jump = (
                 jump.double() * torch.where(torch.isfinite(weight), weight, torch.zeros_like(weight))[:, None].double()
             )
@@ -168,27 +168,34 @@ class _SeenOutlines:
             back = ((rays.origins - self.view.point) @ axis) / (rays.directions @ axis)
             return rays.origins - rays.directions * back[:, None]
 
-    def _hidden(self, o: torch.Tensor, d: torch.Tensor, reach: torch.Tensor, wanted: torch.Tensor) -> torch.Tensor:
-        """Whether something is before the outline; emitters that the camera does not see are not."""
-        reach = torch.where(wanted, reach, torch.full_like(reach, -1.0))
-        if not self.scene.call.config["hide_emitters"]:
-            return self.world.occluded(o, d, reach)
-        return self.world.first_hits(Rays(o, d, reach), hide_emitters=True).valid
+    def _open(self, both: Rays, front: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
+        """Whether nothing is before outlines, as rays on both sides see it.
 
-    def _sees_creases(self, both: Rays, front: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
-        """See :func:`.sampling.is_crease_seen`, for the rays on both sides."""
-        seen = torch.ones_like(front, dtype=torch.bool)
-        creases = (front == 0).nonzero()[:, 0]
-        if len(creases):
-            two = torch.cat([creases, creases + len(front)])
-            t = self.world.first_hits(Rays(*(x[two] for x in both)), self.scene.call.config["hide_emitters"]).t.detach()
-            near = is_crease_seen(front[creases].repeat(2), distance[creases].repeat(2), t)
-            seen[creases] = near.view(2, -1).all(0)
-        return seen
+        On the free side alone, since a sphere is met before its contour on the other. Emitters that the camera does not
+        see hide nothing.
+        """
+        t = self.world.first_hits(both, self.scene.call.config["hide_emitters"]).t.detach()
+        two, side = distance.repeat(2), torch.cat([front >= 0, front <= 0])
+        before = side & (t < two * (1 - 1e-5))
+        return (~before & is_crease_seen(front.repeat(2), two, t)).view(2, -1).all(0)
 
-    def _rays(self, place: torch.Tensor, lens: torch.Tensor) -> Rays:
-        """Camera rays through places (N, 2), which end at once where there are none."""
-        rays = self.scene.rays(place, lens)
-        there = torch.isfinite(place).all(1)
-        o, d, reach = (torch.where(there.view(-1, *[1] * (t.ndim - 1)), t.detach(), 0.0) for t in rays)
-        return Rays(o, d, torch.where(there, reach, torch.full_like(reach, -1.0)))
+    def _beside(
+        self,
+        rays: Rays,
+        b: torch.Tensor,
+        normal: torch.Tensor,
+        side: torch.Tensor,
+        rim: torch.Tensor,
+        front: torch.Tensor,
+        kept: torch.Tensor,
+    ) -> Rays:
+        """Camera rays on both sides of points b, of these rows: `side` beside them, in front `rim` more."""
+        o, d, reach = (x.detach()[kept] for x in rays)
+        both = []
+        for sign in (-1.0, 1.0):
+            offset = normal[kept] * (sign * (side + torch.where(front == sign, rim, 0.0)))[kept, None]
+            if self.parallel:
+                both.append(Rays(o + offset, d, reach))
+            else:
+                both.append(Rays(o, torch.nn.functional.normalize(b.detach()[kept] - o + offset, dim=1), reach))
+        return Rays(*(torch.cat([getattr(x, n) for x in both]) for n in Rays._fields))

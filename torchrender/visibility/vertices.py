@@ -21,7 +21,7 @@ from ..wavefront.geometry import glue
 from .anchors import AnchorTracer, Piece, one_of_path
 from .choice import Choice, Chosen
 from .lights import pad
-from .sampling import CHUNK, Boundary, Found, Samples, is_crease_seen, joined
+from .sampling import CHUNK, RIM, Boundary, Found, Samples, is_crease_seen, joined
 from .tree import Anchors
 
 STREAM = 0x7665727478
@@ -119,7 +119,8 @@ def _behind(
     paths = piece.vertices.paths[rows]
     with torch.no_grad():
         ng, lane = paths.normal.detach(), paths.lane
-        both = [scene.beside(s, ng, b, normal * sign, point.room[mine]) for sign in (-1.0, 1.0)]
+        rim = RIM * point.rim[mine]
+        both = [scene.beside(s, ng, b, normal * sign, point.room[mine], rim * (front == sign)) for sign in (-1.0, 1.0)]
         rays = Rays(*(torch.cat([getattr(x, n) for x in both]) for n in Rays._fields))
         hits = find_hits(scene.call.native, world.plain, rays.origins, rays.directions, rays.tmax)
         # something is before the outline: on its free side, since a sphere is met before its contour on the other
