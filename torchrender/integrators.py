@@ -441,12 +441,19 @@ def ignored_names(kind: str) -> tuple[str, ...]:
 
 def _without_ignored(kind: str, properties: dict[str, Any], path: str) -> dict[str, Any]:
     """`properties` without those that nothing is made of, and one warning about those that do something elsewhere."""
-    edges = [name for name in properties if name in _EDGES and kind.endswith("_projective")]
+    said = []
+    if kind.endswith("_projective"):
+        counts = [name for name in _EDGES[:3] if name in properties]
+        if counts:
+            numbers = ", ".join(f"{name}={properties[name]}" for name in counts)
+            said.append(f"{numbers}: left out; to render they are spp_grad=sppc and spp_visibility=(sppp, sppi)")
+        needless = [name for name in _EDGES[3:] if name in properties]
+        if needless:
+            said.append(f"{', '.join(needless)}: left out; there is nothing to guide")
     if isinstance(properties.get("timeout"), (int, float)) and properties["timeout"] > 0:
-        edges.append("timeout")
-    if edges:
-        text = f"{path}: {', '.join(edges)}: without a counterpart in {kind}, and left out"
-        warnings.warn(text, SubstitutionWarning, stacklevel=depth_outside())
+        said.append(f"timeout: without a counterpart in {kind}, and left out")
+    if said:
+        warnings.warn(f"{path}: {'; '.join(said)}", SubstitutionWarning, stacklevel=depth_outside())
     return {name: value for name, value in properties.items() if name not in ignored_names(kind)}
 
 

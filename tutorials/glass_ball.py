@@ -109,7 +109,7 @@ def run(
         target = renderer(seed=1_000_000, spp=target_spp)
     save(target, folder, "target")
 
-    # The renderer warns that the term from moving edges is missing in such derivatives. Here it is zero.
+    # The renderer warns that the motion of edges seen through glass is missing in such derivatives. Here it is zero.
     warnings.filterwarnings("ignore", category=tr.MissingTermWarning)
     (eta,) = scene.train_only(ETA)
     with torch.no_grad():

@@ -68,7 +68,8 @@ def test_parameters_of_how_work_is_divided():
     said = load(integrator={"type": "path", "timeout": 10.0})[1]
     assert said == ["integrator: timeout: without a counterpart in path, and left out"]
     scene, said = load(integrator={"type": "prb_projective", "sppc": 4, "sppi": 0, "guiding": "none"})
-    assert said == ["integrator: sppc, sppi, guiding: without a counterpart in prb_projective, and left out"]
+    counts = "sppc=4, sppi=0: left out; to render they are spp_grad=sppc and spp_visibility=(sppp, sppi)"
+    assert said == [f"integrator: {counts}; guiding: left out; there is nothing to guide"]
     with pytest.raises(ValueError, match="integrator: path has no parameter 'sppc'"):
         load(integrator={"type": "path", "sppc": 4})
 

@@ -102,7 +102,7 @@ def test_directions_are_even(tutorial):
     assert apart.min() > 0.5 * math.sqrt(4 * math.pi / 64)
 
 
-@pytest.mark.parametrize(("part", "angle", "translation"), [("picture", 0.015, 0.01), ("camera", 0.03, 0.04)])
+@pytest.mark.parametrize(("part", "angle", "translation"), [("picture", 0.015, 0.015), ("camera", 0.03, 0.04)])
 def test_pose(tutorial, tmp_path, capsys, part, angle, translation):
     module = tutorial("pose")
     result = module.run(tmp_path, part=part, **POSE)

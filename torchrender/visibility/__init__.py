@@ -1,4 +1,7 @@
-"""The term of moving silhouettes and creases that a camera sees: samples on outlines, and rays on both sides of them.
+"""The term of moving silhouettes, creases and shadows: samples on outlines, and rays on both sides of them.
+
+seen.py has the outlines that the camera sees, vertices.py those that points on surfaces see, lights.py those that
+lights see, which cast shadows; boundary.py sums them up. Of what the camera sees:
 
 Where an outline crosses a pixel its colour jumps from that of the one side to that of the other. As things move the
 outline sweeps over the film at the rate at which it overtakes the ray that touches it; the derivative gets the jump
