@@ -25,8 +25,8 @@ def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
     return torch.randn(value.shape, generator=generator, dtype=torch.float64)
 
 
-def compare(scene, parameter: str, seeds: int, spp: int, step: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Derivatives and finite differences of the weighted mean of the image, by seed."""
+def compare(scene, parameter: str, seeds: int, spp: int, step: float, **settings) -> tuple[torch.Tensor, torch.Tensor]:
+    """Derivatives, with these settings, and finite differences of the weighted mean of the image, by seed."""
     film = scene.sensors[0].film
     weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
     value = scene.get_parameter(parameter).detach()
@@ -40,7 +40,7 @@ def compare(scene, parameter: str, seeds: int, spp: int, step: float) -> tuple[t
     for seed in range(seeds):
         x = value.clone().requires_grad_()
         # Of the samples of the images below; those of the image itself do not matter, so that one is enough.
-        (gradient,) = torch.autograd.grad(f(x, seeds + seed, spp=1, spp_grad=spp, seed_grad=seed), x)
+        (gradient,) = torch.autograd.grad(f(x, seeds + seed, spp=1, spp_grad=spp, seed_grad=seed, **settings), x)
         derivatives.append(float((gradient * direction).sum()))
         with torch.no_grad():
             change = f(value + step * direction, seed, spp=spp) - f(value - step * direction, seed, spp=spp)
