@@ -14,8 +14,9 @@ namespace py = pybind11;
 
 inline void declare_outlines(py::module_ &m) {
     using Release = py::call_guard<py::gil_scoped_release>;
-    m.attr("OUTLINE_ELEMENT") = py::int_(sizeof(OutlineElement) / sizeof(float));
-    m.attr("OUTLINE_ANCHOR") = py::int_(sizeof(OutlineAnchor) / sizeof(float));
+    // rows of 32-bit numbers, as torchrender/visibility/tree.py makes them
+    static_assert(sizeof(OutlineElement) == 17 * 4 && sizeof(OutlineAnchor) == 13 * 4 &&
+                  sizeof(OutlineChoice) == 3 * 4);
     m.def(
         "morton_order",
         [](uintptr_t places, size_t n, uintptr_t order) {

@@ -32,7 +32,7 @@ class GradientRequirements:
         volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
         steady: the image is splatted by light paths with a filter that has no derivative.
         particles: it is splatted by light paths.
-        outlines: whether the motion of silhouettes and creases that the camera sees is in the derivative; False also of
+        outlines: whether the motion of silhouettes, creases and shadows is in the derivative; False also of
             those who do not want to hear of it, see `silent`.
         silent: missing motion of edges is not warned about.
     """

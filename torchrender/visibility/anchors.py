@@ -12,7 +12,7 @@ from ..scene.declaration import models
 from ..surface import dot
 from ..wavefront.bsdfs import BSDFS
 from ..wavefront.numbers import Numbers
-from ..wavefront.path import Paths, Vertices, WavefrontTracer, arrival
+from ..wavefront.path import Paths, Vertices, WavefrontTracer
 from .sampling import Boundary
 from .tree import Anchors
 
@@ -43,31 +43,27 @@ class Piece:
 class AnchorTracer(WavefrontTracer):
     """Traces paths and keeps their vertices with smooth BSDFs; looks for no light."""
 
-    def __init__(self, scene: Boundary, config: dict[str, Any]) -> None:
-        random = Numbers(config["sampler"], 1 << 20, config["seed"], config["sensor"], scene.real)
-        super().__init__(scene.world, config, random, derivative=True)
+    def __init__(self, scene: Boundary) -> None:
+        config = scene.call.config
+        super().__init__(scene.world, config, _numbers(scene, {**config, "seed": 0}), derivative=True)
+        self.scene = scene
         self.counts = (self.emitter_samples, self.bsdf_samples)
         self.emitter_samples = self.bsdf_samples = 1
         self.pieces: list[Piece] = []
 
-    def vertices(self, rays: Rays, key: torch.Tensor, max_depth: int) -> list[Piece]:
-        """Of paths that begin with camera rays, up to this number of surfaces and a light."""
-        n, channels, dtype = len(key), self.world.channels, self.world.dtype
+    def start(self, config: dict[str, Any]) -> None:
+        """The random numbers of a pass."""
+        self.random = _numbers(self.scene, config)
+
+    def _begin(self, key: torch.Tensor, max_depth: int) -> None:
         self.max_depth = max_depth
         self.pixel, self.sample, self.pieces = key & 0xFFFFFFFF, torch.zeros_like(key), []
-        one, zero = torch.ones(n, channels, dtype=dtype), torch.zeros(n, dtype=dtype)
-        self.alpha = zero.clone()
-        paths = Paths(
-            lane=torch.arange(n),
-            d=rays.directions,
-            beta=one,
-            survival=one,
-            eta=one[:, 0],
-            previous=rays.origins.detach(),
-            previous_pdf=zero,
-            seen=zero.bool(),
-            **arrival(self.world.first_hits(rays, self.hide_emitters)),
-        )
+        self.alpha = torch.zeros(len(key), dtype=self.world.dtype)
+
+    def vertices(self, rays: Rays, key: torch.Tensor, max_depth: int) -> list[Piece]:
+        """Of paths that begin with camera rays, up to this number of surfaces and a light."""
+        self._begin(key, max_depth)
+        paths = self.first_points(rays)
         depth = 0
         while len(paths) and (max_depth < 0 or depth + 1 < max_depth):
             paths = self.vertex(paths, depth, 0, True)
@@ -115,8 +111,7 @@ class AnchorTracer(WavefrontTracer):
                 k, share = 0.5 / (alpha * alpha).clamp(min=1e-6), torch.full_like(share, part)
             if record.type == "torch" or "transmits" in models()["bsdf", record.type].flags:
                 normal = torch.zeros_like(normal)
-            zero, own = torch.zeros_like(k), v.paths.shape.to(k)
-        return Anchors(point, normal, axis, k, share, zero, own)
+            return Anchors(point, normal, axis, k, share, v.paths.shape.to(k))
 
     def _roughness(self, record: Any, v: Vertices) -> torch.Tensor:
         found = []
@@ -152,14 +147,16 @@ class AnchorTracer(WavefrontTracer):
     ) -> list[Piece]:
         """The vertices that those of a piece see in directions c (M, 3); throughputs get f (M, C) times factor (M,)."""
         v = piece.vertices[rows]
-        self.max_depth = piece.depth + 3
-        self.pixel, self.sample, self.pieces = key & 0xFFFFFFFF, torch.zeros_like(key), []
-        self.alpha = torch.zeros(len(key), dtype=f.dtype)
+        self._begin(key, piece.depth + 3)
         went_on = {"survival": v.paths.survival, "eta": v.paths.eta, "previous_pdf": torch.ones_like(factor)}
         lobe, all_ = torch.zeros(len(rows), dtype=torch.int64), torch.arange(len(rows))
         paths = self.go_on(piece.number, v, v.to_local(c), lobe, f, factor, True, went_on, all_)
         self.vertex(paths, piece.depth + 1, 0, True)
         return self.pieces
+
+
+def _numbers(scene: Boundary, config: dict[str, Any]) -> Numbers:
+    return Numbers(config["sampler"], 1 << 20, config["seed"], config["sensor"], scene.real)
 
 
 def one_of_path(pieces: list[Piece], u: torch.Tensor, n: int) -> list[Piece]:

@@ -10,14 +10,14 @@ import torch
 
 from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from ..render_call import RenderCall
-from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.scene import Scene
+from .anchors import AnchorTracer
 from .choice import Choice
 from .film_places import SENSORS
 from .film_sums import FilmPlaces
 from .lights import outlines_before_lights, share_in_view
-from .sampling import PLACING, Boundary, BoundaryCall, Samples
+from .sampling import Boundary, BoundaryCall, Samples, placing_slots
 from .seen import seen_outlines
 from .vertices import outlines_before_surfaces
 
@@ -148,31 +148,28 @@ def samples(boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPl
     if boundary.spp[1] > 0 and not 0 <= max_depth < 2:
         choice = Choice(scene)
         if len(choice):
-            in_view = share_in_view(scene, choice)
+            tracer = AnchorTracer(scene)
+            in_view = share_in_view(scene, choice, tracer)
             if bool(boundary.moves.any()):
-                yield from outlines_before_surfaces(scene, choice, in_view)
-            yield from outlines_before_lights(scene, choice, in_view)
+                yield from outlines_before_surfaces(scene, choice, tracer, in_view)
+            yield from outlines_before_lights(scene, choice, tracer, in_view)
 
 
 def boundary_of(
     scene: Scene, call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]
 ) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
-    layout, sensor = call.layout, call.config["sensor"]
-    kind, numbers, _ = layout.objects["sensor"][sensor]
+    kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]
     if kind not in SENSORS or spp == (0, 0):
         return None
 
-    def asked(category: str, kind: str, row: Sequence[int]) -> bool:
-        fields = models()[category, kind].fields
-        return any(
-            f.kind in PLACING and n >= 0 and has_derivative(tensors[n]) for n, f in zip(row, fields, strict=True)
-        )
+    def asked(slots: Sequence[int]) -> bool:
+        return any(has_derivative(tensors[n]) for n in slots)
 
-    camera = asked("sensor", kind, numbers)
-    moves = [camera or asked("shape", k, row) for k, row, _ in layout.objects["shape"]]
-    lights = any(asked("emitter", k, row) for k, row, _ in layout.objects["emitter"] if k in MOVING_LIGHTS)
+    camera = asked(slots)
+    moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
+    lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     if not any(moves) and not lights:
         return None
     usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 8)  # as efficient as twice as many of the second
-    return BoundaryCall(call, scene, spp or usual, torch.tensor(moves, dtype=torch.bool), camera, lights, spp is None)
+    return BoundaryCall(call, scene, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None)

@@ -29,9 +29,9 @@ class Choice:
         self.scene, outlines, given = scene, scene.outlines, scene.given
         with torch.no_grad():
             self.edges, rows = outlines.all()
-            self.curves, round_ = outlines.quadrics()
+            round_ = outlines.quadrics()
             moves = given.moves[outlines.shape_of_face[self.edges.face]].any(1)
-            shapes = torch.tensor([shape for shape, _ in self.curves], dtype=torch.int64)
+            shapes = torch.tensor([shape for shape, _ in outlines.curves], dtype=torch.int64)
             moves = torch.cat([moves, given.moves[shapes]])
             rows = torch.cat([rows, round_.to(rows)])
             rows[:, 12] *= torch.where(moves, 1.0, STILL)
@@ -41,40 +41,21 @@ class Choice:
             layout.edges = (key, table, self.tree.order)
 
     def __len__(self) -> int:
-        return len(self.edges) + len(self.curves)
+        return len(self.edges) + len(self.scene.outlines.curves)
 
-    def draw(self, anchors: Anchors, seed: int) -> Chosen:
+    def draw(self, anchors: Anchors, seed: int, parallel: bool = False) -> Chosen:
+        """For points, or for directions if `parallel`."""
         with torch.no_grad():
-            element, s, inverse = self.tree.choose(anchors, seed, self.scene.threads)
+            element, s, inverse = self.tree.choose(anchors, parallel, seed, self.scene.threads)
             rows = ((element >= 0) & (inverse > 0)).nonzero()[:, 0]
             element, s, inverse, origin = element[rows], s[rows], inverse[rows], anchors.point[rows].detach()
-            parallel = anchors.parallel[rows] != 0
-        found = self._points(element, s, origin, parallel)
+            count, none = len(self.edges), torch.zeros_like(s)
+            on_edge = element < count
+            curves = torch.tensor([*self.scene.outlines.curves, (-1, -1)])
+            shape, curve = curves[torch.where(on_edge, -1, element - count)].T
+            pieces = Pieces(torch.where(on_edge, element, -1), shape, curve, none, none, none)
+        found = self.scene.outlines.points(self.edges, pieces, s, origin, parallel)
         with torch.no_grad():
             length = torch.linalg.vector_norm(found.along, dim=1)
             kept = (found.valid & (length > 0)).nonzero()[:, 0]
-        point = OutlinePoints(*(getattr(found, n)[kept] for n in OutlinePoints.__dataclass_fields__))
-        return Chosen(rows[kept], point, inverse[kept] * length[kept])
-
-    def _points(
-        self, element: torch.Tensor, s: torch.Tensor, origin: torch.Tensor, parallel: torch.Tensor
-    ) -> OutlinePoints:
-        count = len(self.edges)
-        on_edge = element < count
-        quadric = torch.tensor([*self.curves, (-1, -1)])[torch.where(on_edge, -1, element - count)]
-        none = torch.zeros_like(s)
-        pieces = Pieces(torch.where(on_edge, element, -1), quadric[:, 0], quadric[:, 1], none, none, none)
-        kinds = [(rows.nonzero()[:, 0], way) for rows, way in ((~parallel, False), (parallel, True))]
-        found, order = [], []
-        for rows, way in kinds:
-            if len(rows):
-                found.append(self.scene.outlines.points(self.edges, pieces[rows], s[rows], origin[rows], way))
-                order.append(rows)
-        if len(found) == 1:
-            return found[0]
-        back = torch.argsort(torch.cat(order)) if order else none.long()
-        if not found:
-            return self.scene.outlines.points(self.edges, pieces, s, origin, False)
-        return OutlinePoints(
-            *(torch.cat([getattr(f, n) for f in found])[back] for n in OutlinePoints.__dataclass_fields__)
-        )
+        return Chosen(rows[kept], found[kept], inverse[kept] * length[kept])

@@ -29,7 +29,7 @@ from ..wavefront.path import power_heuristic
 from .anchors import AnchorTracer, Piece, one_of_path
 from .choice import Choice
 from .light_places import Places, light_places
-from .sampling import CHUNK, Boundary, Found, Samples, joined, least_side
+from .sampling import Boundary, Found, Samples, across, joined, least_side
 from .tree import Anchors
 
 STREAM, PILOT = 0x6C69676874, 0x70696C6F74
@@ -38,45 +38,42 @@ EXTENDED = ("area", "constant", "envmap")
 SHADE = ("area", "constant", "envmap", "point", "spot", "projector", "directional")
 
 
-def outlines_before_lights(scene: Boundary, choice: Choice, in_view: float) -> Samples:
-    """Samples of outlines that lights see, see :func:`.boundary.samples`."""
-    call = scene.call
-    cells = scene.film.cells(call.config["window"])
-    count = scene.given.spp[1] * len(cells)
-    for number, config, generator in scene.configs(STREAM):
-        tracer = AnchorTracer(scene, config)
-        shades = torch.tensor([scene.world.records["emitter"][e.index].type in SHADE for e in tracer.lights.all])
-        if not len(shades) or not bool((tracer.lights.pmf * shades).sum() > 0):
-            return
-        for begin in range(0, count, CHUNK):
-            n = min(CHUNK, count - begin)
-            at = torch.arange(begin, begin + n, dtype=torch.int64)
-            u = torch.rand(n, 11, generator=generator, dtype=torch.float64)
-            seed = int(torch.randint(0, 1 << 62, (), generator=generator))
-            place = cells[at % len(cells)] + u[:, :2]
-            shadows = _Shadows(
-                scene, tracer, at + number * count, 1.0 / (count * call.passes), float(len(cells)), in_view
-            )
-            yield from joined(shadows.draw(choice, tracer.lights.pmf * shades, place, u[:, 2:], seed))
-            scene.begin()
+def outlines_before_lights(scene: Boundary, choice: Choice, tracer: AnchorTracer, in_view: float) -> Samples:
+    """Samples of outlines that lights see, see :func:`.boundary.samples`; `in_view`: see :func:`share_in_view`."""
+    pmf = _pmf(scene, tracer, SHADE)
+    if pmf is None:
+        return
+    max_depth = scene.call.config["max_depth"]
+    for chunk in scene.chunks(STREAM, 9):
+        tracer.start(chunk.config)
+        shadows = _Shadows(scene, tracer, chunk.key, 1.0 / chunk.total, float(chunk.cells), in_view, max_depth)
+        yield from joined(shadows.draw(choice, pmf, chunk.place, chunk.u, chunk.seed))
 
 
-def share_in_view(scene: Boundary, choice: Choice) -> float:
+def share_in_view(scene: Boundary, choice: Choice, tracer: AnchorTracer) -> float:
     """About which share of the edges that lights find the camera sees, in the wanted pixels: of a few samples.
 
     With lights in view of which it sees few, those are left to the vertices. A function of the seed alone.
     """
-    _, config, generator = next(scene.configs(PILOT))
-    tracer = AnchorTracer(scene, config)
-    shades = torch.tensor([scene.world.records["emitter"][e.index].type in EXTENDED for e in tracer.lights.all])
-    if not len(shades) or not bool((tracer.lights.pmf * shades).sum() > 0):
+    pmf = _pmf(scene, tracer, EXTENDED)
+    if pmf is None:
         return 1.0
+    _, config, generator = next(scene.configs(PILOT))
+    tracer.start(config)
     with torch.no_grad():
         u = torch.rand(FEW, 9, generator=generator, dtype=torch.float64)
-        shadows = _Shadows(scene, tracer, torch.arange(FEW), 1.0, 1.0, max_depth=2)
-        found = shadows.draw(choice, tracer.lights.pmf * shades, u[:, :2], u, scene.call.seed_grad & 0xFFFFFFFF)
+        shadows = _Shadows(scene, tracer, torch.arange(FEW), 1.0, 1.0, 1.0, max_depth=2)
+        found = shadows.draw(choice, pmf, u[:, :2], u, scene.call.seed_grad & 0xFFFFFFFF)
         inside = sum(int(scene.film.wanted(place).sum()) for _, _, place in found)
     return min(1.0, max(inside / max(shadows.edges, 1), 1e-3))
+
+
+def _pmf(scene: Boundary, tracer: AnchorTracer, kinds: tuple[str, ...]) -> torch.Tensor | None:
+    """The probability of each light of these kinds, not normalised; None if there is none."""
+    emitters = scene.world.records["emitter"]
+    chosen = torch.tensor([emitters[e.index].type in kinds for e in tracer.lights.all], dtype=torch.bool)
+    pmf = tracer.lights.pmf[: len(chosen)] * chosen
+    return pmf if bool(pmf.sum() > 0) else None
 
 
 @dataclass
@@ -84,6 +81,7 @@ class _Edges:
     """Edges of shadows that a light throws: points S (M, 3) on surfaces, and all of the formula that is the light's.
 
     `row` (M,) numbers the light's places, `lane` (M,) the samples; `b` (M, 3) is attached; `free` (M, 3) is n.
+    `of_lane` (N,) gives the rows of all samples, or -1.
     """
 
     places: Places
@@ -94,6 +92,7 @@ class _Edges:
     b: torch.Tensor
     free: torch.Tensor
     weight: torch.Tensor
+    of_lane: torch.Tensor
 
     def rate(self, at: torch.Tensor, s: torch.Tensor) -> torch.Tensor:
         """Of those edges (N,), whose points on surfaces move like s (N, 3)."""
@@ -120,12 +119,11 @@ class _Shadows:
         key: torch.Tensor,
         share: float,
         cells: float,
-        in_view: float = 1.0,
-        max_depth: int | None = None,
+        in_view: float,
+        max_depth: int,
     ) -> None:
         self.scene, self.tracer, self.lights, self.key = scene, tracer, tracer.lights, key
-        self.share, self.cells, self.in_view = share, cells, in_view
-        self.max_depth = scene.call.config["max_depth"] if max_depth is None else max_depth
+        self.share, self.cells, self.in_view, self.max_depth = share, cells, in_view, max_depth
         self.edges = 0  # that were found
 
     def draw(self, choice: Choice, pmf: torch.Tensor, place: torch.Tensor, u: torch.Tensor, seed: int) -> list[Found]:
@@ -151,16 +149,15 @@ class _Shadows:
     def _edges(self, choice: Choice, places: Places, lane: torch.Tensor, seed: int) -> _Edges | None:
         scene, world, light, far = self.scene, self.scene.world, places.light, places.far
         own = light.shape if isinstance(light, Area) else -1
-        chosen = choice.draw(Anchors.plain(places.at, places.normal, far, own), seed)
+        chosen = choice.draw(Anchors.plain(places.at, places.normal, own), seed, far)
         row, point = chosen.rows, chosen.point
         with torch.no_grad():
             y, b, along = places.at[row], point.position.detach(), point.along
             towards = y if far else b - y
             r = torch.linalg.vector_norm(towards, dim=1)
             d = towards / r.clamp(min=1e-30)[:, None]  # with the light
-            across = torch.linalg.cross(d, along)
-            turned = torch.linalg.vector_norm(across, dim=1)
-            free = -point.front[:, None] * across / turned.clamp(min=1e-30)[:, None]  # from what hides to what does not
+            normal, turned = across(d, along)
+            free = -point.front[:, None] * normal  # from what hides to what does not
             g = turned / torch.linalg.vector_norm(along, dim=1)
             if not far:
                 g = g / (r * r)
@@ -185,8 +182,10 @@ class _Shadows:
             if not len(on):
                 return None
             row, free, kept = row[on], free[on], kept[on]
-        moving = point.position[kept]
-        return _Edges(places, row, lane[row], hits.position[on], -rays.directions[on], moving, free, weight[kept])
+            of_lane = torch.full((len(self.key),), -1)
+            of_lane[lane[row]] = torch.arange(len(row))
+        s, d, moving = hits.position[on], -rays.directions[on], point.position[kept]
+        return _Edges(places, row, lane[row], s, d, moving, free, weight[kept], of_lane)
 
     def _brought(
         self, edges: _Edges, at: torch.Tensor, piece: Piece, rows: torch.Tensor, c: torch.Tensor
@@ -232,9 +231,7 @@ class _Shadows:
     def _seen_by_vertices(self, edges: _Edges, piece: Piece, place: torch.Tensor) -> list[Found]:
         tracer, found = self.tracer, []
         with torch.no_grad():
-            of_lane = torch.full((len(place),), -1)
-            of_lane[edges.lane] = torch.arange(len(edges.lane))
-            at = of_lane[piece.vertices.paths.lane]
+            at = edges.of_lane[piece.vertices.paths.lane]
             rows = (at >= 0).nonzero()[:, 0]
             if not len(rows):
                 return []
@@ -248,13 +245,13 @@ class _Shadows:
             if not len(good):
                 return []
             rows, at, r, c, f, factor = rows[good], at[good], r[good], c[good], f[good], factor[good]
+            row_of_lane = torch.full((len(place),), -1)
+            row_of_lane[piece.vertices.paths.lane[rows]] = torch.arange(len(rows))
         for end in tracer.seen_from(piece, rows, c, f, factor, self.key):
             paths = end.vertices.paths
             lane = paths.lane
             with torch.no_grad():
-                there, where = of_lane[lane], torch.full((len(place),), -1)
-                where[piece.vertices.paths.lane[rows]] = torch.arange(len(rows))
-                mine = where[lane]
+                there, mine = edges.of_lane[lane], row_of_lane[lane]
                 kept = self._meets(edges, there, paths.position, r[mine])
                 if not len(kept):
                     continue

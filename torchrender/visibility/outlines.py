@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from ..surface import CYLINDER, DISK, MESH, SPHERE, Surfaces, inverse_linear, transform_point, transform_vector
+from ..wavefront.geometry import Rows
 from .edges import Edges, EdgeTable, edge_table
 from .tree import ALWAYS, CREASE, EDGE, ELEMENT, ROUND, elements
 
@@ -32,7 +33,7 @@ class Viewpoint:
 
 
 @dataclass
-class Pieces:
+class Pieces(Rows):
     """Parts of outlines: what they are part of, their interval of its parameter, and their weights when one is chosen.
 
     `edge` is a row of the edges, or -1; of a quadric then `shape` and `curve` (CONTOUR ...) say which outline it is.
@@ -45,12 +46,9 @@ class Pieces:
     end: torch.Tensor
     weight: torch.Tensor
 
-    def __getitem__(self, rows: torch.Tensor) -> Pieces:
-        return Pieces(*(getattr(self, name)[rows] for name in self.__dataclass_fields__))
-
 
 @dataclass
-class OutlinePoints:
+class OutlinePoints(Rows):
     """Points on outlines: `position` (N, 3), which may be attached; its derivative by the parameter, `along` (N, 3).
 
     `valid`: there is one, and an outline or a crease it is. `front` (N,): 1 where what hides something is on the side
@@ -82,6 +80,8 @@ class Outlines:
         if table is None or not table.holds(self.positions):
             table = edge_table(surfaces.faces, self.positions)
         self.table = table
+        self.edges = _joined(table.plain, table.fans) if len(table.fans) else table.plain
+        self.curves = [(i, c) for i, kind in enumerate(surfaces.kind.tolist()) for c in CURVES_OF.get(kind, ())]
         self.moves = moves
         meshes = (surfaces.kind == MESH).nonzero()[:, 0]
         begins = surfaces.first_face[meshes].contiguous()
@@ -96,10 +96,7 @@ class Outlines:
 
         Creases, of which both faces are seen, are those where normals, materials or texture coordinates jump.
         """
-        edges = self.table.plain
-        if len(self.table.fans):
-            edges = _joined(edges, self.table.fans)
-        edges = edges.rows(self.moves[self.shape_of_face[edges.face]].any(1))
+        edges = self.edges.rows(self.moves[self.shape_of_face[self.edges.face]].any(1))
         n0, n1 = self.face_normals[edges.face[:, 0]], self.face_normals[edges.face[:, 1]]
         towards = view.towards(self.positions[edges.v0[:, 0]])
         s0, s1 = (n0 * towards).sum(1), (n1 * towards).sum(1)
@@ -121,9 +118,7 @@ class Outlines:
 
     def all(self) -> tuple[Edges, torch.Tensor]:
         """Edges that can be outlines or creases from somewhere, and elements (E, 17) of a tree of them, see tree.py."""
-        edges = self.table.plain
-        if len(self.table.fans):
-            edges = _joined(edges, self.table.fans)
+        edges = self.edges
         n0, n1 = self.face_normals[edges.face[:, 0]], self.face_normals[edges.face[:, 1]]
         bend = (1 - (n0 * n1).sum(1)).clamp(min=0.0)
         split, flat = self._jumps(edges)
@@ -136,17 +131,15 @@ class Outlines:
         bend = torch.where(split, bend.clamp(min=0.05), bend)
         return edges, elements(a, b, n0, n1, weight, bend, kind, torch.full_like(kind, -2))
 
-    def quadrics(self) -> tuple[list[tuple[int, int]], torch.Tensor]:
-        """All contours, rims and lines of quadrics as (shape, curve), and their elements."""
-        surfaces = self.surfaces
-        curves = [(i, c) for i, kind in enumerate(surfaces.kind.tolist()) for c in CURVES_OF.get(kind, ())]
-        if not curves:
-            return [], torch.zeros(0, ELEMENT)
-        shape, curve = torch.tensor(curves).T
-        matrix = surfaces.to_world[shape].detach()
+    def quadrics(self) -> torch.Tensor:
+        """The elements of all contours, rims and lines of quadrics, in the order of `curves`, (shape, curve) each."""
+        if not self.curves:
+            return torch.zeros(0, ELEMENT)
+        shape, curve = torch.tensor(self.curves).T
+        matrix = self.surfaces.to_world[shape].detach()
         x, y, z, place = matrix[:, :3].unbind(2)
         upper = (curve == UPPER_RIM)[:, None]
-        radius = torch.linalg.matrix_norm(matrix[:, :3, :3], 2) * torch.where(curve == CONTOUR, 1.0, 0.0)
+        radius = torch.linalg.matrix_norm(matrix[:, :3, :3], 2)
         across = torch.maximum(torch.linalg.vector_norm(x, dim=1), torch.linalg.vector_norm(y, dim=1))
         radius = torch.where(curve == CONTOUR, radius, across)
         line = curve >= LEFT_LINE  # somewhere on the cylinder: around its axis
@@ -156,18 +149,13 @@ class Outlines:
         end = torch.cat([size[:, None], zero[:, :2]], 1)
         ones = torch.ones_like(size)
         weight = torch.where(line, 0.3, 1.0).to(size)
-        return curves, elements(centre, end, zero, zero, weight, ones, torch.full_like(shape, ROUND), shape)
+        return elements(centre, end, zero, zero, weight, ones, torch.full_like(shape, ROUND), shape)
 
     def whole(self, view: Viewpoint) -> tuple[Edges, Pieces]:
         """All outlines uncut: candidate edges, and contours and rims of quadrics that move."""
         edges, weight = self.candidates(view)
         n = len(edges)
-        quadrics = [
-            (index, curve)
-            for index, kind in enumerate(self.surfaces.kind.tolist())
-            for curve in CURVES_OF.get(kind, ())
-            if bool(self.moves[index])
-        ]
+        quadrics = [(shape, curve) for shape, curve in self.curves if bool(self.moves[shape])]
         zero, none = torch.zeros(n + len(quadrics), dtype=weight.dtype), torch.full((n + len(quadrics),), -1)
         edge, shape, curve = none.clone(), none.clone(), none.clone()
         edge[:n] = torch.arange(n)
@@ -192,9 +180,7 @@ class Outlines:
             self._on_quadrics(pieces.shape[rest], pieces.curve[rest], s[rest], origin[rest].detach(), parallel)
         )
         back = torch.argsort(torch.cat(rows))
-        return OutlinePoints(
-            *(torch.cat([getattr(f, n) for f in found])[back] for n in OutlinePoints.__dataclass_fields__)
-        )
+        return OutlinePoints.cat(found)[back]
 
     def _on_edges(
         self, edges: Edges, s: torch.Tensor, origin: torch.Tensor, parallel: bool, exact: bool

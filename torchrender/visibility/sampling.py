@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +12,7 @@ import torch
 from ..render_call import RenderCall
 from ..scene.camera_rays import Rays
 from ..scene.declaration import models
+from ..scene.packing import Layout
 from ..scene.scene import Scene
 from ..seeds import mix
 from ..wavefront.path import offset_origin
@@ -21,9 +22,8 @@ from .film_sums import FilmPlaces
 from .outlines import Outlines
 
 STREAM = 0x766973  # tells the seed of outlines from those of paths
-CHUNK = 1 << 13  # samples at a time: in the cache, and too few for torch to share them among threads
+CHUNK = 1 << 13  # samples at a time: in the cache
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
-
 RIM = 1.05  # how far beyond the rim of interpolated normals, in widths of it
 NEAR = 0.02  # what is close, in sizes of the scene
 
@@ -36,17 +36,27 @@ class BoundaryCall:
     """The boundary term of one rendering.
 
     `spp` samples a wanted pixel of outlines that the camera sees, and of those that points on surfaces see; `moves`
-    says which shapes may move, all if the `camera` does, and `lights` whether lights without extent may. With
-    `by_length` short outlines get fewer samples.
+    says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples.
     """
 
     call: RenderCall
     scene: Scene
     spp: tuple[int, int]
     moves: torch.Tensor
-    camera: bool
-    lights: bool
     by_length: bool
+
+
+@dataclass
+class Chunk:
+    """N of `total` samples: a pass's settings, keys, numbers u (N, K), a seed, and places on a number of `cells`."""
+
+    config: dict[str, Any]
+    key: torch.Tensor
+    u: torch.Tensor
+    seed: int
+    place: torch.Tensor
+    total: int
+    cells: int
 
 
 class Boundary:
@@ -77,6 +87,20 @@ class Boundary:
         for number, config in enumerate(self.call.configs(derivative=True)):
             seed = mix(config["seed"], stream)
             yield number, {**config, "seed": seed, "threads": self.threads}, torch.Generator().manual_seed(seed >> 1)
+
+    def chunks(self, stream: int, numbers: int) -> Iterator[Chunk]:
+        """The samples of shadows and reflections, by places on the film, with so many random numbers besides."""
+        cells = self.film.cells(self.call.config["window"])
+        count = self.given.spp[1] * len(cells)
+        for number, config, generator in self.configs(stream):
+            for begin in range(0, count, CHUNK):
+                at = torch.arange(begin, min(begin + CHUNK, count), dtype=torch.int64)
+                u = torch.rand(len(at), 2 + numbers, generator=generator, dtype=torch.float64)
+                seed = int(torch.randint(0, 1 << 62, (), generator=generator))
+                place = cells[at % len(cells)] + u[:, :2]
+                total = count * self.call.passes
+                yield Chunk(config, at + number * count, u[:, 2:], seed, place, total, len(cells))
+                self.begin()
 
     def places(self, points: torch.Tensor, lens: torch.Tensor) -> torch.Tensor:
         return film_places(self.world, self.sensor, self.size, points.detach(), lens)
@@ -158,21 +182,46 @@ def least_side(b: torch.Tensor, distance: torch.Tensor | float) -> torch.Tensor:
     return 8 * 2.0**-24 * (b.abs().amax(1) + distance)
 
 
-def is_crease_seen(front: torch.Tensor, distance: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
-    """False of creases (`front` is 0) beside which a ray goes on, instead of meeting the crease's own face.
+def across(d: torch.Tensor, along: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Unit normals (N, 3) of outlines across rays along d; (N,) sines between both times the length of `along`."""
+    n = torch.linalg.cross(d, along)
+    turned = torch.linalg.vector_norm(n, dim=1)
+    return n / turned.clamp(min=1e-30)[:, None], turned
 
-    Then the face is narrower than what rays can tell apart, and the jump another outline's.
+
+def is_open(front: torch.Tensor, distance: torch.Tensor, t: torch.Tensor, tolerance: float) -> torch.Tensor:
+    """Whether nothing is before outlines (N,), as rays (2 N,) see it that meet something at t, first on the side of -n.
+
+    On the free side alone, since a sphere is met before its contour on the other. Beside creases (`front` is 0) rays
+    have to meet the crease's own faces: where one goes on its face is narrower than what rays can tell apart, and the
+    jump is another outline's.
     """
-    return (front != 0) | ((t - distance).abs() < 5e-3 * distance)
+    two, free = distance.repeat(2), torch.cat([front >= 0, front <= 0])
+    before = free & (t < two * (1 - tolerance))
+    met = (front.repeat(2) != 0) | ((t - two).abs() < 5e-3 * two)
+    return (~before & met).view(2, -1).all(0)
+
+
+def both_sides(rays: Callable[[float], Rays]) -> Rays:
+    """Those on the side of -n, then those of n."""
+    minus, plus = rays(-1.0), rays(1.0)
+    return Rays(*(torch.cat([a, b]) for a, b in zip(minus, plus, strict=True)))
+
+
+def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
+    """The types of all objects of a category, and the slots of what may place them."""
+    found = []
+    for kind, numbers, _ in layout.objects[category]:
+        fields = models()[category, kind].fields
+        slots = [n for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
+        found.append((kind, slots))
+    return found
 
 
 def _placing(call: RenderCall, params: Sequence[torch.Tensor]) -> list[torch.Tensor]:
     """The tensors, those detached that place neither shapes nor cameras nor lights."""
-    kept = set()
-    for category in ("shape", "sensor", "emitter"):
-        for kind, numbers, _ in call.layout.objects[category]:
-            fields = models()[category, kind].fields
-            kept |= {n for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0}
+    categories = ("shape", "sensor", "emitter")
+    kept = {slot for c in categories for _, slots in placing_slots(call.layout, c) for slot in slots}
     return [p if i in kept else p.detach() for i, p in enumerate(params)]
 
 

@@ -9,7 +9,7 @@ import torch
 
 from ..scene.camera_rays import Rays
 from .outlines import MOST, PIXELS, Pieces, Viewpoint
-from .sampling import CHUNK, RIM, STREAM, Boundary, Samples, is_crease_seen, least_side
+from .sampling import CHUNK, RIM, STREAM, Boundary, Samples, across, both_sides, is_open, least_side
 
 LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a pixel
 SIDE = 2.0**-14  # how far beside an outline its colours are looked at, in pixels
@@ -130,9 +130,7 @@ class _SeenOutlines:
             towards = b - rays.origins
             distance = (towards * rays.directions).sum(1)
             apart = torch.linalg.vector_norm(towards - rays.directions * distance[:, None], dim=1)
-            across = torch.linalg.cross(rays.directions, along)
-            turned = torch.linalg.vector_norm(across, dim=1)  # sin times the length of `along`
-            normal = across / turned.clamp(min=1e-30)[:, None]
+            normal, turned = across(rays.directions, along)
             area = self.scene.pixel_area(place, lens, rays.directions, distance)
             side = torch.maximum(torch.minimum(SIDE * area.sqrt(), room / 8), least_side(b, distance))
             good = (turned > 0) & (area > 0) & (distance > 0) & (distance < rays.tmax)
@@ -141,7 +139,8 @@ class _SeenOutlines:
             if not len(kept):
                 return
             both = self._beside(rays, b, normal, side, torch.where(front != 0, RIM * rim, 0.0), front, kept)
-            open_ = self._open(both, front[kept], distance[kept]).nonzero()[:, 0]
+            t = self.world.first_hits(both, self.scene.call.config["hide_emitters"]).t.detach()
+            open_ = is_open(front[kept], distance[kept], t, 1e-5).nonzero()[:, 0]
             if not len(open_):
                 return
             both = Rays(*(x[torch.cat([open_, open_ + len(kept)])] for x in both))
@@ -168,17 +167,6 @@ class _SeenOutlines:
             back = ((rays.origins - self.view.point) @ axis) / (rays.directions @ axis)
             return rays.origins - rays.directions * back[:, None]
 
-    def _open(self, both: Rays, front: torch.Tensor, distance: torch.Tensor) -> torch.Tensor:
-        """Whether nothing is before outlines, as rays on both sides see it.
-
-        On the free side alone, since a sphere is met before its contour on the other. Emitters that the camera does not
-        see hide nothing.
-        """
-        t = self.world.first_hits(both, self.scene.call.config["hide_emitters"]).t.detach()
-        two, side = distance.repeat(2), torch.cat([front >= 0, front <= 0])
-        before = side & (t < two * (1 - 1e-5))
-        return (~before & is_crease_seen(front.repeat(2), two, t)).view(2, -1).all(0)
-
     def _beside(
         self,
         rays: Rays,
@@ -191,11 +179,11 @@ class _SeenOutlines:
     ) -> Rays:
         """Camera rays on both sides of points b, of these rows: `side` beside them, in front `rim` more."""
         o, d, reach = (x.detach()[kept] for x in rays)
-        both = []
-        for sign in (-1.0, 1.0):
+
+        def on(sign: float) -> Rays:
             offset = normal[kept] * (sign * (side + torch.where(front == sign, rim, 0.0)))[kept, None]
             if self.parallel:
-                both.append(Rays(o + offset, d, reach))
-            else:
-                both.append(Rays(o, torch.nn.functional.normalize(b.detach()[kept] - o + offset, dim=1), reach))
-        return Rays(*(torch.cat([getattr(x, n) for x in both]) for n in Rays._fields))
+                return Rays(o + offset, d, reach)
+            return Rays(o, torch.nn.functional.normalize(b.detach()[kept] - o + offset, dim=1), reach)
+
+        return both_sides(on)

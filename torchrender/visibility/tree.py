@@ -7,8 +7,10 @@ from typing import Any
 
 import torch
 
+from ..wavefront.geometry import Rows
+
 EDGE, ALWAYS, CREASE, ROUND = range(4)  # kinds of elements
-ELEMENT, ANCHOR = 17, 13  # 32-bit numbers of an element and of an anchor; the last ones of them are integers
+ELEMENT = 17  # 32-bit numbers of an element, the last three of which are integers
 
 
 def elements(
@@ -28,8 +30,8 @@ def elements(
 
 
 @dataclass
-class Anchors:
-    """Where outlines are looked for from: points (N, 3), or `parallel` directions.
+class Anchors(Rows):
+    """Where outlines are looked for from: points (N, 3), or directions.
 
     Light is scattered from there towards d about like (1 - share) max(0, n.d) + share exp(k (axis.d - 1)), with normals
     and axes (N, 3), sharpness and share (N,); a normal of zero: alike in all directions. `own` (N,): a curved shape
@@ -41,13 +43,12 @@ class Anchors:
     axis: torch.Tensor
     k: torch.Tensor
     share: torch.Tensor
-    parallel: torch.Tensor
     own: torch.Tensor
 
     @classmethod
-    def plain(cls, point: torch.Tensor, normal: torch.Tensor, parallel: bool, own: int) -> Anchors:
+    def plain(cls, point: torch.Tensor, normal: torch.Tensor, own: int) -> Anchors:
         zero = torch.zeros_like(point[:, 0])
-        return cls(point, normal, normal, zero, zero, zero + float(parallel), torch.full_like(zero, own))
+        return cls(point, normal, normal, zero, zero, torch.full_like(zero, own))
 
 
 class OutlineTree:
@@ -68,12 +69,17 @@ class OutlineTree:
             core.morton_order(places.data_ptr(), len(rows), order.data_ptr())
         self.tree = core.OutlineTree(rows.data_ptr(), len(rows), order.data_ptr())
 
-    def choose(self, anchors: Anchors, seed: int, threads: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """For each anchor an element or -1, a place in [0, 1) along it, and one over their density: (N,) each."""
+    def choose(
+        self, anchors: Anchors, parallel: bool, seed: int, threads: int
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """(N,) each: an element or -1, a place in [0, 1) along it, and one over the density of both.
+
+        Anchors are directions if `parallel`, else points.
+        """
         a = anchors
         columns = [a.point, a.normal, a.axis, a.k[:, None], a.share[:, None]]
         rows = torch.cat([c.detach().float() for c in columns], 1)
-        whole = torch.stack([a.parallel, a.own], 1).to(torch.int32).view(torch.float32)
+        whole = torch.stack([torch.full_like(a.own, float(parallel)), a.own], 1).to(torch.int32).view(torch.float32)
         rows = torch.cat([rows, whole], 1).contiguous()
         found = torch.empty(len(rows), 3, dtype=torch.float32)
         self.tree.choose(rows.data_ptr(), len(rows), seed, threads, found.data_ptr())

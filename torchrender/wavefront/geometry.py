@@ -8,11 +8,8 @@ from typing import Any, TypeVar
 
 import torch
 
-from ..heightfield import evaluate
 from ..surface import (
-    CURVE,
     CYLINDER,
-    HEIGHT_FIELD,
     MESH,
     SPHERE,
     Surfaces,
@@ -124,23 +121,18 @@ def glue(
     position: torch.Tensor,
     uv: torch.Tensor,
 ) -> Glued:
-    """The points of these coordinates, attached to the surfaces alone. Spheres and disks take `position` and `uv`."""
+    """Points of these coordinates on shapes that may emit, attached to the surfaces alone.
+
+    Spheres, disks and cylinders take `position` and `uv`.
+    """
     b, position, uv = barycentric.detach(), position.detach(), uv.detach()
-    kind = surfaces.kind[shape]
-    on_mesh, on_other = kind == MESH, (kind == HEIGHT_FIELD) | (kind == CURVE)
-    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh & ~on_other).nonzero()[:, 0]
-    rows = [flat, curved]
+    on_mesh = surfaces.kind[shape] == MESH
+    flat, curved = on_mesh.nonzero()[:, 0], (~on_mesh).nonzero()[:, 0]
     pieces = [
         _on_triangles(surfaces, shape[flat], primitive[flat], b[flat]),
         _on_quadrics(surfaces, shape[curved], position[curved], uv[curved]),
     ]
-    for index in surfaces.heights:
-        rows.append((shape == index).nonzero()[:, 0])
-        pieces.append(_on_height_field(surfaces, index, uv[rows[-1]]))
-    for index in surfaces.curves:
-        rows.append((shape == index).nonzero()[:, 0])
-        pieces.append(_on_curve(surfaces, index, primitive[rows[-1]], b[rows[-1]]))
-    return Glued.cat(pieces)[torch.argsort(torch.cat(rows))]
+    return Glued.cat(pieces)[torch.argsort(torch.cat([flat, curved]))]
 
 
 def _on_triangles(surfaces: Surfaces, shape: torch.Tensor, primitive: torch.Tensor, b: torch.Tensor) -> Glued:
@@ -169,21 +161,3 @@ def _on_quadrics(surfaces: Surfaces, shape: torch.Tensor, position: torch.Tensor
     normal = normalize(up) * sign
     area = up * torch.linalg.det(matrix[:, :3, :3])[:, None]
     return Glued(transform_point(matrix, local), normal, normal, uv, area)
-
-
-def _on_height_field(surfaces: Surfaces, index: int, uv: torch.Tensor) -> Glued:
-    matrix, (heights, interpolation) = surfaces.to_world[index], surfaces.heights[index]
-    z, z_u, z_v = evaluate(heights, uv, interpolation)
-    local = torch.cat([2 * uv - 1, z[:, None]], 1)
-    up = transform_normal(inverse_linear(matrix), torch.stack([-z_u / 2, -z_v / 2, torch.ones_like(z)], 1))
-    normal = normalize(up) * (-1.0 if bool(surfaces.flip[index]) else 1.0)
-    area = up * torch.linalg.det(matrix[:3, :3])
-    return Glued(transform_point(matrix, local), normal, normal, uv, area)
-
-
-def _on_curve(surfaces: Surfaces, index: int, primitive: torch.Tensor, b: torch.Tensor) -> Glued:
-    position, along, around = surfaces.segments(index, primitive).evaluate(*b.unbind(1))
-    area = torch.linalg.cross(around, along)
-    normal = normalize(area)
-    uv = torch.stack([b[:, 0], surfaces.along_curve(index, primitive, b[:, 1])], 1)
-    return Glued(position, normal, normal, uv, area)

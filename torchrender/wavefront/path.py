@@ -1,11 +1,11 @@
 """The path tracer: csrc/core/integrator/surface.h and csrc/cpu/path_tile.h, N paths a segment at a time.
 
 What is attached where things move (`World.moving`). The first point is the attached intersection of the attached camera
-ray: it slides over the surface when that or the camera moves. The point that a ray sampled at a smooth vertex hits, or
-that is sampled on a light, is glued to its surface, and the measure is area: the direction is that from the one moving
-point to the other, and the weight gets the ratio J / J' of solid angles. The ray after a delta lobe is an attached
-function of the one before, and so is the point that it hits. Points on grids of distances are attached always, to a
-direction at rest where a smooth lobe was sampled.
+ray: it slides over the surface when that or the camera moves. The point that a ray sampled at a smooth vertex hits on a
+shape that emits, or that is sampled on a light, is glued to its surface, and the measure is area: the direction is that
+from the one moving point to the other, and the weight gets the ratio J / J' of solid angles. On other shapes it is
+attached to the ray, whose direction is at rest. The ray after a delta lobe is an attached function of the one before,
+and so is the point that it hits.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import torch
 from ..queries import Hits
 from ..scene.camera import Rays
 from ..scene.torch_bsdf import SurfaceInteraction
-from ..surface import SDF_GRID, dot, normalize
+from ..surface import dot, normalize
 from . import layers, numbers
 from .bsdf import Bsdf
 from .bsdfs import BSDFS
@@ -159,18 +159,7 @@ class WavefrontTracer:
         self.found: list[tuple[torch.Tensor, torch.Tensor]] = []
         self.alpha = torch.zeros(n, dtype=dtype)
         if self.max_depth != 0:
-            one, zero = torch.ones(n, channels, dtype=dtype), torch.zeros(n, dtype=dtype)
-            first = Paths(
-                lane=torch.arange(n),
-                d=rays.directions,
-                beta=one,
-                survival=one,
-                eta=one[:, 0],
-                previous=rays.origins.detach(),
-                previous_pdf=zero,
-                seen=zero.bool(),
-                **arrival(self.world.first_hits(rays, self.hide_emitters)),
-            )
+            first = self.first_points(rays)
             scatters = self.max_depth < 0 or self.max_depth > 1
             for index in range(max(self.emitter_samples, self.bsdf_samples) if scatters else 1):
                 paths, depth = first, 0
@@ -182,6 +171,22 @@ class WavefrontTracer:
         for lane, value in self.found:
             radiance = radiance.index_add(0, lane, value)
         return radiance, self.alpha
+
+    def first_points(self, rays: Rays) -> Paths:
+        """Paths that begin with camera rays, one for each sample."""
+        n, dtype = len(rays.origins), self.world.dtype
+        one, zero = torch.ones(n, self.world.channels, dtype=dtype), torch.zeros(n, dtype=dtype)
+        return Paths(
+            lane=torch.arange(n),
+            d=rays.directions,
+            beta=one,
+            survival=one,
+            eta=one[:, 0],
+            previous=rays.origins.detach(),
+            previous_pdf=zero,
+            seen=zero.bool(),
+            **arrival(self.world.first_hits(rays, self.hide_emitters)),
+        )
 
     def add(self, lane: torch.Tensor, value: torch.Tensor) -> None:
         """Light that the samples `lane` have found; of one call none comes twice."""
@@ -319,10 +324,7 @@ class WavefrontTracer:
         went_on: dict[str, torch.Tensor],
         rows: torch.Tensor,
     ) -> Paths:
-        """The paths along wo: glued to what they meet if the lobe is `smooth`, else attached.
-
-        What meets a grid of distances is attached in any case, along a fixed direction if the lobe is smooth.
-        """
+        """The paths along wo: if the lobe is `smooth` along a fixed direction, or glued to a light; else attached."""
         paths, above = vertices.paths, vertices.above
         d = vertices.to_world(wo)
         d = reattach(normalize(d), d) if self.world.moving else normalize(d.detach())
@@ -350,12 +352,8 @@ class WavefrontTracer:
         )
 
     def glued(self, hits: Hits, x: torch.Tensor) -> tuple[Hits, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """The hits, glued to their surfaces; J / J'; the rows of these hits, and their directions from the points x.
-
-        Points on grids of distances are not among them and stay as they are.
-        """
-        shape = hits.shape_id.clamp_min(0)
-        glued = hits.valid & (self.shape_emitter[shape] >= 0) & (self.world.surfaces.kind[shape] != SDF_GRID)
+        """The hits, those on what emits glued to it; J / J'; their rows, and their directions from the points x."""
+        glued = hits.valid & (self.shape_emitter[hits.shape_id.clamp_min(0)] >= 0)
         slides = hits.valid & ~glued
         rows = glued.nonzero()[:, 0]
         shape, primitive = hits.shape_id[rows], hits.prim_id[rows]

@@ -153,7 +153,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         if (c.needs->geometry) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
-            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || si.shape.has(IsSdfGrid);
+            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0);
             write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t, arrival_kind<F>(slides));
         }
     } else {
