@@ -24,13 +24,13 @@ from __future__ import annotations
 import argparse
 import math
 import sys
-import time
 import warnings
 from pathlib import Path
 from typing import Any
 
 import torch
 from checkpoints import Checkpoint
+from command_line import given, reported
 from pictures import save, save_curves
 from plates import write_plate
 
@@ -233,15 +233,9 @@ def main(argv: list[str] | None = None) -> None:
         settings |= {"size": 512, "spp": 64, "spp_grad": 32, "passes": 1, "iterations": 1000}
         if options.size is None:
             settings |= {"size": 128, "resolution": 64, "iterations": 200, "rate": 1e-3}
-    for name in ("size", "iterations"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
-    start = time.perf_counter()
-    try:
+    settings |= given(options, "size", "iterations")
+    with reported(parser, "results", options.output):
         run(options.output, restart=options.restart, **settings)
-    except ValueError as error:
-        parser.error(str(error))
-    print(f"results are in {options.output}; {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

@@ -18,13 +18,13 @@ Pictures that nobody has used for the fit, and points on both surfaces, say how 
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 from typing import Any
 
 import torch
 import trimesh
 from checkpoints import Checkpoint
+from command_line import given, reported
 from meshes import cameras, chamfer, directions, points_outside, subdivide, turntable, write_ply
 from pictures import save, save_curves
 
@@ -223,15 +223,9 @@ def main(argv: list[str] | None = None) -> None:
     settings: dict[str, Any] = {"view_count": options.views}
     if options.demo:
         settings |= {"subdivisions": 4, "smoothness": 5.0, "resolution": 64, "iterations": 80, "finer_iterations": 20}
-    for name in ("iterations", "resolution"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
-    start = time.perf_counter()
-    try:
+    settings |= given(options, "iterations", "resolution")
+    with reported(parser, "results", options.output):
         run(options.output, restart=options.restart, **settings)
-    except ValueError as error:
-        parser.error(str(error))
-    print(f"results are in {options.output}; {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

@@ -17,12 +17,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from pathlib import Path
 from typing import Any
 
 import torch
 from checkpoints import Checkpoint
+from command_line import given, reported
 from mesh_from_pictures import monkey
 from pictures import save, save_curves, save_signed
 
@@ -202,16 +202,10 @@ def main(argv: list[str] | None = None) -> None:
     settings: dict[str, Any] = {"part": options.part}
     if options.demo:
         settings |= {"resolution": 64, "spp": 8, "iterations": 80, "target_spp": 256}
-    for name in ("iterations", "resolution", "spp"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
+    settings |= given(options, "iterations", "resolution", "spp")
     folder = options.output or Path("output") / f"pose_{options.part}"
-    start = time.perf_counter()
-    try:
+    with reported(parser, "pictures", folder):
         run(folder, restart=options.restart, **settings)
-    except ValueError as error:
-        parser.error(str(error))
-    print(f"pictures are in {folder}; {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

@@ -15,12 +15,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from pathlib import Path
 from typing import Any
 
 import torch
 from checkpoints import Checkpoint
+from command_line import given, reported
 from meshes import cameras, write_ply
 from pictures import save, save_curves
 
@@ -219,15 +219,9 @@ def main(argv: list[str] | None = None) -> None:
     settings: dict[str, Any] = {}
     if options.demo:
         settings |= {"rings": 96, "corners": 24, "smoothness": 3.0, "resolution": 48, "iterations": 60}
-    for name in ("iterations", "resolution"):
-        if getattr(options, name) is not None:
-            settings[name] = getattr(options, name)
-    start = time.perf_counter()
-    try:
+    settings |= given(options, "iterations", "resolution")
+    with reported(parser, "results", options.output):
         run(options.output, restart=options.restart, **settings)
-    except ValueError as error:
-        parser.error(str(error))
-    print(f"results are in {options.output}; {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

@@ -14,12 +14,12 @@ from __future__ import annotations
 
 import argparse
 import math
-import time
 from pathlib import Path
 from typing import Any
 
 import torch
 from checkpoints import Checkpoint
+from command_line import reported
 from pictures import save, save_curves
 from volumes import SCENES, make_media, psnr, volume_of
 
@@ -165,12 +165,8 @@ def main(argv: list[str] | None = None) -> None:
     settings: dict[str, Any] = {"iterations": options.iterations or (170 if options.full else 80)}
     if not options.full:
         settings |= {"size": (16, 64, 64), "resolution": 64, "spp_grad": 16, "passes": 1}
-    start = time.perf_counter()
-    try:
+    with reported(parser, "pictures", options.output):
         run(options.output, restart=options.restart, **settings)
-    except ValueError as error:
-        parser.error(str(error))
-    print(f"pictures are in {options.output}; {time.perf_counter() - start:.1f} s")
 
 
 if __name__ == "__main__":

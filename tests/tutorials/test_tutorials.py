@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -169,6 +170,23 @@ def test_bad_option_ends_before_any_work(tutorial, tmp_path):
         tutorial("cornell_box").main(["--iterations", "many", "--output", str(tmp_path / "none")])
     assert ended.value.code == 2
     assert not (tmp_path / "none").exists()
+
+
+def test_a_long_run_ends_with_its_folder_or_as_a_wrong_option(tutorial, tmp_path, monkeypatch, capsys):
+    module = tutorial("smoke")
+    monkeypatch.setattr(module, "run", lambda folder, **settings: None)
+    module.main(["--output", str(tmp_path)])
+    assert re.fullmatch(rf"pictures are in {re.escape(str(tmp_path))}; \d+\.\d s\n", capsys.readouterr().out)
+    told = "is a checkpoint of a run with size 16 (now 64); --restart begins anew"
+
+    def refuse(folder, **settings):
+        raise ValueError(told)
+
+    monkeypatch.setattr(module, "run", refuse)
+    with pytest.raises(SystemExit) as ended:
+        module.main(["--output", str(tmp_path)])
+    out, error = capsys.readouterr()
+    assert ended.value.code == 2 and out == "" and error.endswith(f"error: {told}\n")
 
 
 def test_painted_texture_repeats_and_is_a_reflectance(tutorial):
