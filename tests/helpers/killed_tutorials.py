@@ -1,4 +1,4 @@
-"""Tutorials in processes of their own that are killed."""
+"""Tutorials that are killed and started again, and the checkpoints that they leave."""
 
 from __future__ import annotations
 
@@ -9,11 +9,24 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import ModuleType
 
+import pytest
 import torch
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = ROOT / "tutorials"
+
+
+def checkpoint_in(folder: Path) -> dict:
+    return torch.load(folder / "checkpoint.pt", weights_only=True)
+
+
+def same_checkpoints(first: Path, second: Path) -> dict:
+    """Checks that two runs have left the same, all of it and bit for bit, and returns it."""
+    one, two = checkpoint_in(first), checkpoint_in(second)
+    torch.testing.assert_close(two, one, rtol=0, atol=0)
+    return one
 
 
 def killed_after_a_checkpoint(name: str, folder: Path, settings: dict) -> None:
@@ -32,3 +45,36 @@ def killed_after_a_checkpoint(name: str, folder: Path, settings: dict) -> None:
     process.send_signal(signal.SIGKILL)
     error = process.communicate()[1]
     assert process.returncode == -signal.SIGKILL, error
+
+
+def goes_on_after_a_kill(
+    tutorial: ModuleType,
+    whole: Path,
+    result: dict[str, float],
+    settings: dict,
+    capsys: pytest.CaptureFixture[str],
+    *,
+    save_every: int,
+    total: int,
+) -> Path:
+    """Checks that a run that is killed after its first checkpoints goes on from there and finds the same as one that
+    was left alone.
+
+    Args:
+        tutorial: the module.
+        whole, result, settings: of the run that was left alone: its folder, what it returned, and its settings.
+        capsys: what the second run prints is read from there.
+        save_every: iterations after which the killed run writes checkpoints.
+        total: iterations of a whole run.
+
+    Returns:
+        the folder of the killed run, beside the other one.
+    """
+    parts, settings = whole.with_name("parts"), {**settings, "save_every": save_every}
+    killed_after_a_checkpoint(tutorial.__name__, parts, settings)
+    at = checkpoint_in(parts)["iteration"]
+    assert save_every <= at < total
+    assert tutorial.run(parts, **settings) == result
+    assert f"going on from iteration {at} of {total} " in capsys.readouterr().out
+    assert same_checkpoints(whole, parts)["iteration"] == total
+    return parts

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from killed_tutorials import killed_after_a_checkpoint
+from killed_tutorials import checkpoint_in, goes_on_after_a_kill
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 SMALL = {
@@ -43,8 +43,7 @@ def test_caustics(tutorial, tmp_path, capsys):
     caustics = tutorial("caustics")
     whole = tmp_path / "whole"
     result = caustics.run(whole, **SMALL)
-    one = torch.load(whole / "checkpoint.pt", weights_only=True)
-    losses = one["curves"]["loss"]
+    losses = checkpoint_in(whole)["curves"]["loss"]
     assert len(losses) == 40 and result["loss"] == losses[-1] < 0.15 * losses[0]
     # the mesh throws the picture, too; the last iteration's own noise is in the other number
     assert result["verification"] < result["loss"] + 0.02
@@ -70,19 +69,7 @@ def test_caustics(tutorial, tmp_path, capsys):
         )
         assert plate.volume == pytest.approx(2500 * (thickness + heights.mean().item()), rel=1e-4)
 
-    # Killed after its first checkpoints, it goes on and finds the same.
-    parts = tmp_path / "parts"
-    killed_after_a_checkpoint("caustics", parts, {**SMALL, "save_every": 4})
-    at = torch.load(parts / "checkpoint.pt", weights_only=True)["iteration"]
-    assert 4 <= at < 40
-    again = caustics.run(parts, **{**SMALL, "save_every": 4})
-    assert f"going on from iteration {at} of 40" in capsys.readouterr().out
-    two = torch.load(parts / "checkpoint.pt", weights_only=True)
-    assert torch.equal(one["u"], two["u"]) and torch.equal(one["random"], two["random"])
-    assert one["curves"] == two["curves"] and again == result
-    (moments,), (others,) = (list(state["optimiser"]["state"].values()) for state in (one, two))
-    assert all(torch.equal(moments[key], others[key]) for key in ("exp_avg", "exp_avg_sq"))
-
+    parts = goes_on_after_a_kill(caustics, whole, result, SMALL, capsys, save_every=4, total=40)
     # A checkpoint of other settings is not taken for one of these.
     with pytest.raises(ValueError, match=r"a run with limit 0\.01 \(now 0\.02\); --restart begins anew"):
         caustics.run(parts, **{**SMALL, "limit": 0.02})

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from killed_tutorials import killed_after_a_checkpoint
+from killed_tutorials import goes_on_after_a_kill, same_checkpoints
 
 ROOT = Path(__file__).resolve().parents[2]
 TUTORIALS = ROOT / "tutorials"
@@ -45,18 +45,6 @@ def tutorial(monkeypatch):
     return importlib.import_module
 
 
-def same_checkpoints(first: Path, second: Path) -> dict:
-    """Checks that two runs have left the same, and returns it."""
-    one, two = (torch.load(folder / "checkpoint.pt", weights_only=True) for folder in (first, second))
-    assert one["iteration"] == two["iteration"] == one["settings"]["iterations"]
-    assert torch.equal(one["raw"], two["raw"])
-    assert torch.equal(one["random"], two["random"])
-    assert one["curves"] == two["curves"]
-    (moments,), (others,) = (list(state["optimiser"]["state"].values()) for state in (one, two))
-    assert all(torch.equal(moments[key], others[key]) for key in ("exp_avg", "exp_avg_sq"))
-    return one
-
-
 def check_pictures(folder: Path, names: list[str]) -> None:
     for name in names:
         for suffix in ("png", "exr"):
@@ -77,19 +65,11 @@ def test_smoke(tutorial, tmp_path, capsys):
     assert tr.io.read_volume(tmp_path / "whole" / "density.vol").shape == (16, 16, 16, 1)
     assert tr.io.read_image(tmp_path / "whole" / "turntable.exr").shape == (48, 8 * 24, 3)
 
-    # Killed after its first checkpoints, on the way from one grid to the next, it goes on and finds the same.
-    folder = tmp_path / "parts"
-    killed_after_a_checkpoint("smoke", folder, {**SMOKE, "save_every": 3})
-    at = torch.load(folder / "checkpoint.pt", weights_only=True)["iteration"]
-    assert 3 <= at < SMOKE["iterations"]
-    again = smoke.run(folder, **{**SMOKE, "save_every": 3})
-    assert f"going on from iteration {at} of 24" in capsys.readouterr().out
-    same_checkpoints(tmp_path / "whole", folder)
-    assert again == result
-
+    # It is killed on the way from one grid to the next.
+    parts = goes_on_after_a_kill(smoke, tmp_path / "whole", result, SMOKE, capsys, save_every=3, total=24)
     # A checkpoint of other settings is not taken for one of these.
     with pytest.raises(ValueError, match=r"a run with rate 0\.6 \(now 0\.2\); --restart begins anew"):
-        smoke.run(folder, **{**SMOKE, "rate": 0.2})
+        smoke.run(parts, **{**SMOKE, "rate": 0.2})
 
 
 def test_slab(tutorial, tmp_path, capsys, monkeypatch):
@@ -114,8 +94,8 @@ def test_slab(tutorial, tmp_path, capsys, monkeypatch):
         slab.run(tmp_path / "parts", **SLAB, save_every=8)
     assert slab.run(tmp_path / "parts", **SLAB, save_every=8) == result
     assert "going on from iteration 8 of 24" in capsys.readouterr().out
-    albedo = same_checkpoints(tmp_path / "whole", tmp_path / "parts")["raw"]
-    assert albedo.shape == (4, 16, 16, 3)
+    last = same_checkpoints(tmp_path / "whole", tmp_path / "parts")
+    assert last["iteration"] == 24 and last["raw"].shape == (4, 16, 16, 3)
 
 
 @pytest.mark.parametrize("name", ["smoke", "slab"])

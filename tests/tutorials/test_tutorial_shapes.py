@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from killed_tutorials import killed_after_a_checkpoint
+from killed_tutorials import checkpoint_in, goes_on_after_a_kill
 
 import torchrender as tr
 
@@ -51,23 +51,15 @@ def test_mesh_from_pictures(tutorial, tmp_path, capsys):
     for name in ("target.png", "progress.exr", "turntable.png", "loss.png"):
         assert (whole / name).stat().st_size > 500, name
     assert tr.io.read_image(whole / "turntable.exr").shape == (64, 8 * 32, 3)  # found, and the true one below
-    one = torch.load(whole / "checkpoint.pt", weights_only=True)
     for name, faces in {"coarse.ply": 1280, "result.ply": 5120}.items():
         mesh = trimesh.load(whole / name, process=False)
         assert len(mesh.faces) == faces and mesh.is_watertight, name
     # Moments of the finer mesh only: four steps old.
+    one = checkpoint_in(whole)
     (moments,) = one["optimiser"]["state"].values()
     assert int(moments["step"]) == 4 and moments["exp_avg"].shape == one["u"].shape == one["vertices"].shape
 
-    # Killed after its first checkpoints, it goes on and finds the same.
-    parts = tmp_path / "parts"
-    killed_after_a_checkpoint("mesh_from_pictures", parts, {**MESH, "save_every": 3})
-    at = torch.load(parts / "checkpoint.pt", weights_only=True)["iteration"]
-    assert 3 <= at < 20
-    again = module.run(parts, **{**MESH, "save_every": 3})
-    assert f"going on from iteration {at} of 20" in capsys.readouterr().out
-    two = torch.load(parts / "checkpoint.pt", weights_only=True)
-    assert torch.equal(one["u"], two["u"]) and one["curves"] == two["curves"] and again == result
+    parts = goes_on_after_a_kill(module, whole, result, MESH, capsys, save_every=3, total=20)
     with pytest.raises(ValueError, match=r"a run with rate 0\.1 \(now 0\.2\); --restart begins anew"):
         module.run(parts, **{**MESH, "rate": 0.2})
 
@@ -220,11 +212,4 @@ def test_shadow_art(tutorial, tmp_path, capsys):
     tube = trimesh.load(tmp_path / "whole" / "tube.ply", process=False)
     assert len(tube.faces) == 2 * 64 * 16 and tube.is_watertight
 
-    parts = tmp_path / "parts"
-    killed_after_a_checkpoint("shadow_art", parts, {**small, "save_every": 5})
-    at = torch.load(parts / "checkpoint.pt", weights_only=True)["iteration"]
-    assert 5 <= at < 40
-    again = module.run(parts, **{**small, "save_every": 5})
-    assert f"going on from iteration {at} of 40" in capsys.readouterr().out
-    one, two = (torch.load(tmp_path / name / "checkpoint.pt", weights_only=True) for name in ("whole", "parts"))
-    assert torch.equal(one["u"], two["u"]) and one["curves"] == two["curves"] and again == result
+    goes_on_after_a_kill(module, tmp_path / "whole", result, small, capsys, save_every=5, total=40)
