@@ -394,7 +394,8 @@ def _with_outlines(
         layout.outlines = [i for i, slot in enumerate(layout.slots) if moves_outlines(slot)]
     if not any(tensors[i].requires_grad for i in layout.outlines) and not in_forward_mode():
         return result
-    from .visibility.boundary import BoundaryFunction, boundary_of  # when it is needed
+    from .visibility.boundary import BoundaryFunction  # when it is needed
+    from .visibility.boundary_call import boundary_of
 
     boundary = boundary_of(scene, call, spp, tensors)
     if boundary is None:

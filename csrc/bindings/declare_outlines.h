@@ -1,52 +1,36 @@
-// The tree of outlines as Python sees it.
+// The outlines of a scene as Python holds them.
 #pragma once
 
 #include <pybind11/pybind11.h>
 
 #include <memory>
-#include <thread>
 
-#include "host/outline_tree.h"
+#include "native_scene.h"
 
 namespace tr {
 
 namespace py = pybind11;
 
 inline void declare_outlines(py::module_ &m) {
-    using Release = py::call_guard<py::gil_scoped_release>;
-    // rows of 32-bit numbers, as torchrender/visibility/tree.py makes them
-    static_assert(sizeof(OutlineElement) == 17 * 4 && sizeof(OutlineAnchor) == 13 * 4 &&
-                  sizeof(OutlineChoice) == 3 * 4);
-    m.def(
-        "morton_order",
-        [](uintptr_t places, size_t n, uintptr_t order) {
-            const std::vector<int32_t> found = morton_order(reinterpret_cast<const float *>(places), n);
-            std::copy(found.begin(), found.end(), reinterpret_cast<int32_t *>(order));
-        },
-        Release());
-    py::class_<OutlineTree>(m, "OutlineTree", py::module_local())
-        .def(py::init([](uintptr_t elements, size_t n, uintptr_t order) {
-                 const auto *first = reinterpret_cast<const OutlineElement *>(elements);
-                 return std::make_unique<OutlineTree>(std::vector<OutlineElement>(first, first + n),
-                                                      reinterpret_cast<const int32_t *>(order));
+    // Integers of 64 bits: of H half edges both ends, third corners, shapes and whether they are turned (H, 5); where
+    // those of each edge begin (E + 1); shapes and kinds of curves (C, 2); the first vertex of each shape (S); pairs of
+    // vertices in one place, with their shapes (D, 4).
+    py::class_<SceneOutlines>(m, "Outlines", py::module_local())
+        .def(py::init([](uintptr_t halves, size_t n_halves, uintptr_t begin, size_t n_edges, uintptr_t curves,
+                         size_t n_curves, uintptr_t first_vertex, size_t n_shapes, uintptr_t copies, size_t n_copies) {
+                 auto at = [](uintptr_t address) { return reinterpret_cast<const int64_t *>(address); };
+                 const int64_t *h = at(halves), *c = at(curves), *d = at(copies);
+                 std::vector<HalfEdge> half_edges(n_halves);
+                 for (size_t i = 0; i < n_halves; ++i, h += 5)
+                     half_edges[i] = {uint32_t(h[0]), uint32_t(h[1]), uint32_t(h[2]), uint32_t(h[3]) & 0x7FFFFFFFu,
+                                      uint32_t(h[4]) & 1u};
+                 std::vector<OutlineCurve> all(n_curves);
+                 for (size_t i = 0; i < n_curves; ++i, c += 2) all[i] = {int32_t(c[0]), int32_t(c[1])};
+                 OutlineSet set(std::move(half_edges), {at(begin), at(begin) + n_edges + 1}, std::move(all),
+                                {at(first_vertex), at(first_vertex) + n_shapes}, {d, d + 4 * n_copies});
+                 return std::make_unique<SceneOutlines>(SceneOutlines{std::move(set), {}});
              }),
-             Release())
-        .def(
-            "choose",
-            [](const OutlineTree &self, uintptr_t anchors, size_t n, uint64_t seed, size_t threads, uintptr_t choices) {
-                const auto *from = reinterpret_cast<const OutlineAnchor *>(anchors);
-                auto *to = reinterpret_cast<OutlineChoice *>(choices);
-                auto run = [&](size_t begin, size_t end) {
-                    for (size_t i = begin; i < end; ++i)
-                        to[i] = self.choose(from[i], seed + uint64_t(i) * 0xD1342543DE82EF95ull);
-                };
-                threads = std::max<size_t>(1, std::min(threads, n / 256));
-                std::vector<std::thread> others;
-                for (size_t t = 1; t < threads; ++t) others.emplace_back(run, n * t / threads, n * (t + 1) / threads);
-                run(0, n / threads);
-                for (std::thread &other : others) other.join();
-            },
-            Release());
+             py::call_guard<py::gil_scoped_release>());
 }
 
 }  // namespace tr

@@ -106,9 +106,27 @@ inline void declare_scene(py::module_ &m) {
             py::arg("objects"), py::arg("shapes"), py::arg("indices"), py::arg("previous") = nullptr)
         .def("counters", &NativeScene::counters, Release())
         .def("render", rendering(&NativeScene::render))
-        .def("render_rays", rendering(&NativeScene::rays))
         .def("render_vjp", rendering(&NativeScene::reverse))
         .def("render_jvp", rendering(&NativeScene::forward))
+        .def("find_outlines",
+             [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                uintptr_t moves, SceneOutlines &outlines) {
+                 const Config c = read_config(config);
+                 py::gil_scoped_release release;
+                 return self.find_outlines(c, values(params, dirty), moves, outlines);
+             })
+        .def("boundary",
+             [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
+                const std::string &part, const Arrays &arrays, const std::map<std::string, double> &numbers,
+                const SceneOutlines &outlines, const Addresses &slots, bool forward) {
+                 const Config c = read_config(config);
+                 RenderStats stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.boundary(c, values(params, dirty), {part, arrays, numbers}, outlines, slots, forward);
+                 }
+                 return to_dict(stats);
+             })
         .def("render_aov", rendering(&NativeScene::aov))
         .def("aov_vjp", rendering(&NativeScene::aov_reverse))
         .def("aov_jvp", rendering(&NativeScene::aov_forward))

@@ -70,16 +70,6 @@ public:
         return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums});
     }
 
-    RenderStats rays(const Config &c, const ParameterValues &values, size_t n, const std::array<uintptr_t, 5> &rays,
-                     int depth, const Arrays &out) override {
-        std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
-        auto at = [&](size_t k) { return reinterpret_cast<const S *>(rays[k]); };
-        const GivenRays<S> given{n, depth, at(0), at(1), at(2), at(3), reinterpret_cast<const uint32_t *>(rays[4])};
-        return render_rays<S>(call(c), given, reinterpret_cast<S *>(out.at("image")),
-                              reinterpret_cast<S *>(out.at("alpha")));
-    }
-
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
@@ -125,6 +115,44 @@ public:
         update(values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
         return forward_aov<S>(call(c), outputs(c, out), d.call);
+    }
+
+    double find_outlines(const Config &c, const ParameterValues &values, uintptr_t moves,
+                         SceneOutlines &outlines) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        const uint8_t *by_shape = reinterpret_cast<const uint8_t *>(moves);
+        const bool valid = tr::find_outlines<S>(call(c), by_shape, outlines.set, outlines.pieces);
+        return valid ? outlines.pieces.total() : -1;
+    }
+
+    RenderStats boundary(const Config &c, const ParameterValues &values, const BoundaryRequest &given,
+                         const SceneOutlines &outlines, const Addresses &slots, bool forward) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        constexpr const char *parts[] = {"silhouettes", "reflections", "shadows", "pilot"};
+        const auto *part = std::find(std::begin(parts), std::end(parts), given.part);
+        if (part == std::end(parts)) throw std::invalid_argument("boundary: unknown: " + given.part);
+        auto number = [&](const char *name) { return given.numbers.at(name); };
+        auto reals = [&](const char *name) {
+            return reinterpret_cast<double *>(given.arrays.count(name) ? given.arrays.at(name) : 0);
+        };
+        BoundaryCall<S> b{};
+        b.part = BoundaryPart(part - parts);
+        b.outlines = &outlines.set, b.pieces = &outlines.pieces;
+        b.offset = number("offset"), b.samples = number("samples");
+        b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
+        b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
+        b.near = number("near"), b.in_view = number("in_view");
+        b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
+        if (forward) {
+            ForwardCall<S> d(data_, c.path, c.light, slots);
+            return boundary_forward<S>(call(c), b, d.call);
+        }
+        DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
+        RenderStats stats = boundary_reverse<S>(call(c), b, d);
+        add_gradients(data_, d, slots);
+        return stats;
     }
 
     void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,

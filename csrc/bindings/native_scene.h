@@ -4,6 +4,7 @@
 #include <memory>
 
 #include "config.h"
+#include "cpu/boundary_call.h"
 #include "cpu/derivative_call.h"
 
 namespace tr {
@@ -14,6 +15,19 @@ using Arrays = std::map<std::string, uintptr_t>;  // addresses by name
 struct ParameterValues {
     Addresses addresses;
     std::vector<uint8_t> dirty;
+};
+
+// The outlines of a scene, kept from call to call.
+struct SceneOutlines {
+    OutlineSet set;
+    OutlinePieces pieces;
+};
+
+// A part of a BoundaryCall's members, by their names.
+struct BoundaryRequest {
+    std::string part;  // silhouettes, reflections, shadows or pilot
+    Arrays arrays;
+    std::map<std::string, double> numbers;
 };
 
 class NativeScene {
@@ -36,10 +50,12 @@ public:
     virtual RenderStats aov_forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                     const Arrays &out) = 0;
 
-    // Radiance along rays: their origins, directions, lengths, densities and keys, and the vertices before them, see
-    // GivenRays; `image` and `alpha`.
-    virtual RenderStats rays(const Config &, const ParameterValues &, size_t n, const std::array<uintptr_t, 5> &rays,
-                             int depth, const Arrays &out) = 0;
+    // Brings outlines up to date, see OutlineSet::update: the length in pixels of those that the camera sees, or -1 if
+    // they are of no use any more.
+    virtual double find_outlines(const Config &, const ParameterValues &, uintptr_t moves, SceneOutlines &) = 0;
+    // The derivative of their motion: added to the gradients or, `forward`, along tangents.
+    virtual RenderStats boundary(const Config &, const ParameterValues &, const BoundaryRequest &,
+                                 const SceneOutlines &, const Addresses &slots, bool forward) = 0;
 
     // Rays: origins and directions (n, 3) and lengths (n,).
     virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,

@@ -78,6 +78,14 @@ public:
         }
     }
 
+    // The vertices that the rays meet, `depth` vertices behind the first one, and nothing after them; recorded.
+    void first_vertices(int depth) {
+        wavefront.tape.begin_block(0);
+        wavefront.trace(wavefront.queues[0]);
+        if (config_.hide_emitters && depth == 0) wavefront.pass_emitters();
+        step(wavefront.queues[0], wavefront.queues[1], {depth, 0, true}, true, TapeLevel<S>::NoParent);
+    }
+
     // How often the first vertex is scattered from.
     static int splits(const PathConfig &config) {
         bool scatters = config.max_depth < 0 || config.max_depth > 1;

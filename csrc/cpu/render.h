@@ -108,21 +108,6 @@ RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivat
 template <class S>
 RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
-// Rays with origins and unit directions (n, 3), lengths, and the densities with which these directions are sampled, 0
-// as for camera rays; a key (n) stands for the pixel of a ray in what its random numbers depend on. `depth` vertices of
-// their paths are behind them.
-template <class S>
-struct GivenRays {
-    size_t n;
-    int depth;
-    const S *o, *d, *length, *pdf;
-    const uint32_t *key;
-};
-
-// Radiance (n, values) along rays in the place of those of a camera, and whether they see something (n).
-template <class S>
-RenderStats render_rays(const RenderCall<S> &call, const GivenRays<S> &rays, S *radiance, S *alpha);
-
 // The same by light tracing, without alpha and variance.
 template <class S>
 RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums = nullptr);

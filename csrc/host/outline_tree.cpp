@@ -5,6 +5,7 @@
 #include <numeric>
 
 #include "core/math/vector.h"
+#include "parallel.h"
 
 namespace tr {
 
@@ -48,15 +49,19 @@ float scattered(const OutlineAnchor &from, const V &d, float cos_angle, float si
 
 }  // namespace
 
-OutlineTree::OutlineTree(const std::vector<OutlineElement> &elements, const int32_t *order) {
-    elements_.reserve(elements.size());
-    for (size_t i = 0; i < elements.size(); ++i) elements_.push_back(elements[size_t(order[i])]);
+void OutlineTree::build(int threads) {
     const size_t leaves = (elements_.size() + Leaf - 1) / Leaf;
+    first_leaf_ = 1;
     while (first_leaf_ < leaves) first_leaf_ *= 2;
-    nodes_.resize(2 * first_leaf_, Node{{0, 0, 0}, 0, {0, 0, 1}, 1, 0, 0});
-    for (size_t i = 0; i < leaves; ++i)
-        nodes_[first_leaf_ + i] = node_of(i * Leaf, std::min(elements_.size(), (i + 1) * Leaf));
-    for (size_t i = first_leaf_ - 1; i > 0; --i) nodes_[i] = united(nodes_[2 * i], nodes_[2 * i + 1]);
+    nodes_.assign(2 * first_leaf_, Node{{0, 0, 0}, 0, {0, 0, 1}, 1, 0, 0});
+    for_ranges(leaves, threads, [&](size_t begin, size_t end, int) {
+        for (size_t i = begin; i < end; ++i)
+            nodes_[first_leaf_ + i] = node_of(i * Leaf, std::min(elements_.size(), (i + 1) * Leaf));
+    });
+    for (size_t level = first_leaf_ / 2; level > 0; level /= 2)
+        for_ranges(level, threads, [&](size_t begin, size_t end, int) {
+            for (size_t i = level + begin; i < level + end; ++i) nodes_[i] = united(nodes_[2 * i], nodes_[2 * i + 1]);
+        });
 }
 
 OutlineTree::Node OutlineTree::node_of(size_t begin, size_t end) const {
@@ -69,6 +74,7 @@ OutlineTree::Node OutlineTree::node_of(size_t begin, size_t end) const {
     float flux = 0;
     for (size_t i = begin; i < end; ++i) {
         const OutlineElement &e = elements_[i];
+        if (!(e.weight > 0)) continue;
         if (e.kind == OutlineElement::Round) {
             const V r{e.b[0], e.b[0], e.b[0]};
             include(vec(e.a) - r), include(vec(e.a) + r);
@@ -83,6 +89,7 @@ OutlineTree::Node OutlineTree::node_of(size_t begin, size_t end) const {
         sum = sum + vec(e.n0) + vec(e.n1);
     }
     Node node{};
+    if (!(flux > 0)) return node;
     put((low + high) * 0.5f, node.center);
     node.radius = norm(high - low) * 0.5f * 1.00001f;
     node.flux = flux;
@@ -90,7 +97,8 @@ OutlineTree::Node OutlineTree::node_of(size_t begin, size_t end) const {
     put(axis, node.axis);
     node.cosine = any_direction ? -1.f : 1.f;
     for (size_t i = begin; i < end && !any_direction; ++i)
-        node.cosine = std::min({node.cosine, dot(axis, vec(elements_[i].n0)), dot(axis, vec(elements_[i].n1))});
+        if (elements_[i].weight > 0)
+            node.cosine = std::min({node.cosine, dot(axis, vec(elements_[i].n0)), dot(axis, vec(elements_[i].n1))});
     node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
     node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
     return node;

@@ -37,8 +37,10 @@ class OutlineTree {
 public:
     static constexpr size_t Leaf = 8, Descents = 4;
 
-    // `order`: a permutation that puts close ones together, as `morton_order` finds it.
-    OutlineTree(const std::vector<OutlineElement> &elements, const int32_t *order);
+    // In an order that keeps close ones together, see `morton_order`; `build` finds the rest once they are there.
+    std::vector<OutlineElement> &elements() { return elements_; }
+    const std::vector<OutlineElement> &elements() const { return elements_; }
+    void build(int threads);
     OutlineChoice choose(const OutlineAnchor &from, uint64_t seed) const;
 
 private:

@@ -41,16 +41,6 @@ class FilmPlaces:
     def empty(self) -> torch.Tensor:
         return torch.zeros(self.height, self.width, self.channels, dtype=torch.float64)
 
-    def near_wanted(self, x: torch.Tensor, y: torch.Tensor, reach: int) -> torch.Tensor:
-        """1 within `reach` of a wanted pixel, and where a place is not known; else 0."""
-        wanted = torch.zeros(1, 1, self.height, self.width)
-        wanted.view(-1)[self.where] = 1
-        near = torch.nn.functional.max_pool2d(wanted, 2 * reach + 1, 1, reach)[0, 0]
-        known = torch.isfinite(x + y)
-        row = torch.nan_to_num(y, 0, 0, 0).clamp(0, self.height - 1).long()
-        column = torch.nan_to_num(x, 0, 0, 0).clamp(0, self.width - 1).long()
-        return torch.where(known, near[row, column].to(x.dtype), torch.ones_like(x))
-
     def wanted(self, place: torch.Tensor) -> torch.Tensor:
         """Whether places (N, 2) are in wanted pixels, about: (N,) bool."""
         x, y = torch.floor(place[:, 0]).long() - self.x0, torch.floor(place[:, 1]).long() - self.y0
@@ -101,11 +91,6 @@ class FilmPlaces:
                 inside = (y >= 0) & (y < self.height) & (x >= 0) & (x < self.width)
                 index = torch.where(inside, y * self.width + x, torch.zeros_like(y))
                 yield index, torch.where(inside, weight, torch.zeros_like(weight))[:, None]
-
-    def collect(self, image: torch.Tensor, place: torch.Tensor) -> torch.Tensor:
-        """What samples at places (N, 2) get of the pixels that they reach: (N, C)."""
-        flat = image.view(-1, self.channels)
-        return sum((flat[index] * weight for index, weight in self._taps(place)), torch.zeros(1, dtype=flat.dtype))
 
     def splat(self, image: torch.Tensor, place: torch.Tensor, values: torch.Tensor) -> None:
         flat = image.view(-1, self.channels)

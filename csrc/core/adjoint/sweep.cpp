@@ -134,6 +134,34 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
 }
 
 template <class F>
+TR_LARGE Vec3<F> sweep_place(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                             const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
+                             const Vec3<F> &p_bar, const MaskOf<F> &active, GradientSink<F> &sink) {
+    Entries<F> from(i);
+    VertexRecord<F> v = read_vertex<F>(tape, i);
+    if (scatters) read_scattering(tape, i, v);
+    read_arrival(tape, i, v);
+    UIntOf<F> slot = active_only<F>(from(tape.vertex.slot), active);
+    begin(c, slot, active, sink);
+    HitAdjoint<F> hit;
+    hit.p = p_bar;
+    Vec3<F> d_bar{F(0), F(0), F(0)};
+    NextVertex<F> next = read_next<F>(tape, i, true);
+    next.radiance = uniform_spectrum(F(0));
+    if (scatters && bsdf_kernels<F>(kind).is(HasDeltaLobes))
+        sweep_scattering(c.scene, kind, v, uniform_spectrum(F(0)), next, c.needs, active, hit, d_bar, sink);
+    else
+        hit.p = hit.p + next.ray.o;
+    RayAdjoint<F> ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, F(0)), hit, active, sink);
+    if (parents)
+        hand_motion(*parents, active_only<F>(from(tape.vertex.parent), active), ray, {F(0), F(0), F(0)}, v, active);
+    else if (c.needs.camera && c.from_camera)
+        sweep_start(c, slot, ray, active, sink);
+    if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
+    return ray.o;
+}
+
+template <class F>
 TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<ScalarOf<F>> &sensor,
                                  const TapeColumns<ScalarOf<F>> &tape, const TapeColumns<ScalarOf<F>> *parents,
                                  int kind, uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
@@ -174,10 +202,12 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                   \
-    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
-                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);    \
-    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,  \
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,       \
+                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);          \
+    template Vec3<F> sweep_place(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
+                                 uint32_t, const Vec3<F> &, const MaskOf<F> &, GradientSink<F> &);                   \
+    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,        \
                                      const TapeColumns<S> *, int, uint32_t, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -16,6 +16,7 @@ struct SweepContext {
     S width, height;                             // of the film
     const BranchColumns<S> *branches = nullptr;  // of media, where there are any
     bool unit_adjoint = false;                   // the radiance itself is differentiated, in all components
+    bool from_camera = true;                     // paths begin there
 };
 
 // A vertex of a camera path; kind as in classify.h, `scatters`: not the last one. `parents`: the level that the
@@ -25,6 +26,14 @@ template <class F>
 TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                                   const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
                                   uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
+
+// The place alone of a vertex that a smooth BSDF's or the camera's ray has found: hands its adjoint `p_bar`, with those
+// of places behind it, to what moves it, the vertex before included. Directions after smooth BSDFs are at rest. Returns
+// the adjoint of the ray's origin.
+template <class F>
+TR_LARGE Vec3<F> sweep_place(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                             const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
+                             const Vec3<F> &p_bar, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // A vertex of a light path, or its beginning.
 template <class F>

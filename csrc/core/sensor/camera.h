@@ -155,4 +155,41 @@ TR_INLINE CameraRay<F> camera_ray(const SceneView<S> &scene, const Record &recor
     return r;
 }
 
+// Where on the film, in pixels, a point of the world is seen through the place on the lens of a sample; false where it
+// is not, or the camera has no film of that kind.
+template <class F, class S>
+TR_NOINLINE MaskOf<F> film_place(const SceneView<S> &scene, const Record &record, const Vec3<F> &p, S width, S height,
+                                 CameraSample<F> &sample) {
+    MaskOf<F> seen(false);
+    auto find = [&](auto model) {
+        using Model = decltype(model);
+        if constexpr (!std::is_same_v<Model, Distant> && !std::is_same_v<Model, RadianceMeter>) {
+            const S *m = scene.values.constants + record.field[Model::ToWorld];
+            // the inverse of the matrix is that of its cofactors
+            const Vec3<S> x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]};
+            const S inverse = S(1) / dot(x, cross(y, z));
+            const Vec3<F> d = p - Vec3<S>{m[3], m[7], m[11]},
+                          local{dot(d, cross(y, z) * inverse), dot(d, cross(z, x) * inverse),
+                                dot(d, cross(x, y) * inverse)};
+            F numbers[DistortedPerspective::N + DistortedPerspective::Entries];
+            if (is_pinhole(record)) {  // it has no coefficients
+                for (int i = 0; i < Model::N; ++i)
+                    numbers[i] = F(scene.values.constants[record.field[Model::Numbers[i]]]);
+                for (int i = 0; i < Model::Entries; ++i) numbers[Model::N + i] = F(0);
+            } else {
+                CameraNumbers<Model, F, F, S> given(scene, record);
+                for (int i = 0; i < Model::N + Model::Entries; ++i) numbers[i] = given.value[i];
+            }
+            Vec2<F> place{F(0), F(0)};
+            seen = Model::seen(numbers, film_sample<Model, F, S>(scene, record, sample, width, height), local, place);
+            sample.x = place.x * F(width), sample.y = place.y * F(height);
+        }
+    };
+    if (is_pinhole(record))
+        find(DistortedPerspective{});
+    else
+        with_lens(record, find);
+    return seen;
+}
+
 }  // namespace tr

@@ -80,6 +80,15 @@ struct DistortedPerspective : Perspective {
         r.exists = found.exists;
         return r;
     }
+
+    template <class F, class S>
+    TR_INLINE static MaskOf<F> seen(const F *numbers, const FilmSample<F, S> &at, const Vec3<F> &p, Vec2<F> &place) {
+        MaskOf<F> front;
+        F inverse = inverse_depth(p.z, front);
+        Vec2<F> shown = distort<F>(numbers + N, Vec2<F>{-p.x * inverse, -p.y * inverse});
+        place = film_fractions(numbers, half_width(numbers), Vec2<F>{-shown.x, -shown.y}, at);
+        return front;
+    }
 };
 
 }  // namespace tr

@@ -81,6 +81,15 @@ struct Fisheye {
         r.length = F(at.far - at.near);
         return r;
     }
+
+    template <class F, class S>
+    TR_INLINE static MaskOf<F> seen(const F *numbers, const FilmSample<F, S> &at, const Vec3<F> &p, Vec2<F> &place) {
+        F radius = sqrt(p.x * p.x + p.y * p.y);
+        auto off_axis = mask<F>(radius > F(0));
+        F scale = seen_at(numbers + N, atan2(radius, p.z), F(1)) / select(off_axis, radius, F(1));
+        place = film_fractions(numbers, numbers[0] * F(Pi / 360), Vec2<F>{p.x * scale, p.y * scale}, at);
+        return MaskOf<F>(true);
+    }
 };
 
 }  // namespace tr

@@ -8,6 +8,12 @@
 //   static constexpr int Table, Entries; field of a tensor of numbers that follow them, and how many it has (0: none)
 //   template <class T, class F, class S>
 //   static LocalRay<T, F> local(const T *numbers, const FilmSample<F, S> &at);
+//
+// and, of those that have a film on which a point is seen in one place, the inverse: where p, in the camera's frame,
+// is, as fractions of the film, through the place `at.lens`. (Where a lens distorts, `local` says whether it is there.)
+//
+//   template <class F, class S>
+//   static MaskOf<F> seen(const F *numbers, const FilmSample<F, S> &at, const Vec3<F> &p, Vec2<F> &place);
 #pragma once
 
 #include <array>
@@ -47,6 +53,26 @@ TR_INLINE Vec3<T> projective_direction(const T *numbers, const FilmSample<F, S> 
     sincos(numbers[0] * F(Pi / 360), s, c);
     Vec2<T> slopes = film_slopes(numbers, s / c, at);
     return {slopes.x, slopes.y, T(F(1))};
+}
+
+// The inverse of film_slopes.
+template <class F, class S>
+TR_INLINE Vec2<F> film_fractions(const F *numbers, const F &half_width, const Vec2<F> &slopes,
+                                 const FilmSample<F, S> &at) {
+    return {(F(1) - slopes.x / half_width) * F(0.5) - numbers[1],
+            (F(1) - slopes.y / (half_width * numbers[3] * F(at.height))) * F(0.5) - numbers[2]};
+}
+template <class F>
+TR_INLINE F half_width(const F *numbers) {
+    F s, c;
+    sincos(numbers[0] * F(Pi / 360), s, c);
+    return s / c;
+}
+// 1 / z of what is in front of the camera.
+template <class F>
+TR_INLINE F inverse_depth(const F &z, MaskOf<F> &front) {
+    front = mask<F>(z > F(0));
+    return F(1) / select(front, z, F(1));
 }
 
 // Along u, between planes in front of the camera.

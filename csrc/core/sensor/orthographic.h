@@ -28,6 +28,12 @@ struct Orthographic {
         Vec3<T> o{F(1) - F(2) * at.x, (F(1) - F(2) * at.y) * F(at.height), F(0)};
         return {o, {F(0), F(0), F(1)}, F(at.near), F(at.far - at.near), MaskOf<F>(true)};
     }
+
+    template <class F, class S>
+    TR_INLINE static MaskOf<F> seen(const F *, const FilmSample<F, S> &at, const Vec3<F> &p, Vec2<F> &place) {
+        place = {(F(1) - p.x) * F(0.5), (F(1) - p.y * F(S(1) / at.height)) * F(0.5)};
+        return MaskOf<F>(true);
+    }
 };
 
 }  // namespace tr

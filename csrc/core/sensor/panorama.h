@@ -31,6 +31,13 @@ struct Panorama {
         Vec3<T> d{-(sin_phi * s), c, cos_phi * s};
         return {{F(0), F(0), F(0)}, d, F(at.near), F(at.far - at.near), MaskOf<F>(true)};
     }
+
+    template <class F, class S>
+    TR_INLINE static MaskOf<F> seen(const F *, const FilmSample<F, S> &, const Vec3<F> &p, Vec2<F> &place) {
+        F theta = atan2(sqrt(p.x * p.x + p.z * p.z), p.y), phi = atan2(-p.x, p.z);
+        place = {phi * F(1 / (2 * Pi)) + F(0.5), theta * F(1 / Pi)};
+        return MaskOf<F>(true);
+    }
 };
 
 }  // namespace tr

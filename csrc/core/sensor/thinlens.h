@@ -40,6 +40,16 @@ struct ThinLens {
         Vec3<T> focus = projective_direction(numbers, at) * numbers[5];
         return between_planes(o, focus - o, at);
     }
+
+    template <class F, class S>
+    TR_INLINE static MaskOf<F> seen(const F *numbers, const FilmSample<F, S> &at, const Vec3<F> &p, Vec2<F> &place) {
+        MaskOf<F> front;
+        const F x = numbers[4] * at.lens.x, y = numbers[4] * at.lens.y;
+        const F scale = numbers[5] * inverse_depth(p.z, front), inverse = F(1) / numbers[5];
+        const Vec2<F> slopes{(x + (p.x - x) * scale) * inverse, (y + (p.y - y) * scale) * inverse};
+        place = film_fractions(numbers, half_width(numbers), slopes, at);
+        return front;
+    }
 };
 
 }  // namespace tr

@@ -1,0 +1,91 @@
+#include "revisit.h"
+
+#include "../bsdf/parameters.h"
+#include "stack.h"
+
+namespace tr {
+
+namespace {
+
+template <class F>
+TR_INLINE VertexRecord<F> read_surface(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) {
+    VertexRecord<F> v = read_vertex<F>(tape, i);
+    read_scattering(tape, i, v);
+    read_arrival(tape, i, v);
+    return v;
+}
+
+// Its z is that of the model, which may be mirrored.
+template <class F>
+TR_INLINE Frame<F> model_frame(const SceneOf<F> &scene, const VertexRecord<F> &v) {
+    Frame<F> frame = vertex_frame(scene, v);
+    frame.n = v.normal * v.mirror;
+    return frame;
+}
+
+}  // namespace
+
+template <class F>
+TR_LARGE Vec3<F> geometric_normal(const SceneOf<F> &scene, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
+                                  const MaskOf<F> &active) {
+    VertexRecord<F> v = read_vertex<F>(tape, i);
+    read_arrival(tape, i, v);
+    auto there = mask<UIntOf<F>>(active);
+    SurfacePoint<F> at{select(there, v.at.shape, UIntOf<F>(0u)), select(there, v.at.primitive, UIntOf<F>(0u)), v.at.b1,
+                       v.at.b2};
+    return make_interaction(scene, Ray<F>{v.p - v.d * v.t, v.d}, at, v.t, active).ng;
+}
+
+template <class F>
+TR_LARGE ScatteringLobe<F> scattering_lobe(const SceneOf<F> &scene, int kind, const TapeColumns<ScalarOf<F>> &tape,
+                                           uint32_t i, const MaskOf<F> &active) {
+    const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
+    VertexRecord<F> v = read_surface<F>(tape, i);
+    const Frame<F> frame = model_frame(scene, v);
+    BsdfParameters<F> params;
+    load_parameters(scene, Wavelengths<F>{}, bsdf, v.bsdf, v.at, active, params);
+    const Vec3<F> mirrored{-v.wi.x, -v.wi.y, v.wi.z};
+    BsdfValue<F> value;
+    bsdf.eval_pdf(params, v.wi, mirrored, Transport::Radiance, value);
+    // exp(k (cos - 1)) has the density k / 2 pi where it is largest
+    auto glossy = active && mask<F>(value.pdf > F(0.5)) && mask<F>(value.pdf < F(1e12));
+    ScatteringLobe<F> r;
+    r.k = select(glossy, value.pdf * F(2 * Pi), F(0));
+    r.share = select(glossy, F(0.7), F(0));
+    r.axis = frame.to_world(mirrored);
+    r.n = bsdf.is(Transmits) ? Vec3<F>{F(0), F(0), F(0)} : frame.n;
+    return r;
+}
+
+template <class F>
+TR_LARGE BsdfValue<F> scatter_towards(const SceneOf<F> &scene, int kind, const TapeColumns<ScalarOf<F>> &tape,
+                                      uint32_t i, const Vec3<F> &d, const GradientNeeds &needs,
+                                      const MaskOf<F> &active) {
+    const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
+    VertexRecord<F> v = read_surface<F>(tape, i);
+    const Wavelengths<F> waves{};
+    BsdfParameters<F> params;
+    load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
+    v.wo_light = v.wo = model_frame(scene, v).to_local(d);
+    BsdfValue<F> value;
+    bsdf.eval_pdf(params, v.wi, v.wo, Transport::Radiance, value);
+    auto usable = active && mask<F>(value.pdf > F(0)) && is_finite(value.f);
+    if (scene.has_stacks) {
+        const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
+        usable = usable && !stack.factor.hidden(stack.wi);
+        const BsdfStack<F> &above = stack.bsdf.stack;
+        value.f = value.f * (above.weight * above.inverse_probability * stack.light_factor);
+    }
+    return {select(usable, value.f, uniform_spectrum(F(0))), select(usable, value.pdf, F(0))};
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                      \
+    template Vec3<F> geometric_normal(const SceneView<S> &, const TapeColumns<S> &, uint32_t, const MaskOf<F> &); \
+    template ScatteringLobe<F> scattering_lobe(const SceneView<S> &, int, const TapeColumns<S> &, uint32_t,       \
+                                               const MaskOf<F> &);                                                \
+    template BsdfValue<F> scatter_towards(const SceneView<S> &, int, const TapeColumns<S> &, uint32_t,            \
+                                          const Vec3<F> &, const GradientNeeds &, const MaskOf<F> &);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

@@ -1,0 +1,41 @@
+// What the derivative of moving outlines is asked for, besides what every derivative is (DerivativeCall).
+#pragma once
+
+#include "outline_pieces.h"
+
+namespace tr {
+
+// Which samples: of outlines that the camera sees; of those that vertices of paths see; of those that lights see, which
+// have two places on the film each; and of these, whether they are found and where the camera sees them.
+enum class BoundaryPart { Silhouettes, Reflections, Shadows, Pilot };
+
+template <class S>
+struct BoundaryCall {
+    BoundaryPart part;
+    const OutlineSet *outlines;
+    // silhouettes: sample i takes the part (i + offset) / samples of the length of all pieces
+    const OutlinePieces *pieces;
+    double offset, samples;
+    const int64_t *cells;  // (n_cells, 2), x and y: squares of the film that reach wanted pixels
+    size_t n_cells;
+    uint64_t first, count;  // numbers of the samples, of `total` in all passes
+    double total;
+    double near;     // what counts as close
+    double in_view;  // the share of the outlines that lights see which the camera sees
+    // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found.
+    // Reverse: the adjoint of the wanted pixels (height, width, values + 1 of alpha) over the integral of their filter.
+    // Forward: for each sample its place on the film (count, 2) and what it adds there (count, values + 1).
+    const double *adjoint;
+    double *place, *value;
+};
+
+// Brings outlines up to date, see OutlineSet::update; false if they are of no use any more. `pieces`: those that the
+// camera sees.
+template <class S>
+bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, OutlinePieces &pieces);
+template <class S>
+RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
+template <class S>
+RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
+
+}  // namespace tr

@@ -1,0 +1,463 @@
+// Outlines that lights see: the edges of shadows.
+//
+// From a place on a light, or along a direction of one that is infinitely far away, an outline's point B is chosen; the
+// ray past it ends at S, which the camera sees at the place u of its film, at the end of a segment c. With the unit
+// direction d from S to the light, at S the BSDF f with its cosine, w pixels per area perpendicular to c, and the
+// density p of the light's place,
+//
+//     dI = - integral of h(p - u) / Z  w |n.c| / |n.d|  f L g  n.(dB - (1 - tau) dS - tau dE)  dl
+//
+// with tau = |B - S| / |E - S|, and g = sin cos_E / (r^2 p) for places E on shapes with the cosine there, r from B
+// away; sin / r^2 for points, L being their intensity; and sin / p for directions. Where a vertex x of a path sees S in
+// place of the camera, beta f_x / |S - x|^2 stands for h w / Z. Directions that the BSDF finds as well share what they
+// bring with it by the power heuristic of the path tracer, and close to x with what is found there from x, see
+// boundary_reflections.h.
+#pragma once
+
+#include "boundary_tile.h"
+#include "core/integrator/emission.h"
+
+namespace tr {
+
+// By slot: a place on a light, the direction to it from the end S of a ray past an outline, and what S gets: the BSDF
+// times what arrives, the weight of the power heuristic (negative: nothing else finds the light), |n.c| / |n.d|, and
+// the adjoint of S.
+// clang-format off
+#define TR_SHADOW_EDGE_COLUMNS(X) \
+    X(Integer, emitter) X(Point, at) X(Vector, y) X(Vector, yn) X(Number, left) X(Number, inverse_pmf) \
+    X(Number, inverse_pdf) X(Vector, travel) X(Vector, d) X(Vector, s) X(Number, distance) X(Spectrum, value) \
+    X(Number, mis) X(Number, ratio) X(Vector, c) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar)
+// clang-format on
+template <class S>
+struct ShadowEdgeColumns {
+    TR_COLUMNS(TR_SHADOW_EDGE_COLUMNS)
+};
+
+template <class F>
+class ShadowTile : public BoundaryTile<F> {
+    using Base = BoundaryTile<F>;
+    using Base::anchors_, Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::path_call_, Base::paths_,
+        Base::scene_, Base::W;
+    using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
+
+    // An outline's point B before the light of a slot, and the weight of what arrives at S.
+    struct Edge {
+        uint32_t slot;
+        int32_t element;
+        S s;
+        V b, free;
+        S weight;
+        bool far;
+        S tau, length;  // of S to B
+    };
+    // What the camera, or a vertex of the path, gets of an edge.
+    struct Connection {
+        uint32_t edge;
+        Spectrum<S> jump;
+    };
+    std::vector<Edge> edges_;
+    std::vector<Connection> connections_;
+    std::vector<OutlineRay> rays_;
+    std::vector<double> u_, inverse_;
+    std::vector<int32_t> lights_;  // that throw shadows,
+    std::vector<double> cdf_;      // and their probabilities, added up
+    const bool pilot_;
+    PathTile<F> ends_;
+    ShadowEdgeColumns<S> at_;
+    std::vector<V> carried_;  // of connections to vertices
+
+public:
+    ShadowTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
+        : Base(call, boundary, derivative),
+          pilot_(boundary.part == BoundaryPart::Pilot),
+          ends_(path_call_, Base::Capacity, &derivative) {
+        arena_.allocate(Base::Capacity + 2 * W, at_);
+        double sum = 0;
+        for (int32_t i = 0; i < scene_.n_emitters; ++i) {
+            const EmitterKernels<F> &kernels = emitter_kernels<F>(scene_.emitters[i].kind);
+            const bool extended = kernels.is(IsEnvironment) || (kernels.is(IsOnShape) && !kernels.is(IsBeam));
+            const bool from_afar = kernels.is(IsInfinite | HasDeltaPosition);
+            if (!(extended || (from_afar && !pilot_)) || !(scene_.emitter_pmf[i] > 0)) continue;
+            sum += double(scene_.emitter_pmf[i]);
+            lights_.push_back(i), cdf_.push_back(sum);
+        }
+    }
+
+    RenderStats take_stats() {
+        RenderStats stats = Base::take_stats();
+        stats.add(ends_.take_stats());
+        return stats;
+    }
+
+    // Samples `first` .. `first` + n of the call. In forward mode each has two places on the film: where the camera
+    // sees S, and its path's own.
+    template <class Stop>
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+        if (lights_.empty()) return;
+        const int depth = call_.config.max_depth;
+        const bool deep = !pilot_ && (depth < 0 || depth > 2);
+        this->identify(first, n);
+        if (deep) this->trace_paths(n, stop);
+        choose_places(n);
+        find_edges(n);
+        see_from_camera(n);
+        if (pilot_) return tell(first, n);
+        settle(first, n, 0, ends_.slots, sink, true);
+        if (!deep) return;
+        u_.resize(n), inverse_.resize(n);
+        for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
+        this->choose_vertices(n, u_, inverse_);
+        this->find_normals();
+        see_from_vertices(n);
+        settle(first, n, 1, paths_.slots, sink, false);
+    }
+
+private:
+    Arena arena_;
+
+    // ------------------------------------------------------------------------------------- from the light to a surface
+    void choose_places(uint32_t n) {
+        for (uint32_t k = 0; k < n; ++k) {
+            const double u = double(this->number(k, 1)) * cdf_.back();
+            size_t i = size_t(std::upper_bound(cdf_.begin(), cdf_.end(), u) - cdf_.begin());
+            i = std::min(i, cdf_.size() - 1);
+            const double before = i ? cdf_[i - 1] : 0, p = cdf_[i] - before;
+            at_.emitter[k] = lights_[i];
+            at_.left[k] = S(std::min((u - before) / p, 1 - 1e-7));
+            at_.inverse_pmf[k] = S(cdf_.back() / p);
+        }
+        for (uint32_t i = 0; i < n; i += W) {
+            Entries<F> from(i);
+            M active = mask<F>(lane_index<F>() < U(n - i));
+            EmissionSample<F> r;
+            U none(0u);
+            r.point = {select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(0)), {none, none, F(0), F(0)}};
+            r.kind = emitter_kind<F>(scene_, r.point.emitter, active);
+            r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
+            r.weight = r.inverse_pdf = F(0);
+            F left = from(at_.left), inverse_pmf = from(at_.inverse_pmf);
+            // two points of the plane
+            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
+                                      from(paths_.slots.sample), Base::PlaceBlock);
+            for_each_emitter_kind<F>(r.kind, active, [&](const EmitterKernels<F> &emitter, const M &lanes) {
+                emitter.sample_emission(scene_, left, u.u[0], u.u[1], u.u[2], u.u[3], inverse_pmf, lanes, r);
+                if (emitter.is(HasDeltaPosition)) r.inverse_pdf = select(lanes, inverse_pmf, r.inverse_pdf);
+                if (!emitter.is(IsOnShape)) r.n = select(lanes, Vec3<F>{F(0), F(0), F(0)}, r.n);
+            });
+            write(at_.at, i, r.point.at), write(at_.y, i, r.p), write(at_.yn, i, r.n), write(at_.travel, i, r.d);
+            write(at_.inverse_pdf, i, r.inverse_pdf);
+        }
+    }
+
+    const EmitterKernels<F> &light_of(uint32_t slot) const {
+        return emitter_kernels<F>(scene_.emitters[at_.emitter[slot]].kind);
+    }
+
+    void find_edges(uint32_t n) {
+        edges_.clear(), rays_.clear();
+        for (uint32_t k = 0; k < n; ++k) {
+            const EmitterKernels<F> &light = light_of(k);
+            const bool on_shape = light.is(IsOnShape);
+            Edge x{};
+            x.slot = k, x.far = light.is(IsInfinite);
+            const V y = at_.y.get(k), yn = at_.yn.get(k), origin = x.far ? at_.travel.get(k) : y;
+            OutlineAnchor anchor{};
+            Base::put_vector(origin, anchor.p), Base::put_vector(yn, anchor.n), Base::put_vector(yn, anchor.axis);
+            anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
+            const OutlineChoice chosen = boundary_.outlines->tree().choose(anchor, this->tree_seed(k));
+            if (chosen.element < 0) continue;
+            const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), origin, x.far);
+            if (!point.valid || point.front == 0) continue;
+            const V towards = x.far ? origin : point.p - y;
+            const S r = Base::length(towards);
+            const V d = towards * (1 / std::max(r, S(1e-30))), across = cross(d, point.along);
+            const S turned = Base::length(across);  // the sine times |along|
+            x.weight = turned * S(chosen.inverse_density) * at_.inverse_pdf[k] * S(1 / boundary_.total);
+            if (!x.far) x.weight = x.weight / (r * r);
+            if (on_shape) x.weight = x.weight * std::max(dot(yn, d), S(0));
+            if (!(x.weight > 0) || !std::isfinite(x.weight)) continue;
+            x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.length = r;
+            x.free = across * (-point.front / turned);  // from what hides to what does not
+            rays_.push_back(x.far ? OutlineRay{x.b + x.free * Base::least_side(x.b, S(1)), d}
+                                  : Base::beside(y, yn, x.b, x.free, point.room, S(0)));
+            edges_.push_back(x);
+        }
+        end_rays();
+    }
+
+    // Where rays past the edges end; those that do not come past them are left out.
+    void end_rays() {
+        std::vector<OutlineRay> back(rays_.size());
+        for (size_t k = 0; k < rays_.size(); ++k) back[k] = {rays_[k].o, -rays_[k].d};
+        PathQueue<S> &queue = this->fill(back, [&](size_t k) { return edges_[k].far ? S(INFINITY) : S(-1); });
+        uint8_t *occluded = this->queries().occluded;
+        call_.accel->occluded(this->queries().batch(rays_of(queue), back.size()), occluded, back.size());
+        std::vector<uint8_t> hidden(occluded, occluded + back.size());
+        this->intersect(rays_);
+        size_t kept = 0;
+        for (size_t k = 0; k < edges_.size(); ++k) {
+            Edge &x = edges_[k];
+            const S t = this->distance(k);
+            if (x.far ? hidden[k] != 0 : !(t > x.length * S(1 - 1e-3))) continue;
+            if (!std::isfinite(t)) continue;
+            const V s = rays_[k].o + rays_[k].d * t;
+            at_.s.set(x.slot, s), at_.d.set(x.slot, -rays_[k].d);
+            x.length = Base::length(x.b - s);
+            at_.e_distance[x.slot] = x.far ? S(INFINITY) : Base::length(at_.y.get(x.slot) - s);
+            x.tau = x.far ? S(0) : x.length / at_.e_distance[x.slot];
+            edges_[kept++] = x;
+        }
+        edges_.resize(kept);
+    }
+
+    // --------------------------------------------------------------------------------------- from there to the camera
+    void see_from_camera(uint32_t n) {
+        const S width = S(call_.film_width), height = S(call_.film_height);
+        PathQueue<S> &queue = begin_ends(n);
+        std::vector<S> area(n);
+        for (const Edge &x : edges_) {
+            const uint32_t k = x.slot;
+            CameraSample<S> place = this->lens_of(k);
+            const V s = at_.s.get(k);
+            if (!film_place<S>(scene_, this->sensor(), s, width, height, place)) continue;
+            if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
+            const CameraRay<S> ray = camera_ray<S>(scene_, this->sensor(), place, width, height);
+            if (!ray.exists) continue;
+            ends_.slots.film_x[k] = place.x, ends_.slots.film_y[k] = place.y;
+            at_.distance[k] = Base::length(s - ray.ray.o);
+            area[k] = this->pixel_area(place, ray.ray.d, at_.distance[k]);
+            push_end(queue, k, ray.ray.o, ray.ray.d, ray.length, ray.center, S(0));
+        }
+        shade_ends(0);
+        connections_.clear();
+        for (uint32_t e = 0; e < edges_.size(); ++e) {
+            const uint32_t k = edges_[e].slot;
+            if (!(at_.ratio[k] > 0)) continue;
+            const S mis = at_.mis[k] < 0 ? S(1) : at_.mis[k];
+            connect(e, at_.ratio[k] * edges_[e].weight * mis / area[k], {S(1), S(1), S(1)});
+        }
+    }
+
+    void see_from_vertices(uint32_t n) {
+        std::vector<S> r(n, S(0));
+        for (uint32_t k = 0; k < n; ++k) anchors_.d.set(k, {S(0), S(0), S(1)});
+        for (const Edge &x : edges_) {
+            const uint32_t k = x.slot;
+            if (anchors_.level[k] == NoVertex) continue;
+            const V towards = at_.s.get(k) - this->place_of(k);
+            r[k] = Base::length(towards);
+            anchors_.d.set(k, Base::unit(towards));
+        }
+        this->scatter_chosen();
+        PathQueue<S> &queue = begin_ends(n);
+        carried_.assign(n, V{S(0), S(0), S(0)});
+        for (const Edge &x : edges_) {
+            const uint32_t k = x.slot;
+            if (anchors_.level[k] == NoVertex || !(r[k] > 0) || !(anchors_.pdf[k] > 0)) continue;
+            const auto &beta = this->level_of(k).columns.vertex.beta;
+            const uint32_t e = anchors_.entry[k];
+            const S factor = S(inverse_[k]) * S(boundary_.n_cells) / (r[k] * r[k]);
+            S c[SpectrumSize];
+            for (int i = 0; i < SpectrumSize; ++i) c[i] = anchors_.f[i][k] * beta[i][e] * factor;
+            carried_[k] = {c[0], c[1], c[2]};
+            if (!(max_abs(carried_[k]) > 0) || !std::isfinite(c[0] + c[1] + c[2])) continue;
+            const V d = anchors_.d.get(k), p = this->place_of(k), o = offset_origin(p, anchors_.ng.get(k), d);
+            at_.distance[k] = r[k];
+            push_end(queue, k, o, d, S(INFINITY), p, S(1));
+        }
+        shade_ends(1);
+        connections_.clear();
+        for (uint32_t e = 0; e < edges_.size(); ++e) {
+            const uint32_t k = edges_[e].slot;
+            if (!(at_.ratio[k] > 0)) continue;
+            // close to the vertex a part of it is found from there
+            const S near = at_.mis[k] < 0 ? S(1) : S(this->apart(double(r[k]))) * at_.mis[k];
+            connect(e, at_.ratio[k] * edges_[e].weight * near, carried_[k]);
+        }
+    }
+
+    PathQueue<S> &begin_ends(uint32_t n) {
+        ends_.begin(n);
+        for (uint32_t k = 0; k < n; ++k) {
+            ends_.slots.pixel[k] = paths_.slots.pixel[k], ends_.slots.sample[k] = paths_.slots.sample[k];
+            at_.ratio[k] = 0;
+        }
+        return ends_.wavefront.queues[0];
+    }
+    void push_end(PathQueue<S> &queue, uint32_t slot, const V &o, const V &d, S length, const V &from, S pdf) {
+        const uint32_t k = queue.n++;
+        queue.o.set(k, o), queue.d.set(k, d), queue.from.set(k, from);
+        queue.length[k] = length, queue.pdf[k] = pdf, queue.eta[k] = 1;
+        for (int c = 0; c < SpectrumSize; ++c) queue.beta[c][k] = queue.survival[c][k] = 1;
+        queue.slot[k] = slot, queue.parent[k] = 0, queue.seen[k] = 1;
+    }
+    // Traces these rays; where they meet S at_.value, mis and ratio become what it gets of the light.
+    void shade_ends(int depth) {
+        ends_.first_vertices(depth);
+        Tape<S> &tape = ends_.wavefront.tape;
+        this->for_smooth(ends_, [&](uint32_t l, const KindRange &range) {
+            const TapeColumns<S> &columns = tape[int(l)].columns;
+            for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
+                M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
+                U slot = select(mask<U>(there), load_uint<F>(columns.vertex.slot.at + i), U(0u));
+                shade_end(columns, range.kind, i, slot, there, depth);
+            }
+        });
+    }
+    void shade_end(const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &there, int depth) {
+        Gathered<F> from(slot, there);
+        Entries<F> entry(i);
+        const Vec3<F> p = entry(columns.arrival.p), c = entry(columns.arrival.d), s = from(at_.s), d = from(at_.d);
+        const Vec3<F> apart = p - s;
+        M meets = there && mask<F>(squared_norm(apart) < sqr(F(S(1e-3)) * (from(at_.distance) + max_abs(s))));
+        if (!any(meets)) return;
+        BsdfValue<F> found = scatter_towards<F>(scene_, kind, columns, i, d, ends_.wavefront.needs(), meets);
+        Vec3<F> ng = geometric_normal<F>(scene_, columns, i, meets);
+        F density;
+        Spectrum<F> value = found.f * arriving(p, d, from, meets, density);
+        const bool first = depth == 0;
+        if (first) density = density * F(S(boundary_.in_view));
+        F n_light(S(first ? call_.config.emitter_samples : 1)), n_bsdf(S(first ? call_.config.bsdf_samples : 1));
+        F mis = select(mask<F>(density > F(0)), power_heuristic(n_light * density, n_bsdf * found.pdf), F(-1));
+        F ratio = abs(dot(ng, c)) / max(abs(dot(ng, d)), F(S(1e-6)));
+        meets = meets && is_finite(value) && mask<F>(found.pdf > F(0));
+        for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(at_.value[k], slot, value[k], meets);
+        scatter_lanes<F>(at_.mis.at, slot, mis, meets);
+        scatter_lanes<F>(at_.ratio.at, slot, ratio, meets);
+    }
+    static F sqr(const F &x) { return x * x; }
+
+    // What the lights of these slots send to points p in the directions d to them: radiance, of points intensity, of
+    // parallel light irradiance across it; and the density of d for emitter samples, 0 where no ray finds the light.
+    Spectrum<F> arriving(const Vec3<F> &p, const Vec3<F> &d, const Gathered<F> &from, const M &active, F &density) {
+        const Wavelengths<F> waves{};
+        IntOf<F> emitter = select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(lights_[0]));
+        EmitterPoint<F> point{emitter, from(at_.at)};
+        const Vec3<F> y = from(at_.y), yn = from(at_.yn);
+        IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
+        density = F(0);
+        for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
+            if (light.is(IsOnShape)) {
+                density = select(lanes, shape_emitter_pdf<F>(scene_, point, p, y, yn, lanes), density);
+            } else if (light.is(IsEnvironment)) {
+                F pdf;
+                EmitterPoint<F> there = environment_point<F>(scene_, d, pdf, lanes);
+                point.at.b1 = select(lanes, there.at.b1, point.at.b1);
+                point.at.b2 = select(lanes, there.at.b2, point.at.b2);
+                density = select(lanes, pdf, density);
+            } else {
+                EmitterSample<F> r = no_emitter_sample<F>();
+                r.point.emitter = emitter;
+                light.sample_direct(scene_, p, F(S(0.5)), F(S(0.5)), F(S(0.5)), lanes, r);
+                point.at.b1 = select(lanes, r.point.at.b1, point.at.b1);
+                point.at.b2 = select(lanes, r.point.at.b2, point.at.b2);
+            }
+        });
+        return eval_emitter<F>(scene_, waves, point, active);
+    }
+
+    // ------------------------------------------------------------------------------------------------- what it adds up
+    // to The connection's jump: -(what arrives) times a number and colours.
+    void connect(uint32_t edge, S number, const V &colours) {
+        const uint32_t k = edges_[edge].slot;
+        const S by[3] = {colours.x, colours.y, colours.z};
+        Connection connection{edge, uniform_spectrum(S(0))};
+        bool some = false;
+        for (int c = 0; c < SpectrumSize; ++c) {
+            const S x = -at_.value[c][k] * number * by[c];
+            if (!std::isfinite(x)) return;
+            connection.jump[c] = x, some |= x != 0;
+        }
+        if (some) connections_.push_back(connection);
+    }
+
+    // Hands on the adjoints of all connections, `which` of a sample's two.
+    void settle(uint64_t first, uint32_t n, uint64_t which, const SlotColumns<S> &slots, GradientSink<F> &sink,
+                bool camera) {
+        if (!sink.forward)
+            return add(n, slots, sink, camera, [&](const Connection &x) {
+                double adjoint[SpectrumSize + 1], sum = 0;
+                const uint32_t k = edges_[x.edge].slot;
+                this->collect_at(slots.film_x[k], slots.film_y[k], adjoint);
+                for (int c = 0; c < call_.values; ++c) sum += adjoint[c] * double(x.jump[c]);
+                return S(sum);
+            });
+        for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.radiance[c], n, S(0));
+        for (int component = 0; component < call_.values; ++component) {
+            sink.component = component;
+            add(n, slots, sink, camera, [&](const Connection &x) { return x.jump[component]; });
+        }
+        for (const Connection &x : connections_)
+            this->write_value(2 * (first + edges_[x.edge].slot) + which, slots, edges_[x.edge].slot);
+    }
+
+    template <class Weight>
+    void add(uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink, bool camera, Weight &&weight) {
+        const V zero{S(0), S(0), S(0)};
+        for (uint32_t k = 0; k < n; ++k) at_.s_bar.set(k, zero), at_.e_bar.set(k, zero), anchors_.p_bar.set(k, zero);
+        PointSink<F> points{sink};
+        for (const Connection &x : connections_) {
+            const Edge &edge = edges_[x.edge];
+            const S w = weight(x);
+            if (w == 0 || !std::isfinite(w)) continue;
+            const V g = edge.free * w;
+            at_.s_bar.set(edge.slot, g * (edge.tau - 1));
+            at_.e_bar.set(edge.slot, g * (edge.far ? edge.length : -edge.tau));
+            points.derivative = 0;
+            this->add_to_outline(edge.element, edge.s, edge.b, g, points);
+            if (sink.forward) slots.radiance[sink.component][edge.slot] += points.derivative;
+        }
+        sweep_lights(n, slots, sink);
+        auto ends = [&](int, uint32_t, const U &slot, const M &there) { return Gathered<F>(slot, there)(at_.s_bar); };
+        this->sweep_places(
+            ends_, slots, sink, camera,
+            [&](const U &slot, const Vec3<F> &o_bar, const M &active) {
+                Base::put(anchors_.p_bar, slot, o_bar, active);
+            },
+            ends);
+        if (!camera) this->sweep_paths(sink);
+    }
+
+    // The adjoints of places on lights.
+    void sweep_lights(uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink) {
+        for (uint32_t i = 0; i < n; i += W) {
+            Entries<F> from(i);
+            const Vec3<F> e_bar = from(at_.e_bar);
+            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(e_bar) > F(0));
+            if (!any(active)) continue;
+            sink.begin();
+            IntOf<F> emitter = select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(lights_[0]));
+            SurfacePoint<F> at = from(at_.at);
+            at.shape = select(mask<U>(active), at.shape, U(0u));
+            const F distance = from(at_.e_distance);
+            const CoordinateAdjoint<F> nothing;
+            IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
+            for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
+                M moves = lanes;
+                if (light.is(IsOnShape)) moves = sink.wants_shape(at.shape, lanes);
+                if (!light.direct_vjp || !any(moves)) return;
+                // the direction from S turns by de / distance; that of parallel light is against its travel
+                Vec3<F> w_bar = e_bar * (light.is(IsInfinite) ? F(S(-1)) : distance), x_bar{F(0), F(0), F(0)};
+                const DirectAdjoint<F> g{{emitter, at}, from(at_.s), from(at_.d), distance, w_bar, F(0), nothing, true};
+                light.direct_vjp(scene_, g, moves, x_bar, sink);
+            });
+            if (sink.forward) add_to_entries<F>(slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
+        }
+    }
+
+    // Of the pilot: whether there is an edge, and where the camera sees it if it does.
+    void tell(uint64_t first, uint32_t n) {
+        for (uint32_t k = 0; k < n; ++k) {
+            boundary_.value[first + k] = 0;
+            boundary_.place[2 * (first + k)] = boundary_.place[2 * (first + k) + 1] = double(NAN);
+        }
+        for (const Edge &x : edges_) boundary_.value[first + x.slot] = 1;
+        for (const Connection &x : connections_) {
+            const uint32_t k = edges_[x.edge].slot;
+            boundary_.place[2 * (first + k)] = double(ends_.slots.film_x[k]);
+            boundary_.place[2 * (first + k) + 1] = double(ends_.slots.film_y[k]);
+        }
+    }
+};
+
+}  // namespace tr

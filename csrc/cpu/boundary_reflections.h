@@ -1,0 +1,241 @@
+// Outlines that points on surfaces see: where the light that they scatter ends to be visible, and begins.
+//
+// At a vertex S of a path, which has the throughput beta, light comes from everywhere; past an outline's point B there
+// is one thing on the one side and another on the other. With the unit direction d to B, at the distance r,
+//
+//     dI = beta  integral of f(d) sin / r^2  (L_minus v_minus - L_plus v_plus)  dl
+//
+// where v = n.(dB - (1 - tau) dS - tau dE) for a point E that is glued to what emits, tau = r / |E - S|, and n.(dB -
+// dS) for all else, which is looked up along a direction at rest: see docs/theory/motion.md.
+#pragma once
+
+#include "boundary_tile.h"
+
+namespace tr {
+
+template <class F>
+class ReflectionTile : public BoundaryTile<F> {
+    using Base = BoundaryTile<F>;
+    using Base::anchors_, Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::paths_, Base::scene_;
+    using typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
+
+    // An outline's point B that the vertex S of a slot sees, and what rays on the side of -n and of n meet.
+    struct Sight {
+        uint32_t slot;
+        int32_t element;
+        S s, r;
+        V from, b, n;
+        S front, room, rim;
+        Spectrum<S> carried;
+        S density;
+        bool emits[2];
+        S tau[2];
+        SurfacePoint<S> end[2];
+        V end_p[2];
+        Spectrum<S> jump[2];
+    };
+    std::vector<Sight> sights_;
+    std::vector<OutlineRay> rays_;
+    std::vector<double> u_, inverse_;
+
+public:
+    using Base::Base;
+
+    // Samples `first` .. `first` + n of the call.
+    template <class Stop>
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+        trace(first, n, stop);
+        if (!sink.forward) {
+            add(sink, [](const double *adjoint, const Spectrum<S> &jump, int values) {
+                double sum = 0;
+                for (int c = 0; c < values; ++c) sum += adjoint[c] * double(jump[c]);
+                return S(sum);
+            });
+            return;
+        }
+        auto &slots = paths_.slots;
+        for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.radiance[c], n, S(0));
+        for (int component = 0; component < call_.values; ++component) {
+            sink.component = component;
+            add(sink, [component](const double *, const Spectrum<S> &jump, int) { return jump[component]; });
+        }
+        for (uint32_t k = 0; k < n; ++k) this->write_value(first + k, slots, k);
+    }
+
+private:
+    template <class Stop>
+    void trace(uint64_t first, uint32_t n, Stop &&stop) {
+        this->identify(first, n);
+        this->trace_paths(n, stop);
+        u_.resize(n), inverse_.resize(n);
+        for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
+        this->choose_vertices(n, u_, inverse_);
+        this->find_lobes();
+        this->find_normals();
+        choose_outlines(n);
+        this->scatter_chosen();
+        weigh();
+        look_past();
+        look_up(stop);
+    }
+
+    void choose_outlines(uint32_t n) {
+        sights_.clear();
+        for (uint32_t k = 0; k < n; ++k) {
+            anchors_.d.set(k, {S(0), S(0), S(1)});
+            if (anchors_.level[k] == NoVertex) continue;
+            Sight x{};
+            x.slot = k, x.from = this->place_of(k);
+            const uint32_t shape = this->level_of(k).columns.vertex.at.shape[anchors_.entry[k]];
+            const OutlineChoice chosen =
+                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k));
+            if (chosen.element < 0) continue;
+            const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
+            const V towards = point.p - x.from;
+            x.r = this->length(towards);
+            const S stretch = this->length(point.along);
+            const V d = towards * (1 / std::max(x.r, S(1e-30))), across = cross(d, point.along);
+            const S turned = this->length(across);
+            if (!point.valid || !(stretch > 0) || !(turned > 0) || !(x.r > 0)) continue;
+            x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.n = across * (1 / turned);
+            x.front = point.front, x.room = point.room, x.rim = S(BeyondRim) * point.rim;
+            // sin / r^2 over the density by length
+            x.carried = uniform_spectrum(S(turned / (x.r * x.r) * S(chosen.inverse_density) * S(inverse_[k]) *
+                                           S(double(boundary_.n_cells) / boundary_.total)));
+            anchors_.d.set(k, d);
+            sights_.push_back(x);
+        }
+    }
+
+    // What a sight brings, by light of one; those that bring nothing are left out.
+    void weigh() {
+        size_t kept = 0;
+        for (Sight &x : sights_) {
+            const TapeLevel<S> &level = this->level_of(x.slot);
+            const uint32_t e = anchors_.entry[x.slot];
+            bool some = false, finite = true;
+            for (int c = 0; c < SpectrumSize; ++c) {
+                x.carried[c] = x.carried[c] * level.columns.vertex.beta[c][e] * anchors_.f[c][x.slot];
+                some |= x.carried[c] != 0, finite &= bool(std::isfinite(x.carried[c]));
+            }
+            if (!some || !finite) continue;
+            // what lights find, too: what a smooth vertex, or the camera, sees, and not too close to it
+            const S pdf = anchors_.pdf[x.slot];
+            if (anchors_.level[x.slot] == 0)
+                x.density = pdf / S(boundary_.in_view);
+            else
+                x.density =
+                    smooth_before(x.slot) && double(this->number(x.slot, 1)) < this->apart(sight(x.slot)) ? pdf : S(0);
+            sights_[kept++] = x;
+        }
+        sights_.resize(kept);
+    }
+    // Whether a smooth BSDF's sample has found this vertex, and from how far.
+    bool smooth_before(uint32_t slot) {
+        const TapeLevel<S> &level = this->level_of(slot),
+                           &before = paths_.wavefront.tape[int(anchors_.level[slot]) - 1];
+        const uint32_t parent = level.columns.vertex.parent[anchors_.entry[slot]];
+        for (const KindRange &range : before.ranges)
+            if (parent >= range.begin && parent < range.begin + range.count)
+                return bsdf_kernels<F>(range.kind).is(HasSmoothLobes) && before.columns.outgoing.lobe[parent] == 0;
+        return false;
+    }
+    double sight(uint32_t slot) {
+        return double(this->length(this->level_of(slot).columns.arrival.segment.get(anchors_.entry[slot])));
+    }
+
+    // Rays beside the outlines, and where nothing hides these what is behind.
+    void look_past() {
+        rays_.clear();
+        for (const Sight &x : sights_)
+            for (S side : {S(-1), S(1)})
+                rays_.push_back(this->beside(x.from, anchors_.ng.get(x.slot), x.b, x.n * side, x.room,
+                                             x.front == side ? x.rim : S(0)));
+        this->intersect(rays_);
+        const HitColumns<S> &hits = this->queries().hits;
+        size_t kept = 0;
+        for (size_t k = 0; k < sights_.size(); ++k) {
+            Sight &x = sights_[k];
+            const S t[2] = {this->distance(2 * k), this->distance(2 * k + 1)};
+            if (!this->is_open(x.front, x.r, t, S(1e-3))) continue;
+            for (size_t h = 0; h < 2; ++h) {
+                const size_t i = 2 * k + h;
+                x.emits[h] = hits.at.shape[i] != NoHit && scene_.shapes[hits.at.shape[i]].emitter >= 0;
+                if (x.emits[h]) {
+                    x.end[h] = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
+                    x.end_p[h] = rays_[i].o + rays_[i].d * t[h];
+                    x.tau[h] = x.r / this->length(x.end_p[h] - x.from);
+                }
+                rays_[2 * kept + h] = rays_[i];
+            }
+            sights_[kept++] = x;
+        }
+        sights_.resize(kept), rays_.resize(2 * kept);
+    }
+
+    // What is seen on both sides, vertices of one depth at a time.
+    template <class Stop>
+    void look_up(Stop &&stop) {
+        std::vector<OutlineRay> rays;
+        std::vector<S> pdf, length;
+        std::vector<uint32_t> key, which;
+        for (uint32_t level = 0, left = uint32_t(sights_.size()); left > 0 && !stop(); ++level) {
+            rays.clear(), pdf.clear(), key.clear(), which.clear();
+            for (uint32_t k = 0; k < sights_.size(); ++k) {
+                const Sight &x = sights_[k];
+                if (anchors_.level[x.slot] != level) continue;
+                which.push_back(k);
+                for (size_t h = 0; h < 2; ++h) {
+                    rays.push_back(rays_[2 * k + h]);
+                    pdf.push_back(x.density), key.push_back(paths_.slots.pixel[x.slot]);
+                }
+            }
+            left -= uint32_t(which.size());
+            if (which.empty()) continue;
+            length.assign(rays.size(), S(INFINITY));
+            Base::look_up(rays, length, pdf, key, int(level) + 1, stop);
+            for (size_t j = 0; j < which.size(); ++j) {
+                Sight &x = sights_[which[j]];
+                for (size_t h = 0; h < 2; ++h) {
+                    const S sign = h == 0 ? S(1) : S(-1);
+                    // what hides something, or is a crease, moves with its own outline
+                    const bool counts = !x.emits[h] || x.front * sign == S(1);
+                    for (int c = 0; c < SpectrumSize; ++c) {
+                        const S light = light_.slots.radiance[c][2 * j + h];
+                        x.jump[h][c] = counts && std::isfinite(light) ? x.carried[c] * light * sign : S(0);
+                    }
+                }
+            }
+        }
+    }
+
+    // Hands the adjoints of all rates on, each with weight(adjoint of the film, jump, values).
+    template <class Weight>
+    void add(GradientSink<F> &sink, Weight &&weight) {
+        const uint32_t n = uint32_t(u_.size());
+        const V zero{S(0), S(0), S(0)};
+        for (uint32_t k = 0; k < n; ++k) anchors_.p_bar.set(k, zero);
+        PointSink<F> points{sink};
+        for (const Sight &x : sights_) {
+            double adjoint[SpectrumSize + 1] = {};
+            if (!sink.forward) this->collect(x.slot, adjoint);
+            V b_bar = zero, s_bar = zero;
+            for (size_t h = 0; h < 2; ++h) {
+                const S w = weight(adjoint, x.jump[h], call_.values);
+                if (w == 0 || !std::isfinite(w)) continue;
+                const V g = x.n * w;
+                b_bar = b_bar + g;
+                s_bar = s_bar - g * (x.emits[h] ? 1 - x.tau[h] : S(1));
+                if (x.emits[h]) this->add_glued(x.slot, x.end[h], x.end_p[h], g * -x.tau[h]);
+            }
+            anchors_.p_bar.set(x.slot, s_bar);
+            points.derivative = 0;
+            this->add_to_outline(x.element, x.s, x.b, b_bar, points);
+            if (sink.forward) paths_.slots.radiance[sink.component][x.slot] += points.derivative;
+        }
+        this->sweep_glued(sink, paths_.slots);
+        this->sweep_paths(sink);
+    }
+};
+
+}  // namespace tr

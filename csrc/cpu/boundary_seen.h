@@ -1,0 +1,188 @@
+// Outlines that the camera sees. With b on a piece of one, at the place u of the film, n across the ray to it at the
+// distance r, w pixels per area perpendicular to it, and the colours and coverages L on both sides,
+//
+//     dI = integral of h(p - u) / Z  (L_minus - L_plus)  w sin  n.(db - do - r dd)  dl
+#pragma once
+
+#include "boundary_tile.h"
+#include "core/adjoint/camera.h"
+
+namespace tr {
+
+template <class F>
+class SilhouetteTile : public BoundaryTile<F> {
+    using Base = BoundaryTile<F>;
+    using Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::path_call_, Base::paths_, Base::scene_,
+        Base::W;
+    using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
+    static constexpr int Most = SpectrumSize + 1;  // colours and alpha
+
+    struct Sight {
+        uint32_t slot;
+        int32_t element;
+        S s;
+        V b, n;
+        S front, t, distance;  // of b from where the ray begins, and from the camera
+        S weight;
+        double jump[Most];
+    };
+    std::vector<Sight> sights_;
+    std::vector<OutlineRay> rays_;
+    std::vector<S> lengths_;
+
+public:
+    using Base::Base;
+
+    // Samples `first` .. `first` + n of the call.
+    template <class Stop>
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+        this->identify(first, n);
+        find(first, n);
+        look_past();
+        look_up(stop);
+        const int values = call_.values;
+        if (!sink.forward)
+            return add(n, sink, [&](const Sight &x) {
+                double adjoint[Most], sum = 0;
+                const auto &slots = paths_.slots;
+                this->collect_at(slots.film_x[x.slot], slots.film_y[x.slot], adjoint);
+                for (int c = 0; c <= values; ++c) sum += adjoint[c] * x.jump[c];
+                return S(sum);
+            });
+        auto &slots = paths_.slots;
+        sink.component = 0;
+        std::fill_n(slots.radiance[0], n, S(0));
+        add(n, sink, [](const Sight &) { return S(1); });
+        for (const Sight &x : sights_) {
+            const uint64_t row = first + x.slot;
+            boundary_.place[2 * row] = double(slots.film_x[x.slot]);
+            boundary_.place[2 * row + 1] = double(slots.film_y[x.slot]);
+            for (int c = 0; c <= values; ++c)
+                boundary_.value[uint64_t(values + 1) * row + uint64_t(c)] =
+                    x.jump[c] * double(slots.radiance[0][x.slot]);
+        }
+    }
+
+private:
+    using Base::sensor;
+    bool parallel() const { return sensor().kind == kind_of_model<Orthographic>(Sensors{}); }
+
+    void find(uint64_t first, uint32_t n) {
+        sights_.clear(), rays_.clear(), lengths_.clear();
+        if (boundary_.pieces->all.empty()) return;
+        const S width = S(call_.film_width), height = S(call_.film_height);
+        const auto &slots = paths_.slots;
+        const OutlinePieces &pieces = *boundary_.pieces;
+        const double *cdf = pieces.cdf.data(), *end = cdf + pieces.cdf.size(), total = pieces.total();
+        for (uint32_t k = 0; k < n; ++k) {
+            CameraSample<S> place = this->lens_of(k);
+            place.x = width / 2, place.y = height / 2;
+            const CameraRay<S> middle = camera_ray<S>(scene_, sensor(), place, width, height);
+            // every sample has a part of the length of all pieces
+            const double at = (double(boundary_.first + first + k) + boundary_.offset) / boundary_.samples;
+            const double *found = std::min(std::upper_bound(cdf, end, (at - std::floor(at)) * total), end - 1);
+            const OutlinePiece &piece = pieces.all[size_t(found - cdf)];
+            const double mass = *found - (found > cdf ? found[-1] : 0), from = piece.begin, to = piece.end;
+            Sight x{};
+            x.slot = k, x.element = piece.element;
+            x.s = S(from + (to - from) * double(this->number(k, 0)));
+            const V origin = parallel() ? middle.ray.d : middle.center;
+            const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
+            if (!point.valid || !film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
+            if (!std::isfinite(place.x) || !std::isfinite(place.y)) continue;
+            const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
+            const V o = ray.ray.o, d = ray.ray.d, towards = point.p - o, across = cross(d, point.along);
+            x.t = dot(towards, d);
+            const S turned = Base::length(across), area = this->pixel_area(place, d, x.t);
+            if (!ray.exists || !(turned > 0) || !(area > 0) || !(x.t > 0) || !(x.t < ray.length)) continue;
+            if (!(Base::length(towards - d * x.t) < S(1e-3) * x.t)) continue;  // the lens does not show it there
+            const double density = mass / total / (to - from);                 // by the parameter
+            x.weight = S(double(turned) / double(area) / density / boundary_.total);
+            if (!std::isfinite(x.weight)) continue;
+            x.b = point.p, x.n = across * (1 / turned), x.front = point.front;
+            x.distance = dot(point.p - ray.center, d);
+            slots.film_x[k] = place.x, slots.film_y[k] = place.y;
+            const S side =
+                std::max(std::min(S(Beside) * std::sqrt(area), point.room / 8), Base::least_side(point.p, x.t));
+            for (S sign : {S(-1), S(1)}) {
+                const V offset = x.n * (sign * (side + (x.front == sign ? S(BeyondRim) * point.rim : S(0))));
+                rays_.push_back(parallel() ? OutlineRay{o + offset, d}
+                                           : OutlineRay{o, Base::unit(point.p - o + offset)});
+                lengths_.push_back(ray.length);
+            }
+            sights_.push_back(x);
+        }
+    }
+    static constexpr double Beside = 0x1p-14;  // how far beside an outline its colours are looked at, in pixels
+
+    void look_past() {
+        PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
+        this->trace(queue, rays_.size());
+        if (call_.config.hide_emitters)
+            pass_emitters(scene_, rays_of(queue), this->queries().hits, rays_.size(),
+                          [&] { this->trace(queue, rays_.size()); });
+        size_t kept = 0;
+        for (size_t k = 0; k < sights_.size(); ++k) {
+            // (rays that have passed an emitter begin further on)
+            S t[2];
+            for (size_t h = 0; h < 2; ++h) {
+                const size_t i = 2 * k + h;
+                t[h] = this->distance(i);
+                if (std::isfinite(t[h])) t[h] += dot(queue.o.get(i) - rays_[i].o, rays_[i].d);
+            }
+            if (!Base::is_open(sights_[k].front, sights_[k].t, t, S(1e-5))) continue;
+            for (size_t h = 0; h < 2; ++h)
+                rays_[2 * kept + h] = rays_[2 * k + h], lengths_[2 * kept + h] = lengths_[2 * k + h];
+            sights_[kept++] = sights_[k];
+        }
+        sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
+    }
+
+    template <class Stop>
+    void look_up(Stop &&stop) {
+        std::vector<S> pdf(rays_.size(), S(0));
+        std::vector<uint32_t> key(rays_.size());
+        for (size_t i = 0; i < rays_.size(); ++i) key[i] = paths_.slots.pixel[sights_[i / 2].slot];
+        Base::look_up(rays_, lengths_, pdf, key, 0, stop);
+        const auto &slots = light_.slots;
+        for (size_t k = 0; k < sights_.size(); ++k) {
+            Sight &x = sights_[k];
+            for (int c = 0; c <= call_.values; ++c) {
+                const S *values = c < call_.values ? slots.radiance[c] : slots.alpha.at;
+                const double jump = (double(values[2 * k]) - double(values[2 * k + 1])) * double(x.weight);
+                x.jump[c] = std::isfinite(jump) ? jump : 0;
+            }
+        }
+    }
+
+    template <class Weight>
+    void add(uint32_t n, GradientSink<F> &sink, Weight &&weight) {
+        const auto &p_bar = this->anchors_.p_bar;
+        for (uint32_t k = 0; k < n; ++k) p_bar.set(k, {S(0), S(0), S(0)});
+        std::vector<S> distance(n + W, S(0));
+        PointSink<F> points{sink};
+        for (const Sight &x : sights_) {
+            const S w = weight(x);
+            if (w == 0 || !std::isfinite(w)) continue;
+            const V g = x.n * w;
+            points.derivative = 0;
+            this->add_to_outline(x.element, x.s, x.b, g, points);
+            if (sink.forward) paths_.slots.radiance[0][x.slot] += points.derivative;
+            p_bar.set(x.slot, g), distance[x.slot] = x.distance;
+        }
+        if (!paths_.wavefront.needs().camera) return;
+        for (uint32_t i = 0; i < n; i += W) {
+            Entries<F> from(i);
+            const Vec3<F> g = from(p_bar);
+            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(g) > F(0));
+            if (!any(active)) continue;
+            sink.begin();
+            const CameraSample<F> at = camera_sample<F>(path_call_.config, sensor(), paths_.slots, from);
+            const RayAdjoint<F> ray{-g, g * -load<F>(distance.data() + i)};
+            sweep_camera(scene_, sensor(), at, S(call_.film_width), S(call_.film_height), ray, F(0), active, sink);
+            if (sink.forward) add_to_entries<F>(paths_.slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
+        }
+    }
+};
+
+}  // namespace tr

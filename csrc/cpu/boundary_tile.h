@@ -1,0 +1,461 @@
+// What samples of outlines have in common, whichever way they are found: vertices of paths from which light is looked
+// up, rays beside outlines, radiance along rays, and the sums that a moving outline adds to.
+//
+// A sample's rate n.(dB - ...) has a weight for each component of the spectrum. In reverse mode the film's adjoint
+// makes one number of them; forward mode has a sweep a component (see GradientSink).
+#pragma once
+
+#include <cmath>
+
+#include "boundary_call.h"
+#include "core/adjoint/revisit.h"
+#include "path_tile.h"
+
+namespace tr {
+
+// By slot: the vertex of the path that was chosen, how it scatters, and the adjoint of its place. By number, up to two
+// a slot: points on lights, glued to them.
+// clang-format off
+#define TR_ANCHOR_COLUMNS(X) \
+    X(Index, level) X(Index, entry) X(Vector, n) X(Vector, axis) X(Vector, ng) X(Number, k) X(Number, share) \
+    X(Vector, d) X(Spectrum, f) X(Number, pdf) X(Vector, p_bar)
+#define TR_GLUED_COLUMNS(X) X(Index, slot) X(Point, at) X(Vector, p) X(Vector, p_bar)
+// clang-format on
+template <class S>
+struct AnchorColumns {
+    TR_COLUMNS(TR_ANCHOR_COLUMNS)
+};
+template <class S>
+struct GluedColumns {
+    TR_COLUMNS(TR_GLUED_COLUMNS)
+    uint32_t n = 0;
+};
+
+constexpr uint32_t NoVertex = 0xFFFFFFFFu;
+// How far beyond the rim of interpolated normals a ray passes, in widths of it.
+constexpr double BeyondRim = 1.05;
+
+// A sink of single numbers, beside that of packets.
+template <class F>
+struct PointSink {
+    using S = ScalarOf<F>;
+    const GradientSink<F> &sink;
+    S derivative = 0;  // forward mode
+
+    bool wants(uint32_t shape) const { return sink.shape_wanted[shape] != 0; }
+    void vertex(uint32_t index, const Vec3<S> &g) {
+        const S *tangent = sink.vertex_tangent[0];
+        double *to = sink.vertices[0];
+        const S v[3] = {g.x, g.y, g.z};
+        for (size_t i = 0; i < 3; ++i)
+            if (!sink.forward && to)
+                to[3 * size_t(index) + i] += double(v[i]);
+            else if (sink.forward && tangent)
+                derivative += tangent[3 * size_t(index) + i] * v[i];
+    }
+    void number(size_t offset, S g) {
+        if (sink.forward)
+            derivative += sink.tangent.constants[offset] * g;
+        else
+            sink.constants[offset] += double(g);
+    }
+    void matrix(uint32_t shape, const Vec3<S> &local, const Vec3<S> &g) {
+        const S row[3] = {g.x, g.y, g.z}, column[4] = {local.x, local.y, local.z, S(1)};
+        for (size_t i = 0; i < 12; ++i) number(sink.matrices + 12 * size_t(shape) + i, row[i / 4] * column[i % 4]);
+    }
+};
+
+template <class F>
+class BoundaryTile {
+protected:
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using M = MaskOf<F>;
+    using V = Vec3<S>;
+    static constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+
+    const RenderCall<S> &call_;
+    const BoundaryCall<S> &boundary_;
+    const SceneView<S> &scene_;
+    const Outlines<S> outlines_;
+
+    // Paths look for no lights: what they are for is their vertices.
+    static RenderCall<S> without_lights(const RenderCall<S> &call, BoundaryPart part) {
+        RenderCall<S> r = call;
+        r.config.emitter_samples = 0, r.config.bsdf_samples = 1;
+        r.config.sampler = {};
+        // the last vertex of paths to lights is one that lights have found
+        if (part == BoundaryPart::Shadows && r.config.max_depth > 0) --r.config.max_depth;
+        r.ray_record = nullptr;
+        return r;
+    }
+    const RenderCall<S> path_call_;
+    PathTile<F> paths_, light_;
+    AnchorColumns<S> anchors_;
+    GluedColumns<S> glued_;
+
+public:
+    static constexpr size_t Capacity = 1024;
+
+    BoundaryTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
+        : call_(call),
+          boundary_(boundary),
+          scene_(*call.scene),
+          outlines_(*call.scene, *boundary.outlines),
+          path_call_(without_lights(call, boundary.part)),
+          paths_(path_call_, Capacity, &derivative),
+          light_(call, 2 * Capacity, nullptr) {
+        arena_.allocate(Capacity + 2 * W, anchors_);
+        glued_arena_.allocate(2 * Capacity + 2 * W, glued_);
+        if (!boundary.adjoint) return;
+        film_.reset(call.crop, call.values + 1);
+        for (int y = call.crop.y0; y < call.crop.y1; ++y)
+            for (int x = call.crop.x0; x < call.crop.x1; ++x)
+                std::copy_n(boundary.adjoint +
+                                size_t(call.values + 1) *
+                                    (size_t(y - call.crop.y0) * size_t(call.crop.width()) + size_t(x - call.crop.x0)),
+                            size_t(call.values + 1), film_.at(y, x));
+    }
+
+    RenderStats take_stats() {
+        RenderStats stats = paths_.take_stats();
+        stats.add(light_.take_stats());
+        return stats;
+    }
+
+protected:
+    // ------------------------------------------------------------------------------------------- vertices of paths
+    // Which samples the slots are: `first` .. `first` + n of the call.
+    void identify(uint64_t first, uint32_t n) {
+        auto &slots = paths_.slots;
+        for (uint32_t k = 0; k < n; ++k) {
+            const uint64_t sample = boundary_.first + first + k;
+            const int64_t *cell = boundary_.cells + 2 * (sample % boundary_.n_cells);
+            slots.pixel[k] = uint32_t(sample), slots.sample[k] = uint32_t(sample >> 32);
+            slots.column[k] = uint32_t(int32_t(cell[0])), slots.row[k] = uint32_t(int32_t(cell[1]));
+        }
+        std::fill_n(anchors_.level.at, n, NoVertex);
+    }
+    // Their paths from the camera.
+    template <class Stop>
+    void trace_paths(uint32_t n, Stop &&stop) {
+        paths_.start(n, false);
+        paths_.run(true, stop);
+    }
+    // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
+    static constexpr uint32_t OutlineBlock = 0x60000000u, PlaceBlock = OutlineBlock + 1;
+    RandomBits4<S> bits(uint32_t slot) const {
+        return random_bits4<S>(call_.config.seed, call_.config.sensor, paths_.slots.pixel[slot],
+                               paths_.slots.sample[slot], UIntOf<S>(OutlineBlock));
+    }
+    S number(uint32_t slot, int which) const { return uniform_of<S>(bits(slot).bits[which]); }
+    uint64_t tree_seed(uint32_t slot) const {
+        const RandomBits4<S> r = bits(slot);
+        return uint64_t(r.bits[2]) << 32 | r.bits[3];
+    }
+
+    // Calls visit(level, range) for the vertices that scatter smoothly.
+    template <class Visit>
+    void for_smooth(PathTile<F> &tile, Visit &&visit) {
+        Tape<S> &tape = tile.wavefront.tape;
+        for (int l = 0; l < tape.size(); ++l) {
+            if (!tape[l].scatters) continue;
+            for (const KindRange &range : tape[l].ranges)
+                if (range.kind < MissKind && bsdf_kernels<F>(range.kind).is(HasSmoothLobes)) visit(uint32_t(l), range);
+        }
+    }
+
+    // One vertex of each path, in proportion to its throughput; `inverse` becomes one over the probability.
+    void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse) {
+        Tape<S> &tape = paths_.wavefront.tape;
+        const size_t values = size_t(call_.values);
+        std::vector<double> total(n, 0), before(n, 0);
+        auto each = [&](auto &&visit) {
+            for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
+                const auto &v = tape[int(l)].columns.vertex;
+                for (uint32_t e = range.begin; e < range.begin + range.count; ++e) {
+                    double weight = 0;
+                    for (size_t c = 0; c < values; ++c) weight += std::fabs(double(v.beta[int(c)][e]));
+                    if (weight > 0 && std::isfinite(weight)) visit(v.slot[e], l, e, weight);
+                }
+            });
+        };
+        each([&](uint32_t slot, uint32_t, uint32_t, double weight) { total[slot] += weight; });
+        each([&](uint32_t slot, uint32_t l, uint32_t e, double weight) {
+            const double at = u[slot] * total[slot];
+            if (at >= before[slot] && at < before[slot] + weight)
+                anchors_.level[slot] = l, anchors_.entry[slot] = e, inverse[slot] = total[slot] / weight;
+            before[slot] += weight;
+        });
+    }
+
+    // Calls visit(columns, kind, i, slot, active) for packets of chosen vertices.
+    template <class Visit>
+    void for_chosen(Visit &&visit) {
+        Tape<S> &tape = paths_.wavefront.tape;
+        for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
+            const auto &columns = tape[int(l)].columns;
+            for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
+                M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
+                U slot = select(mask<U>(there), load_uint<F>(columns.vertex.slot.at + i), U(0u));
+                Gathered<F> from(slot, there);
+                M active = there && mask<F>(from(anchors_.level) == U(l)) &&
+                           mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
+                if (any(active)) visit(columns, range.kind, i, slot, active);
+            }
+        });
+    }
+    void find_lobes() {
+        for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
+            ScatteringLobe<F> lobe = scattering_lobe<F>(scene_, kind, columns, i, active);
+            put(anchors_.n, slot, lobe.n, active), put(anchors_.axis, slot, lobe.axis, active);
+            scatter_lanes<F>(anchors_.k.at, slot, lobe.k, active);
+            scatter_lanes<F>(anchors_.share.at, slot, lobe.share, active);
+        });
+    }
+    void find_normals() {
+        for_chosen([&](const TapeColumns<S> &columns, int, uint32_t i, const U &slot, const M &active) {
+            put(anchors_.ng, slot, geometric_normal<F>(scene_, columns, i, active), active);
+        });
+    }
+    // f and pdf from d.
+    void scatter_chosen() {
+        for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
+            Vec3<F> d = Gathered<F>(slot, active)(anchors_.d);
+            BsdfValue<F> value = scatter_towards<F>(scene_, kind, columns, i, d, paths_.wavefront.needs(), active);
+            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(anchors_.f[c], slot, value.f[c], active);
+            scatter_lanes<F>(anchors_.pdf.at, slot, value.pdf, active);
+        });
+    }
+    TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
+    V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
+    static void put_vector(const V &v, float *to) { to[0] = float(v.x), to[1] = float(v.y), to[2] = float(v.z); }
+    OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) const {
+        OutlineAnchor a{};
+        put_vector(p, a.p), put_vector(anchors_.n.get(slot), a.n), put_vector(anchors_.axis.get(slot), a.axis);
+        a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
+        a.parallel = 0, a.own = int32_t(shape);
+        return a;
+    }
+
+    // ------------------------------------------------------------------------------------------------- the camera
+    CameraSample<S> lens_of(uint32_t slot) const {
+        CameraSample<S> sample{S(0), S(0)};
+        const auto &slots = paths_.slots;
+        if (uses_lens(sensor()))
+            sample.choose_lens(draw4<S>(path_call_.config, slots.pixel[slot], slots.sample[slot], 0, 4));
+        return sample;
+    }
+    const Record &sensor() const { return scene_.sensors[call_.config.sensor]; }
+
+    // Area perpendicular to a camera ray, at that distance, of what a pixel sees.
+    S pixel_area(const CameraSample<S> &place, const V &d, S distance) const {
+        const S step = S(0.05), width = S(call_.film_width), height = S(call_.film_height);
+        auto end = [&](S x, S y) {
+            CameraSample<S> moved = place;
+            moved.x += x, moved.y += y;
+            const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), moved, width, height);
+            return ray.ray.o + ray.ray.d * distance;
+        };
+        const V x = (end(step, 0) - end(-step, 0)) * (1 / (2 * step)),
+                y = (end(0, step) - end(0, -step)) * (1 / (2 * step));
+        return std::fabs(dot(cross(x, y), d));
+    }
+
+    // ---------------------------------------------------------------------------------------------- rays and light
+    struct OutlineRay {
+        V o, d;
+    };
+    // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
+    static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S rim) {
+        const S distance = length(b - origin);
+        const S side = std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance));
+        const V at = b + across * (side + rim), o = offset_origin(origin, ng, unit(at - origin));
+        return {o, unit(at - o)};
+    }
+    // How far beside b rays that begin at a distance can be told apart: they are traced in single precision.
+    static S least_side(const V &b, S distance) { return S(8 * 0x1p-24) * (max_abs(b) + distance); }
+    static S length(const V &v) { return std::sqrt(dot(v, v)); }
+    static V unit(const V &v) { return v * (1 / std::max(length(v), S(1e-30))); }
+
+    // Nothing is before an outline's point, r away, on the free side (a sphere is met before its contour on the other);
+    // beside creases rays have to meet the crease's own faces. t: what rays on the side of -n and of n meet.
+    static bool is_open(S front, S r, const S (&t)[2], S tolerance) {
+        for (int side = 0; side < 2; ++side) {
+            const bool free = side == 0 ? front >= 0 : front <= 0;
+            if (free && t[side] < r * (1 - tolerance)) return false;
+            if (front == 0 && !(std::fabs(t[side] - r) < S(5e-3) * r)) return false;
+        }
+        return true;
+    }
+
+    // The share of what a point gets from another, at a distance, that samples from lights find.
+    double apart(double distance) const {
+        const double square = distance * distance;
+        return square / (square + boundary_.near * boundary_.near);
+    }
+
+    // Rays of these lengths, at most 2 Capacity, where queries find them.
+    template <class Length>
+    PathQueue<S> &fill(const std::vector<OutlineRay> &rays, Length &&length) {
+        PathQueue<S> &queue = light_.wavefront.queues[0];
+        for (size_t k = 0; k < rays.size(); ++k)
+            queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.length[k] = length(k);
+        return queue;
+    }
+    void trace(PathQueue<S> &queue, size_t n) {
+        queries().intersect(rays_of(queue), n, false);
+        light_.wavefront.stats.closest_rays += n;
+    }
+    void intersect(const std::vector<OutlineRay> &rays) {
+        trace(fill(rays, [](size_t) { return S(INFINITY); }), rays.size());
+    }
+    RayQueries<S> &queries() { return light_.wavefront.queries; }
+    S distance(size_t i) {
+        const HitColumns<S> &hits = queries().hits;
+        return hits.at.shape[i] == NoHit ? S(INFINITY) : hits.t[i];
+    }
+
+    // Radiance along rays behind `depth` vertices, into the slots of `light_`; pdf: with which density their directions
+    // are sampled beside lights, 0 where they alone find the light.
+    template <class Stop>
+    void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
+                 const std::vector<uint32_t> &key, int depth, Stop &&stop) {
+        const uint32_t n = uint32_t(rays.size());
+        light_.begin(n);
+        auto &slots = light_.slots;
+        PathQueue<S> &queue = light_.wavefront.queues[0];
+        for (uint32_t k = 0; k < n; ++k) {
+            slots.pixel[k] = key[k], slots.sample[k] = 0, slots.row[k] = slots.column[k] = 0;
+            slots.alpha[k] = 0;
+            for (int c = 0; c < SpectrumSize; ++c)
+                slots.radiance[c][k] = 0, queue.beta[c][k] = 1, queue.survival[c][k] = 1;
+            queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.from.set(k, rays[k].o);
+            queue.length[k] = lengths[k], queue.pdf[k] = pdf[k], queue.eta[k] = 1;
+            queue.slot[k] = k, queue.parent[k] = queue.seen[k] = 0;
+        }
+        queue.n = n;
+        light_.run(false, stop, depth);
+    }
+
+    // ------------------------------------------------------------------------------------------------------- sums
+    // What a sample on the film gets of the adjoint.
+    void collect(uint32_t slot, double *to) const {
+        const auto &slots = paths_.slots;
+        film_.collect(call_.filter, int32_t(slots.row[slot]), int32_t(slots.column[slot]), double(slots.film_y[slot]),
+                      double(slots.film_x[slot]), to);
+    }
+    void collect_at(S x, S y, double *to) const {
+        film_.collect(call_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
+    }
+    // Whether a pixel that is wanted may get something of it.
+    bool near_film(S x, S y) const {
+        const S reach = S(call_.filter.reach());
+        return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
+               y < S(call_.crop.y1) + reach;
+    }
+    // Forward mode: what the sample of a slot adds to the film.
+    void write_value(uint64_t row, const SlotColumns<S> &slots, uint32_t slot) const {
+        double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(call_.values + 1) * row;
+        place[0] = double(slots.film_x[slot]), place[1] = double(slots.film_y[slot]);
+        for (int c = 0; c < call_.values; ++c) value[c] = double(slots.radiance[c][slot]);
+    }
+
+    void add_to_outline(int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
+        outlines_.spread(
+            element, s, p,
+            [&](uint32_t shape, uint32_t index, S share) {
+                if (sink.wants(shape)) sink.vertex(index, p_bar * share);
+            },
+            [&](uint32_t shape, const V &local) {
+                if (sink.wants(shape)) sink.matrix(shape, local, p_bar);
+            });
+    }
+    void add_glued(uint32_t slot, const SurfacePoint<S> &at, const V &p, const V &p_bar) {
+        const uint32_t k = glued_.n++;
+        glued_.slot[k] = slot;
+        glued_.at.shape[k] = at.shape, glued_.at.primitive[k] = at.primitive;
+        glued_.at.b1[k] = at.b1, glued_.at.b2[k] = at.b2;
+        glued_.p.set(k, p), glued_.p_bar.set(k, p_bar);
+    }
+    // Hands on the adjoints of points that are glued to lights; derivatives go to these slots.
+    void sweep_glued(GradientSink<F> &sink, const SlotColumns<S> &slots) {
+        for (uint32_t i = 0; i < glued_.n; i += W) {
+            Entries<F> from(i);
+            M there = mask<F>(lane_index<F>() < U(glued_.n - i));
+            SurfacePoint<F> at = from(glued_.at);
+            at.shape = select(mask<U>(there), at.shape, U(0u));
+            M active = sink.wants_shape(at.shape, there);
+            sink.begin();
+            if (any(active)) sweep_position(scene_, at, from(glued_.p), from(glued_.p_bar), active, sink);
+            if (sink.forward) add_to_entries<F>(slots.radiance, from(glued_.slot), sink.derivative, active);
+        }
+        glued_.n = 0;
+    }
+    // ... those of the chosen vertices of paths.
+    void sweep_paths(GradientSink<F> &sink) {
+        auto nothing = [](const U &, const Vec3<F> &, const M &) {};
+        sweep_places(paths_, paths_.slots, sink, true, nothing,
+                     [&](int level, uint32_t i, const U &slot, const M &there) {
+                         Gathered<F> from(slot, there);
+                         M chosen = there && mask<F>(from(anchors_.level) == U(uint32_t(level))) &&
+                                    mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
+                         return select(chosen, from(anchors_.p_bar), Vec3<F>{F(0), F(0), F(0)});
+                     });
+    }
+    // From the last level of the tape to the first; own(level, i, slot, there): the adjoint of a vertex's place.
+    // Derivatives go to `slots`, adjoints of where rays began that are not the camera's to begin(slot, o_bar, active).
+    template <class Begin, class Own>
+    void sweep_places(PathTile<F> &tile, const SlotColumns<S> &slots, GradientSink<F> &sink, bool from_camera,
+                      Begin &&begin, Own &&own) {
+        Tape<S> &tape = tile.wavefront.tape;
+        SweepContext<F> c{scene_,
+                          path_call_.config,
+                          slots,
+                          tile.wavefront.needs(),
+                          S(call_.film_width),
+                          S(call_.film_height),
+                          nullptr,
+                          false,
+                          from_camera};
+        for (int l = tape.size() - 1; l >= 0; --l) {
+            TapeLevel<S> &level = tape[l];
+            const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
+            for (const KindRange &range : level.ranges) {
+                if (range.kind >= MissKind) continue;
+                for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
+                    M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
+                    U slot = select(mask<U>(there), load_uint<F>(level.columns.vertex.slot.at + i), U(0u));
+                    Vec3<F> p_bar = own(l, i, slot, there);
+                    Entries<F> from(i);
+                    const auto &next = level.columns.next;
+                    M active =
+                        there &&
+                        mask<F>(max_abs(p_bar) + max_abs(from(next.ray_o_bar)) + max_abs(from(next.ray_d_bar)) > F(0));
+                    if (!any(active)) continue;
+                    Vec3<F> o_bar =
+                        sweep_place(c, level.columns, parents, range.kind, level.scatters, i, p_bar, active, sink);
+                    if (!parents && !from_camera) begin(slot, o_bar, active);
+                }
+            }
+        }
+        // the next sweep finds none of this
+        for (int l = 0; l < tape.size(); ++l)
+            for (const KindRange &range : tape[l].ranges)
+                for (S *p : {tape[l].columns.next.ray_o_bar.x, tape[l].columns.next.ray_o_bar.y,
+                             tape[l].columns.next.ray_o_bar.z, tape[l].columns.next.ray_d_bar.x,
+                             tape[l].columns.next.ray_d_bar.y, tape[l].columns.next.ray_d_bar.z})
+                    std::fill_n(p + range.begin, range.count, S(0));
+    }
+
+    static void put(const VectorColumn<S> &column, const U &slot, const Vec3<F> &v, const M &active) {
+        scatter_lanes<F>(column.x, slot, v.x, active), scatter_lanes<F>(column.y, slot, v.y, active);
+        scatter_lanes<F>(column.z, slot, v.z, active);
+    }
+
+private:
+    Arena arena_, glued_arena_;
+    FilmBlock film_;
+};
+
+}  // namespace tr

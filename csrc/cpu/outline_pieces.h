@@ -1,0 +1,164 @@
+// Outlines that a camera may see, cut into pieces of some pixels' length, from which one is chosen by its length on the
+// film.
+#pragma once
+
+#include <cmath>
+#include <vector>
+
+#include "core/sensor/camera.h"
+#include "host/parallel.h"
+#include "outline_points.h"
+#include "render.h"
+
+namespace tr {
+
+struct OutlinePiece {
+    int32_t element;
+    float begin, end, weight;  // of its parameter; of a piece
+};
+
+struct OutlinePieces {
+    std::vector<OutlinePiece> all;
+    std::vector<double> cdf;  // lengths on the film in pixels, added up
+
+    double total() const { return cdf.empty() ? 0 : cdf.back(); }
+};
+
+template <class S>
+class OutlineCutter {
+    using V = Vec3<S>;
+    static constexpr S Pixels = 16;                // length of a piece on the film
+    static constexpr int Most = 256, Fewest = 32;  // pieces of an outline, and of a curve
+
+public:
+    OutlineCutter(const RenderCall<S> &call, const OutlineSet &set)
+        : call_(call), set_(set), outlines_(*call.scene, set), record_(call.scene->sensors[call.config.sensor]) {
+        const S width = S(call.film_width), height = S(call.film_height);
+        CameraSample<S> middle{width / 2, height / 2};
+        const CameraRay<S> ray = camera_ray<S>(*call.scene, record_, middle, width, height);
+        parallel_ = record_.kind == kind_of_model<Orthographic>(Sensors{});
+        origin_ = parallel_ ? ray.ray.d : ray.center;
+        if (record_.kind == kind_of_model<ThinLens>(Sensors{}))
+            lens_ = call.scene->values.constants[record_.field[ThinLens::ApertureRadius]];
+        panorama_ = record_.kind == kind_of_model<Panorama>(Sensors{});
+        if (call.pixels) find_near();
+    }
+
+    OutlinePieces cut() const {
+        const std::vector<OutlineElement> &elements = set_.tree().elements();
+        std::vector<std::vector<OutlinePiece>> found(size_t(std::max(1, call_.threads)));
+        std::vector<std::vector<double>> lengths(found.size());
+        for_ranges(elements.size(), call_.threads, [&](size_t begin, size_t end, int range) {
+            for (size_t i = begin; i < end; ++i) {
+                const float weight = candidate(elements[i]);
+                if (weight > 0) cut(elements[i].index, weight, found[size_t(range)], lengths[size_t(range)]);
+            }
+        });
+        OutlinePieces r;
+        double sum = 0;
+        for (size_t k = 0; k < found.size(); ++k) {
+            r.all.insert(r.all.end(), found[k].begin(), found[k].end());
+            for (double length : lengths[k]) r.cdf.push_back(sum += length);
+        }
+        return r;
+    }
+
+private:
+    const RenderCall<S> &call_;
+    const OutlineSet &set_;
+    const Outlines<S> outlines_;
+    const Record &record_;
+    bool parallel_, panorama_;
+    V origin_;  // of rays, or, `parallel_`, their direction
+    S lens_ = 0;
+    std::vector<uint32_t> near_;  // with a list of pixels: how many of it are above and to the left, in the crop
+
+    // Whether an element that moves can be an outline or a crease from the camera: a weight.
+    float candidate(const OutlineElement &e) const {
+        if (!set_.moves(size_t(e.index)) || !(e.weight > 0)) return 0;
+        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return 1;
+        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)},
+            d = parallel_ ? o : Vec3<float>{e.a[0], e.a[1], e.a[2]} - o;
+        const float s0 = e.n0[0] * d.x + e.n0[1] * d.y + e.n0[2] * d.z,
+                    s1 = e.n1[0] * d.x + e.n1[1] * d.y + e.n1[2] * d.z;
+        const float margin = float(lens_) + 1e-5f * std::sqrt(dot(d, d));
+        const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
+        if (!same) return 1;
+        return e.kind == OutlineElement::Crease && (e.bend > 1e-6f) ? std::min(std::max(e.bend, 0.05f), 1.f) : 0.f;
+    }
+
+    struct OnFilm {
+        S length, x, y;  // of it, roughly, and the place of its middle
+        bool seen;
+    };
+    OnFilm on_film(int32_t element, S begin, S end, int steps) const {
+        const S width = S(call_.film_width), height = S(call_.film_height);
+        OnFilm r{0, S(NAN), S(NAN), false};
+        S before[2] = {};
+        bool was = false;
+        for (int i = 0; i <= steps; ++i) {
+            const V p = outlines_.place(element, begin + (end - begin) * S(i) / S(steps), origin_, parallel_);
+            CameraSample<S> at{S(0), S(0)};
+            const bool is = film_place<S>(*call_.scene, record_, p, width, height, at) && std::isfinite(at.x) &&
+                            std::isfinite(at.y);
+            if (i > 0 && is && was) {
+                S step = std::sqrt((at.x - before[0]) * (at.x - before[0]) + (at.y - before[1]) * (at.y - before[1]));
+                r.length += panorama_ ? std::min(step, width / 4) : step;  // (around the seam)
+            } else if (i > 0 && is != was) {
+                r.length += Pixels * 2;  // nobody knows
+            }
+            r.seen |= is;
+            before[0] = at.x, before[1] = at.y, was = is;
+            if (2 * i == steps && is) r.x = at.x, r.y = at.y;
+        }
+        r.seen |= lens_ > 0;
+        return r;
+    }
+
+    void cut(int32_t element, float weight, std::vector<OutlinePiece> &to, std::vector<double> &lengths) const {
+        const OnFilm whole = on_film(element, S(0), S(1), 8);
+        if (!whole.seen) return;
+        int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
+        if (!set_.is_edge(size_t(element))) n = std::max(n, Fewest);
+        for (int i = 0; i < n; ++i) {
+            const S begin = S(i) / S(n), end = S(i + 1) / S(n);
+            const OnFilm piece = on_film(element, begin, end, 2);
+            const S length = std::min(piece.length, S(call_.crop.height() + call_.crop.width()));
+            if (!piece.seen || !(length > 0) || !is_near(piece, length)) continue;
+            to.push_back({element, float(begin), float(end), weight});
+            lengths.push_back(double(weight) * double(length));
+        }
+    }
+
+    // Whether wanted pixels may get something of it.
+    bool is_near(const OnFilm &piece, S length) const {
+        if (!std::isfinite(piece.x) || !std::isfinite(piece.y)) return true;
+        const Rect &crop = call_.crop;
+        const S margin =
+            length + S(call_.filter.reach() + 1) + (lens_ > 0 ? S(crop.height() + crop.width()) / 2 : S(0));
+        const S x = piece.x - S(crop.x0), y = piece.y - S(crop.y0);
+        if (!(x > -margin && x < S(crop.width()) + margin && y > -margin && y < S(crop.height()) + margin))
+            return false;
+        if (near_.empty()) return true;
+        const int reach = int(margin) + int(Pixels);
+        auto count = [&](int row, int column) {
+            row = std::clamp(row, 0, crop.height()), column = std::clamp(column, 0, crop.width());
+            return near_[size_t(row) * size_t(crop.width() + 1) + size_t(column)];
+        };
+        const int row = int(y), column = int(x);
+        return count(row + reach + 1, column + reach + 1) + count(row - reach, column - reach) >
+               count(row - reach, column + reach + 1) + count(row + reach + 1, column - reach);
+    }
+    void find_near() {
+        const size_t width = size_t(call_.crop.width()) + 1, height = size_t(call_.crop.height()) + 1;
+        near_.assign(width * height, 0);
+        for (const Pixel &p : *call_.pixels)
+            ++near_[size_t(p.y - call_.crop.y0 + 1) * width + size_t(p.x - call_.crop.x0 + 1)];
+        for (size_t y = 1; y < height; ++y)
+            for (size_t x = 1; x < width; ++x)
+                near_[y * width + x] +=
+                    near_[(y - 1) * width + x] + near_[y * width + x - 1] - near_[(y - 1) * width + x - 1];
+    }
+};
+
+}  // namespace tr

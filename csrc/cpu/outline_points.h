@@ -1,0 +1,140 @@
+// Points on outlines: where rays that pass an edge of a mesh, or the contour, rim or line of a quadric, touch it; on
+// which side of the ray something is that hides what is behind; and what gets the derivative of such a point.
+#pragma once
+
+#include <cmath>
+
+#include "core/adjoint/gradient_sink.h"
+#include "host/outline_set.h"
+
+namespace tr {
+
+template <class S>
+struct OutlinePoint {
+    Vec3<S> p, along;    // and its derivative by the parameter
+    bool valid = false;  // it is an outline from there, or a crease
+    S front = 0;         // 1: what hides is on the side of (direction of the ray) x along; -1: on the other; 0: crease
+    S room = S(INFINITY);  // how far across the ray the faces beside it reach
+    S rim = 0;             // how far across it, in front, interpolated normals look away
+};
+
+template <class S>
+class Outlines {
+    using V = Vec3<S>;
+
+public:
+    Outlines(const SceneView<S> &scene, const OutlineSet &set) : scene_(scene), set_(set) {}
+
+    // At the parameter s of an element, as rays from `origin`, or along the unit vector of this name if `parallel`, see
+    // it.
+    OutlinePoint<S> point(int32_t element, S s, const V &origin, bool parallel) const {
+        return set_.is_edge(size_t(element)) ? edge_point(size_t(element), s, origin, parallel)
+                                             : curve_point(set_.curve(size_t(element)), s, origin, parallel);
+    }
+    // Its place alone.
+    V place(int32_t element, S s, const V &origin, bool parallel) const {
+        if (!set_.is_edge(size_t(element))) return curve_point(set_.curve(size_t(element)), s, origin, parallel).p;
+        const HalfEdge &h = *set_.halves(size_t(element));
+        const V a = position(h.v0);
+        return a + (position(h.v1) - a) * s;
+    }
+
+    // Hands the adjoint of such a point on: `vertex(shape, index, share)` for every vertex of an edge, `matrix(shape,
+    // local)` of a quadric.
+    template <class Vertex, class Matrix>
+    void spread(int32_t element, S s, const V &p, Vertex &&vertex, Matrix &&matrix) const {
+        if (!set_.is_edge(size_t(element))) {
+            const uint32_t shape = uint32_t(set_.curve(size_t(element)).shape);
+            return matrix(shape, transform_point(scene_.shape_matrices + 24 * shape + 12, p));
+        }
+        const HalfEdge *h = set_.halves(size_t(element));
+        const size_t n = set_.count(size_t(element));
+        for (size_t k = 0; k < n; ++k) {  // copies of a vertex share its motion
+            vertex(uint32_t(h[k].shape), h[k].v0, (S(1) - s) / S(n));
+            vertex(uint32_t(h[k].shape), h[k].v1, s / S(n));
+        }
+    }
+
+private:
+    const SceneView<S> &scene_;
+    const OutlineSet &set_;
+
+    const VertexRow<S> &vertex(uint32_t i) const { return reinterpret_cast<const VertexRow<S> *>(scene_.vertices)[i]; }
+    V position(uint32_t i) const { return vec(vertex(i).p); }
+    V normal(uint32_t i) const { return vec(vertex(i).n); }
+    static V vec(const S *a) { return {a[0], a[1], a[2]}; }
+    static S sign(S x) { return S(x > 0) - S(x < 0); }
+
+    OutlinePoint<S> edge_point(size_t edge, S s, const V &origin, bool parallel) const {
+        const HalfEdge *h = set_.halves(edge);
+        const size_t n = set_.count(edge);
+        const V a = position(h->v0), b = position(h->v1);
+        OutlinePoint<S> r;
+        r.along = b - a, r.p = a + r.along * s;
+        const V towards = parallel ? origin : r.p - origin, across = cross(towards, r.along);
+        const S length = std::sqrt(dot(across, across)), inverse = 1 / std::max(length, S(1e-30));
+        bool right = false, left = false;
+        for (size_t k = 0; k < n; ++k) {
+            const S side = dot(position(h[k].third) - a, across);
+            right |= side > 0, left |= side < 0;
+            r.room = std::min(r.room, std::abs(side) * inverse);
+        }
+        const bool flat = !(scene_.shapes[h->shape].flags & HasNormals), both = right && left;
+        r.valid = !both || set_.is_split(edge) || flat;
+        r.front = both ? S(0) : S(right) - S(left);
+        if (r.front != 0) r.rim = rim(h, n, s, towards, a, across, inverse);
+        return r;
+    }
+
+    // How far across rays, on faces that are seen, interpolated normals look away from where these come from. There a
+    // surface is black although it is seen. That ends at a line on the face, which moves about like the edge, and what
+    // is beyond is what the edge's motion uncovers.
+    S rim(const HalfEdge *first, size_t n, S s, const V &towards, const V &a, const V &across, S inverse) const {
+        for (const HalfEdge *h = first; h < first + n; ++h) {
+            const V out = cross(position(h->v1) - a, position(h->third) - a);
+            if (!(dot(out, towards) * (h->turned ? S(-1) : S(1)) < 0)) continue;
+            if (!(scene_.shapes[h->shape].flags & HasNormals)) return 0;
+            const S at_edge = dot(normal(h->v0) * (S(1) - s) + normal(h->v1) * s, towards);
+            if (!(at_edge > 0)) return 0;
+            const S inside = std::min(dot(normal(h->third), towards), S(0));
+            const S share = std::min(at_edge / std::max(at_edge - inside, S(1e-30)), S(1));
+            return share * std::abs(dot(position(h->third) - a, across)) * inverse;
+        }
+        return 0;
+    }
+
+    OutlinePoint<S> curve_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
+        const S *m = scene_.shape_matrices + 24 * size_t(curve.shape);
+        const V o = parallel ? transform_vector(m + 12, origin) : transform_point(m + 12, origin);
+        const bool round = curve.kind == OutlineCurve::Contour, line = curve.kind >= OutlineCurve::LeftLine;
+        const V flat{o.x, o.y, round ? o.z : S(0)};  // of a cylinder across its axis
+        const S square = dot(flat, flat);
+        OutlinePoint<S> r;
+        r.valid = parallel ? square > 0 : square > 1 || !(round || line);
+        const S length = r.valid && square > 0 ? std::sqrt(square) : S(1);
+        const V axis = flat * (1 / length);
+        // the circle (pair of points) of tangency: its centre and radius
+        const S near = parallel || !r.valid ? S(0) : 1 / length, radius = std::sqrt(std::max(S(0), 1 - near * near));
+        const S phi = S(2 * Pi) * s, cosine = std::cos(phi), sine = std::sin(phi), turn = S(2 * Pi);
+        V local, along;
+        if (round) {
+            V u, v;
+            coordinate_system(axis, u, v);
+            local = axis * near + (u * cosine + v * sine) * radius;
+            along = (v * cosine - u * sine) * (radius * turn);
+        } else if (line) {
+            const S side = curve.kind == OutlineCurve::LeftLine ? S(1) : S(-1);
+            local = axis * near + V{-axis.y * side, axis.x * side, S(0)} * radius + V{S(0), S(0), s};
+            along = {S(0), S(0), S(1)};
+        } else {
+            local = {cosine, sine, S(curve.kind == OutlineCurve::UpperRim ? 1 : 0)};
+            along = {-sine * turn, cosine * turn, S(0)};
+        }
+        r.p = transform_point(m, local), r.along = transform_vector(m, along);
+        const V middle = transform_vector(m, V{-local.x, -local.y, round ? -local.z : S(0)});
+        r.front = sign(dot(cross(parallel ? origin : r.p - origin, r.along), middle));
+        return r;
+    }
+};
+
+}  // namespace tr

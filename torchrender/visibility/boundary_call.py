@@ -1,0 +1,63 @@
+"""Which derivatives of moving outlines a rendering has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from ..render_call import RenderCall
+from ..scene.declaration import models
+from ..scene.gather import has_derivative
+from ..scene.packing import Layout
+from ..scene.scene import Scene
+
+PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
+SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama")  # on whose films outlines can be found
+MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
+
+
+@dataclass
+class BoundaryCall:
+    """The boundary term of one rendering.
+
+    `spp` samples a wanted pixel of outlines that the camera sees, and of those that points on surfaces see; `moves`
+    says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples.
+    """
+
+    call: RenderCall
+    scene: Scene
+    spp: tuple[int, int]
+    moves: torch.Tensor
+    by_length: bool
+
+
+def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
+    """The types of all objects of a category, and the slots of what may place them."""
+    found = []
+    for kind, numbers, _ in layout.objects[category]:
+        fields = models()[category, kind].fields
+        slots = [n for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
+        found.append((kind, slots))
+    return found
+
+
+def boundary_of(
+    scene: Scene, call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]
+) -> BoundaryCall | None:
+    """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
+    kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]
+    if kind not in SENSORS or spp == (0, 0):
+        return None
+
+    def asked(slots: Sequence[int]) -> bool:
+        return any(has_derivative(tensors[n]) for n in slots)
+
+    camera = asked(slots)
+    moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
+    lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
+    if not any(moves) and not lights:
+        return None
+    usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 8)  # as efficient as twice as many of the second
+    return BoundaryCall(call, scene, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None)
