@@ -162,7 +162,7 @@ private:
             x.slot = k, x.far = light.is(IsInfinite);
             const V y = at_.y.get(k), yn = at_.yn.get(k), origin = x.far ? at_.travel.get(k) : y;
             OutlineAnchor anchor{};
-            Base::put_vector(origin, anchor.p), Base::put_vector(yn, anchor.n), Base::put_vector(yn, anchor.axis);
+            anchor.p = Base::single(origin), anchor.n = anchor.axis = Base::single(yn);
             anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
             const OutlineChoice chosen = boundary_.outlines->tree().choose(anchor, this->tree_seed(k));
             if (chosen.element < 0) continue;

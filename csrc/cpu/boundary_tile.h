@@ -229,12 +229,12 @@ protected:
     }
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
     V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
-    static void put_vector(const V &v, float *to) { to[0] = float(v.x), to[1] = float(v.y), to[2] = float(v.z); }
+    static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
     OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) const {
         OutlineAnchor a{};
-        put_vector(p, a.p), put_vector(anchors_.n.get(slot), a.n), put_vector(anchors_.axis.get(slot), a.axis);
+        a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = 0, a.own = int32_t(shape);
+        a.parallel = false, a.own = int32_t(shape);
         return a;
     }
 

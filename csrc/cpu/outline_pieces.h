@@ -45,13 +45,14 @@ public:
     }
 
     OutlinePieces cut() const {
-        const std::vector<OutlineElement> &elements = set_.tree().elements();
+        const OutlineTree &tree = set_.tree();
         std::vector<std::vector<OutlinePiece>> found(size_t(std::max(1, call_.threads)));
         std::vector<std::vector<double>> lengths(found.size());
-        for_ranges(elements.size(), call_.threads, [&](size_t begin, size_t end, int range) {
+        for_ranges(tree.size(), call_.threads, [&](size_t begin, size_t end, int range) {
             for (size_t i = begin; i < end; ++i) {
-                const float weight = candidate(elements[i]);
-                if (weight > 0) cut(elements[i].index, weight, found[size_t(range)], lengths[size_t(range)]);
+                const OutlineElement e = tree.get(i);
+                const float weight = candidate(e);
+                if (weight > 0) cut(e.index, weight, found[size_t(range)], lengths[size_t(range)]);
             }
         });
         OutlinePieces r;
@@ -77,10 +78,8 @@ private:
     float candidate(const OutlineElement &e) const {
         if (!set_.moves(size_t(e.index)) || !(e.weight > 0)) return 0;
         if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return 1;
-        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)},
-            d = parallel_ ? o : Vec3<float>{e.a[0], e.a[1], e.a[2]} - o;
-        const float s0 = e.n0[0] * d.x + e.n0[1] * d.y + e.n0[2] * d.z,
-                    s1 = e.n1[0] * d.x + e.n1[1] * d.y + e.n1[2] * d.z;
+        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)}, d = parallel_ ? o : e.a - o;
+        const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
         const float margin = float(lens_) + 1e-5f * std::sqrt(dot(d, d));
         const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
         if (!same) return 1;

@@ -14,8 +14,6 @@ constexpr float Hollow = 0.1f;  // ... of edges that can be seen from behind onl
 
 using V = Vec3<float>;
 
-void put(const V &v, float *p) { p[0] = v.x, p[1] = v.y, p[2] = v.z; }
-
 template <class S>
 V place_of(const SceneView<S> &scene, uint32_t vertex) {
     const S *p = scene.vertices + VertexRow<S>::Size * size_t(vertex);
@@ -84,12 +82,12 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int thr
         std::vector<float> places(3 * size());
         for (size_t i = 0; i < size(); ++i) {
             const OutlineElement e = is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
-            for (size_t k = 0; k < 3; ++k) places[3 * i + k] = is_edge(i) ? 0.5f * (e.a[k] + e.b[k]) : e.a[k];
+            const V p = is_edge(i) ? (e.a + e.b) * 0.5f : e.a;
+            places[3 * i] = p.x, places[3 * i + 1] = p.y, places[3 * i + 2] = p.z;
         }
         order_ = morton_order(places.data(), size());
     }
-    std::vector<OutlineElement> &elements = tree_.elements();
-    elements.resize(size());
+    tree_.resize(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t k = begin; k < end; ++k) {
             const size_t i = size_t(order_[k]);
@@ -99,9 +97,10 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int thr
             else
                 any = moves[curve(i).shape] != 0;
             moves_[i] = any;
-            elements[k] = is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
-            elements[k].weight *= any ? 1.f : Still;
-            elements[k].index = int32_t(i);
+            OutlineElement e = is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
+            e.weight *= any ? 1.f : Still;
+            e.index = int32_t(i);
+            tree_.set(k, e);
         }
     });
     tree_.build(threads);
@@ -117,7 +116,7 @@ OutlineElement OutlineSet::edge_element(const SceneView<S> &scene, size_t edge) 
     const bool flat = !(scene.shapes[h->shape].flags & HasNormals), split = is_split(edge);
     float bend = std::max(0.f, 1 - dot(n0, n1));
     OutlineElement e{};
-    put(a, e.a), put(b, e.b), put(n0, e.n0), put(n1, e.n1);
+    e.a = a, e.b = b, e.n0 = n0, e.n1 = n1;
     e.weight = bend > 1e-7f || split || n != 2 ? 1.f : 0.f;
     if (n == 2 && dot(n0, place_of(scene, h[1].third) - a) > 0) e.weight *= Hollow;
     e.bend = split ? std::max(bend, 0.05f) : bend;
@@ -136,9 +135,9 @@ OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t eleme
     const bool line = c.kind >= OutlineCurve::LeftLine;
     OutlineElement e{};
     e.kind = OutlineElement::Round, e.shape = c.shape, e.bend = 1, e.weight = line ? 0.3f : 1.f;
-    put(c.kind == OutlineCurve::UpperRim ? place + z : line ? place + z * 0.5f : place, e.a);
+    e.a = c.kind == OutlineCurve::UpperRim ? place + z : line ? place + z * 0.5f : place;
     // a line is somewhere on the cylinder, around its axis
-    e.b[0] = c.kind == OutlineCurve::Contour ? stretch(x, y, z) : line ? across + 0.5f * norm(z) : across;
+    e.b.x = c.kind == OutlineCurve::Contour ? stretch(x, y, z) : line ? across + 0.5f * norm(z) : across;
     return e;
 }
 

@@ -4,7 +4,6 @@
 #include <cmath>
 #include <numeric>
 
-#include "core/math/vector.h"
 #include "parallel.h"
 
 namespace tr {
@@ -12,10 +11,12 @@ namespace tr {
 namespace {
 
 using V = Vec3<float>;
+using F = PacketOf<float>;
+using M = MaskOf<F>;
+constexpr size_t W = size_t(Lanes<F>::Width);
 constexpr float pi = float(Pi);
+static_assert(OutlineTree::Wide % W == 0);
 
-V vec(const float *p) { return {p[0], p[1], p[2]}; }
-void put(const V &v, float *p) { p[0] = v.x, p[1] = v.y, p[2] = v.z; }
 V unit(const V &a) {
     const float length = norm(a);
     return length > 0 ? a * (1 / length) : V{0, 0, 1};
@@ -33,142 +34,221 @@ struct Numbers {
     double uniform() { return double(bits() >> 11) * 0x1p-53; }
 };
 
+template <class T>
+Vec3<F> load_vector(const T &columns, size_t i) {
+    return {load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
+}
+template <class T>
+V lane_of(const T &columns, size_t k) {
+    return {columns[0][k], columns[1][k], columns[2][k]};
+}
+template <class T>
+void put_lane(const V &v, T &columns, size_t k) {
+    columns[0][k] = v.x, columns[1][k] = v.y, columns[2][k] = v.z;
+}
+Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
+
 // What about is scattered towards directions around the unit vector d, within an angle.
-float scattered(const OutlineAnchor &from, const V &d, float cos_angle, float sin_angle) {
+F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
     auto nearest = [&](const V &axis) {  // cosine of the least angle to `axis`
-        const float c = std::clamp(dot(axis, d), -1.f, 1.f);
-        if (c >= cos_angle) return 1.f;
-        return c * cos_angle + std::sqrt(std::max(0.f, 1 - c * c)) * sin_angle;
+        const F c = max(F(-1), min(F(1), dot(widen(axis), d)));
+        const F turned = c * cos_angle + sqrt(max(F(0), F(1) - c * c)) * sin_angle;
+        return select(mask<F>(c >= cos_angle), F(1), turned);
     };
-    const V n = vec(from.n);
-    const float cosine = dot(n, n) > 0 ? std::max(0.f, nearest(n)) : 1.f;
-    if (cosine <= 0 || from.share <= 0) return cosine;
+    const F cosine = squared_norm(from.n) > 0 ? max(F(0), nearest(from.n)) : F(1);
+    if (from.share <= 0) return cosine;
     // a tail keeps what the lobe's model leaves out
-    return (1 - from.share) * cosine + from.share * (std::exp(from.k * (nearest(vec(from.axis)) - 1)) + 0.02f * cosine);
+    return cosine * F(1 - from.share + 0.02f * from.share) +
+           select(mask<F>(cosine > F(0)), exp((nearest(from.axis) - F(1)) * F(from.k)) * F(from.share), F(0));
+}
+
+// The number of the first of n weights whose sum with those before exceeds u times all, u becoming what is left of it.
+size_t pick(const float *weight, size_t n, float total, double &u) {
+    double at = u * double(total);
+    size_t last = 0;
+    for (size_t k = 0; k < n; ++k) {
+        if (!(weight[k] > 0)) continue;
+        if (at < double(weight[k])) {
+            u = std::min(at / double(weight[k]), 1 - 0x1p-53);
+            return k;
+        }
+        at -= double(weight[k]);
+        last = k;
+    }
+    u = 0.5;  // by rounding
+    return last;
 }
 
 }  // namespace
 
-void OutlineTree::build(int threads) {
-    const size_t leaves = (elements_.size() + Leaf - 1) / Leaf;
-    first_leaf_ = 1;
-    while (first_leaf_ < leaves) first_leaf_ *= 2;
-    nodes_.assign(2 * first_leaf_, Node{{0, 0, 0}, 0, {0, 0, 1}, 1, 0, 0});
-    for_ranges(leaves, threads, [&](size_t begin, size_t end, int) {
-        for (size_t i = begin; i < end; ++i)
-            nodes_[first_leaf_ + i] = node_of(i * Leaf, std::min(elements_.size(), (i + 1) * Leaf));
-    });
-    for (size_t level = first_leaf_ / 2; level > 0; level /= 2)
-        for_ranges(level, threads, [&](size_t begin, size_t end, int) {
-            for (size_t i = level + begin; i < level + end; ++i) nodes_[i] = united(nodes_[2 * i], nodes_[2 * i + 1]);
-        });
+void OutlineTree::resize(size_t n) {
+    n_ = n;
+    leaves_.resize((n + Wide - 1) / Wide);
+    if (!leaves_.empty()) leaves_.back() = {};
 }
 
-OutlineTree::Node OutlineTree::node_of(size_t begin, size_t end) const {
+void OutlineTree::set(size_t i, const OutlineElement &e) {
+    Elements &leaf = leaves_[i / Wide];
+    const size_t k = i % Wide;
+    put_lane(e.a, leaf.a, k), put_lane(e.b, leaf.b, k), put_lane(e.n0, leaf.n0, k), put_lane(e.n1, leaf.n1, k);
+    leaf.weight[k] = e.weight, leaf.bend[k] = e.bend;
+    leaf.kind[k] = e.kind, leaf.shape[k] = e.shape, leaf.index[k] = e.index;
+}
+
+OutlineElement OutlineTree::get(size_t i) const {
+    const Elements &leaf = leaves_[i / Wide];
+    const size_t k = i % Wide;
+    return {lane_of(leaf.a, k), lane_of(leaf.b, k), lane_of(leaf.n0, k), lane_of(leaf.n1, k), leaf.weight[k],
+            leaf.bend[k],       leaf.kind[k],       leaf.shape[k],       leaf.index[k]};
+}
+
+void OutlineTree::build(int threads) {
+    levels_.clear();
+    size_t n = leaves_.size();
+    for (bool first = true; n > 0; first = false) {
+        std::vector<Nodes> level((n + Wide - 1) / Wide);
+        const std::vector<Nodes> *below = first ? nullptr : &levels_.back();
+        for_ranges(n, threads, [&](size_t begin, size_t end, int) {
+            for (size_t i = begin; i < end; ++i)
+                put(below ? united((*below)[i]) : node_of(leaves_[i]), level[i / Wide], i % Wide);
+        });
+        levels_.push_back(std::move(level));
+        n = levels_.back().size();
+        if (n == 1) break;
+    }
+}
+
+void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
+    put_lane(node.center, to.center, k), put_lane(node.axis, to.axis, k);
+    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux;
+}
+
+OutlineTree::Node OutlineTree::node_of(const Elements &leaf) const {
     V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
     auto include = [&](const V &p) {
         low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
         high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
     };
     bool any_direction = false;
-    float flux = 0;
-    for (size_t i = begin; i < end; ++i) {
-        const OutlineElement &e = elements_[i];
-        if (!(e.weight > 0)) continue;
-        if (e.kind == OutlineElement::Round) {
-            const V r{e.b[0], e.b[0], e.b[0]};
-            include(vec(e.a) - r), include(vec(e.a) + r);
-            flux += e.weight * 2 * pi * e.b[0];
+    Node node;
+    for (size_t k = 0; k < Wide; ++k) {
+        const float weight = leaf.weight[k];
+        if (!(weight > 0)) continue;
+        const V a = lane_of(leaf.a, k), b = lane_of(leaf.b, k);
+        const int32_t kind = leaf.kind[k];
+        if (kind == OutlineElement::Round) {
+            const V r{b.x, b.x, b.x};
+            include(a - r), include(a + r);
+            node.flux += weight * 2 * pi * b.x;
         } else {
-            include(vec(e.a)), include(vec(e.b));
+            include(a), include(b);
             // an edge is an outline from the share of directions between its faces
-            const float angle = e.kind == OutlineElement::Edge ? std::acos(std::clamp(1 - e.bend, -1.f, 1.f)) / pi : 1;
-            flux += e.weight * norm(vec(e.b) - vec(e.a)) * std::max(angle, 1e-4f);
+            const float angle = kind == OutlineElement::Edge ? std::sqrt(2 * leaf.bend[k]) / pi : 1;
+            node.flux += weight * norm(b - a) * std::max(angle, 1e-4f);
         }
-        any_direction |= e.kind != OutlineElement::Edge;
-        sum = sum + vec(e.n0) + vec(e.n1);
+        any_direction |= kind != OutlineElement::Edge;
+        sum = sum + lane_of(leaf.n0, k) + lane_of(leaf.n1, k);
     }
-    Node node{};
-    if (!(flux > 0)) return node;
-    put((low + high) * 0.5f, node.center);
+    if (!(node.flux > 0)) return node;
+    node.center = (low + high) * 0.5f;
     node.radius = norm(high - low) * 0.5f * 1.00001f;
-    node.flux = flux;
-    const V axis = unit(sum);
-    put(axis, node.axis);
+    node.axis = unit(sum);
     node.cosine = any_direction ? -1.f : 1.f;
-    for (size_t i = begin; i < end && !any_direction; ++i)
-        if (elements_[i].weight > 0)
-            node.cosine = std::min({node.cosine, dot(axis, vec(elements_[i].n0)), dot(axis, vec(elements_[i].n1))});
+    for (size_t k = 0; k < Wide && !any_direction; ++k)
+        if (leaf.weight[k] > 0)
+            node.cosine =
+                std::min({node.cosine, dot(node.axis, lane_of(leaf.n0, k)), dot(node.axis, lane_of(leaf.n1, k))});
     node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
     node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
     return node;
 }
 
-OutlineTree::Node OutlineTree::united(const Node &a, const Node &b) {
-    if (!(a.flux > 0)) return b;
-    if (!(b.flux > 0)) return a;
-    Node node{};
-    const V from = vec(a.center), to = vec(b.center);
-    const float distance = norm(to - from);
-    if (distance + b.radius <= a.radius || distance + a.radius <= b.radius) {
-        const Node &larger = a.radius >= b.radius ? a : b;
-        put(vec(larger.center), node.center);
-        node.radius = larger.radius;
-    } else {
-        node.radius = 0.5f * (distance + a.radius + b.radius) * 1.00001f;
-        put(from + (to - from) * ((node.radius - a.radius) / distance), node.center);
+OutlineTree::Node OutlineTree::united(const Nodes &children) {
+    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
+    Node node;
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] > 0)) continue;
+        const V c = lane_of(children.center, k);
+        const float r = children.radius[k];
+        low = {std::min(low.x, c.x - r), std::min(low.y, c.y - r), std::min(low.z, c.z - r)};
+        high = {std::max(high.x, c.x + r), std::max(high.y, c.y + r), std::max(high.z, c.z + r)};
+        sum = sum + lane_of(children.axis, k);
+        node.flux += children.flux[k];
     }
-    node.flux = a.flux + b.flux;
-    const V axis = unit(vec(a.axis) + vec(b.axis));
-    put(axis, node.axis);
-    // the half angle that holds both cones
-    auto reach = [&](const Node &n) {
-        return std::acos(std::clamp(dot(axis, vec(n.axis)), -1.f, 1.f)) + std::acos(std::clamp(n.cosine, -1.f, 1.f));
-    };
-    const float angle = a.cosine > 0 && b.cosine > 0 ? std::max(reach(a), reach(b)) + 1e-3f : pi;
+    if (!(node.flux > 0)) return node;
+    node.center = (low + high) * 0.5f;
+    node.axis = unit(sum);
+    float angle = 0;  // the half angle that holds all cones
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] > 0)) continue;
+        node.radius = std::max(node.radius, norm(lane_of(children.center, k) - node.center) + children.radius[k]);
+        const float between = std::acos(std::clamp(dot(node.axis, lane_of(children.axis, k)), -1.f, 1.f));
+        angle = std::max(angle, children.cosine[k] > 0 ? between + std::acos(std::min(children.cosine[k], 1.f)) : pi);
+    }
+    node.radius *= 1.00001f;
+    angle += 1e-3f;
     node.cosine = angle < pi / 2 ? std::cos(angle) : -1.f;
     node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
     return node;
 }
 
-float OutlineTree::importance(const Node &node, const OutlineAnchor &from) {
-    if (!(node.flux > 0)) return 0;
-    const V d = from.parallel ? vec(from.p) : vec(node.center) - vec(from.p);
-    const float squared = dot(d, d), r2 = from.parallel ? 0.f : node.radius * node.radius;
-    if (squared <= r2) return node.flux / std::max(r2, 1e-30f);
-    const float inverse = 1 / std::sqrt(squared), sin_angle = std::sqrt(r2) * inverse,
-                cos_angle = std::sqrt(1 - sin_angle * sin_angle);
-    const V direction = d * inverse;
-    if (node.cosine > 0) {  // all faces are seen from one side if the axis is further than both angles from across
-        const float cosine = node.cosine * cos_angle - node.sine * sin_angle,
-                    sine = node.sine * cos_angle + node.cosine * sin_angle;
-        if (cosine > 0 && std::fabs(dot(vec(node.axis), direction)) > sine) return 0;
+void OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide]) {
+    for (size_t i = 0; i < Wide; i += W) {
+        const F flux = load<F>(&nodes.flux[i]), radius = load<F>(&nodes.radius[i]);
+        const Vec3<F> d = from.parallel ? widen(from.p) : load_vector(nodes.center, i) - widen(from.p);
+        const F squared = squared_norm(d), r2 = from.parallel ? F(0) : radius * radius;
+        const M outside = mask<F>(squared > r2);
+        const F inverse = F(1) / sqrt(select(outside, squared, F(1)));
+        const F sin_angle = select(outside, sqrt(r2) * inverse, F(0)), cos_angle = sqrt(F(1) - sin_angle * sin_angle);
+        const Vec3<F> direction = d * inverse;
+        // all faces are seen from one side if the axis is further than both angles from across
+        const F cone = load<F>(&nodes.cosine[i]), spread = load<F>(&nodes.sine[i]);
+        const F cosine = cone * cos_angle - spread * sin_angle, sine = spread * cos_angle + cone * sin_angle;
+        const M none = mask<F>(cone > F(0)) && mask<F>(cosine > F(0)) &&
+                       mask<F>(abs(dot(load_vector(nodes.axis, i), direction)) > sine);
+        F r = flux * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
+        r = select(outside, select(none, F(0), r), flux / max(r2, F(1e-30f)));
+        store(&to[i], select(mask<F>(flux > F(0)), r, F(0)));
     }
-    return node.flux / squared * scattered(from, direction, cos_angle, sin_angle);
 }
 
-float OutlineTree::target(const OutlineElement &e, const OutlineAnchor &from, float s) {
-    const V p = vec(from.p), a = from.parallel ? p : vec(e.a) - p;
-    if (e.kind == OutlineElement::Round) {
-        const float squared = dot(a, a), r = e.b[0], distance = std::sqrt(squared);
-        if (e.shape == from.own) return 0;
-        if (from.parallel) return e.weight * 2 * pi * r;
-        float seen = 1;
-        if (distance > r) {
-            const float sine = r / distance;
-            seen = scattered(from, a * (1 / distance), std::sqrt(1 - sine * sine), sine);
-        }
-        return e.weight * 2 * pi * r / std::max(squared, r * r) * seen;
+float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from) {
+    if (leaf.shape[k] == from.own) return 0;
+    const V a = lane_of(leaf.a, k) - from.p;
+    const float r = leaf.b[0][k], length = leaf.weight[k] * 2 * pi * r;
+    if (from.parallel) return length;
+    const float squared = dot(a, a), distance = std::sqrt(squared);
+    float seen = 1;
+    if (distance > r) {
+        const float sine = r / distance;
+        alignas(64) float all[W];
+        store(&all[0], scattered(from, widen(a * (1 / distance)), F(std::sqrt(1 - sine * sine)), F(sine)));
+        seen = all[0];
     }
-    const V along = vec(e.b) - vec(e.a), d = from.parallel ? p : a + along * s;
-    float kept = e.weight;
-    if (e.kind != OutlineElement::Always) {
-        const bool outline = (dot(vec(e.n0), d) < 0) != (dot(vec(e.n1), d) < 0);
-        if (!outline) kept *= e.kind == OutlineElement::Crease ? std::clamp(e.bend, 0.05f, 1.f) : 0.f;
+    return length / std::max(squared, r * r) * seen;
+}
+
+void OutlineTree::target(const Elements &leaf, const OutlineAnchor &from, float s, float (&to)[Wide]) {
+    bool curves = false;
+    for (size_t i = 0; i < Wide; i += W) {
+        const Vec3<F> p = widen(from.p), a = from.parallel ? p : load_vector(leaf.a, i) - p;
+        const Vec3<F> along = load_vector(leaf.b, i) - load_vector(leaf.a, i), d = from.parallel ? p : a + along * F(s);
+        const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
+        const F weight = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
+        auto front = [&](const Column<float>(&n)[3]) { return mask<F>(dot(load_vector(n, i), d) < F(0)); };
+        const M n0 = front(leaf.n0), n1 = front(leaf.n1), outline = (n0 && !n1) || (n1 && !n0);
+        const F crease = select(mask<F>(kind == int32_t(OutlineElement::Crease)), max(F(0.05f), min(bend, F(1))), F(0));
+        F kept = weight * select(outline || mask<F>(kind == int32_t(OutlineElement::Always)), F(1), crease);
+        const F inverse = F(1) / max(norm(d), F(1e-30f));
+        const F r =
+            kept * norm(cross(d, along)) * inverse * inverse * inverse * scattered(from, d * inverse, F(1), F(0));
+        const M round = mask<F>(kind == int32_t(OutlineElement::Round));
+        curves |= any(round);
+        store(&to[i], select(mask<F>(kept > F(0)) && !round, r, F(0)));
     }
-    if (!(kept > 0)) return 0;
-    const float inverse = 1 / std::max(norm(d), 1e-30f);
-    return kept * norm(cross(d, along)) * inverse * inverse * inverse * scattered(from, d * inverse, 1, 0);
+    if (!curves) return;
+    for (size_t k = 0; k < Wide; ++k)
+        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] > 0) to[k] = curve_target(leaf, k, from);
 }
 
 OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) const {
@@ -176,30 +256,46 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
     OutlineChoice choice{-1, 0, 0};
     float chosen = 0;
     double sum = 0;
-    for (size_t k = 0; k < Descents && !elements_.empty(); ++k) {
-        size_t at = 1;
+    alignas(64) float weight[Wide];
+    // All weights that are finite and positive, and how many they are.
+    auto total = [&](int &n) {
+        float all = 0;
+        n = 0;
+        for (float &w : weight) {
+            if (!(w > 0) || !(w < INFINITY)) w = 0;
+            all += w, n += w > 0;
+        }
+        return all;
+    };
+    for (size_t descent = 0; descent < Descents && !levels_.empty(); ++descent) {
+        size_t at = 0;
         double u = numbers.uniform(), probability = 1;
-        while (at < first_leaf_) {
-            const float left = importance(nodes_[2 * at], from), right = importance(nodes_[2 * at + 1], from);
-            const float total = left + right;
-            if (!(total > 0)) break;
-            double share = double(left) / double(total);
-            if (left > 0 && right > 0) share = 0.025 + 0.95 * share;
-            if (u < share)
-                at = 2 * at, u /= share, probability *= share;
-            else
-                at = 2 * at + 1, u = (u - share) / (1 - share), probability *= 1 - share;
+        int n = 0;
+        for (size_t l = levels_.size(); l-- > 0 && probability > 0;) {
+            importance(levels_[l][at], from, weight);
+            const float all = total(n);
+            if (!(all > 0)) {
+                probability = 0;
+                break;
+            }
+            // none is left out altogether
+            const float least = all * 0.05f / float(n);
+            for (float &w : weight) w = w > 0 ? 0.95f * w + least : 0.f;
+            const size_t k = pick(weight, Wide, all, u);
+            probability *= double(weight[k]) / double(all);
+            at = at * Wide + k;
         }
-        if (at < first_leaf_) continue;
-        const size_t begin = (at - first_leaf_) * Leaf, end = std::min(elements_.size(), begin + Leaf);
+        if (!(probability > 0)) continue;
         const float s = float(numbers.bits() >> 40) * 0x1p-24f;
-        for (size_t i = begin; i < end; ++i) {
-            const float t = target(elements_[i], from, s);
-            if (!(t > 0) || !std::isfinite(t)) continue;
-            const double weight = double(t) / probability;
-            sum += weight;
-            if (numbers.uniform() * sum < weight) choice.element = elements_[i].index, choice.s = s, chosen = t;
-        }
+        target(leaves_[at], from, s, weight);
+        const float all = total(n);
+        if (!(all > 0)) continue;
+        const double share = double(all) / probability;
+        sum += share;
+        if (numbers.uniform() * sum >= share) continue;
+        double v = numbers.uniform();
+        const size_t k = pick(weight, Wide, all, v);
+        choice.element = leaves_[at].index[k], choice.s = s, chosen = weight[k];
     }
     if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(chosen)));
     return choice;

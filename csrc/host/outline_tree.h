@@ -1,12 +1,15 @@
 // Which outline a point on a surface should look past: a tree over all edges of a scene that can hide something, from
 // which one is chosen about in proportion to what it may bring. With an idea of Conty Estevez and Kulla, "Importance
 // Sampling of Many Lights with Adaptive Tree Splitting" (2018), boxes have cones of normals, which tell that all faces
-// below look towards a point or away from it; then nothing below is an outline.
+// below look towards a point or away from it; then nothing below is an outline. Nodes have 16 children, so that a
+// packet looks at all of them at once.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
 #include <vector>
+
+#include "core/math/vector.h"
 
 namespace tr {
 
@@ -14,7 +17,8 @@ namespace tr {
 // around `a` with the radius b[0], of the curved shape of number `shape`.
 struct OutlineElement {
     enum Kind : int32_t { Edge = 0, Always = 1, Crease = 2, Round = 3 };  // Crease: of an edge, an outline or not
-    float a[3], b[3], n0[3], n1[3], weight, bend;
+    Vec3<float> a, b, n0, n1;
+    float weight, bend;
     int32_t kind, shape, index;
 };
 
@@ -22,8 +26,10 @@ struct OutlineElement {
 // - share) max(0, n.d) + share exp(k (axis.d - 1)); n = 0: alike in all directions. What is on the curved shape `own`
 // sees no outline of it.
 struct OutlineAnchor {
-    float p[3], n[3], axis[3], k, share;
-    int32_t parallel, own;
+    Vec3<float> p, n, axis;
+    float k, share;
+    bool parallel;
+    int32_t own;
 };
 
 // One of many candidates (resampled, Talbot et al. 2005): `element` or -1; the place s in [0, 1) along it; and one over
@@ -35,28 +41,47 @@ struct OutlineChoice {
 
 class OutlineTree {
 public:
-    static constexpr size_t Leaf = 8, Descents = 4;
+    static constexpr size_t Wide = 16, Descents = 3;
 
-    // In an order that keeps close ones together, see `morton_order`; `build` finds the rest once they are there.
-    std::vector<OutlineElement> &elements() { return elements_; }
-    const std::vector<OutlineElement> &elements() const { return elements_; }
+    // Elements in an order that keeps close ones together, see `morton_order`; `build` finds the rest once they are
+    // there.
+    void resize(size_t n);
+    size_t size() const { return n_; }
+    void set(size_t i, const OutlineElement &element);
+    OutlineElement get(size_t i) const;
     void build(int threads);
+
     OutlineChoice choose(const OutlineAnchor &from, uint64_t seed) const;
 
 private:
+    // Everything below a node is in a ball. The cone of its normals has a half angle of at least 90 degrees where
+    // cosine
+    // <= 0.
     struct Node {
-        float center[3], radius;
-        float axis[3], cosine, sine;  // cone of normals; its half angle is at least 90 degrees where cosine <= 0
-        float flux;
+        Vec3<float> center{0, 0, 0};
+        float radius = 0;
+        Vec3<float> axis{0, 0, 1};
+        float cosine = -1, sine = 0, flux = 0;
     };
-    std::vector<OutlineElement> elements_;
-    std::vector<Node> nodes_;  // 1 is the root, 2i and 2i+1 the children of i
-    size_t first_leaf_ = 1;
+    template <class T>
+    using Column = T[Wide];
+    struct alignas(64) Nodes {  // siblings
+        Column<float> center[3], radius, axis[3], cosine, sine, flux;
+    };
+    struct alignas(64) Elements {  // of a leaf
+        Column<float> a[3], b[3], n0[3], n1[3], weight, bend;
+        Column<int32_t> kind, shape, index;
+    };
+    size_t n_ = 0;
+    std::vector<Elements> leaves_;
+    std::vector<std::vector<Nodes>> levels_;  // from the leaves to the root, which are the children of one
 
-    Node node_of(size_t begin, size_t end) const;
-    static Node united(const Node &a, const Node &b);
-    static float importance(const Node &node, const OutlineAnchor &from);
-    static float target(const OutlineElement &e, const OutlineAnchor &from, float s);
+    Node node_of(const Elements &leaf) const;
+    static Node united(const Nodes &children);
+    static void put(const Node &node, Nodes &to, size_t k);
+    static void importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide]);
+    static void target(const Elements &leaf, const OutlineAnchor &from, float s, float (&to)[Wide]);
+    static float curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from);
 };
 
 // Places (n, 3) along a curve that keeps close ones together.

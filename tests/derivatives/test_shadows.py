@@ -44,7 +44,7 @@ def above_a_floor(window: float, height: float, size: int = 16, **objects) -> tr
     )
 
 
-def gradients(scene: tr.Scene, *names: str, spp: int = 64, seeds: int = 4) -> dict[str, torch.Tensor]:
+def gradients(scene: tr.Scene, *names: str, spp: int = 1024, seeds: int = 4) -> dict[str, torch.Tensor]:
     """Of the mean of the image."""
     leaves = scene.train_only(*names)
     total = [torch.zeros_like(leaf) for leaf in leaves]
