@@ -32,6 +32,7 @@ struct Numbers {
         return z ^ (z >> 31);
     }
     double uniform() { return double(bits() >> 11) * 0x1p-53; }
+    float single() { return float(bits() >> 40) * 0x1p-24f; }
 };
 
 template <class T>
@@ -62,22 +63,49 @@ F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, con
            select(mask<F>(cosine > F(0)), exp((nearest(from.axis) - F(1)) * F(from.k)) * F(from.share), F(0));
 }
 
-// The number of the first of n weights whose sum with those before exceeds u times all, u becoming what is left of it.
-size_t pick(const float *weight, size_t n, float total, double &u) {
-    double at = u * double(total);
-    size_t last = 0;
-    for (size_t k = 0; k < n; ++k) {
-        if (!(weight[k] > 0)) continue;
-        if (at < double(weight[k])) {
-            u = std::min(at / double(weight[k]), 1 - 0x1p-53);
-            return k;
+// Sixteen weights, none of them negative, added up.
+struct Weights {
+    static constexpr size_t Wide = OutlineTree::Wide;
+    alignas(64) float each[Wide], sum[Wide];
+
+    float total() const { return sum[Wide - 1]; }
+    // False if they are all zero. What is not finite counts as that.
+    bool add_up() {
+        for (size_t i = 0; i < Wide; i += W) {
+            const F w = load<F>(&each[i]);
+            store(&each[i], select(mask<F>(w > F(0)) && mask<F>(w < F(1e30f)), w, F(0)));
         }
-        at -= double(weight[k]);
-        last = k;
+        for (size_t g = 0; g < Wide; g += 4) {  // four chains at once
+            sum[g] = each[g];
+            for (size_t k = g + 1; k < g + 4; ++k) sum[k] = sum[k - 1] + each[k];
+        }
+        for (size_t g = 4; g < Wide; g += 4) {
+            const float before = sum[g - 1];
+            for (size_t k = g; k < g + 4; ++k) sum[k] += before;
+        }
+        return total() > 0;
     }
-    u = 0.5;  // by rounding
-    return last;
-}
+    // In proportion to the weights, for u in [0, 1).
+    size_t pick(float u) const {
+        const F at(u * total());
+        int k = 0;
+        for (size_t i = 0; i < Wide; i += W) k += count(mask<F>(load<F>(&sum[i]) <= at));
+        for (k = std::min(k, int(Wide) - 1); !(each[k] > 0); --k) {}  // by rounding
+        return size_t(k);
+    }
+    // All that are not zero alike.
+    size_t pick_any(float u) const {
+        size_t at = size_t(u * float(positive())), k = 0;
+        for (; k + 1 < Wide; ++k)
+            if (each[k] > 0 && at-- == 0) break;
+        return k;
+    }
+    int positive() const {
+        int n = 0;
+        for (size_t i = 0; i < Wide; i += W) n += count(mask<F>(load<F>(&each[i]) > F(0)));
+        return n;
+    }
+};
 
 }  // namespace
 
@@ -256,46 +284,31 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
     OutlineChoice choice{-1, 0, 0};
     float chosen = 0;
     double sum = 0;
-    alignas(64) float weight[Wide];
-    // All weights that are finite and positive, and how many they are.
-    auto total = [&](int &n) {
-        float all = 0;
-        n = 0;
-        for (float &w : weight) {
-            if (!(w > 0) || !(w < INFINITY)) w = 0;
-            all += w, n += w > 0;
-        }
-        return all;
-    };
+    Weights weights;
     for (size_t descent = 0; descent < Descents && !levels_.empty(); ++descent) {
         size_t at = 0;
-        double u = numbers.uniform(), probability = 1;
-        int n = 0;
+        double probability = 1;
         for (size_t l = levels_.size(); l-- > 0 && probability > 0;) {
-            importance(levels_[l][at], from, weight);
-            const float all = total(n);
-            if (!(all > 0)) {
+            importance(levels_[l][at], from, weights.each);
+            if (!weights.add_up()) {
                 probability = 0;
                 break;
             }
-            // none is left out altogether
-            const float least = all * 0.05f / float(n);
-            for (float &w : weight) w = w > 0 ? 0.95f * w + least : 0.f;
-            const size_t k = pick(weight, Wide, all, u);
-            probability *= double(weight[k]) / double(all);
+            constexpr float any = 0.05f;  // none is left out altogether
+            const float u = numbers.single();
+            const size_t k = u < any ? weights.pick_any(u / any) : weights.pick((u - any) / (1 - any));
+            probability *= double((1 - any) * weights.each[k] / weights.total() + any / float(weights.positive()));
             at = at * Wide + k;
         }
         if (!(probability > 0)) continue;
-        const float s = float(numbers.bits() >> 40) * 0x1p-24f;
-        target(leaves_[at], from, s, weight);
-        const float all = total(n);
-        if (!(all > 0)) continue;
-        const double share = double(all) / probability;
+        const float s = numbers.single();
+        target(leaves_[at], from, s, weights.each);
+        if (!weights.add_up()) continue;
+        const double share = double(weights.total()) / probability;
         sum += share;
         if (numbers.uniform() * sum >= share) continue;
-        double v = numbers.uniform();
-        const size_t k = pick(weight, Wide, all, v);
-        choice.element = leaves_[at].index[k], choice.s = s, chosen = weight[k];
+        const size_t k = weights.pick(numbers.single());
+        choice.element = leaves_[at].index[k], choice.s = s, chosen = weights.each[k];
     }
     if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(chosen)));
     return choice;
