@@ -284,31 +284,41 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
     OutlineChoice choice{-1, 0, 0};
     float chosen = 0;
     double sum = 0;
+    if (levels_.empty()) return choice;
+    constexpr float any = 0.05f;  // none is left out altogether
+    size_t at[Descents] = {};
+    float probability[Descents];
+    std::fill_n(probability, Descents, 1.f);
     Weights weights;
-    for (size_t descent = 0; descent < Descents && !levels_.empty(); ++descent) {
-        size_t at = 0;
-        double probability = 1;
-        for (size_t l = levels_.size(); l-- > 0 && probability > 0;) {
-            importance(levels_[l][at], from, weights.each);
-            if (!weights.add_up()) {
-                probability = 0;
-                break;
+    // level by level, so that descents do not wait for each other
+    for (size_t l = levels_.size(); l-- > 0;) {
+        const bool root = l + 1 == levels_.size();
+        for (size_t d = 0; d < Descents; ++d) {
+            if (!(probability[d] > 0)) continue;
+            if (!root || d == 0) {
+                importance(levels_[l][at[d]], from, weights.each);
+                weights.add_up();
             }
-            constexpr float any = 0.05f;  // none is left out altogether
+            if (!(weights.total() > 0)) {
+                probability[d] = 0;
+                continue;
+            }
             const float u = numbers.single();
             const size_t k = u < any ? weights.pick_any(u / any) : weights.pick((u - any) / (1 - any));
-            probability *= double((1 - any) * weights.each[k] / weights.total() + any / float(weights.positive()));
-            at = at * Wide + k;
+            probability[d] *= (1 - any) * weights.each[k] / weights.total() + any / float(weights.positive());
+            at[d] = at[d] * Wide + k;
         }
-        if (!(probability > 0)) continue;
+    }
+    for (size_t d = 0; d < Descents; ++d) {
+        if (!(probability[d] > 0)) continue;
         const float s = numbers.single();
-        target(leaves_[at], from, s, weights.each);
+        target(leaves_[at[d]], from, s, weights.each);
         if (!weights.add_up()) continue;
-        const double share = double(weights.total()) / probability;
+        const double share = double(weights.total()) / double(probability[d]);
         sum += share;
         if (numbers.uniform() * sum >= share) continue;
         const size_t k = weights.pick(numbers.single());
-        choice.element = leaves_[at].index[k], choice.s = s, chosen = weights.each[k];
+        choice.element = leaves_[at[d]].index[k], choice.s = s, chosen = weights.each[k];
     }
     if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(chosen)));
     return choice;
