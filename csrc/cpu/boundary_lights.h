@@ -197,7 +197,7 @@ private:
         size_t kept = 0;
         for (size_t k = 0; k < edges_.size(); ++k) {
             Edge &x = edges_[k];
-            const S t = this->distance(k);
+            const S t = rays_[k].t;
             if (x.far ? hidden[k] != 0 : !(t > x.length * S(1 - 1e-3))) continue;
             if (!std::isfinite(t)) continue;
             const V s = rays_[k].o + rays_[k].d * t;

@@ -152,21 +152,19 @@ private:
                 rays_.push_back(this->beside(x.from, anchors_.ng.get(x.slot), x.b, x.n * side, x.room,
                                              x.front == side ? x.rim : S(0)));
         this->intersect(rays_);
-        const HitColumns<S> &hits = this->queries().hits;
         size_t kept = 0;
         for (size_t k = 0; k < sights_.size(); ++k) {
             Sight &x = sights_[k];
-            const S t[2] = {this->distance(2 * k), this->distance(2 * k + 1)};
+            const S t[2] = {rays_[2 * k].t, rays_[2 * k + 1].t};
             if (!this->is_open(x.front, x.r, t, S(1e-3))) continue;
             for (size_t h = 0; h < 2; ++h) {
-                const size_t i = 2 * k + h;
-                x.emits[h] = hits.at.shape[i] != NoHit && scene_.shapes[hits.at.shape[i]].emitter >= 0;
+                const OutlineRay &ray = rays_[2 * k + h];
+                x.emits[h] = ray.at.shape != NoHit && scene_.shapes[ray.at.shape].emitter >= 0;
                 if (x.emits[h]) {
-                    x.end[h] = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
-                    x.end_p[h] = rays_[i].o + rays_[i].d * t[h];
+                    x.end[h] = ray.at, x.end_p[h] = ray.o + ray.d * t[h];
                     x.tau[h] = x.r / this->length(x.end_p[h] - x.from);
                 }
-                rays_[2 * kept + h] = rays_[i];
+                rays_[2 * kept + h] = ray;
             }
             sights_[kept++] = x;
         }
@@ -193,7 +191,7 @@ private:
             left -= uint32_t(which.size());
             if (which.empty()) continue;
             length.assign(rays.size(), S(INFINITY));
-            Base::look_up(rays, length, pdf, key, int(level) + 1, stop);
+            Base::look_up(rays, length, pdf, key, int(level) + 1, true, stop);
             for (size_t j = 0; j < which.size(); ++j) {
                 Sight &x = sights_[which[j]];
                 for (size_t h = 0; h < 2; ++h) {

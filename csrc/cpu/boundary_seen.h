@@ -121,14 +121,14 @@ private:
         if (call_.config.hide_emitters)
             pass_emitters(scene_, rays_of(queue), this->queries().hits, rays_.size(),
                           [&] { this->trace(queue, rays_.size()); });
+        this->keep_hits(rays_);
         size_t kept = 0;
         for (size_t k = 0; k < sights_.size(); ++k) {
             // (rays that have passed an emitter begin further on)
             S t[2];
             for (size_t h = 0; h < 2; ++h) {
-                const size_t i = 2 * k + h;
-                t[h] = this->distance(i);
-                if (std::isfinite(t[h])) t[h] += dot(queue.o.get(i) - rays_[i].o, rays_[i].d);
+                const OutlineRay &ray = rays_[2 * k + h];
+                t[h] = ray.t + dot(queue.o.get(2 * k + h) - ray.o, ray.d);
             }
             if (!Base::is_open(sights_[k].front, sights_[k].t, t, S(1e-5))) continue;
             for (size_t h = 0; h < 2; ++h)
@@ -143,7 +143,7 @@ private:
         std::vector<S> pdf(rays_.size(), S(0));
         std::vector<uint32_t> key(rays_.size());
         for (size_t i = 0; i < rays_.size(); ++i) key[i] = paths_.slots.pixel[sights_[i / 2].slot];
-        Base::look_up(rays_, lengths_, pdf, key, 0, stop);
+        Base::look_up(rays_, lengths_, pdf, key, 0, !call_.config.hide_emitters, stop);
         const auto &slots = light_.slots;
         for (size_t k = 0; k < sights_.size(); ++k) {
             Sight &x = sights_[k];

@@ -265,6 +265,8 @@ protected:
     // ---------------------------------------------------------------------------------------------- rays and light
     struct OutlineRay {
         V o, d;
+        SurfacePoint<S> at{NoHit, 0, 0, 0};  // what it meets, once that is known
+        S t = S(INFINITY);
     };
     // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
     static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S rim) {
@@ -307,20 +309,24 @@ protected:
         queries().intersect(rays_of(queue), n, false);
         light_.wavefront.stats.closest_rays += n;
     }
-    void intersect(const std::vector<OutlineRay> &rays) {
+    void intersect(std::vector<OutlineRay> &rays) {
         trace(fill(rays, [](size_t) { return S(INFINITY); }), rays.size());
+        keep_hits(rays);
+    }
+    void keep_hits(std::vector<OutlineRay> &rays) {
+        const HitColumns<S> &hits = queries().hits;
+        for (size_t i = 0; i < rays.size(); ++i) {
+            rays[i].at = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
+            rays[i].t = rays[i].at.shape == NoHit ? S(INFINITY) : hits.t[i];
+        }
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
-    S distance(size_t i) {
-        const HitColumns<S> &hits = queries().hits;
-        return hits.at.shape[i] == NoHit ? S(INFINITY) : hits.t[i];
-    }
 
-    // Radiance along rays behind `depth` vertices, into the slots of `light_`; pdf: with which density their directions
-    // are sampled beside lights, 0 where they alone find the light.
+    // Radiance along rays behind `depth` vertices, into the slots of `light_`; `traced`: their hits are known; pdf:
+    // with which density their directions are sampled beside lights, 0 where they alone find the light.
     template <class Stop>
     void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
-                 const std::vector<uint32_t> &key, int depth, Stop &&stop) {
+                 const std::vector<uint32_t> &key, int depth, bool traced, Stop &&stop) {
         const uint32_t n = uint32_t(rays.size());
         light_.begin(n);
         auto &slots = light_.slots;
@@ -335,7 +341,13 @@ protected:
             queue.slot[k] = k, queue.parent[k] = queue.seen[k] = 0;
         }
         queue.n = n;
-        light_.run(false, stop, depth);
+        const HitColumns<S> &hits = queries().hits;
+        for (uint32_t k = 0; k < n && traced; ++k) {
+            const SurfacePoint<S> &at = rays[k].at;
+            hits.at.shape[k] = at.shape, hits.at.primitive[k] = at.primitive;
+            hits.at.b1[k] = at.b1, hits.at.b2[k] = at.b2, hits.t[k] = rays[k].t;
+        }
+        light_.run(false, stop, depth, traced);
     }
 
     // ------------------------------------------------------------------------------------------------------- sums

@@ -45,16 +45,16 @@ public:
     }
 
     // Traces the paths to their ends. Without a limit of depth a path may go on for ever: `stop` is asked at every
-    // vertex, and ends the paths. `first` vertices are behind the rays already.
+    // vertex, and ends the paths. `first` vertices are behind the rays already. `traced`: what the rays meet is known.
     template <class Stop>
-    void run(bool recording, Stop &&stop, int first = 0) {
+    void run(bool recording, Stop &&stop, int first = 0, bool traced = false) {
         wavefront.tape.begin_block(0);
         wavefront.tape.checkpoints.clear();
         PathQueue<S> *queues = wavefront.queues;
         if ((config_.max_depth >= 0 && first >= config_.max_depth) || queues[0].n == 0) return;
         if (media_) return run_volumetric(recording, stop);
-        wavefront.trace(queues[0]);
-        if (config_.hide_emitters && first == 0) wavefront.pass_emitters();
+        if (!traced) wavefront.trace(queues[0]);
+        if (config_.hide_emitters && first == 0 && !traced) wavefront.pass_emitters();
         const bool scatters = config_.max_depth < 0 || config_.max_depth > first + 1;
         for (int split = 0; split < (first == 0 ? splits(config_) : 1) && !stop(); ++split) {
             if (split > 0) {
