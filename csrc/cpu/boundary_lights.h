@@ -225,7 +225,7 @@ private:
             if (!ray.exists) continue;
             ends_.slots.film_x[k] = place.x, ends_.slots.film_y[k] = place.y;
             at_.distance[k] = Base::length(s - ray.ray.o);
-            area[k] = this->pixel_area(place, ray.ray.d, at_.distance[k]);
+            area[k] = this->pixel_area(place, ray.ray.d, Base::length(s - ray.center));
             push_end(queue, k, ray.ray.o, ray.ray.d, ray.length, ray.center, S(0));
         }
         shade_ends(0);

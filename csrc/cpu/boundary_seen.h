@@ -93,14 +93,14 @@ private:
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
             const V o = ray.ray.o, d = ray.ray.d, towards = point.p - o, across = cross(d, point.along);
             x.t = dot(towards, d);
-            const S turned = Base::length(across), area = this->pixel_area(place, d, x.t);
+            x.distance = dot(point.p - ray.center, d);
+            const S turned = Base::length(across), area = this->pixel_area(place, d, x.distance);
             if (!ray.exists || !(turned > 0) || !(area > 0) || !(x.t > 0) || !(x.t < ray.length)) continue;
             if (!(Base::length(towards - d * x.t) < S(1e-3) * x.t)) continue;  // the lens does not show it there
             const double density = mass / total / (to - from);                 // by the parameter
             x.weight = S(double(turned) / double(area) / density / boundary_.total);
             if (!std::isfinite(x.weight)) continue;
             x.b = point.p, x.n = across * (1 / turned), x.front = point.front;
-            x.distance = dot(point.p - ray.center, d);
             slots.film_x[k] = place.x, slots.film_y[k] = place.y;
             const S side =
                 std::max(std::min(S(Beside) * std::sqrt(area), point.room / 8), Base::least_side(point.p, x.t));

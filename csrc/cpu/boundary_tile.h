@@ -248,14 +248,20 @@ protected:
     }
     const Record &sensor() const { return scene_.sensors[call_.config.sensor]; }
 
-    // Area perpendicular to a camera ray, at that distance, of what a pixel sees.
+    // Area perpendicular to a camera ray along d, at that distance from where it comes from, of what a pixel sees.
     S pixel_area(const CameraSample<S> &place, const V &d, S distance) const {
-        const S step = S(0.05), width = S(call_.film_width), height = S(call_.film_height);
+        const S width = S(call_.film_width), height = S(call_.film_height);
+        if (is_pinhole(sensor())) {
+            const Perspective::FilmPoint<S, S> film(scene_, sensor(), place.x, place.y, width, height);
+            const S cosine = rsqrt(squared_norm(film.direction()));
+            return distance * distance * cosine * cosine * cosine * 4 * film.slope * film.rise / (width * height);
+        }
+        const S step = S(0.05);
         auto end = [&](S x, S y) {
             CameraSample<S> moved = place;
             moved.x += x, moved.y += y;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), moved, width, height);
-            return ray.ray.o + ray.ray.d * distance;
+            return ray.center + ray.ray.d * distance;
         };
         const V x = (end(step, 0) - end(-step, 0)) * (1 / (2 * step)),
                 y = (end(0, step) - end(0, -step)) * (1 / (2 * step));
