@@ -315,7 +315,7 @@ def render(
         else:
             radiance = functools.partial(RenderFunction.apply, call, *used)
         if outlines:
-            radiance = functools.partial(_with_outlines, scene, call, spp_outlines, used, radiance)
+            radiance = functools.partial(_with_outlines, call, spp_outlines, used, radiance)
         views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
@@ -381,7 +381,6 @@ def _view(
 
 
 def _with_outlines(
-    scene: Scene,
     call: RenderCall,
     spp: tuple[int, int] | None,
     tensors: list[torch.Tensor],
@@ -397,7 +396,7 @@ def _with_outlines(
     from .visibility.boundary import BoundaryFunction  # when it is needed
     from .visibility.boundary_call import boundary_of
 
-    boundary = boundary_of(scene, call, spp, tensors)
+    boundary = boundary_of(call, spp, tensors)
     if boundary is None:
         return result
     term = BoundaryFunction.apply(boundary, *tensors)

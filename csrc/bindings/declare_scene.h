@@ -90,6 +90,8 @@ inline void declare_scene(py::module_ &m) {
         .def_property_readonly("bytes", &HitStore::bytes)
         .def_static("bytes_in_use", [] { return StoredHits::in_use().load(); })
         .def_buffer([](HitStore &store) { return py::buffer_info(&store.handle, 1); });
+    // of scenes whose meshes have the same indices
+    py::class_<SceneOutlines>(m, "Outlines", py::module_local()).def(py::init());
     py::class_<NativeScene>(m, "Scene", py::module_local())
         .def(py::init(&make_scene), py::arg("color"), py::arg("dtype"))
         .def(

@@ -8,7 +8,6 @@
 
 #include "accel/embree_library.h"
 #include "declare_bsdf_functions.h"
-#include "declare_outlines.h"
 #include "declare_scene.h"
 #include "host/models.h"
 #include "samplers.h"
@@ -193,6 +192,5 @@ PYBIND11_MODULE(TR_MODULE_NAME, m) {
              reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
     });
     declare_scene(m);
-    declare_outlines(m);
     declare_bsdf_functions(m);
 }

@@ -121,9 +121,8 @@ public:
                          SceneOutlines &outlines) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
-        const uint8_t *by_shape = reinterpret_cast<const uint8_t *>(moves);
-        const bool valid = tr::find_outlines<S>(call(c), by_shape, outlines.set, outlines.pieces);
-        return valid ? outlines.pieces.total() : -1;
+        outlines.pieces = tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), outlines.set);
+        return outlines.pieces.total();
     }
 
     RenderStats boundary(const Config &c, const ParameterValues &values, const BoundaryRequest &given,

@@ -50,8 +50,7 @@ public:
     virtual RenderStats aov_forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                     const Arrays &out) = 0;
 
-    // Brings outlines up to date, see OutlineSet::update: the length in pixels of those that the camera sees, or -1 if
-    // they are of no use any more.
+    // Brings outlines up to date, see OutlineSet::update; the length in pixels of those that the camera sees.
     virtual double find_outlines(const Config &, const ParameterValues &, uintptr_t moves, SceneOutlines &) = 0;
     // The derivative of their motion: added to the gradients or, `forward`, along tangents.
     virtual RenderStats boundary(const Config &, const ParameterValues &, const BoundaryRequest &,

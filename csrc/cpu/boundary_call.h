@@ -29,10 +29,9 @@ struct BoundaryCall {
     double *place, *value;
 };
 
-// Brings outlines up to date, see OutlineSet::update; false if they are of no use any more. `pieces`: those that the
-// camera sees.
+// Brings outlines up to date, see OutlineSet::update; returns pieces of those that the camera sees.
 template <class S>
-bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, OutlinePieces &pieces);
+OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines);
 template <class S>
 RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
 template <class S>

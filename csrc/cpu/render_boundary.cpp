@@ -53,10 +53,9 @@ RenderStats forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, 
 }  // namespace
 
 template <class S>
-bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, OutlinePieces &pieces) {
-    if (!outlines.update(*call.scene, moves, call.threads)) return false;
-    pieces = OutlineCutter<S>(call, outlines).cut();
-    return true;
+OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines) {
+    outlines.update(*call.scene, moves, call.threads);
+    return OutlineCutter<S>(call, outlines).cut();
 }
 template <class S>
 RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
@@ -78,7 +77,7 @@ RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &b
 }
 
 #define TR_INSTANTIATE(S)                                                                                       \
-    template bool find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &, OutlinePieces &);         \
+    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &);                 \
     template RenderStats boundary_reverse(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 #include "parallel.h"
 
@@ -37,56 +38,138 @@ float stretch(const V &x, const V &y, const V &z) {
     return norm(x * v.x + y * v.y + z * v.z);
 }
 
+// For each vertex of meshes the first one that is in the same place.
+template <class S>
+std::vector<uint32_t> weld(const SceneView<S> &scene, const std::vector<uint32_t> &vertices, size_t n) {
+    constexpr uint32_t empty = 0xFFFFFFFFu;
+    size_t size = 16;
+    while (size < 2 * vertices.size()) size *= 2;
+    std::vector<uint32_t> table(size, empty), first(n, empty);
+    for (uint32_t v : vertices) {
+        const S *p = scene.vertices + VertexRow<S>::Size * size_t(v);
+        uint64_t hash = 0;
+        for (size_t k = 0; k < 3; ++k) {
+            const double x = double(p[k]) + 0.0;  // minus zero becomes zero
+            uint64_t bits;
+            std::memcpy(&bits, &x, sizeof(bits));
+            hash = (hash ^ bits) * 0x9E3779B97F4A7C15ull;
+            hash ^= hash >> 29;
+        }
+        size_t at = size_t(hash) & (size - 1);
+        auto differs = [&](uint32_t other) {
+            return !std::equal(p, p + 3, scene.vertices + VertexRow<S>::Size * size_t(other));
+        };
+        while (table[at] != empty && differs(table[at])) at = (at + 1) & (size - 1);
+        if (table[at] == empty) table[at] = v;
+        first[v] = table[at];
+    }
+    return first;
+}
+
 }  // namespace
 
-OutlineSet::OutlineSet(std::vector<HalfEdge> halves, std::vector<uint32_t> begin, std::vector<OutlineCurve> curves,
-                       std::vector<int64_t> first_vertex, std::vector<uint32_t> copies)
-    : halves_(std::move(halves)),
-      begin_(std::move(begin)),
-      curves_(std::move(curves)),
-      first_vertex_(std::move(first_vertex)),
-      copies_(std::move(copies)),
-      split_(n_edges()),
-      moves_(size()) {
-    for (size_t e = 0; e < n_edges(); ++e) {
-        const HalfEdge &first = *this->halves(e);
-        for (size_t k = 1; k < count(e); ++k) {
-            const HalfEdge &other = this->halves(e)[k];
-            split_[e] |= other.v0 != first.v0 || other.v1 != first.v1 || other.shape != first.shape;
+// Half edges go by the smaller of their welded ends, and there by the larger one.
+template <class S>
+void OutlineSet::find(const SceneView<S> &scene) {
+    struct Found {
+        uint32_t high;
+        HalfEdge half;
+    };
+    std::vector<uint32_t> vertices;
+    std::vector<uint8_t> known;
+    auto each_face = [&](auto &&visit) {
+        for (int32_t s = 0; s < scene.n_shapes; ++s) {
+            const ShapeInfo &info = scene.shapes[s];
+            if (info.flags & IsCurved) continue;
+            for (int32_t f = 0; f < info.n_faces; ++f)
+                visit(uint32_t(s), scene.faces + 3 * size_t(info.face_offset + f));
+        }
+    };
+    each_face([&](uint32_t, const uint32_t *face) {
+        for (size_t k = 0; k < 3; ++k) {
+            if (face[k] >= known.size()) known.resize(size_t(face[k]) + 1 + known.size() / 2);
+            if (!known[face[k]]) known[face[k]] = 1, vertices.push_back(face[k]);
+        }
+    });
+    std::sort(vertices.begin(), vertices.end());
+    const size_t n = vertices.empty() ? 0 : size_t(vertices.back()) + 1;
+    const std::vector<uint32_t> first = weld(scene, vertices, n);
+    copies_.clear();
+    for (uint32_t v : vertices)
+        if (first[v] != v) copies_.push_back(v), copies_.push_back(first[v]);
+    // faces without an area have no part in it
+    auto each_half = [&](auto &&visit) {
+        each_face([&](uint32_t shape, const uint32_t *face) {
+            const S *p[3];
+            for (size_t k = 0; k < 3; ++k) p[k] = scene.vertices + VertexRow<S>::Size * size_t(face[k]);
+            const Vec3<S> a{p[0][0], p[0][1], p[0][2]}, b{p[1][0], p[1][1], p[1][2]}, c{p[2][0], p[2][1], p[2][2]};
+            if (!(max_abs(cross(b - a, c - a)) > 0)) return;
+            for (size_t k = 0; k < 3; ++k) {
+                const uint32_t v0 = face[k], v1 = face[(k + 1) % 3], third = face[(k + 2) % 3];
+                const bool turned = first[v0] > first[v1];
+                const uint32_t low = turned ? v1 : v0, high = turned ? v0 : v1;
+                visit(first[low], Found{first[high], {low, high, third, shape & 0x7FFFFFFFu, turned}});
+            }
+        });
+    };
+    std::vector<uint32_t> bucket(n + 1);
+    each_half([&](uint32_t low, const Found &) { ++bucket[low + 1]; });
+    for (size_t v = 0; v < n; ++v) bucket[v + 1] += bucket[v];
+    std::vector<Found> all(n ? bucket[n] : 0);
+    std::vector<uint32_t> next(bucket.begin(), bucket.end());
+    each_half([&](uint32_t low, const Found &found) { all[next[low]++] = found; });
+    halves_.clear(), split_.clear(), begin_.assign(1, 0);
+    halves_.reserve(all.size());
+    for (size_t v = 0; v < n; ++v) {
+        std::stable_sort(all.begin() + bucket[v], all.begin() + bucket[v + 1],
+                         [](const Found &a, const Found &b) { return a.high < b.high; });
+        for (uint32_t i = bucket[v]; i < bucket[v + 1]; ++i) {
+            const HalfEdge &half = all[i].half;
+            if (i > bucket[v] && all[i].high == all[i - 1].high) {
+                const HalfEdge &before = halves_[begin_[begin_.size() - 2]];
+                split_.back() |= half.v0 != before.v0 || half.v1 != before.v1 || half.shape != before.shape;
+                ++begin_.back();
+            } else {
+                begin_.push_back(begin_.back() + 1), split_.push_back(0);
+            }
+            halves_.push_back(half);
         }
     }
-}
-
-// The scene's list of vertices has those of curves, too.
-template <class S>
-void OutlineSet::place(const SceneView<S> &scene) {
-    auto shift = [&](uint32_t shape) { return uint32_t(scene.shapes[shape].first_vertex - first_vertex_[shape]); };
-    for (HalfEdge &h : halves_) {
-        const uint32_t by = shift(h.shape);
-        h.v0 += by, h.v1 += by, h.third += by;
+    curves_.clear();
+    for (int32_t s = 0; s < scene.n_shapes; ++s) {
+        const int32_t flags = scene.shapes[s].flags;
+        if (flags & IsSphere) curves_.push_back({s, OutlineCurve::Contour});
+        if (flags & IsDisk) curves_.push_back({s, OutlineCurve::Rim});
+        for (int32_t k = OutlineCurve::LowerRim; k <= OutlineCurve::RightLine && (flags & IsCylinder); ++k)
+            curves_.push_back({s, k});
     }
-    for (size_t i = 0; i < copies_.size(); i += 4)
-        copies_[i] += shift(copies_[i + 2]), copies_[i + 1] += shift(copies_[i + 3]);
-    placed_ = true;
+    order_.clear();
+    found_ = true;
 }
 
 template <class S>
-bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int threads) {
-    if (!placed_) place(scene);
-    for (size_t i = 0; i < copies_.size(); i += 4) {
+bool OutlineSet::holds(const SceneView<S> &scene) const {
+    for (size_t i = 0; i < copies_.size(); i += 2) {
         const S *a = scene.vertices + VertexRow<S>::Size * size_t(copies_[i]),
                 *b = scene.vertices + VertexRow<S>::Size * size_t(copies_[i + 1]);
         if (!std::equal(a, a + 3, b)) return false;
     }
-    if (order_.empty() && size() > 0) {
+    return true;
+}
+
+template <class S>
+void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int threads) {
+    if (!found_ || !holds(scene)) find(scene);
+    if (order_.size() != size()) {
         std::vector<float> places(3 * size());
         for (size_t i = 0; i < size(); ++i) {
-            const OutlineElement e = is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
+            const OutlineElement e = element(scene, i);
             const V p = is_edge(i) ? (e.a + e.b) * 0.5f : e.a;
             places[3 * i] = p.x, places[3 * i + 1] = p.y, places[3 * i + 2] = p.z;
         }
         order_ = morton_order(places.data(), size());
     }
+    moves_.resize(size());
     tree_.resize(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t k = begin; k < end; ++k) {
@@ -97,14 +180,13 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int thr
             else
                 any = moves[curve(i).shape] != 0;
             moves_[i] = any;
-            OutlineElement e = is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
+            OutlineElement e = element(scene, i);
             e.weight *= any ? 1.f : Still;
             e.index = int32_t(i);
             tree_.set(k, e);
         }
     });
     tree_.build(threads);
-    return true;
 }
 
 template <class S>
@@ -141,7 +223,7 @@ OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t eleme
     return e;
 }
 
-template bool OutlineSet::update(const SceneView<float> &, const uint8_t *, int);
-template bool OutlineSet::update(const SceneView<double> &, const uint8_t *, int);
+template void OutlineSet::update(const SceneView<float> &, const uint8_t *, int);
+template void OutlineSet::update(const SceneView<double> &, const uint8_t *, int);
 
 }  // namespace tr

@@ -22,16 +22,10 @@ struct OutlineCurve {
 
 class OutlineSet {
 public:
-    // `halves` by edge, those of edge e being begin[e] .. begin[e + 1]; vertices are counted over meshes alone,
-    // `first_vertex` (by shape) being a shape's first one. `copies`: pairs of vertices, and of their shapes, that are
-    // in one place.
-    OutlineSet(std::vector<HalfEdge> halves, std::vector<uint32_t> begin, std::vector<OutlineCurve> curves,
-               std::vector<int64_t> first_vertex, std::vector<uint32_t> copies);
-
-    // To where vertices are; `moves`: by shape, whether it does. False if what was in one place no longer is, and the
-    // set is of no use any more.
+    // To where vertices are; `moves`: by shape, whether it does. Edges are found the first time, and where vertices
+    // that were in one place no longer are. (Of a scene with other indices there is another set.)
     template <class S>
-    bool update(const SceneView<S> &scene, const uint8_t *moves, int threads);
+    void update(const SceneView<S> &scene, const uint8_t *moves, int threads);
 
     size_t n_edges() const { return begin_.size() - 1; }
     size_t size() const { return n_edges() + curves_.size(); }
@@ -49,17 +43,22 @@ public:
 
 private:
     std::vector<HalfEdge> halves_;
-    std::vector<uint32_t> begin_;
+    std::vector<uint32_t> begin_{0};
     std::vector<OutlineCurve> curves_;
-    std::vector<int64_t> first_vertex_;
-    std::vector<uint32_t> copies_;
+    std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
     std::vector<uint8_t> split_, moves_;
     std::vector<int32_t> order_;
     OutlineTree tree_;
-    bool placed_ = false;
+    bool found_ = false;
 
     template <class S>
-    void place(const SceneView<S> &scene);
+    void find(const SceneView<S> &scene);
+    template <class S>
+    bool holds(const SceneView<S> &scene) const;
+    template <class S>
+    OutlineElement element(const SceneView<S> &scene, size_t i) const {
+        return is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
+    }
     template <class S>
     OutlineElement edge_element(const SceneView<S> &scene, size_t edge) const;
     template <class S>

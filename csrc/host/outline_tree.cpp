@@ -63,6 +63,22 @@ F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, con
            select(mask<F>(cosine > F(0)), exp((nearest(from.axis) - F(1)) * F(from.k)) * F(from.share), F(0));
 }
 
+// Sums of numbers up to each; in a register where there is one, since what is stored piecewise is slow to load.
+void add_up(const float (&each)[OutlineTree::Wide], float (&sum)[OutlineTree::Wide]) {
+#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
+    const __m512i zero = _mm512_setzero_si512();
+    __m512 v = _mm512_loadu_ps(each);
+    auto add = [&](__m512i shifted) { v = _mm512_add_ps(v, _mm512_castsi512_ps(shifted)); };
+    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 15));
+    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 14));
+    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 12));
+    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 8));
+    _mm512_storeu_ps(sum, v);
+#else
+    std::partial_sum(each, each + OutlineTree::Wide, sum);
+#endif
+}
+
 // Sixteen weights, none of them negative, added up.
 struct Weights {
     static constexpr size_t Wide = OutlineTree::Wide;
@@ -75,14 +91,7 @@ struct Weights {
             const F w = load<F>(&each[i]);
             store(&each[i], select(mask<F>(w > F(0)) && mask<F>(w < F(1e30f)), w, F(0)));
         }
-        for (size_t g = 0; g < Wide; g += 4) {  // four chains at once
-            sum[g] = each[g];
-            for (size_t k = g + 1; k < g + 4; ++k) sum[k] = sum[k - 1] + each[k];
-        }
-        for (size_t g = 4; g < Wide; g += 4) {
-            const float before = sum[g - 1];
-            for (size_t k = g; k < g + 4; ++k) sum[k] += before;
-        }
+        tr::add_up(each, sum);
         return total() > 0;
     }
     // In proportion to the weights, for u in [0, 1).

@@ -94,7 +94,7 @@ class Layout:
     torch_bsdfs: dict[int, TorchBSDF] = field(default_factory=dict)  # those written in PyTorch, by row
     torch_names: dict[str, TorchBSDF] = field(default_factory=dict)  # the same by each of their paths
     outlines: list[int] | None = None  # slots of what moves them, once that was asked
-    edges: Any = None  # of all meshes, and the index arrays they were found with, see visibility/edges.py
+    edges: Any = None  # the core's outlines, and the index arrays they were found with, see visibility/outlines.py
 
     def index_key(self) -> list[tuple[int, int, int]]:
         """Tells whether the index arrays are still those that a native scene was built with."""

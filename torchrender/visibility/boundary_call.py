@@ -11,7 +11,6 @@ from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.packing import Layout
-from ..scene.scene import Scene
 
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama")  # on whose films outlines can be found
@@ -27,7 +26,6 @@ class BoundaryCall:
     """
 
     call: RenderCall
-    scene: Scene
     spp: tuple[int, int]
     moves: torch.Tensor
     by_length: bool
@@ -43,9 +41,7 @@ def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
     return found
 
 
-def boundary_of(
-    scene: Scene, call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]
-) -> BoundaryCall | None:
+def boundary_of(call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
     kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]
     if kind not in SENSORS or spp == (0, 0):
@@ -60,4 +56,4 @@ def boundary_of(
     if not any(moves) and not lights:
         return None
     usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 8)  # as efficient as twice as many of the second
-    return BoundaryCall(call, scene, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None)
+    return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None)

@@ -8,12 +8,8 @@ from typing import Any
 
 import torch
 
-from ..scene.packing import Layout
-from ..scene.scene import Scene
 from ..seeds import mix
-from ..surface import Surfaces
 from .boundary_call import BoundaryCall, placing_slots
-from .edges import find_edges
 from .film_sums import FilmPlaces
 
 # Tell the seeds of samples from those of paths.
@@ -51,16 +47,12 @@ class Outlines:
             self.parts += ["shadows", "reflections"] if bool(boundary.moves.any()) else ["shadows"]
 
     def _up_to_date(self) -> tuple[Any, float]:
-        """The core's outlines, those of an earlier call if they still hold; and the length that is seen, in pixels."""
+        """The core's outlines, those of an earlier call if indices are the same; the length that is seen, in pixels."""
         layout, native = self.call.layout, self.call.native
-        key, moves = layout.index_key(), self.boundary.moves.to(torch.uint8).contiguous()
+        key, moves = (layout.index_key(), native.core), self.boundary.moves.to(torch.uint8).contiguous()
         if layout.edges is None or layout.edges[0] != key:
-            layout.edges = key, _find(self.boundary.scene, layout, self.params, native.core)
-        arguments = self.params, self.configs[0], moves.data_ptr()
-        length = native.call("find_outlines", *arguments, layout.edges[1])
-        if length < 0:  # vertices that were in one place have parted
-            layout.edges = key, _find(self.boundary.scene, layout, self.params, native.core)
-            length = native.call("find_outlines", *arguments, layout.edges[1])
+            layout.edges = key, native.core.Outlines()
+        length = native.call("find_outlines", self.params, self.configs[0], moves.data_ptr(), layout.edges[1])
         return layout.edges[1], length
 
     def _share_in_view(self) -> float:
@@ -128,12 +120,3 @@ class Outlines:
         given = {name: float(x) for name, x in {**self.numbers, **numbers}.items()}
         rest = self.handle, addresses, forward
         self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)
-
-
-def _find(scene: Scene, layout: Layout, params: Sequence[torch.Tensor], core: Any) -> Any:
-    edges = find_edges(Surfaces.of(scene, layout, params))
-    given = []
-    for rows in (edges.halves, edges.begin, edges.curves, edges.first_vertex, edges.copies):
-        given += [rows.contiguous(), len(rows)]
-    given[3] -= 1
-    return core.Outlines(*(x.data_ptr() if isinstance(x, torch.Tensor) else x for x in given))
