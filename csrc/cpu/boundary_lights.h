@@ -16,22 +16,9 @@
 
 #include "boundary_tile.h"
 #include "core/integrator/emission.h"
+#include "shadow_lights.h"
 
 namespace tr {
-
-// By slot: a place on a light, the direction to it from the end S of a ray past an outline, and what S gets: the BSDF
-// times what arrives, the weight of the power heuristic (negative: nothing else finds the light), |n.c| / |n.d|, and
-// the adjoint of S.
-// clang-format off
-#define TR_SHADOW_EDGE_COLUMNS(X) \
-    X(Integer, emitter) X(Point, at) X(Vector, y) X(Vector, yn) X(Number, left) X(Number, inverse_pmf) \
-    X(Number, inverse_pdf) X(Vector, travel) X(Vector, d) X(Vector, s) X(Number, distance) X(Spectrum, value) \
-    X(Number, mis) X(Number, ratio) X(Vector, c) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar)
-// clang-format on
-template <class S>
-struct ShadowEdgeColumns {
-    TR_COLUMNS(TR_SHADOW_EDGE_COLUMNS)
-};
 
 template <class F>
 class ShadowTile : public BoundaryTile<F> {
@@ -59,10 +46,9 @@ class ShadowTile : public BoundaryTile<F> {
     std::vector<Connection> connections_;
     std::vector<OutlineRay> rays_;
     std::vector<double> u_, inverse_;
-    std::vector<int32_t> lights_;  // that throw shadows,
-    std::vector<double> cdf_;      // and their probabilities, added up
     const bool pilot_;
     PathTile<F> ends_;
+    ShadowLights<F> lights_;
     ShadowEdgeColumns<S> at_;
     std::vector<V> carried_;  // of connections to vertices
 
@@ -70,17 +56,9 @@ public:
     ShadowTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
         : Base(call, boundary, derivative),
           pilot_(boundary.part == BoundaryPart::Pilot),
-          ends_(path_call_, Base::Capacity, &derivative) {
+          ends_(path_call_, Base::Capacity, &derivative),
+          lights_(scene_, pilot_) {
         arena_.allocate(Base::Capacity + 2 * W, at_);
-        double sum = 0;
-        for (int32_t i = 0; i < scene_.n_emitters; ++i) {
-            const EmitterKernels<F> &kernels = emitter_kernels<F>(scene_.emitters[i].kind);
-            const bool extended = kernels.is(IsEnvironment) || (kernels.is(IsOnShape) && !kernels.is(IsBeam));
-            const bool from_afar = kernels.is(IsInfinite | HasDeltaPosition);
-            if (!(extended || (from_afar && !pilot_)) || !(scene_.emitter_pmf[i] > 0)) continue;
-            sum += double(scene_.emitter_pmf[i]);
-            lights_.push_back(i), cdf_.push_back(sum);
-        }
     }
 
     RenderStats take_stats() {
@@ -98,7 +76,12 @@ public:
         const bool deep = !pilot_ && (depth < 0 || depth > 2);
         this->identify(first, n);
         if (deep) this->trace_paths(n, stop);
-        choose_places(n);
+        for (uint32_t k = 0; k < n; ++k) lights_.choose(at_, k, double(this->number(k, 1)));
+        lights_.find_places(at_, n, [&](uint32_t i) {
+            Entries<F> from(i);
+            return random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
+                              from(paths_.slots.sample), Base::PlaceBlock);
+        });
         find_edges(n);
         see_from_camera(n);
         if (pilot_) return tell(first, n);
@@ -116,47 +99,10 @@ private:
     Arena arena_;
 
     // ------------------------------------------------------------------------------------- from the light to a surface
-    void choose_places(uint32_t n) {
-        for (uint32_t k = 0; k < n; ++k) {
-            const double u = double(this->number(k, 1)) * cdf_.back();
-            size_t i = size_t(std::upper_bound(cdf_.begin(), cdf_.end(), u) - cdf_.begin());
-            i = std::min(i, cdf_.size() - 1);
-            const double before = i ? cdf_[i - 1] : 0, p = cdf_[i] - before;
-            at_.emitter[k] = lights_[i];
-            at_.left[k] = S(std::min((u - before) / p, 1 - 1e-7));
-            at_.inverse_pmf[k] = S(cdf_.back() / p);
-        }
-        for (uint32_t i = 0; i < n; i += W) {
-            Entries<F> from(i);
-            M active = mask<F>(lane_index<F>() < U(n - i));
-            EmissionSample<F> r;
-            U none(0u);
-            r.point = {select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(0)), {none, none, F(0), F(0)}};
-            r.kind = emitter_kind<F>(scene_, r.point.emitter, active);
-            r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
-            r.weight = r.inverse_pdf = F(0);
-            F left = from(at_.left), inverse_pmf = from(at_.inverse_pmf);
-            // two points of the plane
-            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
-                                      from(paths_.slots.sample), Base::PlaceBlock);
-            for_each_emitter_kind<F>(r.kind, active, [&](const EmitterKernels<F> &emitter, const M &lanes) {
-                emitter.sample_emission(scene_, left, u.u[0], u.u[1], u.u[2], u.u[3], inverse_pmf, lanes, r);
-                if (emitter.is(HasDeltaPosition)) r.inverse_pdf = select(lanes, inverse_pmf, r.inverse_pdf);
-                if (!emitter.is(IsOnShape)) r.n = select(lanes, Vec3<F>{F(0), F(0), F(0)}, r.n);
-            });
-            write(at_.at, i, r.point.at), write(at_.y, i, r.p), write(at_.yn, i, r.n), write(at_.travel, i, r.d);
-            write(at_.inverse_pdf, i, r.inverse_pdf);
-        }
-    }
-
-    const EmitterKernels<F> &light_of(uint32_t slot) const {
-        return emitter_kernels<F>(scene_.emitters[at_.emitter[slot]].kind);
-    }
-
     void find_edges(uint32_t n) {
         edges_.clear(), rays_.clear();
         for (uint32_t k = 0; k < n; ++k) {
-            const EmitterKernels<F> &light = light_of(k);
+            const EmitterKernels<F> &light = lights_.kernels(at_, k);
             const bool on_shape = light.is(IsOnShape);
             Edge x{};
             x.slot = k, x.far = light.is(IsInfinite);
@@ -314,7 +260,7 @@ private:
         BsdfValue<F> found = scatter_towards<F>(scene_, kind, columns, i, d, ends_.wavefront.needs(), meets);
         Vec3<F> ng = geometric_normal<F>(scene_, columns, i, meets);
         F density;
-        Spectrum<F> value = found.f * arriving(p, d, from, meets, density);
+        Spectrum<F> value = found.f * lights_.arriving(at_, p, d, from, meets, density);
         const bool first = depth == 0;
         if (first) density = density * F(S(boundary_.in_view));
         F n_light(S(first ? call_.config.emitter_samples : 1)), n_bsdf(S(first ? call_.config.bsdf_samples : 1));
@@ -327,37 +273,8 @@ private:
     }
     static F sqr(const F &x) { return x * x; }
 
-    // What the lights of these slots send to points p in the directions d to them: radiance, of points intensity, of
-    // parallel light irradiance across it; and the density of d for emitter samples, 0 where no ray finds the light.
-    Spectrum<F> arriving(const Vec3<F> &p, const Vec3<F> &d, const Gathered<F> &from, const M &active, F &density) {
-        const Wavelengths<F> waves{};
-        IntOf<F> emitter = select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(lights_[0]));
-        EmitterPoint<F> point{emitter, from(at_.at)};
-        const Vec3<F> y = from(at_.y), yn = from(at_.yn);
-        IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
-        density = F(0);
-        for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
-            if (light.is(IsOnShape)) {
-                density = select(lanes, shape_emitter_pdf<F>(scene_, point, p, y, yn, lanes), density);
-            } else if (light.is(IsEnvironment)) {
-                F pdf;
-                EmitterPoint<F> there = environment_point<F>(scene_, d, pdf, lanes);
-                point.at.b1 = select(lanes, there.at.b1, point.at.b1);
-                point.at.b2 = select(lanes, there.at.b2, point.at.b2);
-                density = select(lanes, pdf, density);
-            } else {
-                EmitterSample<F> r = no_emitter_sample<F>();
-                r.point.emitter = emitter;
-                light.sample_direct(scene_, p, F(S(0.5)), F(S(0.5)), F(S(0.5)), lanes, r);
-                point.at.b1 = select(lanes, r.point.at.b1, point.at.b1);
-                point.at.b2 = select(lanes, r.point.at.b2, point.at.b2);
-            }
-        });
-        return eval_emitter<F>(scene_, waves, point, active);
-    }
-
-    // ------------------------------------------------------------------------------------------------- what it adds up
-    // to The connection's jump: -(what arrives) times a number and colours.
+    // ------------------------------------------------------------------------------------------------------- the sum
+    // The connection's jump: -(what arrives) times a number and colours.
     void connect(uint32_t edge, S number, const V &colours) {
         const uint32_t k = edges_[edge].slot;
         const S by[3] = {colours.x, colours.y, colours.z};
@@ -407,7 +324,7 @@ private:
             this->add_to_outline(edge.element, edge.s, edge.b, g, points);
             if (sink.forward) slots.radiance[sink.component][edge.slot] += points.derivative;
         }
-        sweep_lights(n, slots, sink);
+        lights_.sweep(at_, n, slots, sink);
         auto ends = [&](int, uint32_t, const U &slot, const M &there) { return Gathered<F>(slot, there)(at_.s_bar); };
         this->sweep_places(
             ends_, slots, sink, camera,
@@ -416,33 +333,6 @@ private:
             },
             ends);
         if (!camera) this->sweep_paths(sink);
-    }
-
-    // The adjoints of places on lights.
-    void sweep_lights(uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink) {
-        for (uint32_t i = 0; i < n; i += W) {
-            Entries<F> from(i);
-            const Vec3<F> e_bar = from(at_.e_bar);
-            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(e_bar) > F(0));
-            if (!any(active)) continue;
-            sink.begin();
-            IntOf<F> emitter = select(mask<IntOf<F>>(active), from(at_.emitter), IntOf<F>(lights_[0]));
-            SurfacePoint<F> at = from(at_.at);
-            at.shape = select(mask<U>(active), at.shape, U(0u));
-            const F distance = from(at_.e_distance);
-            const CoordinateAdjoint<F> nothing;
-            IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
-            for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
-                M moves = lanes;
-                if (light.is(IsOnShape)) moves = sink.wants_shape(at.shape, lanes);
-                if (!light.direct_vjp || !any(moves)) return;
-                // the direction from S turns by de / distance; that of parallel light is against its travel
-                Vec3<F> w_bar = e_bar * (light.is(IsInfinite) ? F(S(-1)) : distance), x_bar{F(0), F(0), F(0)};
-                const DirectAdjoint<F> g{{emitter, at}, from(at_.s), from(at_.d), distance, w_bar, F(0), nothing, true};
-                light.direct_vjp(scene_, g, moves, x_bar, sink);
-            });
-            if (sink.forward) add_to_entries<F>(slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
-        }
     }
 
     // Of the pilot: whether there is an edge, and where the camera sees it if it does.

@@ -7,63 +7,11 @@
 
 #include <cmath>
 
-#include "boundary_call.h"
+#include "boundary_columns.h"
 #include "core/adjoint/revisit.h"
 #include "path_tile.h"
 
 namespace tr {
-
-// By slot: the vertex of the path that was chosen, how it scatters, and the adjoint of its place. By number, up to two
-// a slot: points on lights, glued to them.
-// clang-format off
-#define TR_ANCHOR_COLUMNS(X) \
-    X(Index, level) X(Index, entry) X(Vector, n) X(Vector, axis) X(Vector, ng) X(Number, k) X(Number, share) \
-    X(Vector, d) X(Spectrum, f) X(Number, pdf) X(Vector, p_bar)
-#define TR_GLUED_COLUMNS(X) X(Index, slot) X(Point, at) X(Vector, p) X(Vector, p_bar)
-// clang-format on
-template <class S>
-struct AnchorColumns {
-    TR_COLUMNS(TR_ANCHOR_COLUMNS)
-};
-template <class S>
-struct GluedColumns {
-    TR_COLUMNS(TR_GLUED_COLUMNS)
-    uint32_t n = 0;
-};
-
-constexpr uint32_t NoVertex = 0xFFFFFFFFu;
-// How far beyond the rim of interpolated normals a ray passes, in widths of it.
-constexpr double BeyondRim = 1.05;
-
-// A sink of single numbers, beside that of packets.
-template <class F>
-struct PointSink {
-    using S = ScalarOf<F>;
-    const GradientSink<F> &sink;
-    S derivative = 0;  // forward mode
-
-    bool wants(uint32_t shape) const { return sink.shape_wanted[shape] != 0; }
-    void vertex(uint32_t index, const Vec3<S> &g) {
-        const S *tangent = sink.vertex_tangent[0];
-        double *to = sink.vertices[0];
-        const S v[3] = {g.x, g.y, g.z};
-        for (size_t i = 0; i < 3; ++i)
-            if (!sink.forward && to)
-                to[3 * size_t(index) + i] += double(v[i]);
-            else if (sink.forward && tangent)
-                derivative += tangent[3 * size_t(index) + i] * v[i];
-    }
-    void number(size_t offset, S g) {
-        if (sink.forward)
-            derivative += sink.tangent.constants[offset] * g;
-        else
-            sink.constants[offset] += double(g);
-    }
-    void matrix(uint32_t shape, const Vec3<S> &local, const Vec3<S> &g) {
-        const S row[3] = {g.x, g.y, g.z}, column[4] = {local.x, local.y, local.z, S(1)};
-        for (size_t i = 0; i < 12; ++i) number(sink.matrices + 12 * size_t(shape) + i, row[i / 4] * column[i % 4]);
-    }
-};
 
 template <class F>
 class BoundaryTile {

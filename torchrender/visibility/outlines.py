@@ -32,6 +32,8 @@ class Outlines:
         self.boundary, self.film, self.params = boundary, film, list(params)
         self.call = call = boundary.call
         self.configs = [{**c, "threads": threads} for c in call.configs(derivative=True)]
+        self.statistics: dict[str, dict[str, float]] = {}
+        call.statistics["visibility"] = self.statistics
         self.handle, self.length = self._up_to_date()
         slots = {s for c in ("shape", "sensor", "emitter") for _, all_ in placing_slots(call.layout, c) for s in all_}
         self.placing = slots
@@ -119,4 +121,8 @@ class Outlines:
         arrays = {"cells": self.cells.data_ptr()} | out
         given = {name: float(x) for name, x in {**self.numbers, **numbers}.items()}
         rest = self.handle, addresses, forward
-        self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)
+        found = self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)
+        so_far = self.statistics.setdefault(part, {"samples": 0, "rays": 0, "seconds": 0.0})
+        so_far["samples"] += int(numbers["count"])
+        so_far["rays"] += found["closest_rays"] + found["shadow_rays"]
+        so_far["seconds"] += found["seconds"]

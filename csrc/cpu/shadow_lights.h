@@ -1,0 +1,152 @@
+// Lights that throw shadows: places on them from which outlines are looked for, what they send, and their motion.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "core/adjoint/gradient_sink.h"
+#include "core/adjoint/scattering.h"
+#include "core/emitter/emitter.h"
+#include "core/state/queues.h"
+
+namespace tr {
+
+// By slot: a place on a light, the direction to it from the end S of a ray past an outline, and what S gets: the BSDF
+// times what arrives, the weight of the power heuristic (negative: nothing else finds the light), |n.c| / |n.d|, and
+// the adjoint of S.
+// clang-format off
+#define TR_SHADOW_EDGE_COLUMNS(X) \
+    X(Integer, emitter) X(Point, at) X(Vector, y) X(Vector, yn) X(Number, left) X(Number, inverse_pmf) \
+    X(Number, inverse_pdf) X(Vector, travel) X(Vector, d) X(Vector, s) X(Number, distance) X(Spectrum, value) \
+    X(Number, mis) X(Number, ratio) X(Vector, c) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar)
+// clang-format on
+template <class S>
+struct ShadowEdgeColumns {
+    TR_COLUMNS(TR_SHADOW_EDGE_COLUMNS)
+};
+
+template <class F>
+class ShadowLights {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using M = MaskOf<F>;
+    using Columns = ShadowEdgeColumns<S>;
+    static constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+
+public:
+    // `extended`: those alone that rays can find.
+    ShadowLights(const SceneView<S> &scene, bool extended) : scene_(scene) {
+        double sum = 0;
+        for (int32_t i = 0; i < scene_.n_emitters; ++i) {
+            const EmitterKernels<F> &kernels = emitter_kernels<F>(scene_.emitters[i].kind);
+            const bool found = kernels.is(IsEnvironment) || (kernels.is(IsOnShape) && !kernels.is(IsBeam));
+            const bool from_afar = kernels.is(IsInfinite | HasDeltaPosition);
+            if (!(found || (from_afar && !extended)) || !(scene_.emitter_pmf[i] > 0)) continue;
+            sum += double(scene_.emitter_pmf[i]);
+            lights_.push_back(i), cdf_.push_back(sum);
+        }
+    }
+    bool empty() const { return lights_.empty(); }
+
+    // The light of a slot, by a number in [0, 1).
+    void choose(const Columns &c, uint32_t slot, double number) const {
+        const double u = number * cdf_.back();
+        size_t i = size_t(std::upper_bound(cdf_.begin(), cdf_.end(), u) - cdf_.begin());
+        i = std::min(i, cdf_.size() - 1);
+        const double before = i ? cdf_[i - 1] : 0, p = cdf_[i] - before;
+        c.emitter[slot] = lights_[i];
+        c.left[slot] = S(std::min((u - before) / p, 1 - 1e-7));
+        c.inverse_pmf[slot] = S(cdf_.back() / p);
+    }
+    // Places on the lights of n slots; numbers(i): those of slots i on, two points of the plane.
+    template <class Numbers>
+    void find_places(const Columns &c, uint32_t n, Numbers &&numbers) const {
+        for (uint32_t i = 0; i < n; i += W) {
+            Entries<F> from(i);
+            M active = mask<F>(lane_index<F>() < U(n - i));
+            EmissionSample<F> r;
+            U none(0u);
+            r.point = {select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(0)), {none, none, F(0), F(0)}};
+            r.kind = emitter_kind<F>(scene_, r.point.emitter, active);
+            r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
+            r.weight = r.inverse_pdf = F(0);
+            F left = from(c.left), inverse_pmf = from(c.inverse_pmf);
+            const Random4<F> u = numbers(i);
+            for_each_emitter_kind<F>(r.kind, active, [&](const EmitterKernels<F> &emitter, const M &lanes) {
+                emitter.sample_emission(scene_, left, u.u[0], u.u[1], u.u[2], u.u[3], inverse_pmf, lanes, r);
+                if (emitter.is(HasDeltaPosition)) r.inverse_pdf = select(lanes, inverse_pmf, r.inverse_pdf);
+                if (!emitter.is(IsOnShape)) r.n = select(lanes, Vec3<F>{F(0), F(0), F(0)}, r.n);
+            });
+            write(c.at, i, r.point.at), write(c.y, i, r.p), write(c.yn, i, r.n), write(c.travel, i, r.d);
+            write(c.inverse_pdf, i, r.inverse_pdf);
+        }
+    }
+
+    const EmitterKernels<F> &kernels(const Columns &c, uint32_t slot) const {
+        return emitter_kernels<F>(scene_.emitters[c.emitter[slot]].kind);
+    }
+
+    // What the lights of these slots send to points p in the directions d to them: radiance, of points intensity, of
+    // parallel light irradiance across it; and the density of d for emitter samples, 0 where no ray finds the light.
+    Spectrum<F> arriving(const Columns &c, const Vec3<F> &p, const Vec3<F> &d, const Gathered<F> &from, const M &active,
+                         F &density) const {
+        const Wavelengths<F> waves{};
+        IntOf<F> emitter = select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(lights_[0]));
+        EmitterPoint<F> point{emitter, from(c.at)};
+        const Vec3<F> y = from(c.y), yn = from(c.yn);
+        IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
+        density = F(0);
+        for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
+            if (light.is(IsOnShape)) {
+                density = select(lanes, shape_emitter_pdf<F>(scene_, point, p, y, yn, lanes), density);
+            } else if (light.is(IsEnvironment)) {
+                F pdf;
+                EmitterPoint<F> there = environment_point<F>(scene_, d, pdf, lanes);
+                point.at.b1 = select(lanes, there.at.b1, point.at.b1);
+                point.at.b2 = select(lanes, there.at.b2, point.at.b2);
+                density = select(lanes, pdf, density);
+            } else {
+                EmitterSample<F> r = no_emitter_sample<F>();
+                r.point.emitter = emitter;
+                light.sample_direct(scene_, p, F(S(0.5)), F(S(0.5)), F(S(0.5)), lanes, r);
+                point.at.b1 = select(lanes, r.point.at.b1, point.at.b1);
+                point.at.b2 = select(lanes, r.point.at.b2, point.at.b2);
+            }
+        });
+        return eval_emitter<F>(scene_, waves, point, active);
+    }
+
+    // The adjoints of places on lights.
+    void sweep(const Columns &c, uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink) const {
+        for (uint32_t i = 0; i < n; i += W) {
+            Entries<F> from(i);
+            const Vec3<F> e_bar = from(c.e_bar);
+            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(e_bar) > F(0));
+            if (!any(active)) continue;
+            sink.begin();
+            IntOf<F> emitter = select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(lights_[0]));
+            SurfacePoint<F> at = from(c.at);
+            at.shape = select(mask<U>(active), at.shape, U(0u));
+            const F distance = from(c.e_distance);
+            const CoordinateAdjoint<F> nothing;
+            IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
+            for_each_emitter_kind<F>(kind, active, [&](const EmitterKernels<F> &light, const M &lanes) {
+                M moves = lanes;
+                if (light.is(IsOnShape)) moves = sink.wants_shape(at.shape, lanes);
+                if (!light.direct_vjp || !any(moves)) return;
+                // the direction from S turns by de / distance; that of parallel light is against its travel
+                Vec3<F> w_bar = e_bar * (light.is(IsInfinite) ? F(S(-1)) : distance), x_bar{F(0), F(0), F(0)};
+                const DirectAdjoint<F> g{{emitter, at}, from(c.s), from(c.d), distance, w_bar, F(0), nothing, true};
+                light.direct_vjp(scene_, g, moves, x_bar, sink);
+            });
+            if (sink.forward) add_to_entries<F>(slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
+        }
+    }
+
+private:
+    const SceneView<S> &scene_;
+    std::vector<int32_t> lights_;
+    std::vector<double> cdf_;  // their probabilities, added up
+};
+
+}  // namespace tr
