@@ -139,6 +139,7 @@ public:
         BoundaryCall<S> b{};
         b.part = BoundaryPart(part - parts);
         b.outlines = &outlines.set, b.pieces = &outlines.pieces;
+        b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
         b.offset = number("offset"), b.samples = number("samples");
         b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
         b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");

@@ -13,6 +13,7 @@ template <class S>
 struct BoundaryCall {
     BoundaryPart part;
     const OutlineSet *outlines;
+    const uint8_t *moves;  // by shape, whether it does
     // silhouettes: sample i takes the part (i + offset) / samples of the length of all pieces
     const OutlinePieces *pieces;
     double offset, samples;
@@ -20,8 +21,9 @@ struct BoundaryCall {
     size_t n_cells;
     uint64_t first, count;  // numbers of the samples, of `total` in all passes
     double total;
-    double near;     // what counts as close
-    double in_view;  // the share of the outlines that lights see which the camera sees
+    double near;                      // what counts as close
+    double in_view;                   // the share of the outlines that lights see which the camera sees
+    const FilmBlock *film = nullptr;  // reverse: the adjoint, set by the call
     // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found.
     // Reverse: the adjoint of the wanted pixels (height, width, values + 1 of alpha) over the integral of their filter.
     // Forward: for each sample its place on the film (count, 2) and what it adds there (count, values + 1).

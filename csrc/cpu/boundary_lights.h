@@ -109,6 +109,7 @@ private:
             const V y = at_.y.get(k), yn = at_.yn.get(k), origin = x.far ? at_.travel.get(k) : y;
             OutlineAnchor anchor{};
             anchor.p = Base::single(origin), anchor.n = anchor.axis = Base::single(yn);
+            anchor.still = on_shape ? this->still(at_.at.shape[k]) : 0.2f;  // lights at points may move
             anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
             const OutlineChoice chosen = boundary_.outlines->tree().choose(anchor, this->tree_seed(k));
             if (chosen.element < 0) continue;
@@ -159,7 +160,7 @@ private:
     // --------------------------------------------------------------------------------------- from there to the camera
     void see_from_camera(uint32_t n) {
         const S width = S(call_.film_width), height = S(call_.film_height);
-        PathQueue<S> &queue = begin_ends(n);
+        PathQueue<S> &queue = begin_ends(n, 0);
         std::vector<S> area(n);
         for (const Edge &x : edges_) {
             const uint32_t k = x.slot;
@@ -195,7 +196,7 @@ private:
             anchors_.d.set(k, Base::unit(towards));
         }
         this->scatter_chosen();
-        PathQueue<S> &queue = begin_ends(n);
+        PathQueue<S> &queue = begin_ends(n, 0x80000000u);
         carried_.assign(n, V{S(0), S(0), S(0)});
         for (const Edge &x : edges_) {
             const uint32_t k = x.slot;
@@ -222,10 +223,11 @@ private:
         }
     }
 
-    PathQueue<S> &begin_ends(uint32_t n) {
+    // `other`: with samples of their own, since those of the path have chosen its BSDFs.
+    PathQueue<S> &begin_ends(uint32_t n, uint32_t other) {
         ends_.begin(n);
         for (uint32_t k = 0; k < n; ++k) {
-            ends_.slots.pixel[k] = paths_.slots.pixel[k], ends_.slots.sample[k] = paths_.slots.sample[k];
+            ends_.slots.pixel[k] = paths_.slots.pixel[k], ends_.slots.sample[k] = paths_.slots.sample[k] ^ other;
             at_.ratio[k] = 0;
         }
         return ends_.wavefront.queues[0];
@@ -295,7 +297,7 @@ private:
             return add(n, slots, sink, camera, [&](const Connection &x) {
                 double adjoint[SpectrumSize + 1], sum = 0;
                 const uint32_t k = edges_[x.edge].slot;
-                this->collect_at(slots.film_x[k], slots.film_y[k], adjoint);
+                this->collect(slots.film_x[k], slots.film_y[k], adjoint);
                 for (int c = 0; c < call_.values; ++c) sum += adjoint[c] * double(x.jump[c]);
                 return S(sum);
             });

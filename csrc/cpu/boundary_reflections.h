@@ -216,7 +216,7 @@ private:
         PointSink<F> points{sink};
         for (const Sight &x : sights_) {
             double adjoint[SpectrumSize + 1] = {};
-            if (!sink.forward) this->collect(x.slot, adjoint);
+            if (!sink.forward) this->collect(paths_.slots.film_x[x.slot], paths_.slots.film_y[x.slot], adjoint);
             V b_bar = zero, s_bar = zero;
             for (size_t h = 0; h < 2; ++h) {
                 const S w = weight(adjoint, x.jump[h], call_.values);

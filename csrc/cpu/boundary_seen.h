@@ -45,7 +45,7 @@ public:
             return add(n, sink, [&](const Sight &x) {
                 double adjoint[Most], sum = 0;
                 const auto &slots = paths_.slots;
-                this->collect_at(slots.film_x[x.slot], slots.film_y[x.slot], adjoint);
+                this->collect(slots.film_x[x.slot], slots.film_y[x.slot], adjoint);
                 for (int c = 0; c <= values; ++c) sum += adjoint[c] * x.jump[c];
                 return S(sum);
             });
@@ -89,7 +89,7 @@ private:
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
             if (!point.valid || !film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
-            if (!std::isfinite(place.x) || !std::isfinite(place.y)) continue;
+            if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
             const V o = ray.ray.o, d = ray.ray.d, towards = point.p - o, across = cross(d, point.along);
             x.t = dot(towards, d);

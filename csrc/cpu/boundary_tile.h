@@ -55,14 +55,6 @@ public:
           light_(call, 2 * Capacity, nullptr) {
         arena_.allocate(Capacity + 2 * W, anchors_);
         glued_arena_.allocate(2 * Capacity + 2 * W, glued_);
-        if (!boundary.adjoint) return;
-        film_.reset(call.crop, call.values + 1);
-        for (int y = call.crop.y0; y < call.crop.y1; ++y)
-            for (int x = call.crop.x0; x < call.crop.x1; ++x)
-                std::copy_n(boundary.adjoint +
-                                size_t(call.values + 1) *
-                                    (size_t(y - call.crop.y0) * size_t(call.crop.width()) + size_t(x - call.crop.x0)),
-                            size_t(call.values + 1), film_.at(y, x));
     }
 
     RenderStats take_stats() {
@@ -88,6 +80,11 @@ protected:
     template <class Stop>
     void trace_paths(uint32_t n, Stop &&stop) {
         paths_.start(n, false);
+        const auto &slots = paths_.slots;
+        for (uint32_t k = 0; k < n; ++k) {  // a place that was rounded up is in another pixel
+            slots.film_x[k] = std::min(slots.film_x[k], std::nextafter(S(int32_t(slots.column[k]) + 1), S(-INFINITY)));
+            slots.film_y[k] = std::min(slots.film_y[k], std::nextafter(S(int32_t(slots.row[k]) + 1), S(-INFINITY)));
+        }
         paths_.run(true, stop);
     }
     // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
@@ -178,11 +175,14 @@ protected:
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
     V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
     static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
+    // The weight of outlines that rest, as what is on a shape sees them: they count where that moves, and where light
+    // of what moves ends there.
+    float still(uint32_t shape) const { return boundary_.moves[shape] ? 1.f : 0.05f; }
     OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) const {
         OutlineAnchor a{};
         a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = false, a.own = int32_t(shape);
+        a.parallel = false, a.own = int32_t(shape), a.still = still(shape);
         return a;
     }
 
@@ -305,14 +305,9 @@ protected:
     }
 
     // ------------------------------------------------------------------------------------------------------- sums
-    // What a sample on the film gets of the adjoint.
-    void collect(uint32_t slot, double *to) const {
-        const auto &slots = paths_.slots;
-        film_.collect(call_.filter, int32_t(slots.row[slot]), int32_t(slots.column[slot]), double(slots.film_y[slot]),
-                      double(slots.film_x[slot]), to);
-    }
-    void collect_at(S x, S y, double *to) const {
-        film_.collect(call_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
+    // What a place on the film gets of the adjoint.
+    void collect(S x, S y, double *to) const {
+        boundary_.film->collect(call_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
     }
     // Whether a pixel that is wanted may get something of it.
     bool near_film(S x, S y) const {
@@ -421,7 +416,6 @@ protected:
 
 private:
     Arena arena_, glued_arena_;
-    FilmBlock film_;
 };
 
 }  // namespace tr

@@ -14,7 +14,7 @@ namespace tr {
 
 struct OutlinePiece {
     int32_t element;
-    float begin, end, weight;  // of its parameter; of a piece
+    float begin, end;  // of its parameter
 };
 
 struct OutlinePieces {
@@ -76,7 +76,7 @@ private:
 
     // Whether an element that moves can be an outline or a crease from the camera: a weight.
     float candidate(const OutlineElement &e) const {
-        if (!set_.moves(size_t(e.index)) || !(e.weight > 0)) return 0;
+        if (!e.moves || !(e.weight > 0)) return 0;
         if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return 1;
         const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)}, d = parallel_ ? o : e.a - o;
         const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
@@ -124,7 +124,7 @@ private:
             const OnFilm piece = on_film(element, begin, end, 2);
             const S length = std::min(piece.length, S(call_.crop.height() + call_.crop.width()));
             if (!piece.seen || !(length > 0) || !is_near(piece, length)) continue;
-            to.push_back({element, float(begin), float(end), weight});
+            to.push_back({element, float(begin), float(end)});
             lengths.push_back(double(weight) * double(length));
         }
     }

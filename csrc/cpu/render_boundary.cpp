@@ -25,8 +25,16 @@ RenderStats run_boundary(const RenderCall<S> &call, const BoundaryCall<S> &bound
 }
 
 template <class Tile, class F, class S = ScalarOf<F>>
-RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative) {
+RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, DerivativeCall<S> &derivative) {
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+    FilmBlock film;
+    film.reset(call.crop, call.values + 1);
+    const double *from = given.adjoint;
+    for (int y = call.crop.y0; y < call.crop.y1; ++y)
+        for (int x = call.crop.x0; x < call.crop.x1; ++x, from += film.values)
+            std::copy_n(from, film.values, film.at(y, x));
+    BoundaryCall<S> boundary = given;
+    boundary.film = &film;
     std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
     auto make = [&](int thread) {
         locals[size_t(thread)].allocate(derivative, thread);

@@ -10,8 +10,7 @@ namespace tr {
 
 namespace {
 
-constexpr float Still = 0.1f;   // weight of outlines that rest: they count where what sees them moves
-constexpr float Hollow = 0.1f;  // ... of edges that can be seen from behind only
+constexpr float Hollow = 0.1f;  // weight of edges that can be seen from behind only
 
 using V = Vec3<float>;
 
@@ -169,7 +168,6 @@ void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int thr
         }
         order_ = morton_order(places.data(), size());
     }
-    moves_.resize(size());
     tree_.resize(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t k = begin; k < end; ++k) {
@@ -179,9 +177,8 @@ void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int thr
                 for (size_t h = 0; h < count(i); ++h) any |= moves[halves(i)[h].shape] != 0;
             else
                 any = moves[curve(i).shape] != 0;
-            moves_[i] = any;
             OutlineElement e = element(scene, i);
-            e.weight *= any ? 1.f : Still;
+            e.moves = any;
             e.index = int32_t(i);
             tree_.set(k, e);
         }

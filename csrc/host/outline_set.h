@@ -37,8 +37,6 @@ public:
     bool is_split(size_t edge) const { return split_[edge] != 0; }
     // Of another element.
     const OutlineCurve &curve(size_t element) const { return curves_[element - n_edges()]; }
-    bool moves(size_t element) const { return moves_[element] != 0; }
-
     const OutlineTree &tree() const { return tree_; }
 
 private:
@@ -46,7 +44,7 @@ private:
     std::vector<uint32_t> begin_{0};
     std::vector<OutlineCurve> curves_;
     std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
-    std::vector<uint8_t> split_, moves_;
+    std::vector<uint8_t> split_;
     std::vector<int32_t> order_;
     OutlineTree tree_;
     bool found_ = false;

@@ -49,6 +49,8 @@ void put_lane(const V &v, T &columns, size_t k) {
 }
 Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
 
+float weight_of(float given, const OutlineAnchor &from) { return given < 0 ? -given * from.still : given; }
+
 // What about is scattered towards directions around the unit vector d, within an angle.
 F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
     auto nearest = [&](const V &axis) {  // cosine of the least angle to `axis`
@@ -128,15 +130,15 @@ void OutlineTree::set(size_t i, const OutlineElement &e) {
     Elements &leaf = leaves_[i / Wide];
     const size_t k = i % Wide;
     put_lane(e.a, leaf.a, k), put_lane(e.b, leaf.b, k), put_lane(e.n0, leaf.n0, k), put_lane(e.n1, leaf.n1, k);
-    leaf.weight[k] = e.weight, leaf.bend[k] = e.bend;
+    leaf.weight[k] = e.moves ? e.weight : -e.weight, leaf.bend[k] = e.bend;
     leaf.kind[k] = e.kind, leaf.shape[k] = e.shape, leaf.index[k] = e.index;
 }
 
 OutlineElement OutlineTree::get(size_t i) const {
     const Elements &leaf = leaves_[i / Wide];
     const size_t k = i % Wide;
-    return {lane_of(leaf.a, k), lane_of(leaf.b, k), lane_of(leaf.n0, k), lane_of(leaf.n1, k), leaf.weight[k],
-            leaf.bend[k],       leaf.kind[k],       leaf.shape[k],       leaf.index[k]};
+    return {lane_of(leaf.a, k), lane_of(leaf.b, k), lane_of(leaf.n0, k), lane_of(leaf.n1, k), std::fabs(leaf.weight[k]),
+            leaf.bend[k],       leaf.kind[k],       leaf.shape[k],       leaf.index[k],       leaf.weight[k] > 0};
 }
 
 void OutlineTree::build(int threads) {
@@ -157,7 +159,8 @@ void OutlineTree::build(int threads) {
 
 void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
     put_lane(node.center, to.center, k), put_lane(node.axis, to.axis, k);
-    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux;
+    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux,
+    to.still[k] = node.still;
 }
 
 OutlineTree::Node OutlineTree::node_of(const Elements &leaf) const {
@@ -169,30 +172,31 @@ OutlineTree::Node OutlineTree::node_of(const Elements &leaf) const {
     bool any_direction = false;
     Node node;
     for (size_t k = 0; k < Wide; ++k) {
-        const float weight = leaf.weight[k];
+        const float weight = std::fabs(leaf.weight[k]);
         if (!(weight > 0)) continue;
+        float &flux = leaf.weight[k] > 0 ? node.flux : node.still;
         const V a = lane_of(leaf.a, k), b = lane_of(leaf.b, k);
         const int32_t kind = leaf.kind[k];
         if (kind == OutlineElement::Round) {
             const V r{b.x, b.x, b.x};
             include(a - r), include(a + r);
-            node.flux += weight * 2 * pi * b.x;
+            flux += weight * 2 * pi * b.x;
         } else {
             include(a), include(b);
             // an edge is an outline from the share of directions between its faces
             const float angle = kind == OutlineElement::Edge ? std::sqrt(2 * leaf.bend[k]) / pi : 1;
-            node.flux += weight * norm(b - a) * std::max(angle, 1e-4f);
+            flux += weight * norm(b - a) * std::max(angle, 1e-4f);
         }
         any_direction |= kind != OutlineElement::Edge;
         sum = sum + lane_of(leaf.n0, k) + lane_of(leaf.n1, k);
     }
-    if (!(node.flux > 0)) return node;
+    if (!(node.flux + node.still > 0)) return node;
     node.center = (low + high) * 0.5f;
     node.radius = norm(high - low) * 0.5f * 1.00001f;
     node.axis = unit(sum);
     node.cosine = any_direction ? -1.f : 1.f;
     for (size_t k = 0; k < Wide && !any_direction; ++k)
-        if (leaf.weight[k] > 0)
+        if (leaf.weight[k] != 0)
             node.cosine =
                 std::min({node.cosine, dot(node.axis, lane_of(leaf.n0, k)), dot(node.axis, lane_of(leaf.n1, k))});
     node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
@@ -204,20 +208,20 @@ OutlineTree::Node OutlineTree::united(const Nodes &children) {
     V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
     Node node;
     for (size_t k = 0; k < Wide; ++k) {
-        if (!(children.flux[k] > 0)) continue;
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
         const V c = lane_of(children.center, k);
         const float r = children.radius[k];
         low = {std::min(low.x, c.x - r), std::min(low.y, c.y - r), std::min(low.z, c.z - r)};
         high = {std::max(high.x, c.x + r), std::max(high.y, c.y + r), std::max(high.z, c.z + r)};
         sum = sum + lane_of(children.axis, k);
-        node.flux += children.flux[k];
+        node.flux += children.flux[k], node.still += children.still[k];
     }
-    if (!(node.flux > 0)) return node;
+    if (!(node.flux + node.still > 0)) return node;
     node.center = (low + high) * 0.5f;
     node.axis = unit(sum);
     float angle = 0;  // the half angle that holds all cones
     for (size_t k = 0; k < Wide; ++k) {
-        if (!(children.flux[k] > 0)) continue;
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
         node.radius = std::max(node.radius, norm(lane_of(children.center, k) - node.center) + children.radius[k]);
         const float between = std::acos(std::clamp(dot(node.axis, lane_of(children.axis, k)), -1.f, 1.f));
         angle = std::max(angle, children.cosine[k] > 0 ? between + std::acos(std::min(children.cosine[k], 1.f)) : pi);
@@ -231,7 +235,8 @@ OutlineTree::Node OutlineTree::united(const Nodes &children) {
 
 void OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide]) {
     for (size_t i = 0; i < Wide; i += W) {
-        const F flux = load<F>(&nodes.flux[i]), radius = load<F>(&nodes.radius[i]);
+        const F flux = load<F>(&nodes.flux[i]) + load<F>(&nodes.still[i]) * F(from.still),
+                radius = load<F>(&nodes.radius[i]);
         const Vec3<F> d = from.parallel ? widen(from.p) : load_vector(nodes.center, i) - widen(from.p);
         const F squared = squared_norm(d), r2 = from.parallel ? F(0) : radius * radius;
         const M outside = mask<F>(squared > r2);
@@ -252,7 +257,7 @@ void OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
 float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from) {
     if (leaf.shape[k] == from.own) return 0;
     const V a = lane_of(leaf.a, k) - from.p;
-    const float r = leaf.b[0][k], length = leaf.weight[k] * 2 * pi * r;
+    const float r = leaf.b[0][k], length = weight_of(leaf.weight[k], from) * 2 * pi * r;
     if (from.parallel) return length;
     const float squared = dot(a, a), distance = std::sqrt(squared);
     float seen = 1;
@@ -271,7 +276,8 @@ void OutlineTree::target(const Elements &leaf, const OutlineAnchor &from, float 
         const Vec3<F> p = widen(from.p), a = from.parallel ? p : load_vector(leaf.a, i) - p;
         const Vec3<F> along = load_vector(leaf.b, i) - load_vector(leaf.a, i), d = from.parallel ? p : a + along * F(s);
         const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
-        const F weight = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
+        const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
+        const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
         auto front = [&](const Column<float>(&n)[3]) { return mask<F>(dot(load_vector(n, i), d) < F(0)); };
         const M n0 = front(leaf.n0), n1 = front(leaf.n1), outline = (n0 && !n1) || (n1 && !n0);
         const F crease = select(mask<F>(kind == int32_t(OutlineElement::Crease)), max(F(0.05f), min(bend, F(1))), F(0));
@@ -285,7 +291,7 @@ void OutlineTree::target(const Elements &leaf, const OutlineAnchor &from, float 
     }
     if (!curves) return;
     for (size_t k = 0; k < Wide; ++k)
-        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] > 0) to[k] = curve_target(leaf, k, from);
+        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] != 0) to[k] = curve_target(leaf, k, from);
 }
 
 OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) const {

@@ -1,6 +1,6 @@
 // Which outline a point on a surface should look past: a tree over all edges of a scene that can hide something, from
 // which one is chosen about in proportion to what it may bring. With an idea of Conty Estevez and Kulla, "Importance
-// Sampling of Many Lights with Adaptive Tree Splitting" (2018), boxes have cones of normals, which tell that all faces
+// Sampling of Many Lights with Adaptive Tree Splitting" (2018), nodes have cones of normals, which tell that all faces
 // below look towards a point or away from it; then nothing below is an outline. Nodes have 16 children, so that a
 // packet looks at all of them at once.
 #pragma once
@@ -20,14 +20,15 @@ struct OutlineElement {
     Vec3<float> a, b, n0, n1;
     float weight, bend;
     int32_t kind, shape, index;
+    bool moves;
 };
 
 // Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like (1
 // - share) max(0, n.d) + share exp(k (axis.d - 1)); n = 0: alike in all directions. What is on the curved shape `own`
-// sees no outline of it.
+// sees no outline of it. `still`: the weight of outlines that rest.
 struct OutlineAnchor {
     Vec3<float> p, n, axis;
-    float k, share;
+    float k, share, still;
     bool parallel;
     int32_t own;
 };
@@ -54,22 +55,21 @@ public:
     OutlineChoice choose(const OutlineAnchor &from, uint64_t seed) const;
 
 private:
-    // Everything below a node is in a ball. The cone of its normals has a half angle of at least 90 degrees where
-    // cosine
-    // <= 0.
+    // Everything below a node is in a ball. The cone of its normals has a half angle of at least 90 degrees where its
+    // cosine is not above zero. Fluxes: of what moves, and of what rests.
     struct Node {
         Vec3<float> center{0, 0, 0};
         float radius = 0;
         Vec3<float> axis{0, 0, 1};
-        float cosine = -1, sine = 0, flux = 0;
+        float cosine = -1, sine = 0, flux = 0, still = 0;
     };
     template <class T>
     using Column = T[Wide];
     struct alignas(64) Nodes {  // siblings
-        Column<float> center[3], radius, axis[3], cosine, sine, flux;
+        Column<float> center[3], radius, axis[3], cosine, sine, flux, still;
     };
-    struct alignas(64) Elements {  // of a leaf
-        Column<float> a[3], b[3], n0[3], n1[3], weight, bend;
+    struct alignas(64) Elements {                              // of a leaf
+        Column<float> a[3], b[3], n0[3], n1[3], weight, bend;  // a weight below zero: it rests
         Column<int32_t> kind, shape, index;
     };
     size_t n_ = 0;

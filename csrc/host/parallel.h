@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <exception>
+#include <system_error>
 #include <thread>
 #include <vector>
 
@@ -22,8 +23,14 @@ void for_ranges(size_t n, int threads, Visit &&visit) {
         }
     };
     std::vector<std::thread> others;
-    for (size_t r = 1; r < ranges; ++r) others.emplace_back(run, r);
+    size_t left = ranges;
+    try {
+        for (size_t r = 1; r < ranges; ++r) others.emplace_back(run, r);
+    } catch (const std::system_error &) {  // no more threads to be had
+        left = others.size() + 1;
+    }
     run(0);
+    for (size_t r = left; r < ranges; ++r) run(r);
     for (std::thread &t : others) t.join();
     for (const auto &error : errors)
         if (error) std::rethrow_exception(error);

@@ -6,6 +6,7 @@ Statistical tests are at 1 % for all of this file together, by Sidak's correctio
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import torch
@@ -222,6 +223,13 @@ def test_reflected_light(light):
     check(room(light, 4), "box.vertex_positions", spp=512)
 
 
+def test_blends_are_chosen_from_apart_at_every_vertex():
+    half = {"type": "blendbsdf", "weight": 0.5, "a": diffuse(0.0), "b": diffuse(0.9)}
+    scene = room("point", 5, half)
+    scene["box"].bsdf = half
+    check(scene, "plate.to_world", spp=1024)
+
+
 @pytest.mark.parametrize("alpha", [0.1, 0.3])
 def test_a_rough_mirror(alpha):
     floor = {"type": "roughconductor", "alpha": alpha}
@@ -309,6 +317,32 @@ def test_numbers_of_samples():
     for bad, error in (((1, 2, 3), ValueError), (-1, ValueError), ((1, -1), ValueError), ("4", TypeError)):
         with pytest.raises(error, match=r"render: spp_visibility"):
             tr.render(scene, spp=1, spp_visibility=bad)
+
+
+def test_no_pixels_have_no_gradient():
+    scene = room("sky", 3)
+    leaves = scene.train_only("box.vertex_positions", "camera.to_world")
+    image = tr.render(scene, spp=4, pixels=torch.zeros(0, 2, dtype=torch.int64))
+    assert all(not g.any() for g in torch.autograd.grad(image.sum(), leaves))
+
+
+def test_two_threads_with_cameras_of_their_own():
+    """They share what the core knows of the outlines."""
+    scene = room("rectangle", 3).to(torch.float32)
+    moved = torch.eye(4)
+    moved[0, 3] = 0.7
+    start = scene.get_parameter("box.vertex_positions").detach()
+    poses = [scene.get_parameter("camera.to_world").detach(), moved @ scene.get_parameter("camera.to_world").detach()]
+
+    def gradient(pose: torch.Tensor) -> torch.Tensor:
+        corners = start.clone().requires_grad_()
+        params = {"box.vertex_positions": corners, "camera.to_world": pose}
+        return torch.autograd.grad(tr.render(scene, spp=4, spp_visibility=64, seed=1, params=params).sum(), corners)[0]
+
+    alone = [gradient(pose) for pose in poses]
+    with ThreadPoolExecutor(2) as pool:
+        for _ in range(8):
+            assert all(torch.equal(a, b) for a, b in zip(pool.map(gradient, poses), alone))
 
 
 def test_the_same_seed_gives_the_same_gradient():

@@ -10,9 +10,9 @@ import torch
 
 from ..autograd import dense_tangents, zero_gradient
 from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
-from .boundary_call import BoundaryCall
+from .boundary_call import BoundaryCall, all_placing_slots
 from .film_sums import FilmPlaces
-from .outlines import Outlines
+from .outlines import outlines_of
 
 
 class BoundaryFunction(UnbatchedFunction):
@@ -81,8 +81,10 @@ class _Vjp(DerivativeFunction):
             if alpha is not None:
                 film.add(adjoint, alpha.detach().reshape(-1, 1), slice(-1, None))
             adjoint /= film.normal
-            grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
-            Outlines(boundary, params, film, threads).reverse(adjoint, grads)
+            placing = all_placing_slots(call.layout)
+            grads = [zero_gradient(p) if needed[i] and i in placing else None for i, p in enumerate(params)]
+            with outlines_of(boundary, params, film, threads) as outlines:
+                outlines.reverse(adjoint, grads)
         return tuple(grads)
 
 
@@ -95,7 +97,10 @@ class _Jvp(DerivativeFunction):
             film = FilmPlaces(call)
             total = film.empty()
             dense = dense_tangents(params, tangents, call.native.dtype)
-            Outlines(boundary, params, film, threads).forward(total, dense)
+            placing = all_placing_slots(call.layout)
+            dense = [t if i in placing else None for i, t in enumerate(dense)]
+            with outlines_of(boundary, params, film, threads) as outlines:
+                outlines.forward(total, dense)
             total /= film.normal
             values = film.results(total)
         image = values[:, :-1].reshape(call.shape()).to(call.native.dtype)

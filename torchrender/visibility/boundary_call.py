@@ -41,6 +41,12 @@ def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
     return found
 
 
+def all_placing_slots(layout: Layout) -> set[int]:
+    """The slots of what may place shapes, cameras and lights."""
+    categories = ("shape", "sensor", "emitter")
+    return {slot for c in categories for _, slots in placing_slots(layout, c) for slot in slots}
+
+
 def boundary_of(call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
     kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import torch
 
 from ..seeds import mix
-from .boundary_call import BoundaryCall, placing_slots
+from .boundary_call import BoundaryCall
 from .film_sums import FilmPlaces
 
 # Tell the seeds of samples from those of paths.
@@ -20,42 +22,53 @@ BLOCK = 1 << 18  # samples whose places and values forward mode keeps at a time
 FEW = 1024  # samples that tell how much the camera sees of what lights find
 
 
-class Outlines:
-    """A scene's outlines as one camera sees them.
+@contextlib.contextmanager
+def outlines_of(
+    boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces, threads: int
+) -> Iterator[Outlines]:
+    """Those of a scene. The core's are kept from call to call, and brought up to date: one thread at a time has them.
 
     Args:
         params: by slot, without derivatives.
         threads: of the core.
     """
+    layout, core = boundary.call.layout, boundary.call.native.core
+    key, known = (layout.index_key(), core), layout.edges
+    if known is None or known[0] != key:
+        layout.edges = known = key, core.Outlines(), threading.Lock()
+    _, handle, lock = known
+    with lock:
+        yield Outlines(boundary, params, film, threads, handle)
 
-    def __init__(self, boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces, threads: int) -> None:
+
+class Outlines:
+    """A scene's outlines as one camera sees them."""
+
+    def __init__(
+        self, boundary: BoundaryCall, params: Sequence[torch.Tensor], film: FilmPlaces, threads: int, handle: Any
+    ) -> None:
         self.boundary, self.film, self.params = boundary, film, list(params)
         self.call = call = boundary.call
         self.configs = [{**c, "threads": threads} for c in call.configs(derivative=True)]
         self.statistics: dict[str, dict[str, float]] = {}
         call.statistics["visibility"] = self.statistics
-        self.handle, self.length = self._up_to_date()
-        slots = {s for c in ("shape", "sensor", "emitter") for _, all_ in placing_slots(call.layout, c) for s in all_}
-        self.placing = slots
+        self.moves = boundary.moves.to(torch.uint8).contiguous()
+        self.handle = handle
+        self.length = call.native.call(
+            "find_outlines", self.params, self.configs[0], self.moves.data_ptr(), self.handle
+        )
         self.cells = film.cells(call.config["window"]).contiguous()
         box = call.native.handle.bounding_box()
         max_depth = call.config["max_depth"]
         self.numbers = {"cells": len(self.cells), "near": NEAR * math.dist(box[:3], box[3:]), "in_view": 1.0}
         self.parts: list[str] = []
+        if not len(self.cells):  # no pixel is wanted
+            return
         if boundary.spp[0] > 0 and self.length > 0:
             self.parts.append("silhouettes")
         if boundary.spp[1] > 0 and not 0 <= max_depth < 2:
             self.numbers["in_view"] = self._share_in_view()
             self.parts += ["shadows", "reflections"] if bool(boundary.moves.any()) else ["shadows"]
-
-    def _up_to_date(self) -> tuple[Any, float]:
-        """The core's outlines, those of an earlier call if indices are the same; the length that is seen, in pixels."""
-        layout, native = self.call.layout, self.call.native
-        key, moves = (layout.index_key(), native.core), self.boundary.moves.to(torch.uint8).contiguous()
-        if layout.edges is None or layout.edges[0] != key:
-            layout.edges = key, native.core.Outlines()
-        length = native.call("find_outlines", self.params, self.configs[0], moves.data_ptr(), layout.edges[1])
-        return layout.edges[1], length
 
     def _share_in_view(self) -> float:
         """About which share of the edges that lights find the camera sees, in the wanted pixels: of a few samples.
@@ -73,13 +86,13 @@ class Outlines:
     def reverse(self, adjoint: torch.Tensor, grads: Sequence[torch.Tensor | None]) -> None:
         """Adds to the gradients, by slot; `adjoint` (H, W, C + 1) is that of the film, see `FilmPlaces`."""
         adjoint = adjoint.contiguous()
-        addresses = [0 if g is None or i not in self.placing else g.data_ptr() for i, g in enumerate(grads)]
+        addresses = [0 if g is None else g.data_ptr() for i, g in enumerate(grads)]
         for part, config, numbers in self._blocks(1 << 62):
             self._call(part, config, numbers, {"adjoint": adjoint.data_ptr()}, addresses, False)
 
     def forward(self, total: torch.Tensor, tangents: Sequence[torch.Tensor | None]) -> None:
         """Adds to the sums of the film, for tangents by slot."""
-        addresses = [0 if t is None or i not in self.placing else t.data_ptr() for i, t in enumerate(tangents)]
+        addresses = [0 if t is None else t.data_ptr() for i, t in enumerate(tangents)]
         for part, config, numbers in self._blocks(BLOCK):
             rows = int(numbers["count"]) * (2 if part == "shadows" else 1)
             place = torch.zeros(rows, 2, dtype=torch.float64)
@@ -118,7 +131,7 @@ class Outlines:
         forward: bool,
     ) -> None:
         config = {**config, "seed": mix(config["seed"], STREAMS[part])}
-        arrays = {"cells": self.cells.data_ptr()} | out
+        arrays = {"cells": self.cells.data_ptr(), "moves": self.moves.data_ptr()} | out
         given = {name: float(x) for name, x in {**self.numbers, **numbers}.items()}
         rest = self.handle, addresses, forward
         found = self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)

@@ -1,0 +1,155 @@
+// Outlines: which edges there are, how often the tree chooses each, and where cameras see points.
+#include <random>
+
+#include "accel/embree_library.h"
+#include "core/sensor/camera.h"
+#include "host/outline_set.h"
+#include "scene_builder.h"
+
+namespace tr::testing {
+
+namespace {
+
+// A cube of 8 vertices, or of 24 with those of each side apart; its faces are wound outwards.
+template <class S>
+void add_cube(SceneBuilder<S> &b, bool apart) {
+    const int32_t sides[6][4] = {{0, 2, 3, 1}, {4, 5, 7, 6}, {0, 1, 5, 4}, {2, 6, 7, 3}, {0, 4, 6, 2}, {1, 3, 7, 5}};
+    std::vector<S> vertices;
+    std::vector<int32_t> faces;
+    auto corner = [&](int32_t i) {
+        for (int k = 0; k < 3; ++k) vertices.push_back(S(i >> k & 1));
+    };
+    if (!apart)
+        for (int32_t i = 0; i < 8; ++i) corner(i);
+    for (const auto &side : sides) {
+        const int32_t first = int32_t(vertices.size() / 3);
+        for (int32_t i = 0; i < 4 && apart; ++i) corner(side[i]);
+        for (int i : {0, 1, 2, 0, 2, 3}) faces.push_back(apart ? first + i : side[i]);
+    }
+    const int64_t n = int64_t(vertices.size() / 3);
+    b.indices.push_back(std::move(faces));
+    b.add("shape", "mesh",
+          {{"vertices", b.param({n, 3}, std::move(vertices))},
+           {"faces", int64_t(b.indices.size()) - 1},
+           {"bsdf", b.diffuse(1, 1, 1)}});
+}
+
+}  // namespace
+
+TR_TEST(edges_of_a_cube) {
+    load_embree(embree_path());
+    for (bool apart : {false, true}) {
+        SceneBuilder<float> b(3);
+        add_cube(b, apart);
+        b.camera(0, 0, -5, 50);
+        SceneData<float> scene;
+        b.build(scene);
+        OutlineSet set;
+        const uint8_t moves[1] = {1};
+        set.update(scene.view(), moves, 2);
+        CHECK(set.n_edges() == 18 && set.size() == 18);
+        int sharp = 0, split = 0;
+        for (size_t i = 0; i < set.tree().size(); ++i) {
+            const OutlineElement e = set.tree().get(i);
+            CHECK(set.count(size_t(e.index)) == 2);
+            sharp += e.bend > 0.5f, split += set.is_split(size_t(e.index));
+            CHECK((e.weight > 0) == (e.bend > 0.5f));  // not the diagonals of its sides
+            const Vec3<float> middle = (e.a + e.b) * 0.5f - Vec3<float>{0.5f, 0.5f, 0.5f};
+            if (e.bend > 0.5f) CHECK(dot(e.n0, middle) > 0 && dot(e.n1, middle) > 0);
+        }
+        CHECK(sharp == 12 && split == (apart ? 12 : 0));
+        if (!apart) continue;
+        for (int k = 0; k < 12; ++k) b.values[0][size_t(k)] -= 1;  // one of its sides goes away
+        scene.update(b.addresses(), std::vector<uint8_t>(b.values.size(), 1));
+        set.update(scene.view(), moves, 2);
+        CHECK(set.n_edges() == 22);
+    }
+}
+
+// The sum over choices of one over the density of an element is the length of its parameter's interval, which is 1.
+TR_TEST(the_tree_chooses_with_its_density) {
+    constexpr size_t n = 300;
+    constexpr int rounds = 400000;
+    std::mt19937 random(3);
+    std::uniform_real_distribution<float> u(-1, 1);
+    auto vector = [&] { return Vec3<float>{u(random), u(random), u(random)}; };
+    OutlineTree tree;
+    tree.resize(n);
+    std::vector<OutlineElement> all(n);
+    for (size_t i = 0; i < n; ++i) {
+        OutlineElement &e = all[i];
+        e.a = vector() + Vec3<float>{0, 0, 3}, e.b = e.a + vector() * 0.2f;
+        e.n0 = e.n1 = {0, 0, 0};
+        e.weight = 0.5f + 0.25f * (u(random) + 1), e.bend = 1;
+        e.kind = i % 10 == 0 ? OutlineElement::Round : OutlineElement::Always;
+        if (i % 10 == 0) e.b = {0.1f, 0, 0};
+        e.shape = int32_t(i), e.index = int32_t(i), e.moves = i % 3 != 0;
+        tree.set(i, e);
+    }
+    tree.build(2);
+    for (bool parallel : {false, true}) {
+        OutlineAnchor from{};
+        from.p = {0, 0, parallel ? 1.f : 0.f}, from.n = from.axis = {0, 0, 1};
+        from.still = 0.3f, from.k = 20, from.share = parallel ? 0.f : 0.5f, from.parallel = parallel, from.own = -1;
+        std::vector<double> sum(n), squares(n);
+        for (int r = 0; r < rounds; ++r) {
+            const OutlineChoice c = tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + parallel);
+            CHECK(c.element >= 0 && c.s >= 0 && c.s < 1);
+            sum[size_t(c.element)] += c.inverse_density,
+                squares[size_t(c.element)] += double(c.inverse_density) * c.inverse_density;
+        }
+        double all_of_them = 0;
+        for (size_t i = 0; i < n; ++i) {
+            const double mean = sum[i] / rounds, deviation = std::sqrt((squares[i] / rounds - mean * mean) / rounds);
+            CHECK_NEAR(mean, 1.0, 5.5 * deviation);  // of 600 one is beyond with a probability of 2e-5
+            all_of_them += mean;
+        }
+        CHECK_NEAR(all_of_them / double(n), 1.0, 0.01);
+    }
+}
+
+TR_TEST(a_camera_sees_points_of_a_ray_where_it_begins) {
+    load_embree(embree_path());
+    using S = double;
+    SceneBuilder<S> b(3);
+    add_cube(b, false);
+    const int64_t turned = b.param({4, 4}, {0.6, 0, 0.8, 1, 0, 1, 0, 2, -0.8, 0, 0.6, 3, 0, 0, 0, 1});
+    const Fields common = {{"to_world", turned}, {"near_clip", b.number(0.1)}, {"far_clip", b.number(100)}};
+    Fields film = common;
+    film.insert(film.end(), {{"x_fov", b.number(70)},
+                             {"principal_point_offset_x", b.number(0.1)},
+                             {"principal_point_offset_y", b.number(-0.05)},
+                             {"pixel_aspect", b.number(1.2)}});
+    auto with = [](Fields fields, const Fields &more) {
+        fields.insert(fields.end(), more.begin(), more.end());
+        return fields;
+    };
+    b.add("sensor", "perspective", film);
+    b.add("sensor", "perspective", with(film, {{"distortion", b.param({8}, {-0.1, 0.02, 0.01, -0.01, 0, 0, 0, 0})}}));
+    b.add("sensor", "thinlens", with(film, {{"aperture_radius", b.number(0.2)}, {"focus_distance", b.number(4)}}));
+    b.add("sensor", "orthographic", common);
+    b.add("sensor", "fisheye",
+          with(film, {{"distortion", b.param({4}, {0.01, -0.002, 0, 0})}, {"max_angle", b.number(120)}}));
+    b.add("sensor", "panorama", common);
+    SceneData<S> scene;
+    b.build(scene);
+    const S width = 40, height = 30;
+    std::mt19937 random(5);
+    std::uniform_real_distribution<S> u(0, 1);
+    for (int32_t i = 0; i < scene.view().n_sensors; ++i) {
+        const Record &sensor = scene.view().sensors[i];
+        for (int k = 0; k < 100; ++k) {
+            CameraSample<S> at{u(random) * width, u(random) * height, u(random), u(random)};
+            const CameraRay<S> ray = camera_ray<S>(scene.view(), sensor, at, width, height);
+            CHECK(ray.exists);
+            CameraSample<S> found = at;
+            found.x = found.y = -1;
+            const Vec3<S> p = ray.ray.o + ray.ray.d * (1 + 5 * u(random));
+            CHECK(film_place<S>(scene.view(), sensor, p, width, height, found));
+            CHECK_NEAR(found.x, at.x, 1e-9);
+            CHECK_NEAR(found.y, at.y, 1e-9);
+        }
+    }
+}
+
+}  // namespace tr::testing
