@@ -165,7 +165,8 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
             faces = layout.index_tensors[fields[[f.name for f in models()["shape", kind].fields].index("faces")]].long()
             b = hits.barycentric[rows]
             weight = torch.cat([1 - b.sum(1, keepdim=True), b], dim=1)[..., None]
-            value = (tensor[faces[hits.prim_id[rows]]] * weight).sum(1)
+            corners = faces[hits.prim_id[rows]]  # whose derivative is added up in one order, by `index_select`
+            value = (tensor.index_select(0, corners.flatten()).reshape(*corners.shape, -1) * weight).sum(1)
         else:
             height, width = tensor.shape[:2]
             u, v = hits.uv[rows].unbind(1)

@@ -4,6 +4,7 @@
 #include <cmath>
 #include <cstring>
 
+#include "morton_order.h"
 #include "parallel.h"
 
 namespace tr {
@@ -25,6 +26,16 @@ V face_normal(const SceneView<S> &scene, const HalfEdge &h) {
     const V a = place_of(scene, h.v0), n = cross(place_of(scene, h.v1) - a, place_of(scene, h.third) - a);
     const float length = norm(n);
     return n * ((h.turned ? -1.f : 1.f) / std::max(length, 1e-30f));
+}
+
+template <class S>
+bool has_area(const SceneView<S> &scene, const uint32_t *face) {
+    Vec3<S> p[3];
+    for (size_t k = 0; k < 3; ++k) {
+        const S *row = scene.vertices + VertexRow<S>::Size * size_t(face[k]);
+        p[k] = {row[0], row[1], row[2]};
+    }
+    return max_abs(cross(p[1] - p[0], p[2] - p[0])) > 0;
 }
 
 // The largest factor by which the matrix of these columns stretches, by the power method.
@@ -97,12 +108,10 @@ void OutlineSet::find(const SceneView<S> &scene) {
     for (uint32_t v : vertices)
         if (first[v] != v) copies_.push_back(v), copies_.push_back(first[v]);
     // faces without an area have no part in it
+    flat_.clear();
     auto each_half = [&](auto &&visit) {
         each_face([&](uint32_t shape, const uint32_t *face) {
-            const S *p[3];
-            for (size_t k = 0; k < 3; ++k) p[k] = scene.vertices + VertexRow<S>::Size * size_t(face[k]);
-            const Vec3<S> a{p[0][0], p[0][1], p[0][2]}, b{p[1][0], p[1][1], p[1][2]}, c{p[2][0], p[2][1], p[2][2]};
-            if (!(max_abs(cross(b - a, c - a)) > 0)) return;
+            if (!has_area(scene, face)) return;
             for (size_t k = 0; k < 3; ++k) {
                 const uint32_t v0 = face[k], v1 = face[(k + 1) % 3], third = face[(k + 2) % 3];
                 const bool turned = first[v0] > first[v1];
@@ -111,6 +120,9 @@ void OutlineSet::find(const SceneView<S> &scene) {
             }
         });
     };
+    each_face([&](uint32_t, const uint32_t *face) {
+        if (!has_area(scene, face)) flat_.push_back(uint32_t((face - scene.faces) / 3));
+    });
     std::vector<uint32_t> bucket(n + 1);
     each_half([&](uint32_t low, const Found &) { ++bucket[low + 1]; });
     for (size_t v = 0; v < n; ++v) bucket[v + 1] += bucket[v];
@@ -142,7 +154,6 @@ void OutlineSet::find(const SceneView<S> &scene) {
         for (int32_t k = OutlineCurve::LowerRim; k <= OutlineCurve::RightLine && (flags & IsCylinder); ++k)
             curves_.push_back({s, k});
     }
-    order_.clear();
     found_ = true;
 }
 
@@ -153,25 +164,27 @@ bool OutlineSet::holds(const SceneView<S> &scene) const {
                 *b = scene.vertices + VertexRow<S>::Size * size_t(copies_[i + 1]);
         if (!std::equal(a, a + 3, b)) return false;
     }
-    return true;
+    return std::none_of(flat_.begin(), flat_.end(),
+                        [&](uint32_t face) { return has_area(scene, scene.faces + 3 * size_t(face)); });
 }
 
 template <class S>
 void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int threads) {
     if (!found_ || !holds(scene)) find(scene);
-    if (order_.size() != size()) {
-        std::vector<float> places(3 * size());
-        for (size_t i = 0; i < size(); ++i) {
-            const OutlineElement e = element(scene, i);
-            const V p = is_edge(i) ? (e.a + e.b) * 0.5f : e.a;
+    // Of where things are now, so that what a call finds does not depend on earlier ones.
+    std::vector<float> places(3 * size());
+    for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
+        for (size_t i = begin; i < end; ++i) {
+            const V p = is_edge(i) ? (place_of(scene, halves(i)->v0) + place_of(scene, halves(i)->v1)) * 0.5f
+                                   : curve_element(scene, i).a;
             places[3 * i] = p.x, places[3 * i + 1] = p.y, places[3 * i + 2] = p.z;
         }
-        order_ = morton_order(places.data(), size());
-    }
+    });
+    const std::vector<int32_t> order = morton_order(places.data(), size(), threads);
     tree_.resize(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t k = begin; k < end; ++k) {
-            const size_t i = size_t(order_[k]);
+            const size_t i = size_t(order[k]);
             bool any = false;
             if (is_edge(i))
                 for (size_t h = 0; h < count(i); ++h) any |= moves[halves(i)[h].shape] != 0;

@@ -23,7 +23,8 @@ struct OutlineCurve {
 class OutlineSet {
 public:
     // To where vertices are; `moves`: by shape, whether it does. Edges are found the first time, and where vertices
-    // that were in one place no longer are. (Of a scene with other indices there is another set.)
+    // that were in one place no longer are, or faces that had no area have one. (Of a scene with other indices there
+    // is another set.)
     template <class S>
     void update(const SceneView<S> &scene, const uint8_t *moves, int threads);
 
@@ -44,8 +45,8 @@ private:
     std::vector<uint32_t> begin_{0};
     std::vector<OutlineCurve> curves_;
     std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
+    std::vector<uint32_t> flat_;    // faces without an area
     std::vector<uint8_t> split_;
-    std::vector<int32_t> order_;
     OutlineTree tree_;
     bool found_ = false;
 

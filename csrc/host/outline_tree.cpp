@@ -339,30 +339,4 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
     return choice;
 }
 
-std::vector<int32_t> morton_order(const float *places, size_t n) {
-    float low[3] = {INFINITY, INFINITY, INFINITY}, high[3] = {-INFINITY, -INFINITY, -INFINITY};
-    for (size_t i = 0; i < 3 * n; ++i) {
-        if (!std::isfinite(places[i])) continue;
-        low[i % 3] = std::min(low[i % 3], places[i]), high[i % 3] = std::max(high[i % 3], places[i]);
-    }
-    auto spread = [](uint64_t x) {  // two zeros after each of 21 bits
-        x = (x | x << 32) & 0x1F00000000FFFFull;
-        x = (x | x << 16) & 0x1F0000FF0000FFull;
-        x = (x | x << 8) & 0x100F00F00F00F00Full;
-        x = (x | x << 4) & 0x10C30C30C30C30C3ull;
-        return (x | x << 2) & 0x1249249249249249ull;
-    };
-    std::vector<uint64_t> code(n);
-    for (size_t i = 0; i < n; ++i)
-        for (size_t k = 0; k < 3; ++k) {
-            const float size = high[k] - low[k], x = size > 0 ? (places[3 * i + k] - low[k]) / size : 0;
-            code[i] |= spread(uint64_t(std::clamp(std::isfinite(x) ? x : 0.f, 0.f, 1.f) * 2097151.f)) << k;
-        }
-    std::vector<int32_t> order(n);
-    std::iota(order.begin(), order.end(), 0);
-    std::stable_sort(order.begin(), order.end(),
-                     [&](int32_t i, int32_t j) { return code[size_t(i)] < code[size_t(j)]; });
-    return order;
-}
-
 }  // namespace tr

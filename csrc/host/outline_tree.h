@@ -84,7 +84,4 @@ private:
     static float curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from);
 };
 
-// Places (n, 3) along a curve that keeps close ones together.
-std::vector<int32_t> morton_order(const float *places, size_t n);
-
 }  // namespace tr

@@ -11,6 +11,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+import trimesh
 from moving_differences import agrees, compare
 
 import torchrender as tr
@@ -326,6 +327,45 @@ def test_the_same_seed_gives_the_same_gradient():
             torch.set_num_threads(before)
     for other in found[1:]:
         assert all(torch.equal(a, b) for a, b in zip(found[0], other))
+
+
+def bumpy(subdivisions, amount):
+    """A scene with a smooth ball of so many triangles, and its vertices with bumps."""
+    ball = trimesh.creation.icosphere(subdivisions, radius=0.7)
+    vertices = torch.from_numpy(ball.vertices.copy()).float()
+    mesh = tr.Mesh(vertices, torch.from_numpy(ball.faces.copy()))
+    mesh.compute_normals()
+    path = {"type": "path", "max_depth": 2}
+    scene = tr.load_dict({**emitters(), "integrator": path, "bumpy": mesh}, dtype=torch.float32)
+    bumps = torch.randn(vertices.shape, generator=torch.Generator().manual_seed(3))
+    return scene, (vertices + amount * bumps).requires_grad_()
+
+
+def bumpy_gradient(scene, vertices, subdivisions=5):
+    smoothing = tr.optim.MeshSmoothing(
+        len(vertices), torch.from_numpy(trimesh.creation.icosphere(subdivisions).faces.copy()), 2.0
+    )
+    u = smoothing.to_differential(vertices.detach()).requires_grad_()
+    image = tr.render(scene, spp=2, seed=4, params={"bumpy.vertex_positions": smoothing.from_differential(u)})
+    return torch.autograd.grad(image.square().sum(), u)[0]
+
+
+def test_large_meshes_with_normals_of_their_own_have_the_same_gradient():
+    # Enough corners for PyTorch's threads: indexing would add them up in the order in which these come.
+    scene, vertices = bumpy(5, 0.003)
+    found = [bumpy_gradient(scene, vertices) for _ in range(4)]
+    assert all(torch.equal(found[0], other) for other in found[1:])
+
+
+def test_gradients_do_not_depend_on_earlier_ones():
+    # What is known of outlines is kept from call to call.
+    scene, vertices = bumpy(3, 0.05)
+    flat = torch.cat([vertices[:, :2], torch.zeros(len(vertices), 1)], 1).detach().requires_grad_()
+    fresh = bumpy_gradient(scene, vertices, 3)
+    other, _ = bumpy(3, 0.0)
+    for earlier in (torch.zeros_like(vertices).requires_grad_(), flat, flat * 1.5 + 0.2):  # no area; another order
+        bumpy_gradient(other, earlier, 3)
+    assert torch.equal(bumpy_gradient(other, vertices, 3), fresh)
 
 
 # ---------------------------------------------------------------------------------------------------- switches, input

@@ -231,12 +231,13 @@ class MeshSmoothing:
 
     def to_differential(self, x: torch.Tensor) -> torch.Tensor:
         """``(I + lambda L) x``: (V, ...) to (`count`, ...), a row for each place where there are vertices."""
-        x = self._checked("x", x, len(self._shared))[self._first.to(x.device)]
+        # `index_select`: the derivative of indexing adds in the order in which threads come
+        x = self._checked("x", x, len(self._shared)).index_select(0, self._first.to(x.device))
         i, j = self._edges.T.to(x.device)
-        flow = self.lambda_ * (x[i] - x[j])
+        flow = self.lambda_ * (x.index_select(0, i) - x.index_select(0, j))
         return x.index_add(0, i, flow).index_add(0, j, -flow)
 
     def from_differential(self, u: torch.Tensor) -> torch.Tensor:
         """The x with ``(I + lambda L) x = u``: (`count`, ...) to (V, ...)."""
         solved = _MeshSolve.apply(self._checked("u", u, self.count), self._factors)
-        return solved if self.count == len(self._shared) else solved[self._shared.to(u.device)]
+        return solved if self.count == len(self._shared) else solved.index_select(0, self._shared.to(u.device))

@@ -306,7 +306,8 @@ def vertex_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor
 
     Vertices without a face, or where the average vanishes, get (1, 0, 0), so that nothing divides by zero.
     """
-    corners = positions[faces.long()]
+    # `index_select`: the derivative of indexing adds in the order in which threads come
+    corners = positions.index_select(0, faces.long().flatten()).reshape(*faces.shape, 3)
     face = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     face = torch.nn.functional.normalize(face, dim=1, eps=1e-30)
     total = torch.zeros_like(positions)
