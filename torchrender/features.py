@@ -166,7 +166,7 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
             b = hits.barycentric[rows]
             weight = torch.cat([1 - b.sum(1, keepdim=True), b], dim=1)[..., None]
             corners = faces[hits.prim_id[rows]]  # whose derivative is added up in one order, by `index_select`
-            value = (tensor.index_select(0, corners.flatten()).reshape(*corners.shape, -1) * weight).sum(1)
+            value = (tensor.index_select(0, corners.flatten()).reshape(*corners.shape, channels) * weight).sum(1)
         else:
             height, width = tensor.shape[:2]
             u, v = hits.uv[rows].unbind(1)

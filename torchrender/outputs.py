@@ -26,49 +26,27 @@ from __future__ import annotations
 
 import functools
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 
 from .autograd import dense_tangents, zero_gradient
 from .errors import describe, nearest
+from .first_hit_call import (
+    ATTRIBUTES,
+    CHANNELS,
+    FEATURES,
+    FOOTPRINTS,
+    IDENTIFIERS,
+    MAX_ATTRIBUTES,
+    OUTPUTS,
+    FirstHitCall,
+)
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from .render_call import RenderCall
 from .scene.packing import Layout
 from .scene.scene import Scene
-
-# What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
-PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1, "second_moment": -1}
-FIRST_HIT_OUTPUTS = {
-    "depth": 0,
-    "distance": 0,
-    "position": 3,
-    "normal": 3,
-    "shading_normal": 3,
-    "normal_camera": 3,
-    "shading_normal_camera": 3,
-    "uv": 2,
-    "barycentric": 2,
-    "dp_du": 3,
-    "dp_dv": 3,
-    "albedo": -1,
-    "specular_reflectance": -1,
-    "roughness": 0,
-    "shape_id": 0,
-    "prim_id": 0,
-    "material_id": 0,
-}
-# Found in PyTorch, see footprints.py and features.py.
-FOOTPRINTS = {"duv_dx": 2, "duv_dy": 2}
-OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS, **FOOTPRINTS}
-FEATURES = "features"  # needs the argument of this name
-IDENTIFIERS = ("shape_id", "prim_id", "material_id")
-ATTRIBUTES = ("vertex_", "face_")
-"""What names of colours of meshes begin with, which are outputs, too; a colour's numbers a pixel."""
-MAX_ATTRIBUTES = 4
-_CHANNELS = {**FIRST_HIT_OUTPUTS, "ray_length": 0}
 
 
 @functools.cache
@@ -100,59 +78,17 @@ def check_names(outputs: Any) -> tuple[str, ...]:
     return tuple(outputs)
 
 
-def channels_of(name: str) -> int:
-    """Numbers a pixel, -1 for those of a colour, 0 for a plain number."""
-    return {**OUTPUTS, **_CHANNELS}.get(name, -1)
-
-
 def attributes_of(layout: Layout, names: Sequence[str]) -> dict[str, int]:
     """The numbers of those of `names` that are colours of meshes; ValueError if no mesh has one of them."""
     known = {name for row in layout.objects["attribute"] for name in [row[2].rpartition(".")[2]]}
     found = {}
     for name in names:
-        if name in OUTPUTS or name in _CHANNELS or name == FEATURES:
+        if name in OUTPUTS or name in CHANNELS or name == FEATURES:
             continue
         if name not in known:
             raise ValueError(f"render: outputs: no mesh has colours {name!r}; {nearest(name, [*known, *OUTPUTS])}")
         found[name] = layout.attribute_names[name]
     return found
-
-
-@dataclass
-class FirstHitCall:
-    """What `FirstHitFunction` needs besides tensors.
-
-    Attributes:
-        render: the rendering that these outputs belong to.
-        names: of the outputs, keys of FIRST_HIT_OUTPUTS or ``"ray_length"``, the distance from the near plane.
-        zero_at_misses: average over all samples, taking zero for those that hit nothing.
-        attributes: numbers of those names that are colours of meshes.
-    """
-
-    render: RenderCall
-    names: tuple[str, ...]
-    zero_at_misses: bool = False
-    attributes: dict[str, int] = field(default_factory=dict)
-
-    def config(self, derivative: bool) -> dict[str, Any]:
-        configs = self.render.configs(derivative)
-        return {
-            **configs[0],
-            "seeds": [c["seed"] for c in configs],
-            "zero_at_misses": self.zero_at_misses,
-            "attributes": list(self.attributes.values()),
-        }
-
-    def addresses(self, tensors: Mapping[str, torch.Tensor]) -> dict[str, int]:
-        """Where outputs lie, by their names in the core."""
-        numbered = {name: f"attribute_{i}" for i, name in enumerate(self.attributes)}
-        return {numbered.get(name, name): tensor.data_ptr() for name, tensor in tensors.items()}
-
-    def empty(self, name: str) -> torch.Tensor:
-        channels = channels_of(name) if channels_of(name) >= 0 else self.render.native.channels
-        shape = self.render.size if channels == 0 else (*self.render.size, channels)
-        dtype = torch.int32 if name in IDENTIFIERS else self.render.native.dtype
-        return torch.empty(shape, dtype=dtype, device="cpu")
 
 
 class FirstHitFunction(UnbatchedFunction):
@@ -245,6 +181,10 @@ def first_hits(
     if averaged:
         first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.layout, averaged))
         found.update(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
+        if call.outlines and call.may_move_outlines(params):
+            from .visibility.outputs import add_outlines
+
+            add_outlines(found, first, params)
     if any(n in FOOTPRINTS for n in names):
         from .footprints import footprints
 

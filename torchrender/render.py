@@ -12,10 +12,11 @@ import torch
 from .autograd import RenderFunction
 from .compiling import opaque
 from .errors import describe
+from .first_hit_call import PATH_OUTPUTS, channels_of
 from .functions import refuse_batches
 from .integrators import Stack, WavefrontPathTracer
 from .interruption import interruption_of
-from .outputs import PATH_OUTPUTS, attributes_of, channels_of, check_names, collect, first_hits
+from .outputs import attributes_of, check_names, collect, first_hits
 from .progress import steps
 from .render_arguments import (
     as_integrator,
@@ -52,14 +53,12 @@ from .render_types import (
     SensorLike,
 )
 from .scene.boundaries import warn_of_glass_on_curves
-from .scene.derivatives import moves_outlines
 from .scene.gather import gather, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
 from .scene.sensor import default_sampler
-from .scene.values import in_forward_mode
 from .seeds import seeds
 
 if TYPE_CHECKING:
@@ -236,8 +235,9 @@ def render(
         warn_of_beams(scene, packed)
     if shows_radiance and packed.media:
         check_media(scene, packed, tensors, volumetric)
-    outlines = visibility and shows_radiance and spp_outlines != (0, 0)
-    outlines = outlines and not (light or volumetric or packed.torch_bsdfs)  # whose radiance the core does not know
+    seen_outlines = visibility and spp_outlines != (0, 0)
+    # of radiance that the core knows
+    outlines = seen_outlines and shows_radiance and not (light or volumetric or packed.torch_bsdfs)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in steps(cameras, "views", progress):
@@ -287,12 +287,14 @@ def render(
                 volumetric,
                 steady=light and film.filter.type == "box",
                 particles=light,
-                outlines=outlines,
+                outlines=outlines if shows_radiance else seen_outlines and not shown,
                 silent=not visibility,
             ),
             film=film,
             features=shown,
             interruption=interruption,
+            outlines=seen_outlines,
+            spp_visibility=spp_outlines,
             adaptive_grad=adaptive_grad,
             progress=progress,
         )
@@ -315,7 +317,7 @@ def render(
         else:
             radiance = functools.partial(RenderFunction.apply, call, *used)
         if outlines:
-            radiance = functools.partial(_with_outlines, call, spp_outlines, used, radiance)
+            radiance = functools.partial(_with_outlines, call, used, radiance)
         views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
@@ -382,21 +384,17 @@ def _view(
 
 def _with_outlines(
     call: RenderCall,
-    spp: tuple[int, int] | None,
     tensors: list[torch.Tensor],
     radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
 ) -> torch.Tensor | tuple[torch.Tensor, ...]:
     """`radiance` with the derivative of outlines that the camera sees, where something that moves them may have one."""
     result = radiance()
-    layout = call.layout
-    if layout.outlines is None:
-        layout.outlines = [i for i, slot in enumerate(layout.slots) if moves_outlines(slot)]
-    if not any(tensors[i].requires_grad for i in layout.outlines) and not in_forward_mode():
+    if not call.may_move_outlines(tensors):
         return result
     from .visibility.boundary import BoundaryFunction  # when it is needed
     from .visibility.boundary_call import boundary_of
 
-    boundary = boundary_of(call, spp, tensors)
+    boundary = boundary_of(call, tensors)
     if boundary is None:
         return result
     term = BoundaryFunction.apply(boundary, *tensors)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 import weakref
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,10 +13,12 @@ import torch
 
 from .errors import RenderError, depth_outside
 from .interruption import Interruption, part_ends
+from .scene.derivatives import moves_outlines
 from .scene.film import Film
 from .scene.gradient_requirements import GradientRequirements
 from .scene.native import NativeScene
 from .scene.packing import Layout
+from .scene.values import in_forward_mode
 from .seeds import mix
 
 
@@ -41,6 +44,8 @@ class RenderCall:
     film: Film
     features: dict[int, torch.Tensor]  # those of the output of this name, by the number of their shape
     interruption: Interruption
+    outlines: bool = False  # derivatives have the motion of outlines that the camera sees
+    spp_visibility: tuple[int, int] | None = None  # see `render`
     adaptive_grad: bool = False
     progress: bool | None = None  # whether a bar is shown; None: where somebody is watching
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
@@ -98,6 +103,13 @@ class RenderCall:
             raise RuntimeError(
                 "the faces of a mesh have been modified by an inplace operation between rendering and backward()"
             )
+
+    def may_move_outlines(self, tensors: Sequence[torch.Tensor]) -> bool:
+        """Whether derivatives by what moves outlines may be asked for; `tensors` by slot."""
+        layout = self.layout
+        if layout.outlines is None:
+            layout.outlines = [i for i, slot in enumerate(layout.slots) if moves_outlines(slot)]
+        return in_forward_mode() or any(tensors[i].requires_grad for i in layout.outlines)
 
     def finish(self, kind: str, all_stats: list[dict[str, Any]]) -> None:
         """Keep the statistics; warn once of samples that were not finite."""

@@ -120,12 +120,13 @@ inline void declare_scene(py::module_ &m) {
         .def("boundary",
              [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
                 const std::string &part, const Arrays &arrays, const std::map<std::string, double> &numbers,
-                const SceneOutlines &outlines, const Addresses &slots, bool forward) {
+                const Arrays &outputs, const SceneOutlines &outlines, const Addresses &slots, bool forward) {
                  const Config c = read_config(config);
                  RenderStats stats;
                  {
                      py::gil_scoped_release release;
-                     stats = self.boundary(c, values(params, dirty), {part, arrays, numbers}, outlines, slots, forward);
+                     const BoundaryRequest request{part, arrays, numbers, outputs};
+                     stats = self.boundary(c, values(params, dirty), request, outlines, slots, forward);
                  }
                  return to_dict(stats);
              })

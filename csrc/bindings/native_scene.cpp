@@ -129,7 +129,7 @@ public:
                          const SceneOutlines &outlines, const Addresses &slots, bool forward) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
-        constexpr const char *parts[] = {"silhouettes", "reflections", "shadows", "pilot"};
+        constexpr const char *parts[] = {"silhouettes", "outputs", "reflections", "shadows", "pilot"};
         const auto *part = std::find(std::begin(parts), std::end(parts), given.part);
         if (part == std::end(parts)) throw std::invalid_argument("boundary: unknown: " + given.part);
         auto number = [&](const char *name) { return given.numbers.at(name); };
@@ -138,6 +138,11 @@ public:
         };
         BoundaryCall<S> b{};
         b.part = BoundaryPart(part - parts);
+        const AovOutput<S> seen = outputs(c, given.outputs);
+        const AovLayout layout = layout_of(seen, channels_);
+        const bool of_outputs = b.part == BoundaryPart::Outputs;
+        b.layout = &layout, b.channels = (of_outputs ? layout.n : channels_) + 1;
+        b.filter = of_outputs ? filter_of(seen, call(c).filter) : call(c).filter;
         b.outlines = &outlines.set, b.pieces = &outlines.pieces;
         b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
         b.offset = number("offset"), b.samples = number("samples");
@@ -304,6 +309,8 @@ private:
             while (kind < AovCount && name != aov_names[kind].name) ++kind;
             if (kind < AovCount)
                 out.data[size_t(kind)] = reinterpret_cast<S *>(address);
+            else if (name == "covered")
+                out.covered = reinterpret_cast<S *>(address);
             else if (name == "shape_id")
                 out.shape = reinterpret_cast<int32_t *>(address);
             else if (name == "prim_id")

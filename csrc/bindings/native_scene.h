@@ -25,9 +25,10 @@ struct SceneOutlines {
 
 // A part of a BoundaryCall's members, by their names.
 struct BoundaryRequest {
-    std::string part;  // silhouettes, reflections, shadows or pilot
+    std::string part;  // silhouettes, outputs, reflections, shadows or pilot
     Arrays arrays;
     std::map<std::string, double> numbers;
+    Arrays outputs;  // by the names of outputs: anything but zero
 };
 
 class NativeScene {

@@ -11,10 +11,24 @@ template <class S>
 struct AovOutput {
     std::array<S *, AovCount> data{};
     int32_t *shape = nullptr, *primitive = nullptr, *material = nullptr;
+    S *covered = nullptr;  // primal: weight of the samples that hit something, of all
     std::array<int32_t, AovAttributes> attributes{-1, -1, -1, -1};  // numbers of their names
     std::vector<uint64_t> seeds;                                    // of each pass
     bool zero_at_misses = false;  // averages over all samples, zero where nothing is hit, in place of those that hit
 };
+
+template <class S>
+AovLayout layout_of(const AovOutput<S> &out, int colors) {
+    AovLayout r(colors, [&](int kind) { return out.data[size_t(kind)] != nullptr; });
+    r.attributes = out.attributes;
+    return r;
+}
+// What averages over the samples that hit something are weighted with: filters with negative lobes would make anything
+// of them beside an outline, where such a lobe may be all that reaches the object.
+template <class S>
+Filter filter_of(const AovOutput<S> &out, const Filter &filter) {
+    return out.zero_at_misses ? filter : filter.magnitude();
+}
 
 template <class S>
 RenderStats render_aov(const RenderCall<S> &call, const AovOutput<S> &out);

@@ -1,17 +1,25 @@
 // What the derivative of moving outlines is asked for, besides what every derivative is (DerivativeCall).
 #pragma once
 
+#include "aovs.h"
 #include "outline_pieces.h"
 
 namespace tr {
 
-// Which samples: of outlines that the camera sees; of those that vertices of paths see; of those that lights see, which
-// have two places on the film each; and of these, whether they are found and where the camera sees them.
-enum class BoundaryPart { Silhouettes, Reflections, Shadows, Pilot };
+// Which samples: of outlines that the camera sees, for radiance or other outputs; of those that vertices of paths see;
+// of those that lights see, which have two places on the film each; and of these, whether they are found and where the
+// camera sees them.
+enum class BoundaryPart { Silhouettes, Outputs, Reflections, Shadows, Pilot };
+
+constexpr int MostBoundaryChannels = std::max(SpectrumSize, MaxAovChannels) + 1;
 
 template <class S>
 struct BoundaryCall {
     BoundaryPart part;
+    // Of a place on the film: radiance and alpha; or the channels of other outputs, and whether there is anything.
+    int channels;
+    Filter filter;
+    const AovLayout *layout = nullptr;  // of other outputs
     const OutlineSet *outlines;
     const uint8_t *moves;  // by shape, whether it does
     // silhouettes: sample i takes the part (i + offset) / samples of the length of all pieces
@@ -25,8 +33,8 @@ struct BoundaryCall {
     double in_view;                   // the share of the outlines that lights see which the camera sees
     const FilmBlock *film = nullptr;  // reverse: the adjoint, set by the call
     // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found.
-    // Reverse: the adjoint of the wanted pixels (height, width, values + 1 of alpha) over the integral of their filter.
-    // Forward: for each sample its place on the film (count, 2) and what it adds there (count, values + 1).
+    // Reverse: the adjoint of the wanted pixels (height, width, channels) over the integral of their filter.
+    // Forward: for each sample its place on the film (count, 2) and what it adds there (count, channels).
     const double *adjoint;
     double *place, *value;
 };

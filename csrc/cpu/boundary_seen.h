@@ -2,6 +2,8 @@
 // distance r, w pixels per area perpendicular to it, and the colours and coverages L on both sides,
 //
 //     dI = integral of h(p - u) / Z  (L_minus - L_plus)  w sin  n.(db - do - r dd)  dl
+//
+// L may be anything that is seen; see boundary_outputs.h for what is not radiance.
 #pragma once
 
 #include "boundary_tile.h"
@@ -9,14 +11,15 @@
 
 namespace tr {
 
+// Where the camera sees outlines, and what their motion adds to.
 template <class F>
-class SilhouetteTile : public BoundaryTile<F> {
+class SightTile : public BoundaryTile<F> {
     using Base = BoundaryTile<F>;
-    using Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::path_call_, Base::paths_, Base::scene_,
-        Base::W;
-    using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
-    static constexpr int Most = SpectrumSize + 1;  // colours and alpha
+    using Base::outlines_, Base::path_call_;
 
+protected:
+    using Base::boundary_, Base::call_, Base::paths_, Base::scene_, Base::W;
+    using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
     struct Sight {
         uint32_t slot;
         int32_t element;
@@ -24,32 +27,27 @@ class SilhouetteTile : public BoundaryTile<F> {
         V b, n;
         S front, t, distance;  // of b from where the ray begins, and from the camera
         S weight;
-        double jump[Most];
     };
     std::vector<Sight> sights_;
-    std::vector<OutlineRay> rays_;
+    std::vector<OutlineRay> rays_;  // two for each, beside it
     std::vector<S> lengths_;
 
-public:
-    using Base::Base;
-
-    // Samples `first` .. `first` + n of the call.
-    template <class Stop>
-    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+    // Samples `first` .. `first` + n of the call. look_up() sees along rays_ and tells by set_jump what is there.
+    template <class LookUp>
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, LookUp &&look_up) {
         this->identify(first, n);
         find(first, n);
         look_past();
-        look_up(stop);
-        const int values = call_.values;
+        jumps_.assign(sights_.size() * channels(), 0);
+        look_up();
+        auto &slots = paths_.slots;
         if (!sink.forward)
             return add(n, sink, [&](const Sight &x) {
-                double adjoint[Most], sum = 0;
-                const auto &slots = paths_.slots;
+                double adjoint[MostBoundaryChannels], sum = 0;
                 this->collect(slots.film_x[x.slot], slots.film_y[x.slot], adjoint);
-                for (int c = 0; c <= values; ++c) sum += adjoint[c] * x.jump[c];
+                for (size_t c = 0; c < channels(); ++c) sum += adjoint[c] * jumps_of(x)[c];
                 return S(sum);
             });
-        auto &slots = paths_.slots;
         sink.component = 0;
         std::fill_n(slots.radiance[0], n, S(0));
         add(n, sink, [](const Sight &) { return S(1); });
@@ -57,13 +55,24 @@ public:
             const uint64_t row = first + x.slot;
             boundary_.place[2 * row] = double(slots.film_x[x.slot]);
             boundary_.place[2 * row + 1] = double(slots.film_y[x.slot]);
-            for (int c = 0; c <= values; ++c)
-                boundary_.value[uint64_t(values + 1) * row + uint64_t(c)] =
-                    x.jump[c] * double(slots.radiance[0][x.slot]);
+            for (size_t c = 0; c < channels(); ++c)
+                boundary_.value[channels() * row + c] = jumps_of(x)[c] * double(slots.radiance[0][x.slot]);
         }
     }
+    // What is seen on the sides of -n and of n, in a channel.
+    void set_jump(size_t sight, size_t channel, double minus, double plus) {
+        const double jump = (minus - plus) * double(sights_[sight].weight);
+        jumps_[sight * channels() + channel] = std::isfinite(jump) ? jump : 0;
+    }
+    size_t channels() const { return size_t(boundary_.channels); }
+
+public:
+    using Base::Base;
 
 private:
+    std::vector<double> jumps_;
+
+    const double *jumps_of(const Sight &x) const { return jumps_.data() + size_t(&x - sights_.data()) * channels(); }
     using Base::sensor;
     bool parallel() const { return sensor().kind == kind_of_model<Orthographic>(Sensors{}); }
 
@@ -131,28 +140,13 @@ private:
                 t[h] = ray.t + dot(queue.o.get(2 * k + h) - ray.o, ray.d);
             }
             if (!Base::is_open(sights_[k].front, sights_[k].t, t, S(1e-5))) continue;
-            for (size_t h = 0; h < 2; ++h)
+            for (size_t h = 0; h < 2; ++h) {
                 rays_[2 * kept + h] = rays_[2 * k + h], lengths_[2 * kept + h] = lengths_[2 * k + h];
+                rays_[2 * kept + h].met_from = queue.o.get(2 * k + h);
+            }
             sights_[kept++] = sights_[k];
         }
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
-    }
-
-    template <class Stop>
-    void look_up(Stop &&stop) {
-        std::vector<S> pdf(rays_.size(), S(0));
-        std::vector<uint32_t> key(rays_.size());
-        for (size_t i = 0; i < rays_.size(); ++i) key[i] = paths_.slots.pixel[sights_[i / 2].slot];
-        Base::look_up(rays_, lengths_, pdf, key, 0, !call_.config.hide_emitters, stop);
-        const auto &slots = light_.slots;
-        for (size_t k = 0; k < sights_.size(); ++k) {
-            Sight &x = sights_[k];
-            for (int c = 0; c <= call_.values; ++c) {
-                const S *values = c < call_.values ? slots.radiance[c] : slots.alpha.at;
-                const double jump = (double(values[2 * k]) - double(values[2 * k + 1])) * double(x.weight);
-                x.jump[c] = std::isfinite(jump) ? jump : 0;
-            }
-        }
     }
 
     template <class Weight>
@@ -181,6 +175,37 @@ private:
             const RayAdjoint<F> ray{-g, g * -load<F>(distance.data() + i)};
             sweep_camera(scene_, sensor(), at, S(call_.film_width), S(call_.film_height), ray, F(0), active, sink);
             if (sink.forward) add_to_entries<F>(paths_.slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
+        }
+    }
+};
+
+// Of radiance and coverage.
+template <class F>
+class SilhouetteTile : public SightTile<F> {
+    using Base = SightTile<F>;
+    using Base::call_, Base::light_, Base::paths_, Base::sights_, Base::rays_, Base::lengths_;
+
+public:
+    using Base::Base;
+
+    template <class Stop>
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+        Base::run(first, n, sink, [&] { look_up(stop); });
+    }
+
+private:
+    template <class Stop>
+    void look_up(Stop &&stop) {
+        using S = ScalarOf<F>;
+        std::vector<S> pdf(rays_.size(), S(0));
+        std::vector<uint32_t> key(rays_.size());
+        for (size_t i = 0; i < rays_.size(); ++i) key[i] = paths_.slots.pixel[sights_[i / 2].slot];
+        BoundaryTile<F>::look_up(rays_, lengths_, pdf, key, 0, !call_.config.hide_emitters, stop);
+        const auto &slots = light_.slots;
+        for (int c = 0; c <= call_.values; ++c) {
+            const S *values = c < call_.values ? slots.radiance[c] : slots.alpha.at;
+            for (size_t k = 0; k < sights_.size(); ++k)
+                this->set_jump(k, size_t(c), double(values[2 * k]), double(values[2 * k + 1]));
         }
     }
 };

@@ -221,6 +221,7 @@ protected:
         V o, d;
         SurfacePoint<S> at{NoHit, 0, 0, 0};  // what it meets, once that is known
         S t = S(INFINITY);
+        V met_from{};  // where it was when it met that, beyond emitters that it has passed
     };
     // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
     static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S rim) {
@@ -307,17 +308,17 @@ protected:
     // ------------------------------------------------------------------------------------------------------- sums
     // What a place on the film gets of the adjoint.
     void collect(S x, S y, double *to) const {
-        boundary_.film->collect(call_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
+        boundary_.film->collect(boundary_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
     }
     // Whether a pixel that is wanted may get something of it.
     bool near_film(S x, S y) const {
-        const S reach = S(call_.filter.reach());
+        const S reach = S(boundary_.filter.reach());
         return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
                y < S(call_.crop.y1) + reach;
     }
     // Forward mode: what the sample of a slot adds to the film.
     void write_value(uint64_t row, const SlotColumns<S> &slots, uint32_t slot) const {
-        double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(call_.values + 1) * row;
+        double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(boundary_.channels) * row;
         place[0] = double(slots.film_x[slot]), place[1] = double(slots.film_y[slot]);
         for (int c = 0; c < call_.values; ++c) value[c] = double(slots.radiance[c][slot]);
     }

@@ -7,13 +7,6 @@ namespace tr {
 
 namespace {
 
-// What averages over the samples that hit something are weighted with: filters with negative lobes would make anything
-// of them beside an outline, where such a lobe may be all that reaches the object.
-template <class S>
-Filter filter_of_outputs(const RenderCall<S> &call, const AovOutput<S> &out) {
-    return out.zero_at_misses ? call.filter : call.filter.magnitude();
-}
-
 // The call for a pass.
 template <class S>
 PathConfig config_of_pass(const RenderCall<S> &call, uint64_t seed) {
@@ -27,7 +20,7 @@ template <class F, class Fill>
 void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule, const AovLayout &layout,
                       const AovOutput<ScalarOf<F>> &out, Film &film, RenderStats &stats, Fill &&fill) {
     using Tile = FirstHits<F>;
-    const Filter filter = filter_of_outputs(call, out);
+    const Filter filter = filter_of(out, call.filter);
     const size_t capacity = 1024;
     const int values = layout.n + 1;
     for (uint64_t seed : out.seeds) {
@@ -63,6 +56,7 @@ void write_outputs(const TileSchedule &schedule, const AovLayout &layout, const 
     for (size_t i = 0; i < schedule.n_results(); ++i) {
         const double *p = film.at(schedule.target_of(i));
         double total = out.zero_at_misses ? p[layout.n + 1] : p[layout.n];  // the first may be negative
+        if (out.covered) out.covered[i] = p[layout.n + 1] != 0 ? S(p[layout.n] / p[layout.n + 1]) : S(0);
         for (int kind = 0; kind < AovCount; ++kind) {
             if (!layout.wants(kind)) continue;
             int n = layout.count(kind);
@@ -103,13 +97,6 @@ void identify(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
                       if (out.material) out.material[first + k] = hit ? call.scene->shapes[at.shape[k]].bsdf : -1;
                   }
               });
-}
-
-template <class S>
-AovLayout layout_of(const AovOutput<S> &out, int colors) {
-    AovLayout r(colors, [&](int kind) { return out.data[size_t(kind)] != nullptr; });
-    r.attributes = out.attributes;
-    return r;
 }
 
 template <class F>
@@ -180,7 +167,7 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
         Stopwatch watch(stats.seconds);
         derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
         TileSchedule schedule = make_schedule(call);
-        const Filter filter = filter_of_outputs(call, out);
+        const Filter filter = filter_of(out, call.filter);
         const AovLayout layout = layout_of(out, call.values);
         const Film adjoint = adjoint_film<F>(call, schedule, layout, out, stats);
         const size_t capacity = 256;

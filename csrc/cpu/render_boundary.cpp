@@ -1,5 +1,6 @@
 // The derivative of moving outlines, see boundary_tile.h.
 #include "boundary_lights.h"
+#include "boundary_outputs.h"
 #include "boundary_reflections.h"
 #include "boundary_seen.h"
 #include "work_items.h"
@@ -28,7 +29,7 @@ template <class Tile, class F, class S = ScalarOf<F>>
 RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, DerivativeCall<S> &derivative) {
     derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     FilmBlock film;
-    film.reset(call.crop, call.values + 1);
+    film.reset(call.crop, given.channels);
     const double *from = given.adjoint;
     for (int y = call.crop.y0; y < call.crop.y1; ++y)
         for (int x = call.crop.x0; x < call.crop.x1; ++x, from += film.values)
@@ -71,6 +72,7 @@ RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &b
     using F = PacketOf<S>;
     derivative.needs.geometry = true;  // paths keep where they arrived although lights alone may move
     if (boundary.part == BoundaryPart::Silhouettes) return reverse<SilhouetteTile<F>, F>(call, boundary, derivative);
+    if (boundary.part == BoundaryPart::Outputs) return reverse<OutputTile<F>, F>(call, boundary, derivative);
     if (boundary.part == BoundaryPart::Reflections) return reverse<ReflectionTile<F>, F>(call, boundary, derivative);
     return reverse<ShadowTile<F>, F>(call, boundary, derivative);
 }
@@ -80,6 +82,7 @@ RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &b
     using F = PacketOf<S>;
     derivative.needs.geometry = true;
     if (boundary.part == BoundaryPart::Silhouettes) return forward<SilhouetteTile<F>, F>(call, boundary, derivative);
+    if (boundary.part == BoundaryPart::Outputs) return forward<OutputTile<F>, F>(call, boundary, derivative);
     if (boundary.part == BoundaryPart::Reflections) return forward<ReflectionTile<F>, F>(call, boundary, derivative);
     return forward<ShadowTile<F>, F>(call, boundary, derivative);
 }

@@ -5,7 +5,7 @@ from __future__ import annotations
 import reference_scenes
 
 import torchrender as tr
-from torchrender.outputs import FIRST_HIT_OUTPUTS, IDENTIFIERS, OUTPUTS
+from torchrender.first_hit_call import FIRST_HIT_OUTPUTS, IDENTIFIERS, OUTPUTS
 
 ALL = tuple(OUTPUTS)
 REAL = tuple(n for n in FIRST_HIT_OUTPUTS if n not in IDENTIFIERS)

@@ -10,7 +10,7 @@ import torch
 from output_scenes import REAL, square
 
 import torchrender as tr
-from torchrender.outputs import IDENTIFIERS
+from torchrender.first_hit_call import IDENTIFIERS
 
 AOVS = "dd.y:depth, nn:sh_normal,gn:geo_normal,uv:uv,pos:position,al:albedo,pi:prim_index,si:shape_index"
 

@@ -125,7 +125,8 @@ def test_outputs_and_their_gradients(name):
     expected = first_hits(scene, spp=SPP, seed=5, params=values)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # about moving edges, which are no part of either
-        native = tr.render(scene, spp=SPP, seed=5, correlated=True, params=values, outputs=tuple(expected))
+        shown = {"params": values, "outputs": tuple(expected), "visibility": False}
+        native = tr.render(scene, spp=SPP, seed=5, correlated=True, **shown)
     generator = torch.Generator().manual_seed(3)
     given = wanted = torch.zeros(())
     for output, image in expected.items():

@@ -11,7 +11,7 @@ import torch
 from output_scenes import ALL, INFINITE, REAL, scene_of, square
 
 import torchrender as tr
-from torchrender.outputs import IDENTIFIERS, OUTPUTS
+from torchrender.first_hit_call import IDENTIFIERS, OUTPUTS
 
 
 # ----------------------------------------------------------------------------------------------- against ray queries

@@ -96,10 +96,10 @@ stands for. `print(scene)` says the same for the parameters of one scene.
 How things move: what a ray of the camera, or one that was reflected or refracted, has hit slides over the surface;
 points on what emits are glued to it, and integrated over area (the material form of Zhang, Miller, Yan, Gkioulekas and
 Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
-and cylinders move with them, in radiance, and in alpha what the camera sees. Other outputs, `tr.ParticleTracer` and
-scenes with a `tr.TorchBSDF` lack that, and so does `visibility=False`. What depends on the
-object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
-surfaces.
+and cylinders move with them, in radiance, and what the camera sees in alpha and in the outputs of the first hit.
+`features`, `duv_dx`, `duv_dy`, `tr.ParticleTracer` and radiance with a `tr.TorchBSDF` lack that, and so does
+`visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on the object: `to_uv`
+of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse surfaces.
 
 `tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
 rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import torch
 
+from ..first_hit_call import FirstHitCall
 from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
@@ -22,13 +23,15 @@ class BoundaryCall:
     """The boundary term of one rendering.
 
     `spp` samples a wanted pixel of outlines that the camera sees, and of those that points on surfaces see; `moves`
-    says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples.
+    says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples. `outputs`:
+    it is that of outputs besides radiance.
     """
 
     call: RenderCall
     spp: tuple[int, int]
     moves: torch.Tensor
     by_length: bool
+    outputs: FirstHitCall | None = None
 
 
 def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
@@ -47,8 +50,11 @@ def all_placing_slots(layout: Layout) -> set[int]:
     return {slot for c in categories for _, slots in placing_slots(layout, c) for slot in slots}
 
 
-def boundary_of(call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence[torch.Tensor]) -> BoundaryCall | None:
+def boundary_of(
+    call: RenderCall, tensors: Sequence[torch.Tensor], outputs: FirstHitCall | None = None
+) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
+    spp = call.spp_visibility
     kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]
     if kind not in SENSORS or spp == (0, 0):
         return None
@@ -62,4 +68,4 @@ def boundary_of(call: RenderCall, spp: tuple[int, int] | None, tensors: Sequence
     if not any(moves) and not lights:
         return None
     usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 8)  # as efficient as twice as many of the second
-    return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None)
+    return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None, outputs)

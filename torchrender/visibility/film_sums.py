@@ -12,13 +12,18 @@ from ..wavefront.film import filter_weight
 
 
 class FilmPlaces:
-    """The wanted pixels as an image of their own rectangle, with radiance and, in the last channel, alpha."""
+    """The wanted pixels as an image of their own rectangle.
 
-    def __init__(self, call: RenderCall) -> None:
-        self.filter = call.film.filter
+    Args:
+        channels: None for those of radiance and alpha.
+        magnitude: the filter's sign is left out, as it is for averages over what is hit.
+    """
+
+    def __init__(self, call: RenderCall, channels: int | None = None, magnitude: bool = False) -> None:
+        self.filter, self.magnitude = call.film.filter, magnitude
         self.reach = 0 if self.filter.type == "box" else max(1, math.ceil(self.filter.reach - 0.5))
         self.y0, self.x0, self.height, self.width = call.config["crop"]
-        self.channels = call.native.channels + 1
+        self.channels = call.native.channels + 1 if channels is None else channels
         self.where: torch.Tensor | None = None
         if call.pixels is not None:
             chosen = torch.as_tensor(call.pixels, dtype=torch.int64)
@@ -34,9 +39,13 @@ class FilmPlaces:
             return torch.ones(count, dtype=torch.float64)
         steps = 64
         offset = (torch.arange(-self.reach * steps, (self.reach + 1) * steps, dtype=torch.float64) + 0.5) / steps
-        value = filter_weight(self.filter, offset - 0.5) / steps
+        value = self._weight(offset - 0.5) / steps
         at = first + torch.arange(count)[:, None] + offset
         return (value * ((at >= begin) & (at < begin + size))).sum(1)
+
+    def _weight(self, x: torch.Tensor) -> torch.Tensor:
+        weight = filter_weight(self.filter, x)
+        return weight.abs() if self.magnitude else weight
 
     def empty(self) -> torch.Tensor:
         return torch.zeros(self.height, self.width, self.channels, dtype=torch.float64)
@@ -83,10 +92,10 @@ class FilmPlaces:
         corner = torch.floor(place).long()
         for dy in range(-self.reach, self.reach + 1):
             row = corner[:, 1] + dy
-            wy = filter_weight(self.filter, row + 0.5 - place[:, 1])
+            wy = self._weight(row + 0.5 - place[:, 1])
             for dx in range(-self.reach, self.reach + 1):
                 column = corner[:, 0] + dx
-                weight = wy * filter_weight(self.filter, column + 0.5 - place[:, 0])
+                weight = wy * self._weight(column + 0.5 - place[:, 0])
                 y, x = row - self.y0, column - self.x0
                 inside = (y >= 0) & (y < self.height) & (x >= 0) & (x < self.width)
                 index = torch.where(inside, y * self.width + x, torch.zeros_like(y))

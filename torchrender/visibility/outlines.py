@@ -15,7 +15,13 @@ from .boundary_call import BoundaryCall
 from .film_sums import FilmPlaces
 
 # Tell the seeds of samples from those of paths.
-STREAMS = {"silhouettes": 0x766973, "reflections": 0x7665727478, "shadows": 0x6C69676874, "pilot": 0x70696C6F74}
+STREAMS = {
+    "silhouettes": 0x766973,
+    "outputs": 0x6F7574,
+    "reflections": 0x7665727478,
+    "shadows": 0x6C69676874,
+    "pilot": 0x70696C6F74,
+}
 LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a pixel
 NEAR = 0.02  # what is close, in sizes of the scene
 BLOCK = 1 << 18  # samples whose places and values forward mode keeps at a time
@@ -49,9 +55,12 @@ class Outlines:
     ) -> None:
         self.boundary, self.film, self.params = boundary, film, list(params)
         self.call = call = boundary.call
-        self.configs = [{**c, "threads": threads} for c in call.configs(derivative=True)]
+        outputs = boundary.outputs
+        settings = {} if outputs is None else outputs.settings()
+        self.names = {} if outputs is None else dict.fromkeys(outputs.core_names(), 1)
+        self.configs = [{**c, **settings, "threads": threads} for c in call.configs(derivative=True)]
         self.statistics: dict[str, dict[str, float]] = {}
-        call.statistics["visibility"] = self.statistics
+        call.statistics["visibility" if outputs is None else "visibility_outputs"] = self.statistics
         self.moves = boundary.moves.to(torch.uint8).contiguous()
         self.handle = handle
         self.length = call.native.call(
@@ -65,8 +74,8 @@ class Outlines:
         if not len(self.cells):  # no pixel is wanted
             return
         if boundary.spp[0] > 0 and self.length > 0:
-            self.parts.append("silhouettes")
-        if boundary.spp[1] > 0 and not 0 <= max_depth < 2:
+            self.parts.append("silhouettes" if outputs is None else "outputs")
+        if outputs is None and boundary.spp[1] > 0 and not 0 <= max_depth < 2:
             self.numbers["in_view"] = self._share_in_view()
             self.parts += ["shadows", "reflections"] if bool(boundary.moves.any()) else ["shadows"]
 
@@ -84,7 +93,7 @@ class Outlines:
         return min(1.0, max(float(self.film.wanted(seen).sum()) / edges, 1e-3)) if edges else 1.0
 
     def reverse(self, adjoint: torch.Tensor, grads: Sequence[torch.Tensor | None]) -> None:
-        """Adds to the gradients, by slot; `adjoint` (H, W, C + 1) is that of the film, see `FilmPlaces`."""
+        """Adds to the gradients, by slot; `adjoint` (H, W, channels) is that of the film, see `FilmPlaces`."""
         adjoint = adjoint.contiguous()
         addresses = [0 if g is None else g.data_ptr() for i, g in enumerate(grads)]
         for part, config, numbers in self._blocks(1 << 62):
@@ -114,7 +123,7 @@ class Outlines:
 
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer."""
-        if part != "silhouettes":
+        if part not in ("silhouettes", "outputs"):
             return self.boundary.spp[1] * len(self.cells)
         count = self.boundary.spp[0] * math.prod(self.call.size)
         if self.boundary.by_length:
@@ -133,7 +142,7 @@ class Outlines:
         config = {**config, "seed": mix(config["seed"], STREAMS[part])}
         arrays = {"cells": self.cells.data_ptr(), "moves": self.moves.data_ptr()} | out
         given = {name: float(x) for name, x in {**self.numbers, **numbers}.items()}
-        rest = self.handle, addresses, forward
+        rest = self.names, self.handle, addresses, forward
         found = self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)
         so_far = self.statistics.setdefault(part, {"samples": 0, "rays": 0, "seconds": 0.0})
         so_far["samples"] += int(numbers["count"])
