@@ -109,7 +109,8 @@ private:
             const V y = at_.y.get(k), yn = at_.yn.get(k), origin = x.far ? at_.travel.get(k) : y;
             OutlineAnchor anchor{};
             anchor.p = Base::single(origin), anchor.n = anchor.axis = Base::single(yn);
-            anchor.still = on_shape ? this->still(at_.at.shape[k]) : 0.2f;  // lights at points may move
+            anchor.still =
+                on_shape ? this->still(boundary_.moves[at_.at.shape[k]]) : 0.2f;  // lights at points may move
             anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
             const OutlineChoice chosen = boundary_.outlines->tree().choose(anchor, this->tree_seed(k));
             if (chosen.element < 0) continue;

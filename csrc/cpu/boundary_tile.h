@@ -175,14 +175,24 @@ protected:
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
     V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
     static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
-    // The weight of outlines that rest, as what is on a shape sees them: they count where that moves, and where light
-    // of what moves ends there.
-    float still(uint32_t shape) const { return boundary_.moves[shape] ? 1.f : 0.05f; }
-    OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) const {
+    // The weight of outlines that rest, as what moves or rests sees them: they count to the latter where light of what
+    // moves ends there.
+    static float still(bool moves) { return moves ? 1.f : 0.05f; }
+    // Whether a vertex moves: with its shape, or because one before it does.
+    bool vertex_moves(uint32_t slot) {
+        Tape<S> &tape = paths_.wavefront.tape;
+        uint32_t e = anchors_.entry[slot];
+        for (int l = int(anchors_.level[slot]); l >= 0; l = tape[l].parent_level) {
+            if (boundary_.moves[tape[l].columns.vertex.at.shape[e]]) return true;
+            e = tape[l].columns.vertex.parent[e];
+        }
+        return false;
+    }
+    OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) {
         OutlineAnchor a{};
         a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = false, a.own = int32_t(shape), a.still = still(shape);
+        a.parallel = false, a.own = int32_t(shape), a.still = still(vertex_moves(slot));
         return a;
     }
 

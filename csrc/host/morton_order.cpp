@@ -11,8 +11,9 @@ namespace tr {
 
 namespace {
 
-constexpr size_t Bits = 11, Digits = size_t(1) << Bits;  // of an axis, and of a pass of the sort
-constexpr size_t NumberBits = 31;
+constexpr size_t CellBits = 10, ClassBits = 3, NumberBits = 31;  // cells: of an axis
+constexpr size_t Bits = 11, Digits = size_t(1) << Bits;          // of a pass of the sort
+static_assert(3 * CellBits + ClassBits == 3 * Bits && 3 * Bits + NumberBits == 64);
 
 uint64_t spread(uint64_t x) {  // two zeros after each bit
     x = (x | x << 32) & 0x1F00000000FFFFull;
@@ -30,10 +31,10 @@ struct Box {
     }
 };
 
-Box box_of(const float *places, size_t n, int threads) {
+Box box_of(const Extent *things, size_t n, int threads) {
     std::vector<Box> parts(size_t(std::max(1, threads)));
     for_ranges(n, threads, [&](size_t begin, size_t end, int part) {
-        for (size_t i = begin; i < end; ++i) parts[size_t(part)].include(places + 3 * i);
+        for (size_t i = begin; i < end; ++i) parts[size_t(part)].include(things[i].middle);
     });
     Box box;
     for (const Box &part : parts) box.include(part.low), box.include(part.high);
@@ -42,21 +43,25 @@ Box box_of(const float *places, size_t n, int threads) {
 
 }  // namespace
 
-// Cells and numbers in one word, sorted from the lowest digit of the cells to the highest.
-std::vector<int32_t> morton_order(const float *places, size_t n, int threads) {
-    const Box box = box_of(places, n, threads);
+// Classes of size, cells and numbers in one word, sorted from the lowest digit of the cells on.
+std::vector<int32_t> morton_order(const Extent *things, size_t n, int threads) {
+    constexpr float cells = float((size_t(1) << CellBits) - 1);
+    const Box box = box_of(things, n, threads);
     float size = 0;  // cells are cubes
     for (size_t k = 0; k < 3; ++k) size = std::max(size, box.high[k] - box.low[k]);
-    const float scale = size > 0 ? float(Digits - 1) / size : 0;
+    const float scale = size > 0 ? cells / size : 0;
     std::vector<uint64_t> keys(n), sorted(n);
     for_ranges(n, threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) {
-            uint64_t cell = 0;
+            const Extent &thing = things[i];
+            uint64_t key = 0;
+            for (float s = size / 16; thing.size < s && key + 1 < uint64_t(1) << ClassBits; s /= 16) ++key;
+            key <<= 3 * CellBits;
             for (size_t k = 0; k < 3; ++k) {
-                const float x = (places[3 * i + k] - box.low[k]) * scale;
-                cell |= spread(uint64_t(x > 0 ? std::min(x, float(Digits - 1)) : 0.f)) << k;
+                const float x = (thing.middle[k] - box.low[k]) * scale;
+                key |= spread(uint64_t(x > 0 ? std::min(x, cells) : 0.f)) << k;
             }
-            keys[i] = cell << NumberBits | i;
+            keys[i] = key << NumberBits | i;
         }
     });
     std::vector<std::array<size_t, Digits>> places_of(size_t(std::max(1, threads)));

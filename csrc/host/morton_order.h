@@ -8,8 +8,13 @@
 
 namespace tr {
 
-// The order of n < 2^31 places (n, 3). It is a function of these alone: places in one cell of 2048^3 go by their
-// numbers, and what is not finite goes first.
-std::vector<int32_t> morton_order(const float *places, size_t n, int threads);
+// What is there: its middle, and its size.
+struct Extent {
+    float middle[3], size;
+};
+
+// The order of n < 2^31 things: large ones first, so that few groups of neighbours are wide, in steps of a factor of
+// 16; then by their cells of 1024^3, and in these by number. A function of these alone. What is not finite is anywhere.
+std::vector<int32_t> morton_order(const Extent *things, size_t n, int threads);
 
 }  // namespace tr

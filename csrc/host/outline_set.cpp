@@ -172,15 +172,19 @@ template <class S>
 void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int threads) {
     if (!found_ || !holds(scene)) find(scene);
     // Of where things are now, so that what a call finds does not depend on earlier ones.
-    std::vector<float> places(3 * size());
+    std::vector<Extent> things(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) {
-            const V p = is_edge(i) ? (place_of(scene, halves(i)->v0) + place_of(scene, halves(i)->v1)) * 0.5f
-                                   : curve_element(scene, i).a;
-            places[3 * i] = p.x, places[3 * i + 1] = p.y, places[3 * i + 2] = p.z;
+            if (is_edge(i)) {
+                const V a = place_of(scene, halves(i)->v0), b = place_of(scene, halves(i)->v1), p = (a + b) * 0.5f;
+                things[i] = {{p.x, p.y, p.z}, norm(b - a)};
+            } else {
+                const OutlineElement e = curve_element(scene, i);
+                things[i] = {{e.a.x, e.a.y, e.a.z}, 2 * e.b.x};
+            }
         }
     });
-    const std::vector<int32_t> order = morton_order(places.data(), size(), threads);
+    const std::vector<int32_t> order = morton_order(things.data(), size(), threads);
     tree_.resize(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t k = begin; k < end; ++k) {

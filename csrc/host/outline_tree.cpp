@@ -10,6 +10,7 @@ namespace tr {
 
 namespace {
 
+constexpr float Any = 0.05f;  // share of choices that leave nothing out
 using V = Vec3<float>;
 using F = PacketOf<float>;
 using M = MaskOf<F>;
@@ -52,7 +53,7 @@ Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
 float weight_of(float given, const OutlineAnchor &from) { return given < 0 ? -given * from.still : given; }
 
 // What about is scattered towards directions around the unit vector d, within an angle.
-F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
+TR_INLINE F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
     auto nearest = [&](const V &axis) {  // cosine of the least angle to `axis`
         const F c = max(F(-1), min(F(1), dot(widen(axis), d)));
         const F turned = c * cos_angle + sqrt(max(F(0), F(1) - c * c)) * sin_angle;
@@ -60,9 +61,10 @@ F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, con
     };
     const F cosine = squared_norm(from.n) > 0 ? max(F(0), nearest(from.n)) : F(1);
     if (from.share <= 0) return cosine;
-    // a tail keeps what the lobe's model leaves out
+    // with a tail, as lobes of rough surfaces have
+    const F lobe = F(1) / (F(1) + (F(1) - nearest(from.axis)) * F(0.5f * from.k));
     return cosine * F(1 - from.share + 0.02f * from.share) +
-           select(mask<F>(cosine > F(0)), exp((nearest(from.axis) - F(1)) * F(from.k)) * F(from.share), F(0));
+           select(mask<F>(cosine > F(0)), lobe * lobe * F(from.share), F(0));
 }
 
 // Sums of numbers up to each; in a register where there is one, since what is stored piecewise is slow to load.
@@ -104,6 +106,13 @@ struct Weights {
         for (k = std::min(k, int(Wide) - 1); !(each[k] > 0); --k) {}  // by rounding
         return size_t(k);
     }
+    // The same, but some of the time all that are not zero alike: the number among all children, for that of the
+    // parent; returns its probability.
+    float choose(float u, size_t &number) const {
+        const size_t k = u < Any ? pick_any(u / Any) : pick((u - Any) / (1 - Any));
+        number = number * Wide + k;
+        return (1 - Any) * each[k] / total() + Any / float(positive());
+    }
     // All that are not zero alike.
     size_t pick_any(float u) const {
         size_t at = size_t(u * float(positive())), k = 0;
@@ -119,6 +128,12 @@ struct Weights {
 };
 
 }  // namespace
+
+// Of the edges of a leaf: a place along each, what it is chosen in proportion to, and that over the place's density.
+struct OutlineTree::Candidates {
+    Weights weights;
+    alignas(64) float s[Wide], target[Wide];
+};
 
 void OutlineTree::resize(size_t n) {
     n_ = n;
@@ -233,25 +248,39 @@ OutlineTree::Node OutlineTree::united(const Nodes &children) {
     return node;
 }
 
-void OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide]) {
+bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]) {
+    auto inverse_square = [](const F &x) {
+        const F r = rsqrt(max(x, F(1e-30f)));
+        return r * r;
+    };
+    bool some = false;
     for (size_t i = 0; i < Wide; i += W) {
         const F flux = load<F>(&nodes.flux[i]) + load<F>(&nodes.still[i]) * F(from.still),
-                radius = load<F>(&nodes.radius[i]);
+                radius = from.parallel ? F(0) : load<F>(&nodes.radius[i]);
         const Vec3<F> d = from.parallel ? widen(from.p) : load_vector(nodes.center, i) - widen(from.p);
-        const F squared = squared_norm(d), r2 = from.parallel ? F(0) : radius * radius;
-        const M outside = mask<F>(squared > r2);
-        const F inverse = F(1) / sqrt(select(outside, squared, F(1)));
-        const F sin_angle = select(outside, sqrt(r2) * inverse, F(0)), cos_angle = sqrt(F(1) - sin_angle * sin_angle);
+        const F squared = squared_norm(d), r2 = radius * radius;
+        const M counts = mask<F>(flux > F(0)), outside = mask<F>(squared > r2);
+        const F inverse = rsqrt(max(squared, F(1e-30f)));
+        const F sin_angle = min(radius * inverse, F(1)), cos_angle = sqrt(F(1) - sin_angle * sin_angle);
         const Vec3<F> direction = d * inverse;
         // all faces are seen from one side if the axis is further than both angles from across
         const F cone = load<F>(&nodes.cosine[i]), spread = load<F>(&nodes.sine[i]);
         const F cosine = cone * cos_angle - spread * sin_angle, sine = spread * cos_angle + cone * sin_angle;
-        const M none = mask<F>(cone > F(0)) && mask<F>(cosine > F(0)) &&
-                       mask<F>(abs(dot(load_vector(nodes.axis, i), direction)) > sine);
-        F r = flux * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
-        r = select(outside, select(none, F(0), r), flux / max(r2, F(1e-30f)));
-        store(&to[i], select(mask<F>(flux > F(0)), r, F(0)));
+        const M bounded = mask<F>(cone > F(0)) && mask<F>(cosine > F(0));
+        const M none = bounded && mask<F>(abs(dot(load_vector(nodes.axis, i), direction)) > sine);
+        // where normals and directions spread less than in all directions, more of what may be an outline is one
+        const F narrow = select(bounded, min(F(50), rsqrt(max(sine * sine, F(1e-30f)))), F(1));
+        const F r = flux * narrow * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
+        store(&to[i], select(counts, select(outside, select(none, F(0), r), flux * inverse_square(r2)), F(0)));
+        const M close = counts && mask<F>(squared < F(1.3f) * r2);
+        if (!any(close)) continue;
+        // what it may be, if all of it is where the ball comes closest
+        if (!some) std::fill_n(near, Wide, 0.f);
+        some = true;
+        const F gap = max(F(0), squared * inverse - radius);
+        store(near + i, select(close && !none, flux * inverse_square(gap * gap + F(0.01f) * r2), F(0)));
     }
+    return some;
 }
 
 float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from) {
@@ -270,11 +299,25 @@ float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnc
     return length / std::max(squared, r * r) * seen;
 }
 
-void OutlineTree::target(const Elements &leaf, const OutlineAnchor &from, float s, float (&to)[Wide]) {
+// A place along each of the edges from one random number, in proportion to sin / r^2 where that varies: with l along
+// the line from its point next to `from`, h away, the integral of h / r^3 is l / (h r).
+void OutlineTree::propose(const Elements &leaf, const OutlineAnchor &from, float u, Candidates &to) {
     bool curves = false;
     for (size_t i = 0; i < Wide; i += W) {
-        const Vec3<F> p = widen(from.p), a = from.parallel ? p : load_vector(leaf.a, i) - p;
-        const Vec3<F> along = load_vector(leaf.b, i) - load_vector(leaf.a, i), d = from.parallel ? p : a + along * F(s);
+        const Vec3<F> p = widen(from.p), along = load_vector(leaf.b, i) - load_vector(leaf.a, i);
+        const Vec3<F> a = from.parallel ? p : load_vector(leaf.a, i) - p;
+        F s(u), spread(1);  // one over the density of s
+        if (!from.parallel) {
+            const F length = max(norm(along), F(1e-30f)), l0 = dot(a, along) / length, l1 = l0 + length;
+            const F h = max(norm(cross(a, along)) / length, F(1e-30f));
+            const F x0 = l0 / sqrt(l0 * l0 + h * h), dx = l1 / sqrt(l1 * l1 + h * h) - x0, x = x0 + dx * F(u);
+            const F l = h * x / sqrt(max(F(1e-12f), (F(1) - x) * (F(1) + x)));
+            const F r2 = l * l + h * h;
+            const M varies = mask<F>(dx > F(0.01f)) && mask<F>(l > l0) && mask<F>(l < l1);
+            s = select(varies, (l - l0) / length, s);
+            spread = select(varies, dx * r2 * sqrt(r2) / (h * h * length), spread);
+        }
+        const Vec3<F> d = from.parallel ? p : a + along * s;
         const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
         const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
         const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
@@ -287,55 +330,128 @@ void OutlineTree::target(const Elements &leaf, const OutlineAnchor &from, float 
             kept * norm(cross(d, along)) * inverse * inverse * inverse * scattered(from, d * inverse, F(1), F(0));
         const M round = mask<F>(kind == int32_t(OutlineElement::Round));
         curves |= any(round);
-        store(&to[i], select(mask<F>(kept > F(0)) && !round, r, F(0)));
+        const F target = select(mask<F>(kept > F(0)) && !round, r, F(0));
+        store(&to.s[i], s), store(&to.target[i], target), store(&to.weights.each[i], target * spread);
     }
-    if (!curves) return;
-    for (size_t k = 0; k < Wide; ++k)
-        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] != 0) to[k] = curve_target(leaf, k, from);
+    for (size_t k = 0; curves && k < Wide; ++k)
+        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] != 0)
+            to.s[k] = u, to.weights.each[k] = to.target[k] = curve_target(leaf, k, from);
 }
 
-OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) const {
-    Numbers numbers{seed};
-    OutlineChoice choice{-1, 0, 0};
-    float chosen = 0;
-    double sum = 0;
-    if (levels_.empty()) return choice;
-    constexpr float any = 0.05f;  // none is left out altogether
-    size_t at[Descents] = {};
-    float probability[Descents];
-    std::fill_n(probability, Descents, 1.f);
-    Weights weights;
-    // level by level, so that descents do not wait for each other
-    for (size_t l = levels_.size(); l-- > 0;) {
-        const bool root = l + 1 == levels_.size();
-        for (size_t d = 0; d < Descents; ++d) {
-            if (!(probability[d] > 0)) continue;
-            if (!root || d == 0) {
-                importance(levels_[l][at[d]], from, weights.each);
-                weights.add_up();
-            }
-            if (!(weights.total() > 0)) {
-                probability[d] = 0;
-                continue;
-            }
-            const float u = numbers.single();
-            const size_t k = u < any ? weights.pick_any(u / any) : weights.pick((u - any) / (1 - any));
-            probability[d] *= (1 - any) * weights.each[k] / weights.total() + any / float(weights.positive());
-            at[d] = at[d] * Wide + k;
+// Nodes that have been looked into. Those that are near, of which no estimate is good, are replaced by their children,
+// those first that may be most important: Conty Estevez and Kulla's adaptive splitting, up to a number of nodes. What
+// is left is one distribution over nodes and, of leaves that were split, edges.
+class OutlineTree::Front {
+public:
+    Front(const OutlineTree &tree, const OutlineAnchor &from, float u) : tree_(tree), from_(from), u_(u) {
+        add(int(tree.levels_.size()) - 1, 0);
+        while (n_ <= Splits && n_near_ > 0) {
+            Near *most = std::max_element(near_, near_ + n_near_, [](auto &a, auto &b) { return a.most < b.most; });
+            const Near chosen = *most;
+            *most = near_[--n_near_];
+            Group &group = groups_[chosen.group];
+            group.nodes.weights.each[chosen.k] = 0;
+            add(group.level - 1, group.number * Wide + chosen.k);
+        }
+        for (size_t g = 0; g < n_; ++g) {
+            Group &group = groups_[g];
+            group.positive = group.nodes.weights.add_up() ? group.nodes.weights.positive() : 0;
+            if (group.positive == 0) continue;
+            total_ += group.nodes.weights.total(), positive_ += group.positive;
         }
     }
-    for (size_t d = 0; d < Descents; ++d) {
-        if (!(probability[d] > 0)) continue;
-        const float s = numbers.single();
-        target(leaves_[at[d]], from, s, weights.each);
-        if (!weights.add_up()) continue;
-        const double share = double(weights.total()) / double(probability[d]);
+
+    // A node of the level, or an edge of a leaf at level -1; false if there is none.
+    bool pick(float u, Place &to) const {
+        if (!(total_ > 0)) return false;
+        const bool even = u < Any;
+        float left = even ? u / Any * float(positive_) : (u - Any) / (1 - Any) * total_, all = 0;
+        const Group *found = nullptr;
+        for (const Group *g = groups_; g < groups_ + n_; ++g) {
+            if (g->positive == 0) continue;
+            if (found && left < all) break;
+            if (found) left -= all;
+            found = g, all = even ? float(g->positive) : g->nodes.weights.total();
+        }
+        const float at = std::clamp(left / all, 0.f, 1 - 0x1p-24f);
+        const Weights &weights = found->nodes.weights;
+        const size_t k = even ? weights.pick_any(at) : weights.pick(at);
+        to.level = found->level, to.index = found->number * Wide + k, to.weight = weights.each[k];
+        if (to.level < 0) to.s = found->nodes.s[k], to.target = found->nodes.target[k];
+        to.probability = (1 - Any) * weights.each[k] / total_ + Any / float(positive_);
+        return true;
+    }
+
+private:
+    static constexpr size_t Splits = 32;
+    struct Group {
+        Candidates nodes;  // of which nodes have weights alone
+        int level, positive;
+        size_t number;
+    };
+    struct Near {
+        float most;
+        uint16_t group, k;
+    };
+    void add(int level, size_t number) {
+        Group &g = groups_[n_++];
+        g.level = level, g.number = number;
+        if (level < 0) return propose(tree_.leaves_[number], from_, u_, g.nodes);
+        alignas(64) float near[Wide];
+        if (!importance(tree_.levels_[size_t(level)][number], from_, g.nodes.weights.each, near)) return;
+        for (size_t k = 0; k < Wide; ++k)
+            if (near[k] > 0 && n_near_ < MostNear) near_[n_near_++] = {near[k], uint16_t(n_ - 1), uint16_t(k)};
+    }
+
+    static constexpr size_t MostNear = 128;
+    const OutlineTree &tree_;
+    const OutlineAnchor &from_;
+    const float u_;
+    Group groups_[Splits + 1];
+    Near near_[MostNear];
+    size_t n_ = 0, n_near_ = 0;
+    float total_ = 0;
+    int positive_ = 0;
+};
+
+OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) const {
+    OutlineChoice choice{-1, 0, 0};
+    if (levels_.empty()) return choice;
+    Numbers numbers{seed};
+    const Front front(*this, from, numbers.single());
+    Place places[Descents];
+    for (Place &place : places)
+        if (!front.pick(numbers.single(), place)) return choice;
+    Candidates candidates;
+    Weights &weights = candidates.weights;
+    alignas(64) float near[Wide];
+    // level by level, so that descents do not wait for each other
+    for (size_t l = levels_.size() - 1; l-- > 0;)
+        for (Place &place : places) {
+            if (place.level != int(l) + 1 || !(place.probability > 0)) continue;
+            importance(levels_[l][place.index], from, weights.each, near);
+            place.probability *= weights.add_up() ? weights.choose(numbers.single(), place.index) : 0;
+            place.level = int(l);
+        }
+    double sum = 0;
+    float target = 0;
+    for (Place &place : places) {
+        if (place.level == 0 && place.probability > 0) {
+            const size_t leaf = place.index;
+            propose(leaves_[leaf], from, numbers.single(), candidates);
+            if (!weights.add_up()) continue;
+            const size_t k = weights.pick(numbers.single());
+            place.index = leaf * Wide + k, place.probability *= weights.each[k] / weights.total();
+            place.weight = weights.each[k], place.s = candidates.s[k], place.target = candidates.target[k];
+        }
+        if (!(place.probability > 0)) continue;
+        const double share = double(place.weight) / double(place.probability);
         sum += share;
         if (numbers.uniform() * sum >= share) continue;
-        const size_t k = weights.pick(numbers.single());
-        choice.element = leaves_[at[d]].index[k], choice.s = s, chosen = weights.each[k];
+        choice.element = leaves_[place.index / Wide].index[place.index % Wide];
+        choice.s = place.s, target = place.target;
     }
-    if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(chosen)));
+    if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(target)));
     return choice;
 }
 

@@ -23,9 +23,9 @@ struct OutlineElement {
     bool moves;
 };
 
-// Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like (1
-// - share) max(0, n.d) + share exp(k (axis.d - 1)); n = 0: alike in all directions. What is on the curved shape `own`
-// sees no outline of it. `still`: the weight of outlines that rest.
+// Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like
+// (1 - share) max(0, n.d) + share / (1 + k (1 - axis.d) / 2)^2; n = 0: alike in all directions. What is on the curved
+// shape `own` sees no outline of it. `still`: the weight of outlines that rest.
 struct OutlineAnchor {
     Vec3<float> p, n, axis;
     float k, share, still;
@@ -42,7 +42,7 @@ struct OutlineChoice {
 
 class OutlineTree {
 public:
-    static constexpr size_t Wide = 16, Descents = 3;
+    static constexpr size_t Wide = 16, Descents = 2;
 
     // Elements in an order that keeps close ones together, see `morton_order`; `build` finds the rest once they are
     // there.
@@ -79,8 +79,17 @@ private:
     Node node_of(const Elements &leaf) const;
     static Node united(const Nodes &children);
     static void put(const Node &node, Nodes &to, size_t k);
-    static void importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide]);
-    static void target(const Elements &leaf, const OutlineAnchor &from, float s, float (&to)[Wide]);
+    // A node, or at level -1 an edge and a place along it, see Candidates; and the probability to be there.
+    struct Place {
+        int level = 0;
+        size_t index = 0;
+        float weight = 0, probability = 0, s = 0, target = 0;
+    };
+    struct Candidates;
+    class Front;
+    // Whether some are near; then, what these may be at most.
+    static bool importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]);
+    static void propose(const Elements &leaf, const OutlineAnchor &from, float u, Candidates &to);
     static float curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from);
 };
 

@@ -45,13 +45,16 @@ TR_LARGE ScatteringLobe<F> scattering_lobe(const SceneOf<F> &scene, int kind, co
     BsdfParameters<F> params;
     load_parameters(scene, Wavelengths<F>{}, bsdf, v.bsdf, v.at, active, params);
     const Vec3<F> mirrored{-v.wi.x, -v.wi.y, v.wi.z};
-    BsdfValue<F> value;
-    bsdf.eval_pdf(params, v.wi, mirrored, Transport::Radiance, value);
-    // exp(k (cos - 1)) has the density k / 2 pi where it is largest
-    auto glossy = active && mask<F>(value.pdf > F(0.5)) && mask<F>(value.pdf < F(1e12));
+    BsdfValue<F> peak, up;
+    bsdf.eval_pdf(params, v.wi, mirrored, Transport::Radiance, peak);
+    bsdf.eval_pdf(params, v.wi, {F(0), F(0), F(1)}, Transport::Radiance, up);
+    // 1 / (1 + k (1 - cos) / 2)^2 has the density k / 4 pi where it is largest
+    auto glossy = active && mask<F>(peak.pdf > F(0.5)) && mask<F>(peak.pdf < F(1e12));
+    const F even = component_sum(magnitude(up.f)),
+            more = max(F(0), component_sum(magnitude(peak.f)) - even * abs(mirrored.z));
     ScatteringLobe<F> r;
-    r.k = select(glossy, value.pdf * F(2 * Pi), F(0));
-    r.share = select(glossy, F(0.7), F(0));
+    r.k = select(glossy, peak.pdf * F(4 * Pi), F(0));
+    r.share = select(glossy && mask<F>(more > F(0)), more / (more + even), F(0));
     r.axis = frame.to_world(mirrored);
     r.n = bsdf.is(Transmits) ? Vec3<F>{F(0), F(0), F(0)} : frame.n;
     return r;

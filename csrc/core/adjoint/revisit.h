@@ -6,8 +6,8 @@
 
 namespace tr {
 
-// About how light from the direction d is scattered along the path: like (1 - share) max(0, n.d) + share exp(k (axis.d
-// - 1)); n = 0 where it may come from everywhere.
+// About how light from the direction d is scattered along the path: like (1 - share) max(0, n.d) + share / (1 + k (1 -
+// axis.d) / 2)^2; n = 0 where it may come from everywhere.
 template <class F>
 struct ScatteringLobe {
     Vec3<F> n, axis;
