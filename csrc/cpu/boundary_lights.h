@@ -45,7 +45,7 @@ class ShadowTile : public BoundaryTile<F> {
     std::vector<Edge> edges_;
     std::vector<Connection> connections_;
     std::vector<OutlineRay> rays_;
-    std::vector<double> u_, inverse_;
+    std::vector<double> u_, inverse_, total_;
     const bool pilot_;
     PathTile<F> ends_;
     ShadowLights<F> lights_;
@@ -89,7 +89,7 @@ public:
         if (!deep) return;
         u_.resize(n), inverse_.resize(n);
         for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
-        this->choose_vertices(n, u_, inverse_);
+        this->choose_vertices(n, u_, inverse_, total_);
         this->find_normals();
         see_from_vertices(n);
         settle(first, n, 1, paths_.slots, sink, false);

@@ -21,7 +21,7 @@ class ReflectionTile : public BoundaryTile<F> {
 
     // An outline's point B that the vertex S of a slot sees, and what rays on the side of -n and of n meet.
     struct Sight {
-        uint32_t slot;
+        uint32_t slot, copy;
         int32_t element;
         S s, r;
         V from, b, n;
@@ -35,8 +35,10 @@ class ReflectionTile : public BoundaryTile<F> {
         Spectrum<S> jump[2];
     };
     std::vector<Sight> sights_;
+    size_t first_ = 0;  // of those that are looked for
     std::vector<OutlineRay> rays_;
-    std::vector<double> u_, inverse_;
+    std::vector<double> u_, inverse_, total_;
+    std::vector<uint32_t> copies_;
 
 public:
     using Base::Base;
@@ -69,26 +71,60 @@ private:
         this->trace_paths(n, stop);
         u_.resize(n), inverse_.resize(n);
         for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
-        this->choose_vertices(n, u_, inverse_);
+        this->choose_vertices(n, u_, inverse_, total_);
         this->find_lobes();
         this->find_normals();
-        choose_outlines(n);
-        this->scatter_chosen();
-        weigh();
+        share_out(n);
+        sights_.clear();
+        for (uint32_t copy = 0; choose_outlines(n, copy); ++copy) {
+            this->scatter_chosen();
+            weigh();
+        }
         look_past();
         look_up(stop);
     }
 
-    void choose_outlines(uint32_t n) {
-        sights_.clear();
+    // How many outlines each vertex looks past: in proportion to what its path carries and, where it slides over its
+    // surface, to how fast, as one over the cosine with which it is seen. (Of a silhouette's neighbourhood the variance
+    // of equal numbers would have no bound.)
+    void share_out(uint32_t n) {
+        double sum = 0, count = 0;
+        for (uint32_t k = 0; k < n; ++k) {
+            if (anchors_.level[k] == NoVertex) total_[k] = 0;
+            if (!(total_[k] > 0)) continue;
+            const V seen = this->level_of(k).columns.arrival.segment.get(anchors_.entry[k]);
+            const double cosine = std::fabs(double(dot(anchors_.ng.get(k), this->unit(seen))));
+            if (this->vertex_moves(k)) total_[k] /= std::max(cosine, 0.05);
+            sum += total_[k], ++count;
+        }
+        copies_.assign(n, 0);
+        if (!(count > 0) || !std::isfinite(sum)) return;
+        const double most = 8 * sum / count, number = std::min(double(n), 2 * count);
+        sum = 0;
+        for (uint32_t k = 0; k < n; ++k) sum += std::min(total_[k], most);
+        const double u = double(uniform_of<S>(this->bits(0, Base::PlaceBlock).bits[0]));
+        double upto = 0;
+        for (uint32_t k = 0; k < n; ++k) {
+            const double mean = number * std::min(total_[k], most) / sum, from = std::floor(upto + u);
+            upto += mean;
+            copies_[k] = uint32_t(std::floor(upto + u) - from);
+            if (mean > 0) inverse_[k] /= mean;
+        }
+    }
+
+    // For vertices that look past more than `copy` outlines; false if there is none.
+    bool choose_outlines(uint32_t n, uint32_t copy) {
+        bool some = false;
+        first_ = sights_.size();
         for (uint32_t k = 0; k < n; ++k) {
             anchors_.d.set(k, {S(0), S(0), S(1)});
-            if (anchors_.level[k] == NoVertex) continue;
+            if (copies_[k] <= copy) continue;
+            some = true;
             Sight x{};
-            x.slot = k, x.from = this->place_of(k);
+            x.slot = k, x.copy = copy, x.from = this->place_of(k);
             const uint32_t shape = this->level_of(k).columns.vertex.at.shape[anchors_.entry[k]];
             const OutlineChoice chosen =
-                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k));
+                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k, copy));
             if (chosen.element < 0) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
             const V towards = point.p - x.from;
@@ -105,12 +141,14 @@ private:
             anchors_.d.set(k, d);
             sights_.push_back(x);
         }
+        return some;
     }
 
-    // What a sight brings, by light of one; those that bring nothing are left out.
+    // What the last sights bring, by light of one; those that bring nothing are left out.
     void weigh() {
-        size_t kept = 0;
-        for (Sight &x : sights_) {
+        size_t kept = first_;
+        for (size_t k = first_; k < sights_.size(); ++k) {
+            Sight &x = sights_[k];
             const TapeLevel<S> &level = this->level_of(x.slot);
             const uint32_t e = anchors_.entry[x.slot];
             bool some = false, finite = true;
@@ -185,7 +223,7 @@ private:
                 which.push_back(k);
                 for (size_t h = 0; h < 2; ++h) {
                     rays.push_back(rays_[2 * k + h]);
-                    pdf.push_back(x.density), key.push_back(paths_.slots.pixel[x.slot]);
+                    pdf.push_back(x.density), key.push_back(paths_.slots.pixel[x.slot] ^ x.copy << 27);
                 }
             }
             left -= uint32_t(which.size());
@@ -226,7 +264,7 @@ private:
                 s_bar = s_bar - g * (x.emits[h] ? 1 - x.tau[h] : S(1));
                 if (x.emits[h]) this->add_glued(x.slot, x.end[h], x.end_p[h], g * -x.tau[h]);
             }
-            anchors_.p_bar.set(x.slot, s_bar);
+            anchors_.p_bar.set(x.slot, anchors_.p_bar.get(x.slot) + s_bar);
             points.derivative = 0;
             this->add_to_outline(x.element, x.s, x.b, b_bar, points);
             if (sink.forward) paths_.slots.radiance[sink.component][x.slot] += points.derivative;

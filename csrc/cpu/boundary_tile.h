@@ -89,14 +89,14 @@ protected:
     }
     // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
     static constexpr uint32_t OutlineBlock = 0x60000000u, PlaceBlock = OutlineBlock + 1;
-    RandomBits4<S> bits(uint32_t slot) const {
+    RandomBits4<S> bits(uint32_t slot, uint32_t block = OutlineBlock) const {
         return random_bits4<S>(call_.config.seed, call_.config.sensor, paths_.slots.pixel[slot],
-                               paths_.slots.sample[slot], UIntOf<S>(OutlineBlock));
+                               paths_.slots.sample[slot], UIntOf<S>(block));
     }
     S number(uint32_t slot, int which) const { return uniform_of<S>(bits(slot).bits[which]); }
-    uint64_t tree_seed(uint32_t slot) const {
+    uint64_t tree_seed(uint32_t slot, uint32_t copy = 0) const {
         const RandomBits4<S> r = bits(slot);
-        return uint64_t(r.bits[2]) << 32 | r.bits[3];
+        return (uint64_t(r.bits[2]) << 32 | r.bits[3]) + copy * 0xD1B54A32D192ED03ull;
     }
 
     // Calls visit(level, range) for the vertices that scatter smoothly.
@@ -110,11 +110,14 @@ protected:
         }
     }
 
-    // One vertex of each path, in proportion to its throughput; `inverse` becomes one over the probability.
-    void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse) {
+    // One vertex of each path, in proportion to its throughput; `inverse` becomes one over the probability, `total`
+    // what all of its vertices have.
+    void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse,
+                         std::vector<double> &total) {
         Tape<S> &tape = paths_.wavefront.tape;
         const size_t values = size_t(call_.values);
-        std::vector<double> total(n, 0), before(n, 0);
+        std::vector<double> before(n, 0);
+        total.assign(n, 0);
         auto each = [&](auto &&visit) {
             for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
                 const auto &v = tape[int(l)].columns.vertex;

@@ -3,6 +3,7 @@
 
 #include "accel/embree_library.h"
 #include "core/sensor/camera.h"
+#include "host/morton_order.h"
 #include "host/outline_set.h"
 #include "scene_builder.h"
 
@@ -150,6 +151,27 @@ TR_TEST(a_camera_sees_points_of_a_ray_where_it_begins) {
             CHECK_NEAR(found.y, at.y, 1e-9);
         }
     }
+}
+
+TR_TEST(the_order_is_a_function_of_places_alone) {
+    std::mt19937 random(7);
+    std::uniform_real_distribution<float> u(0, 1);
+    std::vector<Extent> things(30000);
+    for (size_t i = 0; i < things.size(); ++i)
+        things[i] = {{u(random), u(random), u(random)}, i % 100 == 3 ? 0.2f : i % 100 == 4 ? 0.01f : 0.001f};
+    const std::vector<int32_t> order = morton_order(things.data(), things.size(), 1);
+    CHECK(order == morton_order(things.data(), things.size(), 3));
+    std::vector<int32_t> sorted = order;
+    std::sort(sorted.begin(), sorted.end());
+    double apart = 0;
+    for (size_t i = 0; i < order.size(); ++i) {
+        CHECK(sorted[i] == int32_t(i));
+        if (i == 0) continue;
+        const Extent &a = things[size_t(order[i - 1])], &b = things[size_t(order[i])];
+        CHECK(a.size >= b.size);  // large ones first
+        for (size_t k = 0; k < 3; ++k) apart += double(std::fabs(a.middle[k] - b.middle[k])) / double(order.size());
+    }
+    CHECK(apart < 0.1);  // 1 without an order
 }
 
 }  // namespace tr::testing

@@ -67,5 +67,5 @@ def boundary_of(
     lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     if not any(moves) and not lights:
         return None
-    usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 8)  # as efficient as twice as many of the second
+    usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 16)  # the derivative takes about twice as long
     return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None, outputs)
