@@ -22,7 +22,8 @@ struct BoundaryCall {
     const AovLayout *layout = nullptr;  // of other outputs
     const OutlineSet *outlines;
     const uint8_t *moves;  // by shape, whether it does
-    // silhouettes: sample i takes the part (i + offset) / samples of the length of all pieces
+    // Of a pass there are so many samples. Silhouettes: sample i takes the part (i + offset) / samples of the length of
+    // all pieces; others: a random cell of the part from i / samples to (i + 1) / samples.
     const OutlinePieces *pieces;
     double offset, samples;
     const int64_t *cells;  // (n_cells, 2), x and y: squares of the film that reach wanted pixels

@@ -68,10 +68,13 @@ protected:
     // Which samples the slots are: `first` .. `first` + n of the call.
     void identify(uint64_t first, uint32_t n) {
         auto &slots = paths_.slots;
+        const double each = double(boundary_.n_cells) / boundary_.samples;  // cells that a sample stands for
         for (uint32_t k = 0; k < n; ++k) {
             const uint64_t sample = boundary_.first + first + k;
-            const int64_t *cell = boundary_.cells + 2 * (sample % boundary_.n_cells);
             slots.pixel[k] = uint32_t(sample), slots.sample[k] = uint32_t(sample >> 32);
+            const double u = double(uniform_of<S>(bits(k, PlaceBlock).bits[1]));
+            const double at = (double(sample % uint64_t(boundary_.samples)) + u) * each;
+            const int64_t *cell = boundary_.cells + 2 * std::min(size_t(at), boundary_.n_cells - 1);
             slots.column[k] = uint32_t(int32_t(cell[0])), slots.row[k] = uint32_t(int32_t(cell[1]));
         }
         std::fill_n(anchors_.level.at, n, NoVertex);

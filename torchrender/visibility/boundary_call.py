@@ -22,13 +22,13 @@ MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move o
 class BoundaryCall:
     """The boundary term of one rendering.
 
-    `spp` samples a wanted pixel of outlines that the camera sees, and of those that points on surfaces see; `moves`
+    `spp` samples a wanted pixel of outlines that the camera sees, and of others, may be fractions; `moves`
     says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples. `outputs`:
     it is that of outputs besides radiance.
     """
 
     call: RenderCall
-    spp: tuple[int, int]
+    spp: tuple[float, float]
     moves: torch.Tensor
     by_length: bool
     outputs: FirstHitCall | None = None
@@ -67,5 +67,5 @@ def boundary_of(
     lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     if not any(moves) and not lights:
         return None
-    usual = max(1, call.spp_grad // 4), max(1, call.spp_grad // 16)  # the derivative takes about twice as long
+    usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
     return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None, outputs)

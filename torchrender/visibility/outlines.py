@@ -124,8 +124,8 @@ class Outlines:
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer."""
         if part not in ("silhouettes", "outputs"):
-            return self.boundary.spp[1] * len(self.cells)
-        count = self.boundary.spp[0] * math.prod(self.call.size)
+            return math.ceil(self.boundary.spp[1] * len(self.cells))
+        count = math.ceil(self.boundary.spp[0] * math.prod(self.call.size))
         if self.boundary.by_length:
             count = min(count, math.ceil(LENGTHWISE * self.call.spp_grad * self.length))
         return count
