@@ -74,7 +74,7 @@ private:
 
     const double *jumps_of(const Sight &x) const { return jumps_.data() + size_t(&x - sights_.data()) * channels(); }
     using Base::sensor;
-    bool parallel() const { return sensor().kind == kind_of_model<Orthographic>(Sensors{}); }
+    bool parallel() const { return is_parallel(sensor()); }
 
     void find(uint64_t first, uint32_t n) {
         sights_.clear(), rays_.clear(), lengths_.clear();

@@ -220,6 +220,10 @@ protected:
             const S cosine = rsqrt(squared_norm(film.direction()));
             return distance * distance * cosine * cosine * cosine * 4 * film.slope * film.rise / (width * height);
         }
+        if (sensor().kind == kind_of_model<Distant>(Sensors{})) {
+            const S radius = DistantBase<S>(scene_, sensor()).radius;
+            return S(Pi) * radius * radius;
+        }
         const S step = S(0.05);
         auto end = [&](S x, S y) {
             CameraSample<S> moved = place;

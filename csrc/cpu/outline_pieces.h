@@ -28,6 +28,7 @@ template <class S>
 class OutlineCutter {
     using V = Vec3<S>;
     static constexpr S Pixels = 16;                // length of a piece on the film
+    static constexpr S DistantPixels = 64;         // what counts as so many, of `distant`, whose one pixel sees all
     static constexpr int Most = 256, Fewest = 32;  // pieces of an outline, and of a curve
 
 public:
@@ -36,7 +37,7 @@ public:
         const S width = S(call.film_width), height = S(call.film_height);
         CameraSample<S> middle{width / 2, height / 2};
         const CameraRay<S> ray = camera_ray<S>(*call.scene, record_, middle, width, height);
-        parallel_ = record_.kind == kind_of_model<Orthographic>(Sensors{});
+        parallel_ = is_parallel(record_), distant_ = record_.kind == kind_of_model<Distant>(Sensors{});
         origin_ = parallel_ ? ray.ray.d : ray.center;
         if (record_.kind == kind_of_model<ThinLens>(Sensors{}))
             lens_ = call.scene->values.constants[record_.field[ThinLens::ApertureRadius]];
@@ -69,7 +70,7 @@ private:
     const OutlineSet &set_;
     const Outlines<S> outlines_;
     const Record &record_;
-    bool parallel_, panorama_;
+    bool parallel_, distant_, panorama_;
     V origin_;  // of rays, or, `parallel_`, their direction
     S lens_ = 0;
     std::vector<uint32_t> near_;  // with a list of pixels: how many of it are above and to the left, in the crop
@@ -100,6 +101,7 @@ private:
             CameraSample<S> at{S(0), S(0)};
             const bool is = film_place<S>(*call_.scene, record_, p, width, height, at) && std::isfinite(at.x) &&
                             std::isfinite(at.y);
+            if (distant_) at.x = at.lens_x * DistantPixels, at.y = at.lens_y * DistantPixels;
             if (i > 0 && is && was) {
                 S step = std::sqrt((at.x - before[0]) * (at.x - before[0]) + (at.y - before[1]) * (at.y - before[1]));
                 r.length += panorama_ ? std::min(step, width / 4) : step;  // (around the seam)
@@ -122,8 +124,9 @@ private:
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
             const OnFilm piece = on_film(element, begin, end, 2);
-            const S length = std::min(piece.length, S(call_.crop.height() + call_.crop.width()));
-            if (!piece.seen || !(length > 0) || !is_near(piece, length)) continue;
+            const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
+            const S length = std::min(piece.length, most);
+            if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) continue;
             to.push_back({element, float(begin), float(end)});
             lengths.push_back(double(weight) * double(length));
         }

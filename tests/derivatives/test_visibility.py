@@ -122,6 +122,50 @@ def test_filters(rfilter, parameter):
     check(tr.load_dict(emitters(rfilter=rfilter), dtype=DOUBLE), parameter)
 
 
+def measured(sensor: dict) -> tr.Scene:
+    """A ball and a box above a floor under a lamp and a sky; two far balls keep the size of the scene as it is."""
+    corners = [-2.2, -2.2, -0.5], [2.2, 2.2, 3.5]
+    far = {f"far{i}": {"type": "sphere", "center": c, "radius": 0.1} for i, c in enumerate(corners)}
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    lamp = tr.Transform.translate([1, 0.5, 3]) @ tr.Transform.scale([0.4, 0.4, -0.4])
+    return tr.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 3},
+            "camera": {**sensor, "film": film},
+            "ball": {"type": "sphere", "center": [0.3, 0.1, 0.6], "radius": 0.4},
+            "box": tr.Mesh(box(0.3, 0.2, 0.4) + np.array([-0.6, 0.1, 0.5]), BOX_FACES),
+            "floor": {"type": "rectangle", "to_world": tr.Transform.scale(2)},
+            "lamp": {"type": "rectangle", "to_world": lamp, "emitter": glowing([400, 400, 400])},
+            "sky": {"type": "constant", "radiance": 30.0},
+            **far,
+        },
+        dtype=DOUBLE,
+    )
+
+
+@pytest.mark.parametrize("parameter", ["ball.center", "box.vertex_positions", "lamp.to_world"])
+@pytest.mark.parametrize(
+    "sensor",
+    [
+        {"type": "distant", "direction": [0.3, 0.2, -1]},
+        {"type": "distant", "direction": [0.3, 0.2, -1], "target": [-0.25, -0.15, 0]},
+        {"type": "radiancemeter", "origin": [0.5, -3, 2], "direction": [-0.75, 2.85, -2]},
+    ],
+    ids=["distant", "distant, one point", "radiancemeter"],
+)
+def test_sensors_of_one_pixel(sensor, parameter):
+    """What moves on the way to a single point is a jump of its derivative, but light there comes from a whole sky."""
+    check(measured(sensor), parameter, spp=40000)
+
+
+def test_the_direction_of_distant_lacks_outlines():
+    scene = measured({"type": "distant", "direction": [0.3, 0.2, -1]})
+    scene.train_only("camera.to_world")
+    with pytest.warns(tr.MissingTermWarning, match="camera.to_world"):
+        tr.render(scene, spp=1)
+
+
 def shaded(bsdf: dict, kind: str) -> tr.Scene:
     """A convex body, which casts no shadow on itself, under a sky of many colours."""
     sky = np.random.default_rng(3).uniform(0.2, 2, (8, 16, 3))

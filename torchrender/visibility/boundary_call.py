@@ -14,7 +14,8 @@ from ..scene.gather import has_derivative
 from ..scene.packing import Layout
 
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
-SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama")  # on whose films outlines can be found
+# Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
+SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "distant", "radiancemeter")
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
 
 
@@ -63,6 +64,8 @@ def boundary_of(
         return any(has_derivative(tensors[n]) for n in slots)
 
     camera = asked(slots)
+    if camera and kind == "distant":  # where a ray of it begins is not a function of the film's place
+        return None
     moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
     lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     if not any(moves) and not lights:

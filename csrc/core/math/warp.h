@@ -19,6 +19,16 @@ TR_INLINE Vec2<F> square_to_disk(const F &u1, const F &u2) {
     return {r * c, r * s};
 }
 
+// Its inverse.
+template <class F>
+TR_INLINE Vec2<F> disk_to_square(const Vec2<F> &p) {
+    const auto quadrant_x = mask<F>(abs(p.x) > abs(p.y));
+    const F along = select(quadrant_x, p.x, p.y), across = select(quadrant_x, p.y, p.x);
+    const F sign = select(mask<F>(along < F(0)), F(-1), F(1)), r = sqrt(p.x * p.x + p.y * p.y);
+    const F x = sign * r, y = r * atan2(across, max(abs(along), F(1e-30))) * F(4 / Pi);
+    return {F(0.5) * select(quadrant_x, x, y) + F(0.5), F(0.5) * select(quadrant_x, y, x) + F(0.5)};
+}
+
 // Density cos(theta) / pi.
 template <class F>
 TR_INLINE Vec3<F> square_to_cosine_hemisphere(const F &u1, const F &u2) {

@@ -155,22 +155,39 @@ TR_INLINE CameraRay<F> camera_ray(const SceneView<S> &scene, const Record &recor
     return r;
 }
 
+// Whether all rays are parallel.
+inline bool is_parallel(const Record &record) {
+    return record.kind == kind_of_model<Orthographic>(Sensors{}) || record.kind == kind_of_model<Distant>(Sensors{});
+}
+
 // Where on the film, in pixels, a point of the world is seen through the place on the lens of a sample; false where it
-// is not, or the camera has no film of that kind.
+// is not, or the camera has no film of that kind. `distant` has that place instead, which is set.
 template <class F, class S>
 TR_NOINLINE MaskOf<F> film_place(const SceneView<S> &scene, const Record &record, const Vec3<F> &p, S width, S height,
                                  CameraSample<F> &sample) {
     MaskOf<F> seen(false);
     auto find = [&](auto model) {
         using Model = decltype(model);
-        if constexpr (!std::is_same_v<Model, Distant> && !std::is_same_v<Model, RadianceMeter>) {
-            const S *m = scene.values.constants + record.field[Model::ToWorld];
-            // the inverse of the matrix is that of its cofactors
-            const Vec3<S> x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]};
-            const S inverse = S(1) / dot(x, cross(y, z));
-            const Vec3<F> d = p - Vec3<S>{m[3], m[7], m[11]},
-                          local{dot(d, cross(y, z) * inverse), dot(d, cross(z, x) * inverse),
-                                dot(d, cross(x, y) * inverse)};
+        const S *m = scene.values.constants + record.field[Model::ToWorld];
+        // the inverse of the matrix is that of its cofactors
+        const Vec3<S> x{m[0], m[4], m[8]}, y{m[1], m[5], m[9]}, z{m[2], m[6], m[10]};
+        const S inverse = S(1) / dot(x, cross(y, z));
+        auto in_frame = [&](const Vec3<S> &origin) {
+            const Vec3<F> d = p - origin;
+            return Vec3<F>{dot(d, cross(y, z) * inverse), dot(d, cross(z, x) * inverse), dot(d, cross(x, y) * inverse)};
+        };
+        if constexpr (std::is_same_v<Model, Distant>) {
+            // anywhere in its one pixel, through one place on the disk
+            const DistantBase<S> base(scene, record);
+            if (!(base.radius > 0)) return;
+            const Vec3<F> local = in_frame(base.p);
+            const Vec2<F> disk{local.x * F(S(1) / base.radius), local.y * F(S(1) / base.radius)};
+            seen = mask<F>(disk.x * disk.x + disk.y * disk.y < F(1));
+            const Vec2<F> lens = disk_to_square(disk);
+            sample.lens_x = lens.x, sample.lens_y = lens.y;
+            sample.x = F(width / 2), sample.y = F(height / 2);
+        } else if constexpr (!std::is_same_v<Model, RadianceMeter>) {
+            const Vec3<F> local = in_frame({m[3], m[7], m[11]});
             F numbers[DistortedPerspective::N + DistortedPerspective::Entries];
             if (is_pinhole(record)) {  // it has no coefficients
                 for (int i = 0; i < Model::N; ++i)

@@ -1,5 +1,6 @@
 // `distant`: radiance that leaves the scene in one direction, averaged over the cross section of a ball around the
-// scene, or towards one point. Rays travel along +z of the frame, from outside of the scene.
+// scene (which rests in derivatives), or towards one point. Rays travel along +z of the frame, from outside of the
+// scene.
 #pragma once
 
 #include "local_ray.h"

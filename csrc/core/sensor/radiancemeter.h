@@ -9,7 +9,7 @@ namespace tr {
 struct RadianceMeter {
     enum { ToWorld, Medium };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Perspective::AllEdges,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Perspective::Edges,
          "the ray starts at the frame's origin and goes along its z axis"},
         {"medium", Kind::Medium, -1, 0, INFINITY, "", "the medium that the ray starts in"},
     };
