@@ -126,8 +126,8 @@ private:
             if (!(x.weight > 0) || !std::isfinite(x.weight)) continue;
             x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.length = r;
             x.free = across * (-point.front / turned);  // from what hides to what does not
-            rays_.push_back(x.far ? OutlineRay{x.b + x.free * Base::least_side(x.b, S(1)), d}
-                                  : Base::beside(y, yn, x.b, x.free, point.room, S(0)));
+            rays_.push_back(x.far ? OutlineRay{x.b + x.free * Base::least_side(x.b, S(0), point.reach), d}
+                                  : Base::beside(y, yn, x.b, x.free, point.room, point.reach, S(0)));
             edges_.push_back(x);
         }
         end_rays();

@@ -25,7 +25,7 @@ class ReflectionTile : public BoundaryTile<F> {
         int32_t element;
         S s, r;
         V from, b, n;
-        S front, room, rim;
+        S front, room, reach, rim;
         Spectrum<S> carried;
         S density;
         bool emits[2];
@@ -134,7 +134,7 @@ private:
             const S turned = this->length(across);
             if (!point.valid || !(stretch > 0) || !(turned > 0) || !(x.r > 0)) continue;
             x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.n = across * (1 / turned);
-            x.front = point.front, x.room = point.room, x.rim = S(BeyondRim) * point.rim;
+            x.front = point.front, x.room = point.room, x.reach = point.reach, x.rim = S(BeyondRim) * point.rim;
             // sin / r^2 over the density by length
             x.carried = uniform_spectrum(S(turned / (x.r * x.r) * S(chosen.inverse_density) * S(inverse_[k]) *
                                            S(double(boundary_.n_cells) / boundary_.total)));
@@ -187,7 +187,7 @@ private:
         rays_.clear();
         for (const Sight &x : sights_)
             for (S side : {S(-1), S(1)})
-                rays_.push_back(this->beside(x.from, anchors_.ng.get(x.slot), x.b, x.n * side, x.room,
+                rays_.push_back(this->beside(x.from, anchors_.ng.get(x.slot), x.b, x.n * side, x.room, x.reach,
                                              x.front == side ? x.rim : S(0)));
         this->intersect(rays_);
         size_t kept = 0;

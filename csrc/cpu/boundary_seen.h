@@ -111,8 +111,8 @@ private:
             if (!std::isfinite(x.weight)) continue;
             x.b = point.p, x.n = across * (1 / turned), x.front = point.front;
             slots.film_x[k] = place.x, slots.film_y[k] = place.y;
-            const S side =
-                std::max(std::min(S(Beside) * std::sqrt(area), point.room / 8), Base::least_side(point.p, x.t));
+            const S side = std::max(std::min(S(Beside) * std::sqrt(area), point.room / 8),
+                                    Base::least_side(point.p, x.t, point.reach));
             for (S sign : {S(-1), S(1)}) {
                 const V offset = x.n * (sign * (side + (x.front == sign ? S(BeyondRim) * point.rim : S(0))));
                 rays_.push_back(parallel() ? OutlineRay{o + offset, d}

@@ -244,14 +244,18 @@ protected:
         V met_from{};  // where it was when it met that, beyond emitters that it has passed
     };
     // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
-    static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S rim) {
+    static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S reach, S rim) {
         const S distance = length(b - origin);
-        const S side = std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance));
+        const S side = std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance, reach));
         const V at = b + across * (side + rim), o = offset_origin(origin, ng, unit(at - origin));
         return {o, unit(at - o)};
     }
-    // How far beside b rays that begin at a distance can be told apart: they are traced in single precision.
-    static S least_side(const V &b, S distance) { return S(8 * 0x1p-24) * (max_abs(b) + distance); }
+    // How far beside b rays can be told apart that begin at a distance, and pass triangles that reach so far: they are
+    // traced in single precision.
+    // (Embree's robust test takes what is up to 12 * 2^-24 of a triangle's extent beside it, as was measured.)
+    static S least_side(const V &b, S distance, S reach) {
+        return S(0x1p-24) * (8 * (max_abs(b) + distance) + 24 * reach);
+    }
     static S length(const V &v) { return std::sqrt(dot(v, v)); }
     static V unit(const V &v) { return v * (1 / std::max(length(v), S(1e-30))); }
 
@@ -330,9 +334,12 @@ protected:
     void collect(S x, S y, double *to) const {
         boundary_.film->collect(boundary_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
     }
-    // Whether a pixel that is wanted may get something of it.
+    // Whether a pixel that is wanted may get something of it. (Beyond the part of the film that has samples nothing is
+    // seen.)
     bool near_film(S x, S y) const {
         const S reach = S(boundary_.filter.reach());
+        const Rect &there = call_.samples;
+        if (!(x >= S(there.x0) && x < S(there.x1) && y >= S(there.y0) && y < S(there.y1))) return false;
         return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
                y < S(call_.crop.y1) + reach;
     }

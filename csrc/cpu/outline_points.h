@@ -16,6 +16,7 @@ struct OutlinePoint {
     S front = 0;         // 1: what hides is on the side of (direction of the ray) x along; -1: on the other; 0: crease
     S room = S(INFINITY);  // how far across the ray the faces beside it reach
     S rim = 0;             // how far across it, in front, interpolated normals look away
+    S reach = 0;           // how far from it what it is an outline of may reach, roughly
 };
 
 template <class S>
@@ -78,7 +79,9 @@ private:
             const S side = dot(position(h[k].third) - a, across);
             right |= side > 0, left |= side < 0;
             r.room = std::min(r.room, std::abs(side) * inverse);
+            r.reach = std::max(r.reach, max_abs(position(h[k].third) - r.p));
         }
+        r.reach = std::max({r.reach, max_abs(a - r.p), max_abs(b - r.p)});
         const bool flat = !(scene_.shapes[h->shape].flags & HasNormals), both = right && left;
         r.valid = !both || set_.is_split(edge) || flat;
         r.front = both ? S(0) : S(right) - S(left);
@@ -131,6 +134,7 @@ private:
             along = {-sine * turn, cosine * turn, S(0)};
         }
         r.p = transform_point(m, local), r.along = transform_vector(m, along);
+        r.reach = max_abs(r.along);
         const V middle = transform_vector(m, V{-local.x, -local.y, round ? -local.z : S(0)});
         r.front = sign(dot(cross(parallel ? origin : r.p - origin, r.along), middle));
         return r;
