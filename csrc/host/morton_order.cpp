@@ -55,7 +55,8 @@ std::vector<int32_t> morton_order(const Extent *things, size_t n, int threads) {
         for (size_t i = begin; i < end; ++i) {
             const Extent &thing = things[i];
             uint64_t key = 0;
-            for (float s = size / 16; thing.size < s && key + 1 < uint64_t(1) << ClassBits; s /= 16) ++key;
+            float step = size / 16;
+            while (thing.size < step && key + 1 < uint64_t(1) << ClassBits) ++key, step /= 16;
             key <<= 3 * CellBits;
             for (size_t k = 0; k < 3; ++k) {
                 const float x = (thing.middle[k] - box.low[k]) * scale;
