@@ -249,8 +249,12 @@ CASES = ["texture step", "moving vertices", "builds", "everything changes", "net
 
 @pytest.mark.parametrize("case", CASES)
 def test_memory_stays_flat(endured, case):
-    # The smallest thing that could leak in every iteration, a gradient or an image, has some KiB.
-    assert endured[case]["KiB an iteration"] < 1.0, endured[case]
+    # The smallest thing that could leak in every iteration, a gradient or an image, has some KiB. What leaks does so
+    # every time; what an allocator keeps depends on what came before.
+    growth = [endured[case]["KiB an iteration"]]
+    while min(growth) >= 1.0 and len(growth) < 3:
+        growth.append(measured(case)[case]["KiB an iteration"])
+    assert min(growth) < 1.0, growth
 
 
 @pytest.mark.parametrize("case", CASES)

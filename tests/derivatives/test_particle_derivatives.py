@@ -207,9 +207,10 @@ def glued(name: str) -> tr.Scene:
 
 
 def slopes(scene: tr.Scene, integrator, names: list[str], seed: int, spp: int) -> torch.Tensor:
-    """Derivatives of the weighted mean of an image along a direction of each parameter, (P,)."""
+    """Derivatives of the weighted mean of an image along a direction of each parameter, (P,), without outlines."""
     leaves = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in names}
-    image = tr.render(scene, integrator=integrator, spp=1, spp_grad=spp, seed=seed, params=leaves)
+    settings = {"spp": 1, "spp_grad": spp, "seed": seed, "visibility": False}
+    image = tr.render(scene, integrator=integrator, params=leaves, **settings)
     gradients = torch.autograd.grad((image * weight(image)).mean(), list(leaves.values()))
     return torch.stack([(g * direction(n, g)).sum() for n, g in zip(names, gradients)])
 
