@@ -181,10 +181,13 @@ def first_hits(
     if averaged:
         first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.layout, averaged))
         found.update(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
-        if call.outlines and call.may_move_outlines(params):
-            from .visibility.outputs import add_outlines
+        moved = first.core_names().values() if call.outlines and call.may_move_outlines(params) else ()
+        if moved:
+            from .visibility.boundary import outline_terms  # when it is needed
 
-            add_outlines(found, first, params)
+            terms = outline_terms(call, params, first)
+            if terms is not None:
+                found.update({name: found[name] + term for name, term in zip(moved, terms, strict=True)})
     if any(n in FOOTPRINTS for n in names):
         from .footprints import footprints
 

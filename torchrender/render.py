@@ -391,19 +391,15 @@ def _with_outlines(
     result = radiance()
     if not call.may_move_outlines(tensors):
         return result
-    from .visibility.boundary import BoundaryFunction  # when it is needed
-    from .visibility.boundary_call import boundary_of
+    from .visibility.boundary import outline_terms  # when it is needed
 
-    boundary = boundary_of(call, tensors)
-    if boundary is None:
+    terms = outline_terms(call, tensors)
+    if terms is None:
         return result
-    term = BoundaryFunction.apply(boundary, *tensors)
     if not isinstance(result, tuple):
-        return result + term
-    image, *rest = result
-    if call.alpha:
-        return image + term[0], rest[0] + term[1], *rest[1:]
-    return image + term, *rest
+        return result + terms[0]
+    count = len(terms)  # the image, and alpha where that is wanted
+    return *(value + term for value, term in zip(result[:count], terms, strict=True)), *result[count:]
 
 
 def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:

@@ -136,13 +136,14 @@ public:
         auto reals = [&](const char *name) {
             return reinterpret_cast<double *>(given.arrays.count(name) ? given.arrays.at(name) : 0);
         };
+        const RenderCall<S> whole = call(c);
         BoundaryCall<S> b{};
         b.part = BoundaryPart(part - parts);
         const AovOutput<S> seen = outputs(c, given.outputs);
         const AovLayout layout = layout_of(seen, channels_);
         const bool of_outputs = b.part == BoundaryPart::Outputs;
         b.layout = &layout, b.channels = (of_outputs ? layout.n : channels_) + 1;
-        b.filter = of_outputs ? filter_of(seen, call(c).filter) : call(c).filter;
+        b.filter = of_outputs ? filter_of(seen, whole.filter) : whole.filter;
         b.outlines = &outlines.set, b.pieces = &outlines.pieces;
         b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
         b.offset = number("offset"), b.samples = number("samples");
@@ -152,10 +153,10 @@ public:
         b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
         if (forward) {
             ForwardCall<S> d(data_, c.path, c.light, slots);
-            return boundary_forward<S>(call(c), b, d.call);
+            return boundary_forward<S>(whole, b, d.call);
         }
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
-        RenderStats stats = boundary_reverse<S>(call(c), b, d);
+        RenderStats stats = boundary_reverse<S>(whole, b, d);
         add_gradients(data_, d, slots);
         return stats;
     }

@@ -251,8 +251,8 @@ protected:
         return {o, unit(at - o)};
     }
     // How far beside b rays can be told apart that begin at a distance, and pass triangles that reach so far: they are
-    // traced in single precision.
-    // (Embree's robust test takes what is up to 12 * 2^-24 of a triangle's extent beside it, as was measured.)
+    // traced in single precision, and Embree's robust test takes what is up to 12 * 2^-24 of a triangle's extent beside
+    // it, as was measured.
     static S least_side(const V &b, S distance, S reach) {
         return S(0x1p-24) * (8 * (max_abs(b) + distance) + 24 * reach);
     }

@@ -95,7 +95,9 @@ void OutlineSet::find(const SceneView<S> &scene) {
                 visit(uint32_t(s), scene.faces + 3 * size_t(info.face_offset + f));
         }
     };
+    flat_.clear();
     each_face([&](uint32_t, const uint32_t *face) {
+        if (!has_area(scene, face)) flat_.push_back(uint32_t((face - scene.faces) / 3));
         for (size_t k = 0; k < 3; ++k) {
             if (face[k] >= known.size()) known.resize(size_t(face[k]) + 1 + known.size() / 2);
             if (!known[face[k]]) known[face[k]] = 1, vertices.push_back(face[k]);
@@ -108,7 +110,6 @@ void OutlineSet::find(const SceneView<S> &scene) {
     for (uint32_t v : vertices)
         if (first[v] != v) copies_.push_back(v), copies_.push_back(first[v]);
     // faces without an area have no part in it
-    flat_.clear();
     auto each_half = [&](auto &&visit) {
         each_face([&](uint32_t shape, const uint32_t *face) {
             if (!has_area(scene, face)) return;
@@ -120,9 +121,6 @@ void OutlineSet::find(const SceneView<S> &scene) {
             }
         });
     };
-    each_face([&](uint32_t, const uint32_t *face) {
-        if (!has_area(scene, face)) flat_.push_back(uint32_t((face - scene.faces) / 3));
-    });
     std::vector<uint32_t> bucket(n + 1);
     each_half([&](uint32_t low, const Found &) { ++bucket[low + 1]; });
     for (size_t v = 0; v < n; ++v) bucket[v + 1] += bucket[v];

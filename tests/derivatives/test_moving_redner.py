@@ -73,6 +73,10 @@ class Case:
         return self.image(scene, self.params(values), **settings)
 
 
+# Of a camera's place and of where it looks: quiet samples, and steps that follow the gradient's size.
+POSE_LOOP: dict = {"steps": 500, "loop": {"spp": 8, "sampler": "sobol"}, "beta": 0.95}
+
+
 def tensors(values: dict[str, list]) -> Values:
     return {name: torch.tensor(value, dtype=DOUBLE) for name, value in values.items()}
 
@@ -171,9 +175,7 @@ CASES = {
         0.1,
         by_pose((0, 0, 1)),
         near={"position": 0.1},
-        steps=500,
-        loop={"spp": 8, "sampler": "sobol"},
-        beta=0.95,
+        **POSE_LOOP,
         spp_visibility=(16, 24),
         differences_spp=256,
     ),
@@ -207,9 +209,7 @@ CASES = {
         0.1,
         by_pose((0, 1, 0)),
         near={"position": 0.02},
-        steps=500,
-        loop={"spp": 8, "sampler": "sobol"},
-        beta=0.95,
+        **POSE_LOOP,
         step=0.025,
     ),
     "single_triangle_camera_fisheye": Case(

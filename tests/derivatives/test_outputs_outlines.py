@@ -9,10 +9,9 @@ import reference_scenes
 import torch
 import trimesh
 from moving_differences import agrees, direction_of
-from output_scenes import ALL, REAL
+from output_scenes import REAL
 
 import torchrender as tr
-from torchrender.first_hit_call import FIRST_HIT_OUTPUTS, FOOTPRINTS
 
 DOUBLE = torch.float64
 FOCAL = 8 / math.tan(math.radians(20))  # pixels, of 16
@@ -28,11 +27,12 @@ def things(rfilter: dict, behind: bool = True, lens: bool = False) -> tr.Scene:
     corners = torch.tensor([[-0.9, -0.2, 0.6], [-0.1, -0.8, 0.4], [-0.2, 0.3, 0.9]])
     cube = trimesh.creation.box((2, 2, 2))
     turned = tr.Transform.rotate([1, 2, 0], 40).matrix[:3, :3].double()
+    tint = torch.rand(3, 3, generator=torch.Generator().manual_seed(2))
     kind = {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 3.5} if lens else {"type": "perspective"}
     scene: dict = {
         "type": "scene",
         "camera": {**kind, "fov": 40, "to_world": to_world, "film": film},
-        "leaf": tr.Mesh(corners, torch.tensor([[0, 1, 2]]), attributes={"vertex_tint": torch.rand(3, 3)}),
+        "leaf": tr.Mesh(corners, torch.tensor([[0, 1, 2]]), attributes={"vertex_tint": tint}),
         "ball": {"type": "sphere", "center": [-0.5, 0.3, -0.4], "radius": 0.5, "bsdf": {"type": "diffuse"}},
         "plate": {"type": "disk", "to_world": tilted, "bsdf": {"type": "roughplastic", "alpha": 0.3}},
         "pipe": {"type": "cylinder", "p0": [-0.9, -0.9, -0.6], "p1": [0.9, -0.3, -0.9], "radius": 0.2},
@@ -189,5 +189,18 @@ def test_nothing_is_asked_for():
     assert "visibility_outputs" not in scene.statistics
 
 
-def test_every_output_is_known():
-    assert set(ALL) >= set(FIRST_HIT_OUTPUTS) and not set(FOOTPRINTS) & set(REAL)
+def test_outputs_together_are_the_outputs_alone():
+    """Their channels lie one after the other in the core, in its order."""
+    scene = things(FILTERS[0])
+    (leaf,) = scene.train_only("leaf.vertex_positions")
+    names = ("vertex_tint", *reversed(REAL))  # another order
+    everywhere = torch.ones(16, 16, dtype=torch.bool)
+
+    def gradient(shown):
+        found = tr.render(scene, outputs=shown, spp=4, seed=3)
+        total = sum((0.3 * i + 1) * weighted(found, (n,), everywhere) for i, n in enumerate(names) if n in shown)
+        return torch.autograd.grad(total, leaf)[0]
+
+    alone = [gradient((name,)) for name in names]
+    assert len({float(g.abs().sum()) for g in alone}) > len(names) // 2
+    torch.testing.assert_close(gradient(names), sum(alone), rtol=1e-9, atol=1e-12)

@@ -3,31 +3,41 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import torch
 
 from ..autograd import dense_tangents, zero_gradient
+from ..first_hit_call import FirstHitCall
 from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
-from .boundary_call import BoundaryCall, all_placing_slots
-from .film_sums import FilmPlaces
+from ..render_call import RenderCall
+from .boundary_call import BoundaryCall, all_placing_slots, boundary_of
+from .on_film import Averages, Radiance
 from .outlines import outlines_of
 
 
+def outline_terms(
+    call: RenderCall, params: Sequence[torch.Tensor], outputs: FirstHitCall | None = None
+) -> tuple[torch.Tensor, ...] | None:
+    """Zeros with the motion of outlines as their derivative; None if nothing that moves them may be differentiated.
+
+    They are of the image and, where it is wanted, alpha, or of `outputs` in the core's order.
+    """
+    boundary = boundary_of(call, params, outputs)
+    return None if boundary is None else BoundaryFunction.apply(boundary, *params)
+
+
 class BoundaryFunction(UnbatchedFunction):
-    """``image[, alpha] = BoundaryFunction.apply(boundary, *parameters)``: zeros, with the term as their derivative."""
+    """``terms = BoundaryFunction.apply(boundary, *parameters)``, see `outline_terms`."""
 
     @staticmethod
     def forward(boundary: BoundaryCall, *params: torch.Tensor) -> Any:
-        call = boundary.call
-        image = torch.zeros(call.shape(), dtype=call.native.dtype)
-        return (image, torch.zeros(call.size, dtype=call.native.dtype)) if call.alpha else image
+        return Radiance.zeros(boundary.call) if boundary.outputs is None else Averages.zeros(boundary.outputs)
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
-        boundary, *params = inputs
-        ctx.boundary = boundary
+        ctx.boundary, *params = inputs
         ctx.save_for_backward(*params)
         ctx.save_for_forward(*params)
         ctx.set_materialize_grads(False)
@@ -37,13 +47,12 @@ class BoundaryFunction(UnbatchedFunction):
         needed = ctx.needs_input_grad[1:]
         if all(a is None for a in adjoints) or not any(needed):
             return (None,) * (1 + len(needed))
-        image, alpha = (*adjoints, None)[:2]
-        return (None, *_Vjp.apply(ctx.boundary, needed, image, alpha, *ctx.saved_tensors))
+        return (None, *_Vjp.apply(ctx.boundary, needed, len(adjoints), *adjoints, *ctx.saved_tensors))
 
     @staticmethod
     def jvp(ctx: Any, _boundary: Any, *tangents: torch.Tensor | None) -> Any:
         found = _Jvp.apply(ctx.boundary, *ctx.saved_tensors, *tangents)
-        return found if ctx.boundary.call.alpha else found[0]
+        return found if isinstance(found, tuple) else (found,)
 
 
 @contextlib.contextmanager
@@ -60,31 +69,24 @@ def few_threads() -> Iterator[int]:
         torch.set_num_threads(threads)
 
 
+def _on_film(boundary: BoundaryCall, params: Sequence[torch.Tensor], threads: int) -> Radiance | Averages:
+    return Radiance(boundary.call) if boundary.outputs is None else Averages(boundary.outputs, params, threads)
+
+
 class _Vjp(DerivativeFunction):
     @staticmethod
-    def forward(
-        boundary: BoundaryCall,
-        needed: tuple[bool, ...],
-        image: torch.Tensor | None,
-        alpha: torch.Tensor | None,
-        *params: torch.Tensor,
-    ) -> Any:
+    def forward(boundary: BoundaryCall, needed: tuple[bool, ...], count: int, *tensors: torch.Tensor | None) -> Any:
         call = boundary.call
-        for adjoint in (image, alpha):
+        adjoints, params = tensors[:count], [t for t in tensors[count:] if t is not None]
+        for adjoint in adjoints:
             refuse_batches(adjoint)
         call.check_indices()
         with few_threads() as threads:
-            film = FilmPlaces(call)
-            adjoint = film.empty()
-            if image is not None:
-                film.add(adjoint, image.detach().reshape(-1, call.native.channels), slice(None, -1))
-            if alpha is not None:
-                film.add(adjoint, alpha.detach().reshape(-1, 1), slice(-1, None))
-            adjoint /= film.normal
+            seen = _on_film(boundary, params, threads)
             placing = all_placing_slots(call.layout)
             grads = [zero_gradient(p) if needed[i] and i in placing else None for i, p in enumerate(params)]
-            with outlines_of(boundary, params, film, threads) as outlines:
-                outlines.reverse(adjoint, grads)
+            with outlines_of(boundary, params, seen.film, threads) as outlines:
+                outlines.reverse(seen.adjoint(adjoints), grads)
         return tuple(grads)
 
 
@@ -94,14 +96,11 @@ class _Jvp(DerivativeFunction):
         call, count = boundary.call, len(tensors) // 2
         params, tangents = [t for t in tensors[:count] if t is not None], tensors[count:]
         with few_threads() as threads:
-            film = FilmPlaces(call)
-            total = film.empty()
-            dense = dense_tangents(params, tangents, call.native.dtype)
+            seen = _on_film(boundary, params, threads)
+            total = seen.film.empty()
             placing = all_placing_slots(call.layout)
+            dense = dense_tangents(params, tangents, call.native.dtype)
             dense = [t if i in placing else None for i, t in enumerate(dense)]
-            with outlines_of(boundary, params, film, threads) as outlines:
+            with outlines_of(boundary, params, seen.film, threads) as outlines:
                 outlines.forward(total, dense)
-            total /= film.normal
-            values = film.results(total)
-        image = values[:, :-1].reshape(call.shape()).to(call.native.dtype)
-        return image, values[:, -1].reshape(call.size).to(call.native.dtype)
+            return seen.tangents(total)
