@@ -166,6 +166,18 @@ def test_the_direction_of_distant_lacks_outlines():
         tr.render(scene, spp=1)
 
 
+def test_shapes_keep_their_outlines_beside_the_direction_of_distant():
+    scene = measured({"type": "distant", "direction": [0.3, 0.2, -1]})
+    (center,) = scene.train_only("ball.center")
+    (alone,) = torch.autograd.grad(tr.render(scene, spp=64, seed=2).sum(), center)
+    without = torch.autograd.grad(tr.render(scene, spp=64, seed=2, visibility=False).sum(), center)[0]
+    center, _ = scene.train_only("ball.center", "camera.to_world")
+    with pytest.warns(tr.MissingTermWarning, match="camera.to_world"):
+        (beside,) = torch.autograd.grad(tr.render(scene, spp=64, seed=2).sum(), center)
+    assert (alone - without).abs().max() > 0.1
+    torch.testing.assert_close(beside, alone, rtol=1e-9, atol=0)
+
+
 def shaded(bsdf: dict, kind: str) -> tr.Scene:
     """A convex body, which casts no shadow on itself, under a sky of many colours."""
     sky = np.random.default_rng(3).uniform(0.2, 2, (8, 16, 3))

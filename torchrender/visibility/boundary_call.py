@@ -16,6 +16,7 @@ from ..scene.packing import Layout
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
 SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "distant", "radiancemeter")
+STILL = "distant"  # where a ray of it begins is not a function of the film's place
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
 
 
@@ -46,9 +47,10 @@ def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
 
 
 def all_placing_slots(layout: Layout) -> set[int]:
-    """The slots of what may place shapes, cameras and lights."""
+    """The slots of what may place shapes, cameras and lights, but for cameras whose motion has no such term."""
     categories = ("shape", "sensor", "emitter")
-    return {slot for c in categories for _, slots in placing_slots(layout, c) for slot in slots}
+    placing = [found for c in categories for found in placing_slots(layout, c)]
+    return {slot for kind, slots in placing if kind != STILL for slot in slots}
 
 
 def boundary_of(
@@ -63,9 +65,7 @@ def boundary_of(
     def asked(slots: Sequence[int]) -> bool:
         return any(has_derivative(tensors[n]) for n in slots)
 
-    camera = asked(slots)
-    if camera and kind == "distant":  # where a ray of it begins is not a function of the film's place
-        return None
+    camera = kind != STILL and asked(slots)
     moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
     lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     if not any(moves) and not lights:
