@@ -284,7 +284,6 @@ def render(
                 packed,
                 scene.warned,
                 alpha,
-                volumetric,
                 steady=light and film.filter.type == "box",
                 particles=light,
                 outlines=outlines if shows_radiance else seen_outlines and not shown,

@@ -39,7 +39,7 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
     DerivativeCall<S> d;
     d.sizes = layout.slot_sizes;
     GradientNeeds &needs = d.needs;
-    needs = {false, false, !path.volumetric && requires_.point_position(), false, false, {}};
+    needs = {false, false, requires_.point_position(), false, false, {}};
     for (size_t i = 0; i < layout.media.size() && path.volumetric; ++i) {
         const MediumNeeds medium = requires_.medium(i);
         needs.medium.extinction |= medium.extinction;
@@ -47,8 +47,9 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
         needs.medium.emission |= medium.emission;
         needs.medium.phase |= medium.phase;
     }
-    if (path.sensor < count("sensor") && !path.volumetric) {
-        needs.geometry = requires_.motion(path.sensor) || (light && needs.light_position);
+    if (path.sensor < count("sensor")) {
+        // a light that moves changes what is on its way through media
+        needs.geometry = requires_.motion(path.sensor) || ((light || path.volumetric) && needs.light_position);
         needs.camera = requires_.camera(path.sensor);
     }
     for (size_t i = 0; i < count("bsdf"); ++i) {

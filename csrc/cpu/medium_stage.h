@@ -24,12 +24,12 @@ public:
             media.chromatic |= (scene_.media[m].flags & IsChromatic) != 0;
             media.emissive |= scene_.media[m].emission >= 0;
         }
-        media.differential = differentiates && w_.needs().medium.extinction;
+        media.differential = differentiates && (w_.needs().medium.extinction || w_.needs().geometry);
         const size_t n = capacity + 2 * W;
         arena_.allocate(n, media.flight, media.branch);
         shadow_arena_.allocate(2 * n, transmittance_, pending_rays_);
         index_arena_.declare([&](Arena &arena) {
-            for (uint32_t **p : {&pending_, &queue_}) arena.array(*p, 2 * n);
+            for (uint32_t **p : {&pending_, &queue_, &met_}) arena.array(*p, 2 * n);
         });
     }
 
@@ -65,6 +65,11 @@ public:
         for (int c = 0; c < SpectrumSize; ++c) std::fill_n(transmittance_.transmittance[c], shadows.n, S(1));
         std::fill_n(transmittance_.total_length.at, shadows.n, S(0));
         for (uint32_t k = 0; k < shadows.n; ++k) pending_[k] = k;
+        const bool moves = recording && w_.needs().geometry;
+        if (moves) {
+            std::fill_n(transmittance_.begin.at, shadows.n, S(0));
+            std::fill_n(transmittance_.boundary.shape, shadows.n, NoHit);
+        }
         uint32_t n = shadows.n;
         for (uint32_t round = 0; n > 0; ++round) {
             trace_parts(level, round, n);
@@ -72,12 +77,12 @@ public:
                 size_t waiting = 0;
                 for (uint32_t j = 0; j < n; ++j)
                     if (shadows.medium[pending_[j]] == m && w_.queries.hits.at.shape[j] != MediumHit)
-                        queue_[waiting++] = pending_[j];
+                        met_[waiting] = j, queue_[waiting++] = pending_[j];
                 if (waiting == 0) continue;
                 tracker_.transmit(m, {shadows.o, shadows.d, shadows.ray_offset}, transmittance_, queue_, waiting);
-                if (recording && media.differential) choose_points(waiting, m);
+                if (recording && media.differential) choose_points(waiting, m, moves);
             }
-            n = cross_boundaries(n);
+            n = cross_boundaries(n, moves);
         }
         for (uint32_t k = 0; k < shadows.n; ++k)
             if (recording)
@@ -139,8 +144,9 @@ private:
     }
 
     // A point uniform on all of the parts of a ray that are in media.
-    void choose_points(size_t waiting, int32_t m) {
+    void choose_points(size_t waiting, int32_t m, bool moves) {
         const TransmittanceColumns<S> &t = transmittance_;
+        const ShadowQueue<S> &shadows = w_.shadows;
         for (size_t q = 0; q < waiting; ++q) {
             uint32_t k = queue_[q];
             S length = t.length[k];
@@ -148,12 +154,17 @@ private:
             t.total_length[k] += length;
             if (!(t.choice[k] * t.total_length[k] < length)) continue;
             t.point_medium[k] = m;
-            t.point.set(k, w_.shadows.o.get(k) + w_.shadows.d.get(k) * (t.start[k] + t.place[k] * length));
+            const S place = t.start[k] + t.place[k] * length;
+            t.point.set(k, shadows.o.get(k) + shadows.d.get(k) * place);
+            if (!moves) continue;
+            const S first = t.begin[k] + shadows.ray_offset[k];  // distance of the part's origin
+            t.part_from.copy(k, t.boundary, k), t.part_to.copy(k, w_.queries.hits.at, met_[q]);
+            t.part_t0[k] = t.begin[k], t.part_t1[k] = first + t.end[k], t.part_t[k] = first + place;
         }
     }
 
     // Returns how many rays go on behind boundaries.
-    uint32_t cross_boundaries(uint32_t n) {
+    uint32_t cross_boundaries(uint32_t n, bool moves) {
         PathContext<F> c = w_.context(false);
         const HitColumns<S> &hits = w_.queries.hits;
         uint32_t left = 0;
@@ -164,6 +175,16 @@ private:
                    !mask<F>(at.shape == U(MediumHit));
             if (!any(on)) continue;
             U id = pending(j, on);
+            if (moves) {
+                const F met = from(hits.t);
+                Gathered<F> ray(id, on);
+                F begin = ray(transmittance_.begin) + ray(w_.shadows.ray_offset) + met;
+                scatter_lanes<F>(transmittance_.begin.at, id, begin, on);
+                const PointColumn<S> &boundary = transmittance_.boundary;
+                scatter_lanes<F>(boundary.shape, id, at.shape, on), scatter_lanes<F>(boundary.b1, id, at.b1, on);
+                scatter_lanes<F>(boundary.primitive, id, at.primitive, on);
+                scatter_lanes<F>(boundary.b2, id, at.b2, on);
+            }
             on = cross_boundary(c, w_.shadows, transmittance_, at, from(hits.t), id, on);
             store_compressed<F>(pending_ + left, id, on);
             left += uint32_t(count(on));
@@ -186,6 +207,11 @@ private:
         tape.shadow_p.set(at, t.point.get(k));
         tape.shadow_length[at] = t.total_length[k];
         tape.shadow_medium[at] = t.point_medium[k];
+        if (!w_.needs().geometry) return;
+        const MotionColumns<S> &motion = w_.tape.last().columns.motion;
+        motion.shadow_d.set(at, shadows.d.get(k));
+        motion.shadow_from.copy(at, t.part_from, k), motion.shadow_to.copy(at, t.part_to, k);
+        motion.shadow_t0[at] = t.part_t0[k], motion.shadow_t1[at] = t.part_t1[k], motion.shadow_t[at] = t.part_t[k];
     }
 
     struct PendingRays {
@@ -203,7 +229,7 @@ private:
     Arena arena_, shadow_arena_, index_arena_;
     TransmittanceColumns<S> transmittance_;
     PendingRays pending_rays_;  // of the shadow rays in flight
-    uint32_t *pending_, *queue_;
+    uint32_t *pending_, *queue_, *met_;
 };
 
 }  // namespace tr

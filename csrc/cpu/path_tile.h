@@ -25,7 +25,7 @@ public:
     RenderStats take_stats() { return wavefront.take_stats(); }
 
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
-        : wavefront(call, capacity, derivative, false), call_(call), config_(call.config) {
+        : wavefront(call, capacity, derivative, false), call_(call), config_(call.config), capacity_(capacity) {
         if (config_.volumetric) media_.emplace(wavefront, capacity, derivative != nullptr);
     }
 
@@ -99,7 +99,6 @@ public:
         sweep_tape(sink, unit_adjoint, block);
         while (block > 0) {
             replay_block(--block);
-            tape.boundary.hand_to(tape.last());
             sweep_tape(sink, unit_adjoint, block);
         }
         wavefront.count_non_finite(sink);
@@ -172,7 +171,7 @@ private:
         const HitColumns<S> &hits = wavefront.queries.hits;
         for (const KindRange &range : *ranges)
             wavefront.for_packets(range, [&](const LaneSet<F> &lanes, uint32_t i) {
-                if (recording && media_) record_segment(c, media_->media, step, current, lanes, i, shadows);
+                if (recording && media_) record_segment(c, media_->media, step, current, hits, lanes, i, shadows);
                 if (range.kind == CollisionKind)
                     shade_medium(c, step, current, hits, lanes, i, next, shadows);
                 else if (range.kind == MissKind)
@@ -219,36 +218,39 @@ private:
     // Adjoints of numbers are sums over components: in forward mode everyone that a pixel shows then has a sweep of its
     // own.
     void sweep_tape(GradientSink<F> &sink, bool unit_adjoint, size_t block) {
-        wavefront.tape.boundary.clear();
-        if (!sink.forward || !wavefront.needs().numbers()) return sweep_levels(sink, unit_adjoint, block);
+        if (!sink.forward || !wavefront.needs().numbers()) return sweep_levels(sink, unit_adjoint, block, 0);
         for (int component = 0; component < call_.values; ++component) {
             for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.delta[c], n_slots_, S(c == component ? 1 : 0));
             sink.component = component;
-            sweep_levels(sink, false, block);
+            sweep_levels(sink, false, block, size_t(component));
         }
     }
 
-    void sweep_levels(GradientSink<F> &sink, bool unit_adjoint, size_t block) {
+    void sweep_levels(GradientSink<F> &sink, bool unit_adjoint, size_t block, size_t component) {
         Tape<S> &tape = wavefront.tape;
+        BlockBoundary<S> &boundary = tape.boundaries[component];
+        if (block + 1 < tape.checkpoints.size()) boundary.hand_to(tape.last());
+        const TapeColumns<S> *before = nullptr;
+        if (block > 0) before = &boundary.open(Wavefront<F>::entries(capacity_), tape.groups());
         SweepContext<F> c{wavefront.scene(),    config_, slots,       wavefront.needs(), S(call_.film_width),
                           S(call_.film_height), nullptr, unit_adjoint};
         if (media_ && media_->media.differential) c.branches = &media_->media.branch;
         for (int l = tape.size() - 1; l >= 0; --l) {
             TapeLevel<S> &level = tape[l];
             const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
-            const bool hands_on = level.parent_level == TapeLevel<S>::InBlockBefore && block > 0;
+            if (level.parent_level == TapeLevel<S>::InBlockBefore) parents = before;
             for (const KindRange &range : level.ranges)
                 for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
                     M active = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
-                    Spectrum<F> r = sweep_vertex(c, level.columns, parents, uint32_t(tape.first_level + l), range.kind,
-                                                 level.scatters, i, active, sink);
-                    if (hands_on) tape.boundary.keep(&level.columns.vertex.parent[i], r, size_t(count(active)));
+                    sweep_vertex(c, level.columns, parents, uint32_t(tape.first_level + l), range.kind, level.scatters,
+                                 i, active, sink);
                 }
         }
     }
 
     const RenderCall<S> &call_;
     const PathConfig &config_;
+    const size_t capacity_;
     std::optional<MediumStage<F>> media_;
     uint32_t n_slots_ = 0;
     std::vector<KindRange> ranges_;

@@ -19,7 +19,7 @@ struct KindRange {
 
 // Groups of columns besides those that all tapes have.
 struct TapeGroups {
-    bool stack, tangent, segment, connection;
+    bool stack, tangent, segment, motion, connection;
 };
 
 template <class S>
@@ -40,9 +40,12 @@ struct TapeLevel {
             add(columns.vertex, true), add(columns.outgoing, true), add(columns.scattering, true);
             add(columns.arrival, true), add(columns.next, true);
             add(columns.stack, groups.stack), add(columns.tangent, groups.tangent);
-            add(columns.segment, groups.segment), add(columns.connection, groups.connection);
+            add(columns.segment, groups.segment), add(columns.motion, groups.motion);
+            add(columns.connection, groups.connection);
         });
     }
+
+    size_t capacity() const { return capacity_; }
 
 private:
     Arena arena_;
@@ -88,30 +91,48 @@ private:
     size_t used_ = 0;
 };
 
-// What the first level of a block hands to the last one of the block before.
+// What the first level of a block hands to the last one of the block before, which is not on the tape then: a level in
+// its place, of which only those columns matter that a vertex writes into its parent's entry.
 template <class S>
-struct BlockBoundary {
-    std::vector<uint32_t> parent;
-    std::vector<S> radiance[SpectrumSize];
+class BlockBoundary {
+public:
+    // An empty level of so many entries.
+    const TapeColumns<S> &open(size_t entries, const TapeGroups &groups) {
+        level_.reserve(entries, groups);
+        entries_ = entries;
+        each([&](auto *array, auto *) { std::memset(array, 0, entries_ * sizeof(*array)); }, level_);
+        return level_.columns;
+    }
+    // `level` has at most as many.
+    void hand_to(const TapeLevel<S> &level) {
+        const size_t n = std::min(entries_, level.capacity());
+        each([&](const auto *from, auto *to) { std::memcpy(to, from, n * sizeof(*to)); }, level);
+    }
 
-    void clear() {
-        parent.clear();
-        for (auto &r : radiance) r.clear();
+private:
+    template <class Visit>
+    void each(Visit &&visit, const TapeLevel<S> &other) {
+        auto both = [&](const auto &mine, const auto &theirs) {
+            std::vector<void *> to;
+            theirs.for_arrays([&](auto *array) { to.push_back(array); });
+            size_t k = 0;
+            mine.for_arrays([&](auto *array) { visit(array, static_cast<decltype(array)>(to[k++])); });
+        };
+        auto column = [&](const auto &mine, const auto &theirs) {
+            std::vector<void *> to;
+            theirs.each([&](auto *array) { to.push_back(array); });
+            size_t k = 0;
+            mine.each([&](auto *array) { visit(array, static_cast<decltype(array)>(to[k++])); });
+        };
+        const TapeColumns<S> &mine = level_.columns, &theirs = other.columns;
+        column(mine.vertex.suffix, theirs.vertex.suffix);
+        both(mine.next, theirs.next);
+        if (!mine.motion.rest_bar.x) return;
+        column(mine.motion.rest_bar, theirs.motion.rest_bar), column(mine.motion.from_bar, theirs.motion.from_bar);
     }
-    template <class F>
-    void keep(const uint32_t *parents, const Spectrum<F> &r, size_t n) {
-        size_t before = parent.size();
-        parent.insert(parent.end(), parents, parents + n);
-        alignas(64) S v[size_t(Lanes<F>::Width)];
-        for (int c = 0; c < SpectrumSize; ++c) {
-            store(&v[0], r[c]);
-            radiance[c].insert(radiance[c].begin() + ptrdiff_t(before), v, v + n);
-        }
-    }
-    void hand_to(const TapeLevel<S> &level) const {
-        for (int c = 0; c < SpectrumSize; ++c)
-            for (size_t i = 0; i < parent.size(); ++i) level.columns.vertex.suffix[c][parent[i]] = radiance[c][i];
-    }
+
+    TapeLevel<S> level_;
+    size_t entries_ = 0;
 };
 
 template <class S>
@@ -120,14 +141,15 @@ public:
     // Levels of a block: as many as most paths have, so that few are traced twice.
     static constexpr int BlockLevels = 64;
     Checkpoints<S> checkpoints;
-    BlockBoundary<S> boundary;
-    int first_level = 0;  // number of the first one among all
+    std::vector<BlockBoundary<S>> boundaries;  // by component
+    int first_level = 0;                       // number of the first one among all
 
-    explicit Tape(const TapeGroups &groups) : groups_(groups) {}
+    explicit Tape(const TapeGroups &groups) : boundaries(SpectrumSize), groups_(groups) {}
 
     int size() const { return n_; }
     TapeLevel<S> &operator[](int i) { return *levels_[size_t(i)]; }
     TapeLevel<S> &last() { return *levels_[size_t(n_ - 1)]; }
+    const TapeGroups &groups() const { return groups_; }
     void reserve_last(size_t entries) { last().reserve(entries, groups_); }
     void begin_block(int level) { first_level = level, n_ = 0; }
     // A level without entries yet: how many there are is known once hits are grouped.

@@ -73,7 +73,8 @@ public:
 
     Wavefront(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative, bool of_light)
         : queries(*call.accel, entries(shadow_capacity(call, capacity))),
-          tape({call.scene->has_stacks, call.scene->follows_tangent, call.config.volumetric, of_light}),
+          tape({call.scene->has_stacks, call.scene->follows_tangent, call.config.volumetric,
+                call.config.volumetric && derivative && derivative->gradient_needs().geometry, of_light}),
           call_(call),
           scene_(*call.scene) {
         if (derivative) needs_ = derivative->gradient_needs();

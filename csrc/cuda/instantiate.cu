@@ -119,7 +119,7 @@ __global__ void shade_media(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S>
 
 __global__ void record_segments(TR_STAGE, TR_HITS, MediumContext<F> media, ShadowQueue<S> *shadows) {
     each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        record_segment(stage.context(), media, at.step, *at.queue, lanes, i, *shadows);
+        record_segment(stage.context(), media, at.step, *at.queue, at.hits, lanes, i, *shadows);
     });
 }
 

@@ -142,7 +142,7 @@ def test_every_declared_parameter_that_moves_something_is_tested():
             assert (category, kind, field) in tested, f"{category} {kind}: {field} is in no scene"
     appearance = {"spectrum", "texture"}
     for (category, kind), model in models().items():
-        if category in ("volume", "phase", "medium"):  # VolumetricPathTracer has derivatives of values only
+        if category in ("volume", "phase", "medium"):  # see test_media_motion.py
             continue
         for field in model.fields:
             if not field.differentiable or field.derivative.startswith("none") or field.kind in appearance:

@@ -270,13 +270,6 @@ def test_light_tracing_refuses_them_by_name(name):
         image(scene, integrator="ptracer")
 
 
-def test_derivatives_of_cameras_in_volumes_are_refused():
-    scene = scene_of(camera=sensor("thinlens"))
-    scene.train_only("camera.aperture_radius")
-    with pytest.raises(tr.NotDifferentiableError, match=r"camera\.aperture_radius.*VolumetricPathTracer"):
-        image(scene, integrator="volpath")
-
-
 # ------------------------------------------------------------------------------------------------------------- extremes
 @pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning", "ignore:.*samples were not finite")
 @pytest.mark.parametrize("name", LENS)

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
 ZERO = "zero where no such edge is in view"
-MOVING = "VolumetricPathTracer has none with respect to what moves surfaces, rays or texture coordinates"
 
 TURNED = "a normal begins to hide from the viewer"  # in the declarations of what turns normals
 
@@ -51,11 +50,6 @@ def describe_derivative(refusal: str, caveat: str) -> tuple[str, str]:
     if refusal:
         return "none", refusal
     return "yes", f"without {caveat.partition(':')[0]}" if caveat else ""
-
-
-def refusal_of(slot: Slot, volumetric: bool) -> str:
-    """Why there is no derivative with respect to a parameter, or an empty string."""
-    return slot.refusal or (MOVING if volumetric and moves_rays(slot) else "")
 
 
 def moves_rays(slot: Slot) -> bool:
@@ -97,14 +91,15 @@ How things move: what a ray of the camera, or one that was reflected or refracte
 points on what emits are glued to it, and integrated over area (the material form of Zhang, Miller, Yan, Gkioulekas and
 Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
 and cylinders move with them, in radiance, and what the camera sees in alpha and in the outputs of the first hit.
-`features`, `duv_dx`, `duv_dy`, `tr.ParticleTracer` and radiance with a `tr.TorchBSDF` lack that, and so does
-`visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on the object: `to_uv`
-of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse surfaces.
+`features`, `duv_dx`, `duv_dy`, `tr.ParticleTracer`, `tr.VolumetricPathTracer` and radiance with a `tr.TorchBSDF` lack
+that, and so does `visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on
+the object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
+surfaces.
 
-`tr.VolumetricPathTracer` has the derivatives of media, textures, lights and materials, and none of what moves surfaces,
-rays or texture coordinates: vertices, normals, every `to_world`, `to_uv` and `position`, cameras, the index of
-refraction of a smooth dielectric, and the `scale` of a mesh attribute. Asking for one of those raises
-`tr.NotDifferentiableError`.
+`tr.VolumetricPathTracer` has the same derivatives, of media, too, and of what moves media: their boundaries, the places
+of grids, with the border beyond which a grid is empty, lights and cameras in and around them. It lacks the motion of
+silhouettes, creases and shadows, since rays past an outline would have to be followed through media; of jumps of grids
+with nearest voxels; and of the light that a boundary with the BSDF `null` emits itself.
 
 `tr.WavefrontPathTracer` has the derivatives of the path tracer, and by autograd those of everything that a
 `tr.TorchBSDF` computes with.

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from ..errors import MissingTermWarning, NotDifferentiableError, depth_outside
-from .derivatives import moves_rays, refusal_of
+from .derivatives import moves_rays
 from .moving_edges import MARK, moving_caveat
 from .packing import Layout, Slot
 
@@ -29,7 +29,6 @@ class GradientRequirements:
         layout: of the packed scene.
         warned: names that were warned about in this scene before; grows.
         alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
-        volumetric: it is an image of the volumetric path tracer, which has no derivative of what moves rays.
         steady: the image is splatted by light paths with a filter that has no derivative.
         particles: it is splatted by light paths.
         outlines: whether the motion of silhouettes, creases and shadows is in the derivative; False also of
@@ -40,7 +39,6 @@ class GradientRequirements:
     layout: Layout
     warned: set[str]
     alpha: bool = False
-    volumetric: bool = False
     steady: bool = False
     particles: bool = False
     outlines: bool = False
@@ -58,7 +56,7 @@ class GradientRequirements:
             slot = self.layout.slots[i]
             if id(slot.module) not in self.layout.used and slot.name not in self.warned:
                 unused.append(slot.name)
-            refusal = refusal_of(slot, self.volumetric)
+            refusal = slot.refusal
             if self.steady and not refusal and moves_rays(slot):
                 refusal = STEADY
             if self.particles and not refusal and moves_rays(slot) and self._has_grids():

@@ -8,7 +8,8 @@ from .declaration import models
 from .packing import Layout
 
 MARK = "seen in mirrors or through glass"  # in the declarations of what moves things
-NONE = "the motion of silhouettes, creases and edges of shadows: zero where no such edge is in view"
+ZERO = ": zero where no such edge is in view"
+NONE = f"the motion of silhouettes, creases and edges of shadows{ZERO}"
 JUMPS = "jumps of textures"
 OWN, OTHERS, BORDER = "of its silhouettes", "of silhouettes of curves", "of the image's border"
 WITHOUT_OUTLINES = ("heightfield", "bsplinecurve", "linearcurve", "sdfgrid")
@@ -25,7 +26,8 @@ def moving_caveat(layout: Layout, caveat: str, outlines: bool) -> str:
     if MARK not in caveat:
         return caveat
     if not outlines:
-        return NONE
+        jumps = _named("of jumps of", layout, "volume", _has_nearest) if layout.media else []
+        return ", and ".join([NONE.partition(":")[0], *jumps]) + ZERO
     missing = [OWN] if OWN in caveat else []
     if OTHERS in caveat:
         missing += _named("of silhouettes of", layout, "shape", lambda kind, _: kind in WITHOUT_OUTLINES)
@@ -49,5 +51,9 @@ def _is_delta(kind: str, _row: list[int]) -> bool:
 
 
 def _jumps(kind: str, row: list[int]) -> bool:
-    fields = [f.name for f in models()["texture", kind].fields]
-    return kind == "checkerboard" or ("filter_type" in fields and row[fields.index("filter_type")] == 1)
+    return kind == "checkerboard" or _has_nearest(kind, row, "texture")
+
+
+def _has_nearest(kind: str, row: list[int], category: str = "volume") -> bool:
+    fields = [f.name for f in models()[category, kind].fields]
+    return "filter_type" in fields and row[fields.index("filter_type")] == 1

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ..integrators import ParticleTracer, VolumetricPathTracer
-from .derivatives import describe_derivative, refusal_of
+from .derivatives import describe_derivative
 from .moving_edges import moving_caveat
 from .packing import Layout, pack, top_level
 
@@ -27,7 +27,6 @@ def summarise(scene: Scene) -> str:
     integrator = scene.integrator
     if integrator is not None:
         lines.append(f"  integrator: {integrator!r}")
-    volumetric = isinstance(integrator, VolumetricPathTracer)
     notes: list[str] = []
     layout = pack(scene, ())
     outlines = not (isinstance(integrator, (ParticleTracer, VolumetricPathTracer)) or layout.torch_bsdfs)
@@ -35,7 +34,7 @@ def summarise(scene: Scene) -> str:
     for slot in layout.slots:
         tensor = slot.tensor()
         caveat = moving_caveat(layout, slot.caveat, outlines)
-        derivative, note = describe_derivative(refusal_of(slot, volumetric), caveat)
+        derivative, note = describe_derivative(slot.refusal, caveat)
         if note and note not in notes:
             notes.append(note)
         derivative += f" [{notes.index(note) + 1}]" if note else ""

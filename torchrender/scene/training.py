@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 from torch import nn
 
 from ..errors import NotDifferentiableError, describe, nearest
-from ..integrators import VolumetricPathTracer
-from .derivatives import refusal_of
 from .packing import canonical
 
 if TYPE_CHECKING:
@@ -23,8 +21,7 @@ def train_only(scene: Scene, patterns: Sequence[str]) -> list[nn.Parameter]:
         patterns = tuple(patterns[0])
     names = parameters_by_every_name(scene)
     layout = scene.layout()
-    volumetric = isinstance(scene.integrator, VolumetricPathTracer)
-    refusals = {n: refusal_of(layout.slots[i], volumetric) for n, i in layout.by_name.items()}
+    refusals = {n: layout.slots[i].refusal for n, i in layout.by_name.items()}
     following = {id(m._parameters.get("vertex_normals")) for m in layout.smooth_meshes}
     chosen: dict[int, nn.Parameter] = {}
     for pattern in patterns:

@@ -18,6 +18,12 @@ struct RayAdjoint {
     Vec3<F> o, d;
 };
 
+// Of a line between two points: of its origin, of its unit direction, and of the point where it ends.
+template <class F>
+struct LineAdjoint {
+    Vec3<F> o{F(0), F(0), F(0)}, d{F(0), F(0), F(0)}, end{F(0), F(0), F(0)};
+};
+
 // How a ray came to a point: where `attached`, along the unit vector d from t away; else from a point that is glued to
 // its own surface, D away, or, `parallel`, from infinitely far away along D, J being |N.D|. `d_bar` is the adjoint of
 // the unit direction, and `log_jacobian_bar`, of glued points, that of log J, J = |N.D| / |D|^3, N being the area

@@ -40,23 +40,8 @@ struct LookupVisitor {
     }
 
     TR_INLINE void volume(int32_t index, const Vec3<F> &p, const MaskOf<F> &lanes) {
-        const Record &record = scene.volumes[index];
-        if (record.kind != int32_t(VolumeKind::Grid) || record.field[GridVolume::Filter] == 1) return;
-        const TensorView<S> &grid = scene.values.tensors[record.field[GridVolume::Data]];
-        Vec3<F> local = to_volume(scene, index, p);
-        Footprint<F, 8> at = GridVolume::footprint(grid, record, local);
-        F value[8];
-        for (int k = 0; k < 8; ++k) {
-            Footprint<F, 1> one{{at.texel[k]}, {F(1)}};
-            value[k] = component_sum(g * gather_footprint(grid, sink.waves, one, lanes));
-        }
-        Vec3<F> slope =
-            transform_normal(scene.volume_to_local + 12 * index, GridVolume::slope(grid, record, local, at, value));
+        Vec3<F> slope = sweep_volume_place(scene, index, p, g, lanes, sink);
         to.p = select(lanes, to.p + slope, to.p);
-        // local = M^-1 p, and d M^-1 = -M^-1 dM M^-1
-        int32_t offset = record.field[GridVolume::ToWorld];
-        const F by_row[3] = {slope.x, slope.y, slope.z}, column[4] = {local.x, local.y, local.z, F(1)};
-        for (int i = 0; i < 12; ++i) sink.scalar(IntOf<F>(offset + i), -by_row[i / 4] * column[i % 4], lanes);
     }
 };
 
@@ -107,6 +92,28 @@ struct SlopesAdjoint {
 }  // namespace
 
 template <class F>
+TR_LARGE Vec3<F> sweep_volume_place(const SceneOf<F> &scene, int32_t index, const Vec3<F> &p, const Spectrum<F> &g,
+                                    const MaskOf<F> &active, GradientSink<F> &sink) {
+    using S = ScalarOf<F>;
+    const Record &record = scene.volumes[index];
+    if (record.kind != int32_t(VolumeKind::Grid) || record.field[GridVolume::Filter] == 1) return {F(0), F(0), F(0)};
+    const TensorView<S> &grid = scene.values.tensors[record.field[GridVolume::Data]];
+    Vec3<F> local = to_volume(scene, index, p);
+    Footprint<F, 8> at = GridVolume::footprint(grid, record, local);
+    F value[8];
+    for (int k = 0; k < 8; ++k) {
+        Footprint<F, 1> one{{at.texel[k]}, {F(1)}};
+        value[k] = component_sum(g * gather_footprint(grid, sink.waves, one, active));
+    }
+    Vec3<F> slope =
+        transform_normal(scene.volume_to_local + 12 * index, GridVolume::slope(grid, record, local, at, value));
+    slope = select(active, slope, Vec3<F>{F(0), F(0), F(0)});
+    // local = M^-1 p, and d M^-1 = -M^-1 dM M^-1
+    sweep_volume_matrix(record, local, -slope, active, sink);
+    return slope;
+}
+
+template <class F>
 TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,
                            const Spectrum<F> &g, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
                            GradientSink<F> &sink) {
@@ -134,6 +141,8 @@ TR_LARGE void sweep_slopes(const SceneOf<F> &scene, const IntOf<F> &texture, con
                                const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                         \
     template void sweep_lookup(const SceneView<S> &, const IntOf<F> &, const SurfacePoint<F> &, const Spectrum<F> &,  \
                                const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);                         \
+    template Vec3<F> sweep_volume_place(const SceneView<S> &, int32_t, const Vec3<F> &, const Spectrum<F> &,          \
+                                        const MaskOf<F> &, GradientSink<F> &);                                        \
     template void sweep_slopes(const SceneView<S> &, const IntOf<F> &, const TexturedPoint<F> &, const Vec2<F> &,     \
                                bool, bool, const MaskOf<F> &, CoordinateAdjoint<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)

@@ -29,6 +29,20 @@ TR_INLINE void sweep_attribute(const SceneOf<F> &scene, const Wavelengths<F> &wa
     to.b.y = select(lanes, to.b.y + component_sum(g * gather_footprint(tensor, waves, b2, lanes)), to.b.y);
 }
 
+// The adjoint of a grid's place: `row_bar` is that of a point `local` of its cube, as it moves with the cube.
+template <class F>
+TR_INLINE void sweep_volume_matrix(const Record &record, const Vec3<F> &local, const Vec3<F> &row_bar,
+                                   const MaskOf<F> &active, GradientSink<F> &sink) {
+    const F row[3] = {row_bar.x, row_bar.y, row_bar.z}, column[4] = {local.x, local.y, local.z, F(1)};
+    for (int i = 0; i < 12; ++i)
+        sink.scalar(IntOf<F>(record.field[GridVolume::ToWorld] + i), row[i / 4] * column[i % 4], active);
+}
+
+// `g` is the adjoint of a volume's value at p. Hands it to the volume's place, and returns the adjoint of p.
+template <class F>
+TR_LARGE Vec3<F> sweep_volume_place(const SceneOf<F> &scene, int32_t index, const Vec3<F> &p, const Spectrum<F> &g,
+                                    const MaskOf<F> &active, GradientSink<F> &sink);
+
 // `g` is the adjoint of the texture's value at `at`.
 template <class F>
 TR_LARGE void sweep_lookup(const SceneOf<F> &scene, const IntOf<F> &texture, const TexturedPoint<F> &at,

@@ -12,21 +12,39 @@
 #pragma once
 
 #include "../integrator/medium.h"
+#include "medium_motion.h"
 
 namespace tr {
+
+// What moves a segment's points: adjoints of the line from its beginning along its direction, `rest` of what is
+// parametrised by that direction, `glued` of the light that arrives from a glued point behind.
+template <class F>
+struct SegmentMotion {
+    MotionPacket<F> at;
+    Vec3<F> d, collision_bar;  // the adjoint of a collision's place
+    MaskOf<F> collided, ends_glued, seen_from_glued;
+    LineAdjoint<F> rest, glued;
+};
 
 // `r`: radiance from the segment's end, `beta` the throughput there, `delta` the path's adjoint, `branch` the light of
 // the path that goes on from the differential sample. Returns the radiance at the segment's beginning.
 template <class F>
 TR_LARGE Spectrum<F> sweep_segment(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Spectrum<F> &delta,
                                    const Spectrum<F> &beta, const Spectrum<F> &r, const Spectrum<F> &branch,
-                                   const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink);
+                                   const MediumNeeds &needs, const MaskOf<F> &active, GradientSink<F> &sink,
+                                   SegmentMotion<F> *motion = nullptr);
+
+// Of a shadow ray: what its transmittance hands to its ends.
+template <class F>
+TR_LARGE LineAdjoint<F> sweep_shadow_motion(const SceneOf<F> &scene, const SegmentPacket<F> &v,
+                                            const MotionPacket<F> &motion, const Vec3<F> &p, const Spectrum<F> &delta,
+                                            const MaskOf<F> &active, GradientSink<F> &sink);
 
 // One collision; `a` is the adjoint times the throughput. `v.p` is the point, `v.d` the direction of travel. Returns
-// N + albedo phase / (p q) R.
+// N + albedo phase / (p q) R; adds the adjoints of the place and of the direction.
 template <class F>
 TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
-                                     const Spectrum<F> &a, const Spectrum<F> &next, const GradientNeeds &needs,
-                                     const MaskOf<F> &active, GradientSink<F> &sink);
+                                     const Spectrum<F> &a, const NextVertex<F> &next, const GradientNeeds &needs,
+                                     const MaskOf<F> &active, Vec3<F> &p_bar, Vec3<F> &d_bar, GradientSink<F> &sink);
 
 }  // namespace tr

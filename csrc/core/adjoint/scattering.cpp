@@ -67,15 +67,21 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
                                 const GradientNeeds &needs, VertexFrame<F> &frame, Vec3<F> &wi_bar, HitAdjoint<F> &hit,
                                 GradientSink<F> &sink) {
     wi_bar = wi_bar + bsdf.light.wi_bar;
-    Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + light_d_bar, x_bar{F(0), F(0), F(0)};
-    DirectAdjoint<F> g{v.light,          v.p,           frame.frame.to_world(v.wo_light),
-                       v.light_distance, w_bar,         contract(a, apply(bsdf.light.f, light_factor)),
-                       light_at,         needs.geometry};
+    Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + light_d_bar + v.way.d, x_bar{F(0), F(0), F(0)};
+    DirectAdjoint<F> g{v.light,
+                       v.p,
+                       frame.frame.to_world(v.wo_light),
+                       v.light_distance,
+                       w_bar,
+                       contract(a, apply(bsdf.light.f, light_factor)),
+                       light_at,
+                       needs.geometry,
+                       v.way.end};
     IntOf<F> kind = emitter_kind<F>(scene, v.light.emitter, lit);
     for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
         if (emitter.direct_vjp) emitter.direct_vjp(scene, g, lanes, x_bar, sink);
     });
-    hit.p = hit.p + x_bar;
+    hit.p = hit.p + x_bar + v.way.o;
 }
 
 }  // namespace

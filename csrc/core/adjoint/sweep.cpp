@@ -15,18 +15,19 @@ TR_INLINE void hand_radiance(const TapeColumns<ScalarOf<F>> &parents, const UInt
     for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(parents.vertex.suffix[k], parent, r[k], active);
 }
 
+// `u`, `p` and `at`: see NextVertex.
 template <class F>
 TR_INLINE void hand_motion(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const RayAdjoint<F> &ray,
-                           const Vec3<F> &segment, const VertexRecord<F> &v, const MaskOf<F> &active) {
+                           const Vec3<F> &u, const Vec3<F> &p, const SurfacePoint<F> &at, const MaskOf<F> &active) {
     const auto &to = parents.next;
     auto number = [&](auto *column, const auto &value) { scatter_lanes<F>(column, parent, value, active); };
     auto vector = [&](const auto &column, const Vec3<F> &value) {
         number(column.x, value.x), number(column.y, value.y), number(column.z, value.z);
     };
     vector(to.ray_o_bar, ray.o), vector(to.ray_d_bar, ray.d);
-    vector(to.next_segment, segment), vector(to.next_p, v.p);
-    number(to.next_at.shape, v.at.shape), number(to.next_at.primitive, v.at.primitive);
-    number(to.next_at.b1, v.at.b1), number(to.next_at.b2, v.at.b2);
+    vector(to.next_segment, u), vector(to.next_p, p);
+    number(to.next_at.shape, at.shape), number(to.next_at.primitive, at.primitive);
+    number(to.next_at.b1, at.b1), number(to.next_at.b2, at.b2);
 }
 
 // D / r^2 of the segment to a vertex that is glued to its surface, else 0.
@@ -64,6 +65,56 @@ TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, co
     sweep_camera(c.scene, sensor, at, c.width, c.height, ray, F(0), active, sink);
 }
 
+// What moves a vertex of a path through media, and what it hands to the one before: as elsewhere, with the motion of
+// the segment that ends here. `hit` and `d_bar` are those of the vertex, `next` what came from behind.
+template <class F>
+TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                         const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
+                                         const VertexRecord<F> &v, const NextVertex<F> &next,
+                                         const SegmentMotion<F> &segment, const F &log_bar, HitAdjoint<F> hit,
+                                         Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
+                                         const MaskOf<F> &active, GradientSink<F> &sink) {
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    const bool passes = kind == NullKind, surface = kind < MissKind;
+    const auto glued_behind = MaskOf<F>(passes) && active && mask<F>(squared_norm(next.segment) > F(0));
+    const auto chain = glued_behind || (surface && !passes ? active && !v.attached : MaskOf<F>(false));
+    RayAdjoint<F> ray{zero, d_bar};
+    Vec3<F> u = zero, p = v.p, rest = zero, from = zero;
+    SurfacePoint<F> at = v.at;
+    if (surface) {
+        hit.p = hit.p + segment.glued.end;
+        if (passes) hit.p = hit.p + next.ray.o, d_bar = d_bar + next.ray.d;
+        ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
+        if (passes) {
+            u = next.segment, p = next.p, from = next.from;
+            at = next.at;
+            if (any(glued_behind)) {
+                HitAdjoint<F> rest_hit;
+                rest_hit.p = next.rest;
+                rest = sweep_surface(c.scene, v.at, v.p, arrival_of(v, zero, F(0)), rest_hit, glued_behind, sink).o;
+            }
+        } else {
+            u = glued_segment(v, active);
+            // that of where the glued point is seen from, which is not always where the segment begins
+            from = select(v.attached, zero, ray.o), ray.o = select(v.attached, ray.o, zero);
+        }
+    }
+    rest = select(chain, rest + segment.rest.o, zero);
+    ray.o = ray.o + segment.glued.o + select(chain, zero, segment.rest.o);
+    ray.d = ray.d + segment.glued.d + select(chain, zero, segment.rest.d);
+    if (!parents) {
+        ray.o = ray.o + rest + from;
+        if (c.needs.camera) sweep_start(c, slot, ray, active, sink);
+        return;
+    }
+    hand_motion(*parents, parent, ray, u, p, at, active);
+    auto vector = [&](const auto &column, const Vec3<F> &value) {
+        scatter_lanes<F>(column.x, parent, value.x, active), scatter_lanes<F>(column.y, parent, value.y, active);
+        scatter_lanes<F>(column.z, parent, value.z, active);
+    };
+    vector(parents->motion.rest_bar, rest), vector(parents->motion.from_bar, from);
+}
+
 template <class F>
 TR_INLINE void begin(const SweepContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active, GradientSink<F> &sink) {
     LaneSet<F> lanes(slot, active);
@@ -83,19 +134,19 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
                                   uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     Entries<F> from(i);
-    const bool collided = kind == CollisionKind, surface = kind < MissKind && scatters;
+    const bool volumetric = c.config.volumetric, moves = volumetric && needs.geometry;
+    const bool collided = kind == CollisionKind, passes = volumetric && kind == NullKind,
+               surface = kind < MissKind && scatters && !passes;
     VertexRecord<F> v = read_vertex<F>(tape, i);
     if (surface) read_scattering(tape, i, v);
-    if (collided) {
-        read_outgoing(tape, i, v);
-        v.p = from(tape.arrival.p), v.d = from(tape.arrival.d);
-    }
+    if (collided) read_outgoing(tape, i, v);
+    if (passes) v.inverse_pdf = from(tape.outgoing.inverse_pdf);
     SegmentPacket<F> segment;
-    if (c.config.volumetric) {
+    if (volumetric) {
         read(tape.segment, from, segment);
         v.through = segment.through;
     }
-    if (needs.geometry) read_arrival(tape, i, v);
+    if (needs.geometry || collided) read_arrival(tape, i, v);
     UIntOf<F> slot = active_only<F>(from(tape.vertex.slot), active);
     Spectrum<F> delta = uniform_spectrum(F(1));
     if (!c.unit_adjoint) delta = LaneSet<F>(slot, active)(c.slots.delta);
@@ -103,21 +154,40 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     begin(c, slot, active, sink);
     HitAdjoint<F> hit;
     Vec3<F> d_bar{F(0), F(0), F(0)};
+    NextVertex<F> next = read_next<F>(tape, i, needs.geometry && (surface || collided || passes));
+    SegmentMotion<F> motion;
+    if (moves) {
+        read(tape.motion, from, motion.at);
+        motion.d = v.d;
+        if (surface || collided) {
+            v.way = sweep_shadow_motion(c.scene, segment, motion.at, v.p, delta, active, sink);
+            next.ray.o = next.ray.o + next.rest + next.from;
+        }
+    }
     auto lit = active && mask<F>(v.emission_weight > F(0));
     if ((needs.emitter || needs.geometry) && any(lit))
         sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
-    if (surface)
-        r = r + sweep_scattering(c.scene, kind, v, a, read_next<F>(tape, i, needs.geometry), needs, active, hit, d_bar,
-                                 sink);
-    if (collided)
-        r = r +
-            sweep_collision(c.scene, v, segment.medium, a, read_next<F>(tape, i, false).radiance, needs, active, sink);
-    if (c.config.volumetric)
+    if (surface) r = r + sweep_scattering(c.scene, kind, v, a, next, needs, active, hit, d_bar, sink);
+    if (passes) r = r + next.radiance * v.inverse_pdf;
+    if (collided) r = r + sweep_collision(c.scene, v, segment.medium, a, next, needs, active, hit.p, d_bar, sink);
+    const Spectrum<F> arrived = r;
+    if (volumetric) {
+        if (moves) {
+            motion.collision_bar = hit.p;
+            motion.collided = MaskOf<F>(collided);
+            motion.ends_glued = surface ? active && !v.attached : MaskOf<F>(false);
+            motion.seen_from_glued = motion.ends_glued;
+            if (passes) motion.seen_from_glued = active && mask<F>(squared_norm(next.segment) > F(0));
+        }
         r = sweep_segment(c.scene, segment, delta, v.beta, r, branch_radiance(c, level, i, slot, active), needs.medium,
-                          active, sink);
+                          active, sink, moves ? &motion : nullptr);
+    }
     UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
     if (parents) hand_radiance(*parents, parent, r, active);
-    if (needs.geometry) {
+    if (moves) {
+        sweep_volumetric_motion(c, tape, parents, kind, i, v, next, motion, contract(a, arrived), hit, d_bar, slot,
+                                parent, active, sink);
+    } else if (needs.geometry) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
         if (kind != MissKind) {
@@ -125,7 +195,7 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
             u = glued_segment(v, active);
         }
         if (parents)
-            hand_motion(*parents, parent, ray, u, v, active);
+            hand_motion(*parents, parent, ray, u, v.p, v.at, active);
         else if (needs.camera)
             sweep_start(c, slot, ray, active, sink);
     }
@@ -154,7 +224,8 @@ TR_LARGE Vec3<F> sweep_place(const SweepContext<F> &c, const TapeColumns<ScalarO
         hit.p = hit.p + next.ray.o;
     RayAdjoint<F> ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, F(0)), hit, active, sink);
     if (parents)
-        hand_motion(*parents, active_only<F>(from(tape.vertex.parent), active), ray, {F(0), F(0), F(0)}, v, active);
+        hand_motion(*parents, active_only<F>(from(tape.vertex.parent), active), ray, {F(0), F(0), F(0)}, v.p, v.at,
+                    active);
     else if (c.needs.camera && c.from_camera)
         sweep_start(c, slot, ray, active, sink);
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
@@ -196,7 +267,7 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
         if (needs.geometry) {
             RayAdjoint<F> ray =
                 sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, contract(a, r)), hit, active, sink);
-            hand_motion(*parents, parent, ray, glued_segment(v, active), v, active);
+            hand_motion(*parents, parent, ray, glued_segment(v, active), v.p, v.at, active);
         }
     }
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);

@@ -22,6 +22,7 @@ struct VertexRecord {
     F light_weight, light_distance;
     Spectrum<F> emitted;
     Spectrum<F> through = uniform_spectrum(F(1));  // transmittance of media on the way to the light
+    LineAdjoint<F> way;                            // ... and what it hands to that way's ends, where something moves
     // BSDF sample; inverse_pdf = 1 / (p q)
     Vec3<F> wo;
     IntOf<F> lobe;
@@ -38,6 +39,7 @@ struct VertexRecord {
     F t;
     MaskOf<F> attached;         // the ray comes from the camera or a delta lobe
     MaskOf<F> parallel{false};  // ... from infinitely far away
+    MaskOf<F> resting{false};   // attached to a direction that rests
 };
 
 template <class F, class S>
@@ -54,6 +56,9 @@ struct NextVertex {
     RayAdjoint<F> ray;
     Vec3<F> segment, p;
     SurfacePoint<F> at;
+    // Behind boundaries that do not scatter: of the place that what follows began at, if its direction rests; and of
+    // that before all such boundaries, from which the glued point is seen.
+    Vec3<F> rest{F(0), F(0), F(0)}, from{F(0), F(0), F(0)};
 };
 
 // Adjoint of D from that of its direction, with u = D / r^2.

@@ -130,7 +130,7 @@ struct Area : OnShape<AreaEmitter, F> {
         auto near = lanes && mask<F>(g.distance < F(ScalarOf<F>(1e30)));
         if (!g.shapes || !any(near)) return;
         HitAdjoint<F> hit;
-        hit.at = g.at;
+        hit.at = g.at, hit.p = g.end_bar;
         F distance = select(near, g.distance, F(1));
         Arrival<F> in{M(false), g.w, distance, g.w * distance, g.w_bar, g.log_bar};
         Vec3<F> bar = sweep_surface(scene, g.point.at, g.x + in.D, in, hit, near, sink).o;

@@ -160,7 +160,7 @@ struct DeltaPosition {
         F inverse = F(1) / select(near, g.distance, F(1));
         Vec3<F> D_bar = unnormalize(g.w, g.w_bar, inverse) - g.w * (F(2) * g.log_bar * inverse);
         x_bar = select(near, -D_bar, x_bar);
-        sweep_place(scene, g.point.emitter, D_bar, near, sink);
+        sweep_place(scene, g.point.emitter, D_bar + g.end_bar, near, sink);
     }
 
     TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next, const F &,

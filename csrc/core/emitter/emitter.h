@@ -83,8 +83,9 @@ struct DirectAdjoint {
     F distance;
     Vec3<F> w_bar;
     F log_bar;
-    const CoordinateAdjoint<F> &at;  // of the point, from what it sends
-    bool shapes;                     // whether shapes may move, or lights alone
+    const CoordinateAdjoint<F> &at;     // of the point, from what it sends
+    bool shapes;                        // whether shapes may move, or lights alone
+    Vec3<F> end_bar{F(0), F(0), F(0)};  // of the place of the point, from what lies on the way
 };
 
 // Means over what emitters look up, on the host: what their power is made of.

@@ -116,6 +116,7 @@ TR_LARGE void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, c
     auto active = mask<F>(U(i) + lane_index<F>() < U(queue.n));
     auto missed = mask<F>(from.get(hits.at.shape) == U(NoHit));
     write(flight.end, i, select(missed, from(queue.length), from(hits.t)));
+    write(flight.behind, i, from.get(hits.at.shape));
     write(flight.start, i, F(0));
     write(flight.length, i, F(0));
     write(flight.collided, i, U(0u));
@@ -215,8 +216,9 @@ TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const 
     if (c.tape) {
         FoundEmission<F> none = no_emission<F>();
         write_vertex(c, i, slot, lanes(in.parent), beta, none.point.at, none);
-        write(c.tape->arrival.p, i, p);
-        write(c.tape->arrival.d, i, d);
+        auto chosen = !mask<F>(lanes(in.pdf) == F(0));
+        write_arrival(c, i, d, p, Vec3<F>{F(0), F(0), F(0)}, lanes(hits.t),
+                      select(mask<U>(chosen), U(uint32_t(Resting)), U(uint32_t(Attached))));
     } else {
         mark_seen(c, slot, lanes(in.seen), lanes.active);
     }
@@ -267,12 +269,7 @@ TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>
     F length = lanes(in.length) - lanes(hits.t);
     auto on = lanes.active && mask<F>(length > F(0));
     if (c.tape) {
-        ResolvedBsdf<F> null{IntOf<F>(0), MaskOf<F>(false), {}, F(0), {F(0), F(0), F(1)}};
-        Interaction<F> plain = si;
-        Vec3<F> z{F(0), F(0), F(1)};
-        plain.frame = {{F(1), F(0), F(0)}, {F(0), F(1), F(0)}, z};
-        plain.at.uv = {F(0), F(0)};
-        write_scattering(c, i, null, plain, z, passing<F>(select(on, F(1), F(0))));
+        write(c.tape->outgoing.inverse_pdf, i, select(on, F(1), F(0)));
     }
     if (!any(on)) return;
     Vec3<F> o = offset_origin(si.p, si.ng, d);
@@ -296,6 +293,22 @@ TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>
 
 // ---------------------------------------------------------------------------------------------- segments on the tape
 namespace {
+
+// Where the ends of the segment are, and where its points.
+template <class F>
+TR_INLINE void write_motion(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
+                            const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits,
+                            const LaneSet<F> &lanes, uint32_t i) {
+    Vec3<F> o = lanes(in.o), d = lanes(in.d), zero{F(0), F(0), F(0)};
+    // from where the ray comes: a camera's may begin at a near plane, others begin beside surfaces
+    F ahead = step.depth == 0 ? dot(o - lanes(in.from), d) : lanes(in.ray_offset);
+    SurfacePoint<F> none{UIntOf<F>(NoHit), UIntOf<F>(0u), F(0), F(0)}, end = lanes(hits.at);
+    end.shape = lanes(m.flight.behind);
+    write(c.tape->motion, i,
+          MotionPacket<F>{o - d * ahead, step.depth == 0 ? ahead : F(0), end, lanes(m.flight.end) + ahead,
+                          lanes(m.flight.differential) + ahead, lanes(m.flight.emission) + ahead, lanes(hits.t) + ahead,
+                          zero, none, none, F(0), F(0), F(0), zero, zero});
+}
 
 // One of a path's segments, drawn in proportion to `weight` as they come by.
 template <class F>
@@ -331,8 +344,8 @@ TR_INLINE void choose_branch(const MediumContext<F> &m, const PathQueue<ScalarOf
 
 template <class F>
 TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
-                             const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
-                             ShadowQueue<ScalarOf<F>> &shadows) {
+                             const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits,
+                             const LaneSet<F> &lanes, uint32_t i, ShadowQueue<ScalarOf<F>> &shadows) {
     using I = IntOf<F>;
     const auto &tape = c.tape->segment;
     I medium = lanes(in.medium);
@@ -354,6 +367,7 @@ TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m,
     Vec3<F> o = lanes(in.o), d = lanes(in.d);
     F differential = lanes(m.flight.differential);
     const bool some = any(inside);
+    if (c.needs->geometry) write_motion(c, m, step, in, hits, lanes, i);
     if (some && m.emissive) {
         F emission = lanes(m.flight.emission);
         segment.emission_p = o + d * emission;
@@ -424,7 +438,8 @@ TR_LARGE void start_branches(const PathContext<F> &c, const MediumContext<F> &m,
     template void pass_boundary(const PathContext<F> &, const PathQueue<S> &, const HitColumns<S> &,                  \
                                 const LaneSet<F> &, uint32_t, const Interaction<F> &, PathQueue<S> &);                \
     template void record_segment(const PathContext<F> &, const MediumContext<F> &, const PathStep &,                  \
-                                 const PathQueue<S> &, const LaneSet<F> &, uint32_t, ShadowQueue<S> &);               \
+                                 const PathQueue<S> &, const HitColumns<S> &, const LaneSet<F> &, uint32_t,           \
+                                 ShadowQueue<S> &);                                                                   \
     template void start_branches(const PathContext<F> &, const MediumContext<F> &, uint32_t, uint32_t, PathQueue<S> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -15,7 +15,7 @@ struct MediumContext {
     FlightColumns<S> flight;
     BranchColumns<S> branch;
     bool chromatic = false, emissive = false;  // a medium of the scene is
-    bool differential = false;                 // the extinction is differentiated: segments have differential samples
+    bool differential = false;                 // the extinction or a place is: segments have differential samples
     bool replaying = false;                    // levels go onto the tape once more
     uint32_t level = 0;                        // of the segments
 
@@ -60,8 +60,8 @@ TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>
 // What the tape keeps of a segment, whatever it ends with, and the emitter sample of its differential sample.
 template <class F>
 TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m, const PathStep &step,
-                             const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes, uint32_t i,
-                             ShadowQueue<ScalarOf<F>> &shadows);
+                             const PathQueue<ScalarOf<F>> &in, const HitColumns<ScalarOf<F>> &hits,
+                             const LaneSet<F> &lanes, uint32_t i, ShadowQueue<ScalarOf<F>> &shadows);
 
 // The paths that go on from differential samples, slots i on.
 template <class F>

@@ -153,8 +153,14 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         if (c.needs->geometry) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
-            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0);
-            write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : si.t, arrival_kind<F>(slides));
+            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || M(passes);
+            U arrival = arrival_kind<F>(slides);
+            F t = si.t;
+            if (volumetric) {  // boundaries hand directions on, but those that were sampled rest
+                arrival = select(mask<U>(slides && !mask<F>(from.pdf == F(0))), U(uint32_t(Resting)), arrival);
+                t = t + lanes(in.ray_offset);
+            }
+            write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : t, arrival);
         }
     } else {
         add_radiance(c, slot, beta, e, active, "emitter");

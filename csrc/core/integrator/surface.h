@@ -89,6 +89,8 @@ TR_INLINE void write_arrival(const PathContext<F> &c, size_t i, const Vec3<F> &d
     write(c.tape->arrival, i, ArrivalPacket<F>{d, p, segment, t, kind});
     const auto &next = c.tape->next;
     write(next.ray_o_bar, i, zero), write(next.ray_d_bar, i, zero), write(next.next_segment, i, zero);
+    const auto &motion = c.tape->motion;
+    if (motion.rest_bar.x) write(motion.rest_bar, i, zero), write(motion.from_bar, i, zero);
 }
 template <class F>
 TR_INLINE UIntOf<F> arrival_kind(const MaskOf<F> &attached) {

@@ -1,5 +1,6 @@
 #include "blend.h"
 
+#include "../adjoint/lookup.h"
 #include "kernels.h"
 
 namespace tr {
@@ -40,6 +41,22 @@ TR_LARGE Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &recor
         if (any(lanes)) wo = select(lanes, parts.kernels(i).sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes), wo);
     }
     return wo;
+}
+
+template <class F>
+TR_LARGE F BlendPhase::slope(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,
+                             const Vec3<F> &wo, const F &g, const MaskOf<F> &active, Vec3<F> &p_bar,
+                             GradientSink<F> &sink) {
+    Parts<F> parts(scene, record, p, active);
+    F value[2], slope[2];
+    for (int i = 0; i < 2; ++i) {
+        value[i] = parts.kernels(i).eval(scene, *parts.part[i], p, d, wo, active);
+        slope[i] = parts.kernels(i).slope(scene, *parts.part[i], p, d, wo, g, active, p_bar, sink);
+    }
+    Spectrum<F> weight_bar = uniform_spectrum(F(0));  // the weight is the first component
+    weight_bar[0] = g * (value[1] - value[0]);
+    p_bar = p_bar + sweep_volume_place(scene, record.field[Weight], p, weight_bar, active, sink);
+    return fmadd(parts.weight, slope[1] - slope[0], slope[0]);
 }
 
 template <class F>

@@ -27,6 +27,9 @@ struct BlendPhase {
     TR_LARGE static Vec3<F> sample(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const F &u0,
                                    const F &u1, const F &u2, const MaskOf<F> &);
     template <class F>
+    TR_LARGE static F slope(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
+                            const F &g, const MaskOf<F> &, Vec3<F> &p_bar, GradientSink<F> &);
+    template <class F>
     TR_LARGE static void vjp(const SceneOf<F> &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
                              const Spectrum<F> &g, const MaskOf<F> &, GradientSink<F> &);
 };

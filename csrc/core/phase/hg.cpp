@@ -51,6 +51,16 @@ struct HenyeyGreenstein {
         return direction_about(d, cosine, sqrt(max(t * (F(2) - t), F(0))), u2);
     }
 
+    // With the squared distance 2 - 2 cos, or 2 + 2 cos: 3 g p / (1 + g^2 - 2 g cos).
+    template <class F>
+    TR_HD static F slope(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                         const Vec3<F> &wo, const F &, const MaskOf<F> &, Vec3<F> &, GradientSink<F> &) {
+        using S = ScalarOf<F>;
+        const S g = g_of(scene, record), a = abs(g), rest = S(1) - a;
+        F squared = fmadd(F(a), squared_norm(g < S(0) ? wo + d : wo - d), F(rest * rest));
+        return value(F(g), d, wo) * F(3 * g) / squared;
+    }
+
     template <class F>
     TR_HD static void vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
                           const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {

@@ -19,6 +19,12 @@ struct Isotropic {
                                 const F &u1, const F &u2, const MaskOf<F> &) {
         return square_to_sphere(u1, u2);
     }
+
+    template <class F>
+    TR_HD static F slope(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,
+                         const F &, const MaskOf<F> &, Vec3<F> &, GradientSink<F> &) {
+        return F(0);
+    }
 };
 
 TR_PHASE(Isotropic)

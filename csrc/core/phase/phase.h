@@ -29,6 +29,10 @@ struct PhaseKernels : ModelInfo {
     // A direction, distributed as `eval` says. u0 chooses between the parts of a blend.
     Vec3<F> (*sample)(const Scene &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const F &u0, const F &u1,
                       const F &u2, const M &);
+    // The derivative of `eval` with respect to the cosine of the angle between d and wo, which all depend on; adds what
+    // it has with respect to p to `p_bar`, g being the adjoint of its value.
+    F (*slope)(const Scene &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo, const F &g,
+               const M &, Vec3<F> &p_bar, GradientSink<F> &);
     // The derivative of `eval` with respect to the parameters; g is the adjoint of its value, component by component.
     // Null without parameters.
     void (*vjp)(const Scene &, const Record &, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
@@ -61,6 +65,12 @@ TR_INLINE Vec3<F> sample_phase(const SceneOf<F> &scene, int32_t phase, const Vec
                                const F &u1, const F &u2, const MaskOf<F> &active) {
     const Record &record = scene.phases[phase];
     return phase_kernels<F>(record.kind).sample(scene, record, p, d, u0, u1, u2, active);
+}
+template <class F>
+TR_INLINE F phase_slope(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
+                        const F &g, const MaskOf<F> &active, Vec3<F> &p_bar, GradientSink<F> &sink) {
+    const Record &record = scene.phases[phase];
+    return phase_kernels<F>(record.kind).slope(scene, record, p, d, wo, g, active, p_bar, sink);
 }
 template <class F>
 TR_INLINE void sweep_phase(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d,

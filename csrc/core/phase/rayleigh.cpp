@@ -27,6 +27,12 @@ struct Rayleigh {
         F cosine = mulsign(min(root - F(1) / root, F(1)), z);
         return direction_about(d, cosine, sqrt(max(F(1) - cosine * cosine, F(0))), u2);
     }
+
+    template <class F>
+    TR_HD static F slope(const SceneOf<F> &, const Record &, const Vec3<F> &, const Vec3<F> &d, const Vec3<F> &wo,
+                         const F &, const MaskOf<F> &, Vec3<F> &, GradientSink<F> &) {
+        return dot(d, wo) * F(6 / (16 * Pi));
+    }
 };
 
 TR_PHASE(Rayleigh)

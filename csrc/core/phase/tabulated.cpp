@@ -52,6 +52,16 @@ TR_LARGE Vec3<F> TabulatedPhase::sample(const SceneOf<F> &scene, const Record &r
     return direction_about(d, cosine, sqrt(max(F(1) - cosine * cosine, F(0))), u2);
 }
 
+template <class F>
+TR_LARGE F TabulatedPhase::slope(const SceneOf<F> &scene, const Record &record, const Vec3<F> &, const Vec3<F> &d,
+                                 const Vec3<F> &wo, const F &, const MaskOf<F> &, Vec3<F> &, GradientSink<F> &) {
+    using S = ScalarOf<F>;
+    const int32_t n = size(scene, record);
+    F p[2];
+    gather_rows<F>(scene.phase_tables + first(record) + 1, table_footprint(n, dot(d, wo)).texel[0], MaskOf<F>(true), p);
+    return (p[1] - p[0]) * F(S(n - 1) / S(2));
+}
+
 // p = v(cos) / (2 pi I): the numerator depends on two values, the integral on all.
 template <class F>
 TR_LARGE void TabulatedPhase::vjp(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const Vec3<F> &d,

@@ -67,6 +67,9 @@ struct PointColumn {  // on a surface
     uint32_t *shape, *primitive;
     S *b1, *b2;
     TR_EACH(visit(shape), visit(primitive), visit(b1), visit(b2))
+    TR_INLINE void copy(size_t i, const PointColumn &from, size_t j) const {
+        shape[i] = from.shape[j], primitive[i] = from.primitive[j], b1[i] = from.b1[j], b2[i] = from.b2[j];
+    }
 };
 
 // What a packet holds of a column.

@@ -88,14 +88,14 @@ TR_PACKET(ShadowFilm, TR_SHADOW_FILM_COLUMNS)
 // ------------------------------------------------------------------------------------------------------------- media
 // By entry of a path queue. In: the ray up to `end` (from `ray_offset` before its origin), seeds of its random numbers,
 // and the component that distances are sampled for. Out: where the medium begins, the length of the segment in it,
-// whether it ends with a collision. Where they are asked for two points uniform on the segment, as distances: the
-// differential sample, for derivatives of the extinction, and one for emission. Coloured extinction: weights up to the
-// end and up to these points, see medium/tracking.h; the throughput at the beginning, and the weights of the densities
-// at the differential sample.
+// whether it ends with a collision, and the shape behind. Where they are asked for two points uniform on the segment,
+// as distances: the differential sample, for derivatives of the extinction, and one for emission. Coloured extinction:
+// weights up to the end and up to these points, see medium/tracking.h; the throughput at the beginning, and the weights
+// of the densities at the differential sample.
 // clang-format off
 #define TR_FLIGHT_COLUMNS(X) \
     X(Number, end) X(Index, seed_a) X(Index, seed_b) X(Index, hero) X(Number, choice) X(Number, start) \
-    X(Number, length) X(Index, collided) X(Number, differential) X(Number, emission) X(Spectrum, weight) \
+    X(Number, length) X(Index, collided) X(Index, behind) X(Number, differential) X(Number, emission) X(Spectrum, weight) \
     X(Spectrum, differential_weight) X(Spectrum, emission_weight) X(Spectrum, first) \
     X(Spectrum, differential_channel)
 // clang-format on
@@ -121,11 +121,14 @@ struct BranchColumns {
 
 // By entry of a shadow queue. In: the part of the ray in front of what it has met, seeds, and two uniform numbers. Out:
 // its transmittance, which multiplies what is there; where it is in the medium, and how long; of all parts so far the
-// length in media, and a point uniform on them with its medium.
+// length in media, and a point uniform on them with its medium. Where something moves: the boundary that the part
+// begins at, how far from the ray's beginning, and both ends of the part with that point, with their distances.
 // clang-format off
 #define TR_TRANSMITTANCE_COLUMNS(X) \
     X(Number, end) X(Index, seed_a) X(Index, seed_b) X(Number, choice) X(Number, place) X(Spectrum, transmittance) \
-    X(Number, start) X(Number, length) X(Number, total_length) X(Vector, point) X(Integer, point_medium)
+    X(Number, start) X(Number, length) X(Number, total_length) X(Vector, point) X(Integer, point_medium) \
+    X(Point, boundary) X(Number, begin) X(Point, part_from) X(Point, part_to) X(Number, part_t0) X(Number, part_t1) \
+    X(Number, part_t)
 // clang-format on
 
 template <class S>

@@ -33,6 +33,13 @@ namespace tr {
     X(Spectrum, differential_value) X(Integer, shadow_medium) X(Number, shadow_length) X(Vector, shadow_p) \
     X(Spectrum, shadow_value) X(Vector, emission_p) X(Index, emission_behind) X(Spectrum, first) \
     X(Spectrum, emission_factor)
+// ... where something moves: the place that a segment begins at, the boundary at its end and how far that is (NoHit,
+// infinity: there is none), distances of its points; the part of the shadow ray that has `shadow_p`, its boundaries and
+// distances along the ray's direction; what the vertex behind hands on besides, see NextVertex.
+#define TR_MOTION_COLUMNS(X) \
+    X(Vector, line) X(Number, ahead) X(Point, end_at) X(Number, reach) X(Number, differential_t) \
+    X(Number, emission_t) X(Number, stop_t) X(Vector, shadow_d) X(Point, shadow_from) X(Point, shadow_to) \
+    X(Number, shadow_t0) X(Number, shadow_t1) X(Number, shadow_t) X(Vector, rest_bar) X(Vector, from_bar)
 // Vertices of light paths, see ConnectionRecord and EmissionRecord.
 #define TR_CONNECTION_COLUMNS(X) X(Number, x_bar) X(Number, y_bar) X(Vector, ng) X(Integer, emitter_kind)
 // clang-format on
@@ -45,6 +52,7 @@ TR_PACKET(TangentPacket, TR_TANGENT_COLUMNS)
 TR_PACKET(ArrivalPacket, TR_ARRIVAL_COLUMNS)
 TR_PACKET(NextPacket, TR_NEXT_COLUMNS)
 TR_PACKET(SegmentPacket, TR_SEGMENT_COLUMNS)
+TR_PACKET(MotionPacket, TR_MOTION_COLUMNS)
 TR_PACKET(ConnectionPacket, TR_CONNECTION_COLUMNS)
 
 #define TR_TAPE_GROUP(name, LIST) \
@@ -60,6 +68,7 @@ TR_TAPE_GROUP(Tangent, TR_TANGENT_COLUMNS)
 TR_TAPE_GROUP(Arrival, TR_ARRIVAL_COLUMNS)
 TR_TAPE_GROUP(Next, TR_NEXT_COLUMNS)
 TR_TAPE_GROUP(Segment, TR_SEGMENT_COLUMNS)
+TR_TAPE_GROUP(Motion, TR_MOTION_COLUMNS)
 TR_TAPE_GROUP(Connection, TR_CONNECTION_COLUMNS)
 #undef TR_TAPE_GROUP
 
@@ -73,12 +82,13 @@ struct TapeColumns {
     StackColumns<S> stack{};
     TangentColumns<S> tangent{};
     SegmentColumns<S> segment{};
+    MotionColumns<S> motion{};
     ConnectionColumns<S> connection{};
 };
 
 // How a ray came to a vertex: from something glued to its surface; along a ray that moves with what it comes from, so
-// that the hit slides; from a direction at infinity.
-enum ArrivalKind : uint32_t { Glued = 0, Attached = 1, Parallel = 2 };
+// that the hit slides; from a direction at infinity; as the second, in a direction that rests.
+enum ArrivalKind : uint32_t { Glued = 0, Attached = 1, Parallel = 2, Resting = 3 };
 
 // ------------------------------------------------------------------------------------------------- the derivative's
 // view
@@ -132,7 +142,8 @@ TR_INLINE void read_arrival(const TapeColumns<ScalarOf<F>> &tape, size_t i, Vert
     v.segment = from(c.segment);
     v.t = from(c.t);
     UIntOf<F> kind = from(c.arrival);
-    v.attached = mask<F>(kind == uint32_t(Attached));
+    v.resting = mask<F>(kind == uint32_t(Resting));
+    v.attached = v.resting || mask<F>(kind == uint32_t(Attached));
     v.parallel = mask<F>(kind == uint32_t(Parallel));
 }
 
@@ -148,6 +159,7 @@ TR_INLINE NextVertex<F> read_next(const TapeColumns<ScalarOf<F>> &tape, size_t i
     next.segment = from(c.next_segment);
     next.p = from(c.next_p);
     next.at = from(c.next_at);
+    if (tape.motion.rest_bar.x) next.rest = from(tape.motion.rest_bar), next.from = from(tape.motion.from_bar);
     return next;
 }
 
