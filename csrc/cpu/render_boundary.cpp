@@ -62,9 +62,9 @@ RenderStats forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, 
 }  // namespace
 
 template <class S>
-OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines) {
+OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, bool glued) {
     outlines.update(*call.scene, moves, call.threads);
-    return OutlineCutter<S>(call, outlines).cut();
+    return OutlineCutter<S>(call, outlines, glued).cut();
 }
 template <class S>
 RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
@@ -88,7 +88,7 @@ RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &b
 }
 
 #define TR_INSTANTIATE(S)                                                                                       \
-    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &);                 \
+    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &, bool);           \
     template RenderStats boundary_reverse(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
