@@ -99,7 +99,7 @@ private:
             x.s = S(from + (to - from) * double(this->number(k, 0)));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
-            if (!point.valid || (boundary_.glued && point.front == 0)) continue;
+            if (!point.valid || (boundary_.glued && (point.front == 0 || is_hidden(x.element)))) continue;
             if (!film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
             if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
@@ -150,6 +150,14 @@ private:
             sights_[kept++] = sights_[k];
         }
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
+    }
+
+    // Whether an element is of a light that the camera does not see.
+    bool is_hidden(int32_t element) const {
+        const OutlineSet &set = *boundary_.outlines;
+        const uint32_t shape = set.is_edge(size_t(element)) ? uint32_t(set.halves(size_t(element))->shape)
+                                                            : uint32_t(set.curve(size_t(element)).shape);
+        return call_.config.hide_emitters && scene_.shapes[shape].emitter >= 0;
     }
 
     // The share of g that the end of the ray past an outline has, to whose surface it is glued; 0 at infinity.

@@ -6,13 +6,14 @@ Statistical tests are at 1 % for all of this file together, by Sidak's correctio
 
 from __future__ import annotations
 
+import math
 import warnings
 
 import pytest
 import torch
 from light_scenes import area as area_light
 from light_scenes import metered, texels
-from moving_differences import agrees, compare, direction_of
+from moving_differences import agrees, direction_of
 from shadow_scenes import DOWN, area, diffuse, room
 
 import torchrender as tr
@@ -68,12 +69,66 @@ def light_tracer(scene: tr.Scene, **settings) -> tr.ParticleTracer:
     return tr.ParticleTracer(scene.integrator.max_depth, 99, **settings)
 
 
-def check(scene: tr.Scene, parameter: str, spp: int = 512, step: float = 5e-3, rtol: float = 0.02) -> None:
-    """The derivative of light paths against differences of images of the scene's own integrator."""
-    found = compare(scene, parameter, 6, spp, step, integrator=light_tracer(scene), spp_visibility=(32, 64))
-    passed, text = agrees(*found, rtol, CASES)
-    assert passed, f"{parameter}: {text}"
-    assert float(found[1].abs().mean()) > 1e-4
+def weighted(image: torch.Tensor) -> torch.Tensor:
+    """A mean of the image with weights that change over it, as smooth ones do."""
+    height, width = image.shape[:2]
+    y, x = torch.linspace(0, 4, height, dtype=DOUBLE), torch.linspace(0, 5, width, dtype=DOUBLE)
+    return (image * (1 + torch.sin(x) * torch.cos(y + 1)[:, None])[..., None]).mean()
+
+
+def change_of(name: str, value: torch.Tensor) -> torch.Tensor:
+    """A motion: matrices shift and turn a little, all vertices and points are shifted, numbers grow."""
+    if name.endswith("to_world"):
+        change = torch.tensor(
+            [[0.1, -0.2, 0.1, 0.5], [0.2, 0.1, -0.3, -0.3], [-0.1, 0.3, 0.1, 0.4], [0, 0, 0, 0]], dtype=DOUBLE
+        )
+        if "camera" in name:  # which would see hardly anything of a turn by that much
+            change[:, :3] *= 0.2
+        return change @ value
+    if value.ndim and value.shape[-1] == 3:
+        return torch.tensor([0.6, -0.3, 0.5], dtype=DOUBLE).expand(value.shape)
+    return torch.full_like(value, 20.0 if name.endswith("fov") else 0.5)
+
+
+def check(
+    scene: tr.Scene,
+    name: str,
+    spp: int = 256,
+    step: float = 0.03,
+    rtol: float = 0.02,
+    seeds: int = 12,
+    share: float = 0.15,
+    images: tr.Integrator | None = None,
+    spp_visibility: tuple[int, int] = (32, 32),
+    **settings,
+) -> None:
+    """The derivative of light paths against differences of images of the scene's own integrator, or of another.
+
+    The error is no more than this share of what outlines have in the derivative.
+    """
+    value = scene.get_parameter(name).detach()
+    change, light = change_of(name, value), light_tracer(scene, **settings)
+    images = scene.integrator if images is None else images
+
+    def derivative(seed: int, **more) -> float:
+        x = value.clone().requires_grad_()
+        image = tr.render(scene, integrator=light, spp=1, spp_grad=spp, seed=seeds + seed, params={name: x}, **more)
+        return float((torch.autograd.grad(weighted(image), x)[0] * change).sum())
+
+    def difference(seed: int) -> float:
+        places = (value + s * change for s in (step, -step))
+        ends = [
+            float(weighted(tr.render(scene, integrator=images, spp=spp, seed=seed, params={name: x}))) for x in places
+        ]
+        return (ends[0] - ends[1]) / (2 * step)
+
+    derivatives = torch.tensor([derivative(seed, spp_visibility=spp_visibility) for seed in range(seeds)])
+    differences = torch.tensor([difference(seed) for seed in range(seeds)])
+    outlines = torch.tensor([float(derivatives[seed]) - derivative(seed, visibility=False) for seed in range(3)])
+    passed, text = agrees(derivatives, differences, rtol, CASES)
+    assert passed, f"{name}: {text}"
+    error = float((derivatives - differences).std()) / seeds**0.5
+    assert error < share * float(outlines.mean().abs()), f"{name}: {text}, outlines {outlines.mean():.3g}"
 
 
 # ---------------------------------------------------------------------------------------------------- what is in view
@@ -85,7 +140,7 @@ def test_a_silhouette_before_a_light(parameter):
     check(scene, parameter)
 
 
-@pytest.mark.parametrize("parameter", ["board.to_world", "wall.to_world"])
+@pytest.mark.parametrize("parameter", ["board.to_world", "wall.to_world", "camera.to_world"])
 def test_a_silhouette_before_a_lit_wall(parameter):
     check(view(LIT, board=BOARD, lamp=LAMP), parameter)
 
@@ -109,27 +164,27 @@ def test_a_silhouette_before_the_sky():
         },
         dtype=DOUBLE,
     )
-    check(scene, "board.to_world", spp=1024)
-    check(scene, "camera.to_world", spp=1024)
+    check(scene, "board.to_world")
+    check(scene, "camera.to_world")
 
 
 # ----------------------------------------------------------------------------------------------- shadows, all of it
 @pytest.mark.parametrize(
     ("light", "parameter"),
     [
-        *((light, "box.vertex_positions") for light in ("rectangle", "ball", "point", "spot", "sun", "sky")),
-        *((light, "plate.to_world") for light in ("rectangle", "point", "sun")),
-        ("rectangle", "lamp.to_world"), ("ball", "lamp.radius"), ("tube", "lamp.to_world"), ("point", "lamp.position"),
+        *((light, "box.vertex_positions") for light in ("rectangle", "ball", "point", "sun", "sky")),
+        *((light, "plate.to_world") for light in ("point", "sun")),
+        ("rectangle", "lamp.to_world"), ("ball", "lamp.center"), ("point", "lamp.position"),
         ("spot", "lamp.to_world"), ("sun", "lamp.to_world"),
-        ("rectangle", "floor.to_world"), ("point", "floor.to_world"), ("sun", "floor.to_world"),
-        ("rectangle", "camera.to_world"), ("point", "camera.to_world"), ("point", "camera.x_fov"),
+        ("rectangle", "floor.to_world"), ("point", "floor.to_world"),
     ],
 )  # fmt: skip
 def test_direct_light(light, parameter):
-    """Things, lamps, the floor that gets the shadows, and the camera."""
+    """Things, lamps, and the floor that gets the shadows."""
     scene = bordered(room(light))
-    x_fov = parameter.endswith("fov")  # of which boundaries have no part: lines past them rest
-    check(scene, parameter, spp=1024 if light == "sky" else 512, step=0.1 if x_fov else 5e-3)
+    # where a shadow is shifted as a whole outlines have a small part
+    small = (light, parameter) in (("sun", "lamp.to_world"), ("point", "floor.to_world"))
+    check(scene, parameter, share=0.25 if small else 0.15)
 
 
 @pytest.mark.parametrize("light", ["rectangle", "point"])
@@ -138,7 +193,7 @@ def test_reflected_light(light):
 
 
 def test_a_glossy_floor():
-    check(bordered(room("rectangle", 3, {"type": "roughconductor", "alpha": 0.3})), "box.vertex_positions")
+    check(bordered(room("rectangle", 2, {"type": "roughconductor", "alpha": 0.3})), "box.vertex_positions", spp=128)
 
 
 def test_the_derivative_is_that_of_the_path_tracer():
@@ -152,7 +207,7 @@ def test_the_derivative_is_that_of_the_path_tracer():
     for integrator in (scene.integrator, light_tracer(scene)):
         rows = []
         for seed in range(8):
-            image = tr.render(scene, integrator=integrator, spp=1, spp_grad=512, seed=seed, spp_visibility=(32, 64))
+            image = tr.render(scene, integrator=integrator, spp=1, spp_grad=256, seed=seed, spp_visibility=(32, 64))
             gradients = torch.autograd.grad((image * weight).mean(), leaves)
             rows.append([float((g * c).sum()) for g, c in zip(gradients, changes)])
         found[integrator.kind] = torch.tensor(rows)
@@ -164,32 +219,36 @@ def test_the_derivative_is_that_of_the_path_tracer():
 
 
 # --------------------------------------------------------------------------------------------- what light paths lack
-def own_differences(scene: tr.Scene, parameter: str, **settings) -> None:
-    """The derivative against differences of the light tracer's own images."""
-    scene.integrator = light_tracer(scene, **settings)
-    found = compare(scene, parameter, 6, 1024, 0.02, spp_visibility=32)
-    passed, text = agrees(*found, 0.03, CASES)
-    assert passed, f"{parameter}: {text}"
-    assert float(found[1].abs().mean()) > 1e-3
-
-
 def test_what_is_seen_in_a_mirror_is_black():
     """A lamp behind the board that only a mirror shows: its border before the board is not in the image."""
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor", "eta": 0.2, "k": 3.9}}
     place = T.translate([0, 1, -0.8]) @ T.rotate([1, 0, 0], 90) @ T.scale([2.5, 0.9, 1])
     scene = view(GLOW, board=BOARD, mirror={**mirror, "to_world": T.translate([0, -0.1, 0]) @ place}, lamp=LAMP)
-    own_differences(scene, "board.to_world")
+    check(scene, "board.to_world", images=light_tracer(scene))
 
 
 def test_what_is_behind_an_invisible_surface_is_black():
     """It hides what is behind it and, in light of two segments, throws a shadow."""
     scene = view(LIT, board={**BOARD, "bsdf": {"type": "null"}}, lamp=LAMP)
-    own_differences(scene, "board.to_world")
+    check(scene, "board.to_world", images=light_tracer(scene))
 
 
 def test_hidden_lights():
-    scene = view(LIT, board=BOARD, lamp=area(BALL))
-    own_differences(scene, "lamp.center", hide_emitters=True)
+    """They hide nothing from the camera."""
+    scene = view(LIT, board=BOARD, lamp=area({**BALL, "center": [-0.6, -0.2, 0.6], "radius": 0.3}))
+    images = tr.PathTracer(2, 99, hide_emitters=True)
+    check(scene, "board.to_world", images=images, hide_emitters=True)
+    check(scene, "lamp.center", images=images, hide_emitters=True, share=math.inf)  # no outline of it is seen
+
+
+def test_a_silhouette_before_a_caustic():
+    """Light that glass has sent to the wall is uncovered like other light where the glass rests."""
+    lamp = {"type": "rectangle", "to_world": T.translate([-0.2, -1.6, 1.2]) @ T.rotate([1, 0, 0], -130) @ T.scale(0.3)}
+    near = T.translate([0.1, -2.2, -0.15]) @ T.rotate([1, 0.2, 0.3], 70) @ T.scale([0.2, 0.15, 1])
+    ball = {**BALL, "bsdf": {"type": "dielectric", "int_ior": 1.5}}
+    scene = view(LIT, ball=ball, board={**BOARD, "to_world": near}, lamp=area(lamp, 20.0))
+    scene.integrator = tr.PathTracer(4, 99)
+    check(scene, "board.to_world", images=light_tracer(scene), spp_visibility=(2048, 1))
 
 
 # ------------------------------------------------------------------------------------------------ modes and settings
