@@ -241,6 +241,16 @@ def test_hidden_lights():
     check(scene, "lamp.center", images=images, hide_emitters=True, share=math.inf)  # no outline of it is seen
 
 
+def test_lights_of_no_weight_are_dark():
+    """No light path begins there, so that nothing is seen before them."""
+    dark = {"emitter": {**GLOW["emitter"], "sampling_weight": 0}, "bsdf": diffuse(0.0)}
+    scene = view(dark, board=BOARD, lamp=LAMP)
+    (leaf,) = scene.train_only("board.to_world")
+    found, without = (gradient(scene, leaf, visibility=v) for v in (True, False))
+    assert float(without.abs().max()) > 1e-4
+    torch.testing.assert_close(found, without, rtol=0, atol=1e-9 * float(without.abs().max()))
+
+
 def test_a_silhouette_before_a_caustic():
     """Light that glass has sent to the wall is uncovered like other light where the glass rests."""
     lamp = {"type": "rectangle", "to_world": T.translate([-0.2, -1.6, 1.2]) @ T.rotate([1, 0, 0], -130) @ T.scale(0.3)}
