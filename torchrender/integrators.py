@@ -125,8 +125,10 @@ class ParticleTracer(_Paths):
     camera may be an `irradiancemeter`, which measures what arrives on a surface.
 
     Derivatives include the motion of what is seen over the film, for which the film needs a smooth filter (Gaussian or
-    tent): with a box filter, asking for the derivative of something that moves raises `NotDifferentiableError`.
-    Media are refused. There is no alpha and no variance.
+    tent): with a box filter, asking for the derivative of something that moves raises `NotDifferentiableError`. They
+    include that of silhouettes and shadows, by paths from the camera (see `visibility` of `render`). These do not find
+    edges in the light of smooth mirrors, glass and beams: where such are in the scene, one `MissingTermWarning` names
+    them, and one says that an `irradiancemeter` has none of it. Media are refused. There is no alpha and no variance.
 
     Args:
         max_depth: longest path in segments, the one to the camera included; 1 shows emitters only, 2 adds direct light,

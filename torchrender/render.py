@@ -58,7 +58,7 @@ from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
-from .scene.sensor import default_sampler
+from .scene.sensor import IrradianceMeter, default_sampler
 from .seeds import seeds
 
 if TYPE_CHECKING:
@@ -237,7 +237,7 @@ def render(
         check_media(scene, packed, tensors, volumetric)
     seen_outlines = visibility and spp_outlines != (0, 0)
     # of radiance that the core knows
-    outlines = seen_outlines and shows_radiance and not (light or volumetric or packed.torch_bsdfs)
+    outlines = seen_outlines and shows_radiance and not (volumetric or packed.torch_bsdfs)
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in steps(cameras, "views", progress):
@@ -258,6 +258,7 @@ def render(
                 )
         native = scene.native(packed, [tuple(t.shape) for t in used])
         alpha = "alpha" in names or (stack is not None and not light and stack.wants_alpha(film))
+        outlined = outlines and not isinstance(camera, IrradianceMeter)
         call = RenderCall(
             native=native,
             config={
@@ -286,7 +287,7 @@ def render(
                 alpha,
                 steady=light and film.filter.type == "box",
                 particles=light,
-                outlines=outlines if shows_radiance else seen_outlines and not shown,
+                outlines=outlined if shows_radiance else seen_outlines and not shown,
                 silent=not visibility,
             ),
             film=film,
@@ -315,7 +316,7 @@ def render(
             radiance: Callable[[], Any] = functools.partial(traced.apply, used)
         else:
             radiance = functools.partial(RenderFunction.apply, call, *used)
-        if outlines:
+        if outlined:
             radiance = functools.partial(_with_outlines, call, used, radiance)
         views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:

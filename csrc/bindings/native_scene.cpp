@@ -121,7 +121,8 @@ public:
                          SceneOutlines &outlines) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
-        outlines.pieces = tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), outlines.set);
+        outlines.pieces =
+            tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), outlines.set, c.glued);
         return outlines.pieces.total();
     }
 
@@ -150,6 +151,7 @@ public:
         b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
         b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
         b.near = number("near"), b.in_view = number("in_view");
+        b.glued = c.glued;
         b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
         if (forward) {
             ForwardCall<S> d(data_, c.path, c.light, slots);

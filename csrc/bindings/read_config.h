@@ -75,6 +75,7 @@ inline Config read_config(const py::dict &d) {
     c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), pattern.first, pattern.second);
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
     c.light = d["integrator"].cast<std::string>() == "ptracer";
+    c.glued = d.contains("glued") && d["glued"].cast<bool>();
     if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();
     if (d.contains("seeds")) c.seeds = d["seeds"].cast<std::vector<uint64_t>>();
     c.zero_at_misses = d.contains("zero_at_misses") && d["zero_at_misses"].cast<bool>();

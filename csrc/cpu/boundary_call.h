@@ -30,8 +30,9 @@ struct BoundaryCall {
     size_t n_cells;
     uint64_t first, count;  // numbers of the samples, of `total` in all passes
     double total;
-    double near;                      // what counts as close
-    double in_view;                   // the share of the outlines that lights see which the camera sees
+    double near;         // what counts as close
+    double in_view;      // the share of the outlines that lights see which the camera sees
+    bool glued = false;  // points move with their surfaces, as those of light paths do, see boundary_tile.h
     const FilmBlock *film = nullptr;  // reverse: the adjoint, set by the call
     // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found.
     // Reverse: the adjoint of the wanted pixels (height, width, channels) over the integral of their filter.
@@ -40,9 +41,10 @@ struct BoundaryCall {
     double *place, *value;
 };
 
-// Brings outlines up to date, see OutlineSet::update; returns pieces of those that the camera sees.
+// Brings outlines up to date, see OutlineSet::update; returns pieces of those that the camera sees; `glued`: for such
+// samples.
 template <class S>
-OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines);
+OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, bool glued);
 template <class S>
 RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
 template <class S>

@@ -35,7 +35,8 @@ class ShadowTile : public BoundaryTile<F> {
         V b, free;
         S weight;
         bool far;
-        S tau, length;  // of S to B
+        S tau, length;        // of S to B
+        SurfacePoint<S> end;  // S
     };
     // What the camera, or a vertex of the path, gets of an edge.
     struct Connection {
@@ -150,6 +151,7 @@ private:
             if (!std::isfinite(t)) continue;
             const V s = rays_[k].o + rays_[k].d * t;
             at_.s.set(x.slot, s), at_.d.set(x.slot, -rays_[k].d);
+            x.end = rays_[k].at;
             x.length = Base::length(x.b - s);
             at_.e_distance[x.slot] = x.far ? S(INFINITY) : Base::length(at_.y.get(x.slot) - s);
             x.tau = x.far ? S(0) : x.length / at_.e_distance[x.slot];
@@ -321,13 +323,18 @@ private:
             const S w = weight(x);
             if (w == 0 || !std::isfinite(w)) continue;
             const V g = edge.free * w;
-            at_.s_bar.set(edge.slot, g * (edge.tau - 1));
+            const V s_bar = g * (edge.tau - 1);
+            if (boundary_.glued)
+                this->add_glued(edge.slot, edge.end, at_.s.get(edge.slot), s_bar);
+            else
+                at_.s_bar.set(edge.slot, s_bar);
             at_.e_bar.set(edge.slot, g * (edge.far ? edge.length : -edge.tau));
             points.derivative = 0;
             this->add_to_outline(edge.element, edge.s, edge.b, g, points);
             if (sink.forward) slots.radiance[sink.component][edge.slot] += points.derivative;
         }
         lights_.sweep(at_, n, slots, sink);
+        if (boundary_.glued) return this->sweep_glued(sink, slots);
         auto ends = [&](int, uint32_t, const U &slot, const M &there) { return Gathered<F>(slot, there)(at_.s_bar); };
         this->sweep_places(
             ends_, slots, sink, camera,

@@ -6,7 +6,8 @@
 //     dI = beta  integral of f(d) sin / r^2  (L_minus v_minus - L_plus v_plus)  dl
 //
 // where v = n.(dB - (1 - tau) dS - tau dE) for a point E that is glued to what emits, tau = r / |E - S|, and n.(dB -
-// dS) for all else, which is looked up along a direction at rest: see docs/theory/motion.md.
+// dS) for all else, which is looked up along a direction at rest: see docs/theory/motion.md. Of glued samples all E are
+// glued to what they belong to, and S is, too.
 #pragma once
 
 #include "boundary_tile.h"
@@ -28,7 +29,7 @@ class ReflectionTile : public BoundaryTile<F> {
         S front, room, reach, rim;
         Spectrum<S> carried;
         S density;
-        bool emits[2];
+        bool has_end[2];  // what is met there is glued to its surface
         S tau[2];
         SurfacePoint<S> end[2];
         V end_p[2];
@@ -94,7 +95,7 @@ private:
             if (!(total_[k] > 0)) continue;
             const V seen = this->level_of(k).columns.arrival.segment.get(anchors_.entry[k]);
             const double cosine = std::fabs(double(dot(anchors_.ng.get(k), this->unit(seen))));
-            if (this->vertex_moves(k)) total_[k] /= std::max(cosine, 0.05);
+            if (!boundary_.glued && this->vertex_moves(k)) total_[k] /= std::max(cosine, 0.05);
             sum += total_[k], ++count;
         }
         copies_.assign(n, 0);
@@ -156,7 +157,7 @@ private:
                 x.carried[c] = x.carried[c] * level.columns.vertex.beta[c][e] * anchors_.f[c][x.slot];
                 some |= x.carried[c] != 0, finite &= bool(std::isfinite(x.carried[c]));
             }
-            if (!some || !finite) continue;
+            if (!some || !finite || (boundary_.glued && x.front == 0)) continue;
             // what lights find, too: what a smooth vertex, or the camera, sees, and not too close to it
             const S pdf = anchors_.pdf[x.slot];
             if (anchors_.level[x.slot] == 0)
@@ -197,8 +198,8 @@ private:
             if (!this->is_open(x.front, x.r, t, S(1e-3))) continue;
             for (size_t h = 0; h < 2; ++h) {
                 const OutlineRay &ray = rays_[2 * k + h];
-                x.emits[h] = ray.at.shape != NoHit && scene_.shapes[ray.at.shape].emitter >= 0;
-                if (x.emits[h]) {
+                x.has_end[h] = ray.at.shape != NoHit && (boundary_.glued || scene_.shapes[ray.at.shape].emitter >= 0);
+                if (x.has_end[h]) {
                     x.end[h] = ray.at, x.end_p[h] = ray.o + ray.d * t[h];
                     x.tau[h] = x.r / this->length(x.end_p[h] - x.from);
                 }
@@ -235,13 +236,24 @@ private:
                 for (size_t h = 0; h < 2; ++h) {
                     const S sign = h == 0 ? S(1) : S(-1);
                     // what hides something, or is a crease, moves with its own outline
-                    const bool counts = !x.emits[h] || x.front * sign == S(1);
+                    const bool counts = !(x.has_end[h] || boundary_.glued) || x.front * sign == S(1);
                     for (int c = 0; c < SpectrumSize; ++c) {
                         const S light = light_.slots.radiance[c][2 * j + h];
                         x.jump[h][c] = counts && std::isfinite(light) ? x.carried[c] * light * sign : S(0);
                     }
                 }
             }
+        }
+    }
+
+    // The adjoints of vertices to their surfaces.
+    void glue_vertices(uint32_t n) {
+        for (uint32_t k = 0; k < n; ++k) {
+            const V p_bar = anchors_.p_bar.get(k);
+            if (!(max_abs(p_bar) > 0)) continue;
+            const auto &at = this->level_of(k).columns.vertex.at;
+            const uint32_t e = anchors_.entry[k];
+            this->add_glued(k, {at.shape[e], at.primitive[e], at.b1[e], at.b2[e]}, this->place_of(k), p_bar);
         }
     }
 
@@ -261,16 +273,17 @@ private:
                 if (w == 0 || !std::isfinite(w)) continue;
                 const V g = x.n * w;
                 b_bar = b_bar + g;
-                s_bar = s_bar - g * (x.emits[h] ? 1 - x.tau[h] : S(1));
-                if (x.emits[h]) this->add_glued(x.slot, x.end[h], x.end_p[h], g * -x.tau[h]);
+                s_bar = s_bar - g * (x.has_end[h] ? 1 - x.tau[h] : S(1));
+                if (x.has_end[h]) this->add_glued(x.slot, x.end[h], x.end_p[h], g * -x.tau[h]);
             }
             anchors_.p_bar.set(x.slot, anchors_.p_bar.get(x.slot) + s_bar);
             points.derivative = 0;
             this->add_to_outline(x.element, x.s, x.b, b_bar, points);
             if (sink.forward) paths_.slots.radiance[sink.component][x.slot] += points.derivative;
         }
+        if (boundary_.glued) glue_vertices(n);
         this->sweep_glued(sink, paths_.slots);
-        this->sweep_paths(sink);
+        if (!boundary_.glued) this->sweep_paths(sink);
     }
 };
 

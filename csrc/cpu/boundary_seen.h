@@ -3,7 +3,8 @@
 //
 //     dI = integral of h(p - u) / Z  (L_minus - L_plus)  w sin  n.(db - do - r dd)  dl
 //
-// L may be anything that is seen; see boundary_outputs.h for what is not radiance.
+// L may be anything that is seen; see boundary_outputs.h for what is not radiance. Of glued samples L is zero on the
+// side of what hides, and where the ray on the other side ends at E the rate is n.(dB - (1 - tau) do - tau dE).
 #pragma once
 
 #include "boundary_tile.h"
@@ -61,6 +62,7 @@ protected:
     }
     // What is seen on the sides of -n and of n, in a channel.
     void set_jump(size_t sight, size_t channel, double minus, double plus) {
+        if (boundary_.glued) (sights_[sight].front > 0 ? plus : minus) = 0;
         const double jump = (minus - plus) * double(sights_[sight].weight);
         jumps_[sight * channels() + channel] = std::isfinite(jump) ? jump : 0;
     }
@@ -97,7 +99,8 @@ private:
             x.s = S(from + (to - from) * double(this->number(k, 0)));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
-            if (!point.valid || !film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
+            if (!point.valid || (boundary_.glued && (point.front == 0 || is_hidden(x.element)))) continue;
+            if (!film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
             if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
             const V o = ray.ray.o, d = ray.ray.d, towards = point.p - o, across = cross(d, point.along);
@@ -149,6 +152,24 @@ private:
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
     }
 
+    // Whether an element is of a light that the camera does not see.
+    bool is_hidden(int32_t element) const {
+        const OutlineSet &set = *boundary_.outlines;
+        const uint32_t shape = set.is_edge(size_t(element)) ? uint32_t(set.halves(size_t(element))->shape)
+                                                            : uint32_t(set.curve(size_t(element)).shape);
+        return call_.config.hide_emitters && scene_.shapes[shape].emitter >= 0;
+    }
+
+    // The share of g that the end of the ray past an outline has, to whose surface it is glued; 0 at infinity.
+    S add_end(const Sight &x, const V &g) {
+        const OutlineRay &ray = rays_[2 * size_t(&x - sights_.data()) + (x.front > 0 ? 0 : 1)];
+        if (ray.at.shape == NoHit) return 0;
+        const V end = ray.met_from + ray.d * ray.t;
+        const S tau = x.distance / (x.distance - x.t + dot(end - ray.o, ray.d));
+        this->add_glued(x.slot, ray.at, end, g * -tau);
+        return tau;
+    }
+
     template <class Weight>
     void add(uint32_t n, GradientSink<F> &sink, Weight &&weight) {
         const auto &p_bar = this->anchors_.p_bar;
@@ -162,8 +183,12 @@ private:
             points.derivative = 0;
             this->add_to_outline(x.element, x.s, x.b, g, points);
             if (sink.forward) paths_.slots.radiance[0][x.slot] += points.derivative;
-            p_bar.set(x.slot, g), distance[x.slot] = x.distance;
+            if (boundary_.glued)
+                p_bar.set(x.slot, g * (1 - add_end(x, g)));
+            else
+                p_bar.set(x.slot, g), distance[x.slot] = x.distance;
         }
+        if (boundary_.glued) this->sweep_glued(sink, paths_.slots);
         if (!paths_.wavefront.needs().camera) return;
         for (uint32_t i = 0; i < n; i += W) {
             Entries<F> from(i);

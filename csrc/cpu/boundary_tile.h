@@ -3,6 +3,10 @@
 //
 // A sample's rate n.(dB - ...) has a weight for each component of the spectrum. In reverse mode the film's adjoint
 // makes one number of them; forward mode has a sweep a component (see GradientSink).
+//
+// Of `glued` samples, which are for light paths, both ends S and E of a segment past an outline move with their
+// surfaces, wherever they are; then no more than what the outline uncovers counts, its rate being n.(dB - (1 - tau) dS
+// - tau dE), tau = |B - S| / |E - S|: see docs/theory/light_tracing.md.
 #pragma once
 
 #include <cmath>
@@ -88,7 +92,7 @@ protected:
             slots.film_x[k] = std::min(slots.film_x[k], std::nextafter(S(int32_t(slots.column[k]) + 1), S(-INFINITY)));
             slots.film_y[k] = std::min(slots.film_y[k], std::nextafter(S(int32_t(slots.row[k]) + 1), S(-INFINITY)));
         }
-        paths_.run(true, stop);
+        paths_.run(true, stop, 0, false, boundary_.glued);
     }
     // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
     static constexpr uint32_t OutlineBlock = 0x60000000u, PlaceBlock = OutlineBlock + 1;
@@ -326,7 +330,7 @@ protected:
             hits.at.shape[k] = at.shape, hits.at.primitive[k] = at.primitive;
             hits.at.b1[k] = at.b1, hits.at.b2[k] = at.b2, hits.t[k] = rays[k].t;
         }
-        light_.run(false, stop, depth, traced);
+        light_.run(false, stop, depth, traced, boundary_.glued && depth == 0);
     }
 
     // ------------------------------------------------------------------------------------------------------- sums
@@ -367,7 +371,8 @@ protected:
         glued_.at.b1[k] = at.b1, glued_.at.b2[k] = at.b2;
         glued_.p.set(k, p), glued_.p_bar.set(k, p_bar);
     }
-    // Hands on the adjoints of points that are glued to lights; derivatives go to these slots.
+    // Hands on the adjoints of points that are glued to lights or, of glued samples, to surfaces; derivatives go to
+    // these slots.
     void sweep_glued(GradientSink<F> &sink, const SlotColumns<S> &slots) {
         for (uint32_t i = 0; i < glued_.n; i += W) {
             Entries<F> from(i);

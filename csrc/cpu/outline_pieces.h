@@ -32,8 +32,13 @@ class OutlineCutter {
     static constexpr int Most = 256, Fewest = 32;  // pieces of an outline, and of a curve
 
 public:
-    OutlineCutter(const RenderCall<S> &call, const OutlineSet &set)
-        : call_(call), set_(set), outlines_(*call.scene, set), record_(call.scene->sensors[call.config.sensor]) {
+    // `glued`: where what is behind an outline moves with its surface, those that rest count, too, and creases do not.
+    OutlineCutter(const RenderCall<S> &call, const OutlineSet &set, bool glued)
+        : call_(call),
+          set_(set),
+          outlines_(*call.scene, set),
+          record_(call.scene->sensors[call.config.sensor]),
+          glued_(glued) {
         const S width = S(call.film_width), height = S(call.film_height);
         CameraSample<S> middle{width / 2, height / 2};
         const CameraRay<S> ray = camera_ray<S>(*call.scene, record_, middle, width, height);
@@ -70,6 +75,7 @@ private:
     const OutlineSet &set_;
     const Outlines<S> outlines_;
     const Record &record_;
+    const bool glued_;
     bool parallel_, distant_, panorama_;
     V origin_;  // of rays, or, `parallel_`, their direction
     S lens_ = 0;
@@ -77,13 +83,15 @@ private:
 
     // Whether an element that moves can be an outline or a crease from the camera: a weight.
     float candidate(const OutlineElement &e) const {
-        if (!e.moves || !(e.weight > 0)) return 0;
-        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return 1;
+        if (!(e.moves || glued_) || !(e.weight > 0)) return 0;
+        const float weight = e.moves ? 1.f : 0.25f;
+        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return weight;
         const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)}, d = parallel_ ? o : e.a - o;
         const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
         const float margin = float(lens_) + 1e-5f * std::sqrt(dot(d, d));
         const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
-        if (!same) return 1;
+        if (!same) return weight;
+        if (glued_) return 0;
         return e.kind == OutlineElement::Crease && (e.bend > 1e-6f) ? std::min(std::max(e.bend, 0.05f), 1.f) : 0.f;
     }
 

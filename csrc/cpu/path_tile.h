@@ -46,8 +46,9 @@ public:
 
     // Traces the paths to their ends. Without a limit of depth a path may go on for ever: `stop` is asked at every
     // vertex, and ends the paths. `first` vertices are behind the rays already. `traced`: what the rays meet is known.
+    // `scattered`: after the first vertex paths go on in directions of smooth BSDFs alone.
     template <class Stop>
-    void run(bool recording, Stop &&stop, int first = 0, bool traced = false) {
+    void run(bool recording, Stop &&stop, int first = 0, bool traced = false, bool scattered = false) {
         wavefront.tape.begin_block(0);
         wavefront.tape.checkpoints.clear();
         PathQueue<S> *queues = wavefront.queues;
@@ -64,6 +65,7 @@ public:
             }
             PathQueue<S> *current = &queues[0], *next = &queues[1], *spare = &queues[2];
             step(*current, *next, {first, split, scatters}, recording, TapeLevel<S>::NoParent);
+            if (scattered) keep_smooth(*next);
             for (int depth = first + 1; next->n > 0 && !stop() && (config_.max_depth < 0 || depth < config_.max_depth);
                  ++depth) {
                 current = next;
@@ -201,6 +203,11 @@ private:
             const uint32_t slot = shadows.slot[k];
             for (int c = 0; c < SpectrumSize; ++c) radiance[c][slot] += visible * shadows.contribution[c][k];
         }
+    }
+
+    // Without the directions of delta lobes, which have no density.
+    static void keep_smooth(PathQueue<S> &queue) {
+        keep_entries<F>(queue, [&](uint32_t i) { return !mask<F>(Entries<F>(i)(queue.pdf) == F(0)); });
     }
 
     // The last ray of a path brings something only if it meets a light: one that passes all of them is not traced.

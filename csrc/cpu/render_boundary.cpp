@@ -59,17 +59,38 @@ RenderStats forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, 
     });
 }
 
+// The call, of glued samples with a scene in which lights of no weight are dark: no light path begins there.
+template <class S>
+struct LightPathCall {
+    SceneView<S> scene;
+    std::vector<ShapeInfo> shapes;
+    RenderCall<S> call;
+
+    LightPathCall(const RenderCall<S> &given, bool glued) : scene(*given.scene), call(given) {
+        const S *pmf = scene.emitter_pmf;
+        if (!glued || std::all_of(pmf, pmf + scene.n_emitters, [](S p) { return p > 0; })) return;
+        shapes.assign(scene.shapes, scene.shapes + scene.n_shapes);
+        for (ShapeInfo &shape : shapes)
+            if (shape.emitter >= 0 && !(pmf[shape.emitter] > 0)) shape.emitter = -1;
+        if (scene.environment >= 0 && !(pmf[scene.environment] > 0)) scene.environment = -1;
+        scene.shapes = shapes.data(), call.scene = &scene;
+    }
+    LightPathCall(const LightPathCall &) = delete;
+};
+
 }  // namespace
 
 template <class S>
-OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines) {
+OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, bool glued) {
     outlines.update(*call.scene, moves, call.threads);
-    return OutlineCutter<S>(call, outlines).cut();
+    return OutlineCutter<S>(call, outlines, glued).cut();
 }
 template <class S>
-RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
+RenderStats boundary_reverse(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
                              DerivativeCall<S> &derivative) {
     using F = PacketOf<S>;
+    const LightPathCall<S> light(given, boundary.glued);
+    const RenderCall<S> &call = light.call;
     derivative.needs.geometry = true;  // paths keep where they arrived although lights alone may move
     if (boundary.part == BoundaryPart::Silhouettes) return reverse<SilhouetteTile<F>, F>(call, boundary, derivative);
     if (boundary.part == BoundaryPart::Outputs) return reverse<OutputTile<F>, F>(call, boundary, derivative);
@@ -77,9 +98,11 @@ RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &b
     return reverse<ShadowTile<F>, F>(call, boundary, derivative);
 }
 template <class S>
-RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary,
+RenderStats boundary_forward(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
                              DerivativeCall<S> &derivative) {
     using F = PacketOf<S>;
+    const LightPathCall<S> light(given, boundary.glued);
+    const RenderCall<S> &call = light.call;
     derivative.needs.geometry = true;
     if (boundary.part == BoundaryPart::Silhouettes) return forward<SilhouetteTile<F>, F>(call, boundary, derivative);
     if (boundary.part == BoundaryPart::Outputs) return forward<OutputTile<F>, F>(call, boundary, derivative);
@@ -88,7 +111,7 @@ RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &b
 }
 
 #define TR_INSTANTIATE(S)                                                                                       \
-    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &);                 \
+    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &, bool);           \
     template RenderStats boundary_reverse(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

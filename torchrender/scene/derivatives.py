@@ -91,7 +91,7 @@ How things move: what a ray of the camera, or one that was reflected or refracte
 points on what emits are glued to it, and integrated over area (the material form of Zhang, Miller, Yan, Gkioulekas and
 Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
 and cylinders move with them, in radiance, and what the camera sees in alpha and in the outputs of the first hit.
-`features`, `duv_dx`, `duv_dy`, `tr.ParticleTracer`, `tr.VolumetricPathTracer` and radiance with a `tr.TorchBSDF` lack
+`features`, `duv_dx`, `duv_dy`, an `irradiancemeter`, `tr.VolumetricPathTracer` and radiance with a `tr.TorchBSDF` lack
 that, and so does `visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on
 the object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
 surfaces.
@@ -108,7 +108,8 @@ with nearest voxels; and of the light that a boundary with the BSDF `null` emits
 filter with a slope: with the box filter, asking for the derivative of something that moves raises
 `tr.NotDifferentiableError`, and so does, with an `irradiancemeter`, the one with respect to the texture coordinates of
 its surface, and every derivative of something that moves where there is an `sdfgrid`. A beam (`directionalarea`) moves
-and turns with its surface."""
+and turns with its surface. Points that light meets are glued to surfaces unless the light came from a mirror, through
+smooth glass or in a beam; what is missing of edges is those in such light, and jumps of textures in it."""
 
 
 def page() -> str:

@@ -95,7 +95,7 @@ class GradientRequirements:
         """What this rendering's derivative lacks, and when that is zero; empty if nothing is to be said."""
         if self.silent and MARK in slot.caveat:
             return ""
-        return moving_caveat(self.layout, slot.caveat, self.outlines)
+        return moving_caveat(self.layout, slot.caveat, self.outlines, self.particles)
 
     def _has_grids(self) -> bool:
         return any(kind == "sdfgrid" for kind, _, _ in self.layout.objects["shape"])

@@ -12,16 +12,19 @@ ZERO = ": zero where no such edge is in view"
 NONE = f"the motion of silhouettes, creases and edges of shadows{ZERO}"
 JUMPS = "jumps of textures"
 OWN, OTHERS, BORDER = "of its silhouettes", "of silhouettes of curves", "of the image's border"
+SEEN = "of edges that are seen in or through"
+BEAM = "directionalarea"
 WITHOUT_OUTLINES = ("heightfield", "bsplinecurve", "linearcurve", "sdfgrid")
 
 
-def moving_caveat(layout: Layout, caveat: str, outlines: bool) -> str:
+def moving_caveat(layout: Layout, caveat: str, outlines: bool, particles: bool = False) -> str:
     """`caveat` with what is there: the missing term, and after a colon when it is zero; empty if the rest is complete.
 
     Args:
         layout: of the packed scene.
         caveat: as it is declared.
         outlines: whether the rendering looks for outlines at all.
+        particles: whether it is one of light tracing.
     """
     if MARK not in caveat:
         return caveat
@@ -33,10 +36,20 @@ def moving_caveat(layout: Layout, caveat: str, outlines: bool) -> str:
         missing += _named("of silhouettes of", layout, "shape", lambda kind, _: kind in WITHOUT_OUTLINES)
     if BORDER in caveat:
         missing.append(BORDER)
-    missing += _named("of edges that are seen in or through", layout, "bsdf", _is_delta)
-    if JUMPS in caveat:
+    slides = _in_light_of(layout) if particles else _named(SEEN, layout, "bsdf", _is_delta)
+    missing += slides
+    # points that light paths find keep their place on the texture, but behind delta lobes and in beams
+    if JUMPS in caveat and (slides or not particles):
         missing += _named("of jumps of", layout, "texture", _jumps)
     return f"the motion {', '.join(missing)}: zero where no such edge is in view" if missing else ""
+
+
+def _in_light_of(layout: Layout) -> list[str]:
+    """Edges that light paths meet, or cast on surfaces, behind delta lobes and in beams."""
+    return [
+        *_named("of edges in the light that comes by way of", layout, "bsdf", _is_delta),
+        *_named("of edges in the beams of", layout, "emitter", lambda kind, _: kind == BEAM),
+    ]
 
 
 def _named(what: str, layout: Layout, category: str, fits: Callable[[str, list[int]], bool]) -> list[str]:

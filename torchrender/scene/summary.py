@@ -11,6 +11,7 @@ from ..integrators import ParticleTracer, VolumetricPathTracer
 from .derivatives import describe_derivative
 from .moving_edges import moving_caveat
 from .packing import Layout, pack, top_level
+from .sensor import IrradianceMeter
 
 if TYPE_CHECKING:
     from .scene import Scene
@@ -29,11 +30,13 @@ def summarise(scene: Scene) -> str:
         lines.append(f"  integrator: {integrator!r}")
     notes: list[str] = []
     layout = pack(scene, ())
-    outlines = not (isinstance(integrator, (ParticleTracer, VolumetricPathTracer)) or layout.torch_bsdfs)
+    measures = bool(layout.sensors) and isinstance(layout.sensors[0], IrradianceMeter)
+    outlines = not (isinstance(integrator, VolumetricPathTracer) or layout.torch_bsdfs or measures)
+    particles = isinstance(integrator, ParticleTracer)
     rows = []
     for slot in layout.slots:
         tensor = slot.tensor()
-        caveat = moving_caveat(layout, slot.caveat, outlines)
+        caveat = moving_caveat(layout, slot.caveat, outlines, particles)
         derivative, note = describe_derivative(slot.refusal, caveat)
         if note and note not in notes:
             notes.append(note)

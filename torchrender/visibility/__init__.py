@@ -7,5 +7,6 @@ and the autograd functions (boundary.py).
 
 Where an outline crosses a pixel its colour jumps from that of the one side to that of the other. As things move the
 outline sweeps over the film at the rate at which it overtakes the ray that touches it; the derivative gets the jump
-times that rate, integrated along all outlines.
+times that rate, integrated along all outlines. Of light tracing points move otherwise, and other jumps count: what is
+`glued`, see docs/theory/light_tracing.md.
 """

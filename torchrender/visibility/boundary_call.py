@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -26,7 +27,7 @@ class BoundaryCall:
 
     `spp` samples a wanted pixel of outlines that the camera sees, and of others, may be fractions; `moves`
     says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples. `outputs`:
-    it is that of outputs besides radiance.
+    it is that of outputs besides radiance. `glued`: it is that of light paths, whose points move with their surfaces.
     """
 
     call: RenderCall
@@ -34,6 +35,7 @@ class BoundaryCall:
     moves: torch.Tensor
     by_length: bool
     outputs: FirstHitCall | None = None
+    glued: bool = False
 
 
 def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
@@ -71,4 +73,14 @@ def boundary_of(
     if not any(moves) and not lights:
         return None
     usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
-    return BoundaryCall(call, spp or usual, torch.tensor(moves, dtype=torch.bool), spp is None, outputs)
+    glued = outputs is None and call.config["integrator"] == "ptracer"
+    moving = torch.tensor(moves, dtype=torch.bool)
+    return BoundaryCall(of_light(call) if glued else call, spp or usual, moving, spp is None, outputs, glued)
+
+
+def of_light(call: RenderCall) -> RenderCall:
+    """Paths from the camera that find what light paths bring it: light counts beyond the film's edge, too."""
+    y0, x0, height, width = call.config["crop"]
+    margin = max(0, math.ceil(call.film.filter.reach - 0.5))
+    window = (y0 - margin, x0 - margin, height + 2 * margin, width + 2 * margin)
+    return replace(call, config={**call.config, "integrator": "path", "window": window, "glued": True})

@@ -73,11 +73,12 @@ class Outlines:
         self.parts: list[str] = []
         if not len(self.cells):  # no pixel is wanted
             return
-        if boundary.spp[0] > 0 and self.length > 0:
+        moves = bool(boundary.moves.any())
+        if boundary.spp[0] > 0 and self.length > 0 and (moves or not boundary.glued):
             self.parts.append("silhouettes" if outputs is None else "outputs")
         if outputs is None and boundary.spp[1] > 0 and not 0 <= max_depth < 2:
             self.numbers["in_view"] = self._share_in_view()
-            self.parts += ["shadows", "reflections"] if bool(boundary.moves.any()) else ["shadows"]
+            self.parts += ["shadows", "reflections"] if moves else ["shadows"]
 
     def _share_in_view(self) -> float:
         """About which share of the edges that lights find the camera sees, in the wanted pixels: of a few samples.
