@@ -95,10 +95,10 @@ class VolumetricPathTracer(_Paths):
     medium and are otherwise invisible: they let light through, and they do not count as segments.
 
     There are derivatives with respect to media, textures, materials and lights, and to what moves: boundaries of media,
-    places of grids, surfaces, lights and cameras. Those lack the motion of silhouettes, creases and edges of shadows,
-    which `MissingTermWarning` says once; around a light within a medium, whose light falls off like 1 / r^2, they go
-    like 1 / r^3, and their variance has no bound. With ``render(..., correlated=True)`` image and
-    derivative share their samples; no hits are kept.
+    places of grids, surfaces, lights and cameras, with silhouettes and creases that the camera sees. Those lack the
+    motion of edges of shadows, which `MissingTermWarning` says once; around a light within a medium, whose light falls
+    off like 1 / r^2, they go like 1 / r^3, and their variance has no bound. With ``render(..., correlated=True)`` image
+    and derivative share their samples; no hits are kept.
 
     Args:
         max_depth: longest path in segments, whose ends are surfaces and collisions in media; 1 shows emitters and

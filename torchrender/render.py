@@ -237,7 +237,7 @@ def render(
         check_media(scene, packed, tensors, volumetric)
     seen_outlines = visibility and spp_outlines != (0, 0)
     # of radiance that the core knows
-    outlines = seen_outlines and shows_radiance and not (volumetric or packed.torch_bsdfs)
+    outlines = seen_outlines and shows_radiance and not packed.torch_bsdfs
     views: list[dict[str, torch.Tensor]] = []
     chosen: np.ndarray | None = None
     for index, camera in steps(cameras, "views", progress):
@@ -285,6 +285,7 @@ def render(
                 packed,
                 scene.warned,
                 alpha,
+                volumetric,
                 steady=light and film.filter.type == "box",
                 particles=light,
                 outlines=outlined if shows_radiance else seen_outlines and not shown,

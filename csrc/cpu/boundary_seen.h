@@ -99,7 +99,7 @@ private:
             x.s = S(from + (to - from) * double(this->number(k, 0)));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
-            if (!point.valid || (boundary_.glued && (point.front == 0 || is_hidden(x.element)))) continue;
+            if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0)) continue;
             if (!film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
             if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
@@ -130,13 +130,14 @@ private:
     void look_past() {
         PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
         this->trace(queue, rays_.size());
-        if (call_.config.hide_emitters)
-            pass_emitters(scene_, rays_of(queue), this->queries().hits, rays_.size(),
-                          [&] { this->trace(queue, rays_.size()); });
+        if (call_.config.hide_emitters || call_.config.volumetric)
+            pass_through(
+                rays_of(queue), this->queries().hits, rays_.size(), [&](uint32_t shape) { return lets_through(shape); },
+                [&] { this->trace(queue, rays_.size()); });
         this->keep_hits(rays_);
         size_t kept = 0;
         for (size_t k = 0; k < sights_.size(); ++k) {
-            // (rays that have passed an emitter begin further on)
+            // (rays that have passed something begin further on)
             S t[2];
             for (size_t h = 0; h < 2; ++h) {
                 const OutlineRay &ray = rays_[2 * k + h];
@@ -152,12 +153,17 @@ private:
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
     }
 
-    // Whether an element is of a light that the camera does not see.
-    bool is_hidden(int32_t element) const {
+    // Shapes that the camera's rays pass: lights that are hidden, and boundaries of media that do not scatter.
+    bool lets_through(uint32_t shape) const {
+        const bool hidden = call_.config.hide_emitters && scene_.shapes[shape].emitter >= 0;
+        return hidden || (call_.config.volumetric && passes_shadow_rays(scene_, shape));
+    }
+    // Whether an element is of such a shape, and nothing of it is seen.
+    bool is_invisible(int32_t element) const {
         const OutlineSet &set = *boundary_.outlines;
         const uint32_t shape = set.is_edge(size_t(element)) ? uint32_t(set.halves(size_t(element))->shape)
                                                             : uint32_t(set.curve(size_t(element)).shape);
-        return call_.config.hide_emitters && scene_.shapes[shape].emitter >= 0;
+        return lets_through(shape) && (call_.config.hide_emitters || scene_.shapes[shape].emitter < 0);
     }
 
     // The share of g that the end of the ray past an outline has, to whose surface it is glued; 0 at infinity.

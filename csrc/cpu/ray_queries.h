@@ -82,15 +82,14 @@ bool passes_emitter(const SceneView<S> &scene, uint32_t shape) {
     return shape != NoHit && scene.shapes[shape].emitter >= 0;
 }
 
-// Rays pass through the shapes that emit: those that have hit one go on behind it. Calls query() for all rays again
-// until none has (rare; those that did not move hit the same).
-template <class S, class Query>
-void pass_emitters(const SceneView<S> &scene, const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n,
-                   Query &&query) {
+// Rays go on behind the shapes that passes(shape) is true of. Calls query() for all rays again until none has met one
+// (rare; those that did not move hit the same).
+template <class S, class Passes, class Query>
+void pass_through(const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n, Passes &&passes, Query &&query) {
     for (int pass = 0; pass < 256; ++pass) {
         bool again = false;
         for (size_t i = 0; i < n; ++i) {
-            if (!passes_emitter(scene, hits.at.shape[i])) continue;
+            if (hits.at.shape[i] == NoHit || !passes(hits.at.shape[i])) continue;
             const Vec3<S> o = rays.o.get(i), d = rays.d.get(i);
             Vec3<S> p{o.x + d.x * hits.t[i], o.y + d.y * hits.t[i], o.z + d.z * hits.t[i]};
             S behind = offset_amount(p);
@@ -101,6 +100,13 @@ void pass_emitters(const SceneView<S> &scene, const RayColumns<S> &rays, const H
         if (!again) return;
         query();
     }
+}
+
+// ... behind those that emit.
+template <class S, class Query>
+void pass_emitters(const SceneView<S> &scene, const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n,
+                   Query &&query) {
+    pass_through(rays, hits, n, [&](uint32_t shape) { return passes_emitter(scene, shape); }, query);
 }
 
 }  // namespace tr

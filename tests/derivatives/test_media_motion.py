@@ -2,8 +2,8 @@
 
 Against differences of quadratures along lines, against differences of images, forward against reverse mode, and what a
 common shift of everything must leave as it is. Tests of means are Student's over independent seeds, which a right
-renderer fails with probability `media_truth.SIGNIFICANCE` each. None of the scenes has a silhouette or the edge of a
-shadow in view, whose motion these derivatives lack.
+renderer fails with probability `media_truth.SIGNIFICANCE` each. None of the scenes has the edge of a shadow in view,
+whose motion these derivatives lack.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import media_truth as truth
 import numpy as np
 import pytest
 import torch
+import trimesh
 from media_objects import DOUBLE, LIGHTS, ball, colour, random_grid, sky
 from media_truth import assert_mean, cameras, lines, scene
 from moving_differences import direction_of
@@ -185,7 +186,42 @@ def fog() -> tr.Scene:
     return view_of({"fog": air, "room": room, "lamp": lamp(radius=0.3, center=[0.3, 1.2, 1])}, 4, medium=same)
 
 
+def silhouettes(**camera) -> tr.Scene:
+    """What glows and what is black, in and before a cloud that absorbs and glows."""
+    turned = tr.Transform.translate([0.1, 0.2, 0.1]) @ tr.Transform.rotate([1, 2, 1], 40) @ tr.Transform.scale(0.2)
+    black = {"bsdf": {"type": "diffuse", "reflectance": 0.0}}
+    box = trimesh.creation.box((2, 2, 2))  # shared corners
+    glowing = {"emitter": {"type": "area", "radiance": colour([4.0, 3.0, 2.0])}}
+    cloud = {"sigma_t": random_grid(40), "albedo": 0.0, "emission": random_grid(41, high=0.5)}
+    return view_of(
+        {
+            "ball": ball(cloud, "heterogeneous"),
+            "box": {
+                "type": "mesh",
+                "vertices": box.vertices,
+                "faces": box.faces,
+                "to_world": turned,
+                **black,
+                **glowing,
+            },
+            "inside": {"type": "sphere", "center": [-0.3, -0.1, 0.3], "radius": 0.25, **black},
+            "before": {"type": "disk", "to_world": tr.Transform.translate([0.2, -0.3, 1.5]) @ turned, **black},
+            "sky": textured_sky(),
+        },
+        **camera,
+    )
+
+
+def silhouettes_of_a_lens() -> tr.Scene:
+    return silhouettes(type="thinlens", aperture_radius=0.1, focus_distance=4)
+
+
 IMAGES = [
+    (silhouettes, "box.vertex_positions", 256),
+    (silhouettes, "inside.radius", 256),
+    (silhouettes, "before.to_world", 256),
+    (silhouettes, "camera.to_world", 256),
+    (silhouettes_of_a_lens, "inside.center", 256),
     (nested, "ball.radius", 512),
     (nested, "lamp.center", 256),
     (coloured, "spot.to_world", 256),
@@ -203,6 +239,8 @@ def test_images(make, name, spp):
     view = make()
     at = view.get_parameter(name).detach()
     direction = direction_of(name, at)
+    if name.endswith("vertex_positions"):
+        direction = torch.tensor([0.3, -0.6, 0.4], dtype=DOUBLE).expand(at.shape)
     weights = torch.from_numpy(np.random.default_rng(4).uniform(0.5, 1.5, (4, 4, 3)))
     step = 0.03 if at.ndim else 0.03 * float(at)
 
@@ -269,7 +307,7 @@ def test_long_paths(name):
     check_modes(dense(), name)
 
 
-@pytest.mark.parametrize("make", [nested, coloured, over_a_floor, in_glass, through_a_lens, fog, dense])
+@pytest.mark.parametrize("make", [silhouettes, nested, coloured, over_a_floor, in_glass, through_a_lens, fog, dense])
 def test_a_common_shift_changes_nothing(make):
     """Path by path: what one end of a segment gets the other ends and the camera give."""
     view = make()

@@ -91,15 +91,15 @@ How things move: what a ray of the camera, or one that was reflected or refracte
 points on what emits are glued to it, and integrated over area (the material form of Zhang, Miller, Yan, Gkioulekas and
 Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
 and cylinders move with them, in radiance, and what the camera sees in alpha and in the outputs of the first hit.
-`features`, `duv_dx`, `duv_dy`, an `irradiancemeter`, `tr.VolumetricPathTracer` and radiance with a `tr.TorchBSDF` lack
-that, and so does `visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on
-the object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse
-surfaces.
+`features`, `duv_dx`, `duv_dy`, an `irradiancemeter` and radiance with a `tr.TorchBSDF` lack that, and so does
+`visibility=False`; jumps of `uv` along a line of a round shape do not move either. What depends on the object: `to_uv`
+of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete on diffuse surfaces.
 
 `tr.VolumetricPathTracer` has the same derivatives, of media, too, and of what moves media: their boundaries, the places
-of grids, with the border beyond which a grid is empty, lights and cameras in and around them. It lacks the motion of
-silhouettes, creases and shadows, since rays past an outline would have to be followed through media; of jumps of grids
-with nearest voxels; and of the light that a boundary with the BSDF `null` emits itself.
+of grids, with the border beyond which a grid is empty, lights and cameras in and around them. Of moving edges it has
+those that the camera sees, through media, too. It lacks the edges of shadows and those that reflected and scattered
+light meets, whose rays would have to be followed through media both ways; jumps of grids with nearest voxels; and the
+light that a boundary with the BSDF `null` emits itself.
 
 `tr.WavefrontPathTracer` has the derivatives of the path tracer, and by autograd those of everything that a
 `tr.TorchBSDF` computes with.

@@ -29,6 +29,7 @@ class GradientRequirements:
         layout: of the packed scene.
         warned: names that were warned about in this scene before; grows.
         alpha: coverage is among the outputs, which has no derivative where surfaces or the camera move.
+        volumetric: it is an image of the volumetric path tracer.
         steady: the image is splatted by light paths with a filter that has no derivative.
         particles: it is splatted by light paths.
         outlines: whether the motion of silhouettes, creases and shadows is in the derivative; False also of
@@ -39,6 +40,7 @@ class GradientRequirements:
     layout: Layout
     warned: set[str]
     alpha: bool = False
+    volumetric: bool = False
     steady: bool = False
     particles: bool = False
     outlines: bool = False
@@ -95,7 +97,7 @@ class GradientRequirements:
         """What this rendering's derivative lacks, and when that is zero; empty if nothing is to be said."""
         if self.silent and MARK in slot.caveat:
             return ""
-        return moving_caveat(self.layout, slot.caveat, self.outlines, self.particles)
+        return moving_caveat(self.layout, slot.caveat, self.outlines, self.particles, self.volumetric)
 
     def _has_grids(self) -> bool:
         return any(kind == "sdfgrid" for kind, _, _ in self.layout.objects["shape"])

@@ -9,7 +9,8 @@ from .packing import Layout
 
 MARK = "seen in mirrors or through glass"  # in the declarations of what moves things
 ZERO = ": zero where no such edge is in view"
-NONE = f"the motion of silhouettes, creases and edges of shadows{ZERO}"
+NONE = "the motion of silhouettes, creases and edges of shadows"
+UNSEEN = ["of edges of shadows", "of edges that reflected and scattered light meets"]
 JUMPS = "jumps of textures"
 OWN, OTHERS, BORDER = "of its silhouettes", "of silhouettes of curves", "of the image's border"
 SEEN = "of edges that are seen in or through"
@@ -17,7 +18,9 @@ BEAM = "directionalarea"
 WITHOUT_OUTLINES = ("heightfield", "bsplinecurve", "linearcurve", "sdfgrid")
 
 
-def moving_caveat(layout: Layout, caveat: str, outlines: bool, particles: bool = False) -> str:
+def moving_caveat(
+    layout: Layout, caveat: str, outlines: bool, particles: bool = False, volumetric: bool = False
+) -> str:
     """`caveat` with what is there: the missing term, and after a colon when it is zero; empty if the rest is complete.
 
     Args:
@@ -25,23 +28,25 @@ def moving_caveat(layout: Layout, caveat: str, outlines: bool, particles: bool =
         caveat: as it is declared.
         outlines: whether the rendering looks for outlines at all.
         particles: whether it is one of light tracing.
+        volumetric: whether it is one of paths through media.
     """
     if MARK not in caveat:
         return caveat
+    voxels = _named("of jumps of", layout, "volume", _has_nearest) if volumetric else []
     if not outlines:
-        jumps = _named("of jumps of", layout, "volume", _has_nearest) if layout.media else []
-        return ", and ".join([NONE.partition(":")[0], *jumps]) + ZERO
-    missing = [OWN] if OWN in caveat else []
+        return ", and ".join([NONE, *voxels]) + ZERO
+    missing = (UNSEEN if volumetric else []) + ([OWN] if OWN in caveat else [])
     if OTHERS in caveat:
         missing += _named("of silhouettes of", layout, "shape", lambda kind, _: kind in WITHOUT_OUTLINES)
     if BORDER in caveat:
         missing.append(BORDER)
-    slides = _in_light_of(layout) if particles else _named(SEEN, layout, "bsdf", _is_delta)
+    slides = _in_light_of(layout) if particles else _named(SEEN, layout, "bsdf", _blocks if volumetric else _is_delta)
     missing += slides
     # points that light paths find keep their place on the texture, but behind delta lobes and in beams
     if JUMPS in caveat and (slides or not particles):
         missing += _named("of jumps of", layout, "texture", _jumps)
-    return f"the motion {', '.join(missing)}: zero where no such edge is in view" if missing else ""
+    missing += voxels
+    return f"the motion {', '.join(missing)}{ZERO}" if missing else ""
 
 
 def _in_light_of(layout: Layout) -> list[str]:
@@ -61,6 +66,11 @@ def _named(what: str, layout: Layout, category: str, fits: Callable[[str, list[i
 
 def _is_delta(kind: str, _row: list[int]) -> bool:
     return kind in ("null", "mask") or "has_delta_lobes" in models()["bsdf", kind].flags
+
+
+def _blocks(kind: str, row: list[int]) -> bool:
+    """Paths through media go on through what is `null`."""
+    return kind != "null" and _is_delta(kind, row)
 
 
 def _jumps(kind: str, row: list[int]) -> bool:

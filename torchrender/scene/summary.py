@@ -31,12 +31,13 @@ def summarise(scene: Scene) -> str:
     notes: list[str] = []
     layout = pack(scene, ())
     measures = bool(layout.sensors) and isinstance(layout.sensors[0], IrradianceMeter)
-    outlines = not (isinstance(integrator, VolumetricPathTracer) or layout.torch_bsdfs or measures)
+    outlines = not (layout.torch_bsdfs or measures)
+    volumetric = isinstance(integrator, VolumetricPathTracer)
     particles = isinstance(integrator, ParticleTracer)
     rows = []
     for slot in layout.slots:
         tensor = slot.tensor()
-        caveat = moving_caveat(layout, slot.caveat, outlines, particles)
+        caveat = moving_caveat(layout, slot.caveat, outlines, particles, volumetric)
         derivative, note = describe_derivative(slot.refusal, caveat)
         if note and note not in notes:
             notes.append(note)

@@ -73,6 +73,11 @@ def boundary_of(
     if not any(moves) and not lights:
         return None
     usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
+    if call.config.get("volumetric") and outputs is None:  # of those that the camera sees alone
+        if not any(moves):
+            return None
+        usual = usual[0], 0.0
+        spp = spp and (spp[0], 0.0)
     glued = outputs is None and call.config["integrator"] == "ptracer"
     moving = torch.tensor(moves, dtype=torch.bool)
     return BoundaryCall(of_light(call) if glued else call, spp or usual, moving, spp is None, outputs, glued)

@@ -268,12 +268,10 @@ TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>
     Vec3<F> d = lanes(in.d);
     F length = lanes(in.length) - lanes(hits.t);
     auto on = lanes.active && mask<F>(length > F(0));
-    if (c.tape) {
-        write(c.tape->outgoing.inverse_pdf, i, select(on, F(1), F(0)));
-    }
+    if (c.tape) write(c.tape->outgoing.inverse_pdf, i, select(on, F(1), F(0)));
     if (!any(on)) return;
-    Vec3<F> o = offset_origin(si.p, si.ng, d);
-    PathState<F> next{o,
+    const F ahead = offset_along(si.p, si.ng, d);
+    PathState<F> next{lanes(in.o) + d * (lanes(hits.t) + ahead),
                       d,
                       length,
                       lanes(in.from),
@@ -287,7 +285,7 @@ TR_LARGE void pass_boundary(const PathContext<F> &c, const PathQueue<ScalarOf<F>
     uint32_t at = append(out, next, on);
     append_lanes(out, at,
                  PathMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, d, lanes(in.medium), on), lanes(in.depth),
-                               lanes(in.channel), dot(o - si.p, d)},
+                               lanes(in.channel), ahead},
                  on);
 }
 

@@ -24,20 +24,15 @@ TR_LARGE MaskOf<F> cross_boundary(const PathContext<F> &c, const ShadowQueue<Sca
                                   const UIntOf<F> &id, const MaskOf<F> &active) {
     Gathered<F> from(id, active);
     Ray<F> ray{from(shadows.o), from(shadows.d)};
-    F length = from(shadows.length) - t;
     Interaction<F> si = hit_interaction(c, ray, hit, t, active);
-    Vec3<F> o = offset_origin(si.p, si.ng, ray.d), d = ray.d;
-    // towards the sampled point from where the ray goes on: beside it the light's own edge may be in the way
-    auto near = active && mask<F>(length < F(ScalarOf<F>(1e30))) && mask<F>(length > F(0));
-    Direction<F> to_light(si.p + d * select(near, length, F(1)) - o);
-    d = select(near, to_light.d, d);
-    length = select(near, to_light.length, length);
-    IntOf<F> medium = medium_behind(c.scene, si.at.shape, si.ng, d, from(shadows.medium), active);
+    // straight on: beside this line the light's own edge may be in the way
+    F ahead = offset_along(si.p, si.ng, ray.d), length = from(shadows.length) - t - ahead;
+    Vec3<F> o = ray.o + ray.d * (t + ahead);
+    IntOf<F> medium = medium_behind(c.scene, si.at.shape, si.ng, ray.d, from(shadows.medium), active);
     auto put = [&](auto *column, const auto &value) { scatter_lanes<F>(column, id, value, active); };
     put(shadows.o.x, o.x), put(shadows.o.y, o.y), put(shadows.o.z, o.z);
-    put(shadows.d.x, d.x), put(shadows.d.y, d.y), put(shadows.d.z, d.z);
     put(shadows.length.at, length);
-    put(shadows.ray_offset.at, dot(o - si.p, d));
+    put(shadows.ray_offset.at, ahead);
     put(shadows.medium.at, medium);
     Spectrum<F> through = from(at.transmittance);
     MaskOf<F> lit(false);

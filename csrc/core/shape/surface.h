@@ -191,6 +191,11 @@ template <class F>
 TR_INLINE Vec3<F> offset_origin(const Vec3<F> &p, const Vec3<F> &ng, const Vec3<F> &d) {
     return p + ng * mulsign(offset_amount(p), dot(ng, d));
 }
+// ... of a ray that goes straight on through the surface: it stays on its line.
+template <class F>
+TR_INLINE F offset_along(const Vec3<F> &p, const Vec3<F> &ng, const Vec3<F> &d) {
+    return offset_amount(p) / max(abs(dot(ng, d)), F(0.0625));
+}
 constexpr double ShadowEpsilon = 8.9406967e-4;  // shadow rays stop this fraction short of the light
 
 template <class F>
