@@ -114,21 +114,35 @@ inline void declare_scene(py::module_ &m) {
              [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
                 uintptr_t moves, SceneOutlines &outlines) {
                  const Config c = read_config(config);
-                 py::gil_scoped_release release;
-                 return self.find_outlines(c, values(params, dirty), moves, outlines);
-             })
-        .def("boundary",
-             [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
-                const std::string &part, const Arrays &arrays, const std::map<std::string, double> &numbers,
-                const Arrays &outputs, const SceneOutlines &outlines, const Addresses &slots, bool forward) {
-                 const Config c = read_config(config);
-                 RenderStats stats;
+                 bool found;
                  {
                      py::gil_scoped_release release;
-                     const BoundaryRequest request{part, arrays, numbers, outputs};
-                     stats = self.boundary(c, values(params, dirty), request, outlines, slots, forward);
+                     found = self.find_outlines(c, values(params, dirty), moves, outlines);
                  }
-                 return to_dict(stats);
+                 if (!found) throw py::error_already_set();
+                 return outlines.pieces.total();  // the length in pixels of those that the camera sees
+             })
+        .def("boundary",
+             // requests: lists of configurations, parts and numbers
+             [](NativeScene &self, const py::tuple &requests, const Addresses &params, const std::vector<bool> &dirty,
+                const Arrays &arrays, const Arrays &outputs, const SceneOutlines &outlines, const Addresses &slots,
+                bool forward) {
+                 std::vector<Config> configs;
+                 for (const py::handle &config : requests[0])
+                     configs.push_back(read_config(py::reinterpret_borrow<py::dict>(config)));
+                 const auto parts = requests[1].cast<std::vector<std::string>>();
+                 const auto numbers = requests[2].cast<std::vector<std::map<std::string, double>>>();
+                 std::vector<BoundaryRequest> read;
+                 for (size_t i = 0; i < configs.size(); ++i)
+                     read.push_back({parts.at(i), arrays, numbers.at(i), outputs});
+                 std::vector<RenderStats> stats;
+                 {
+                     py::gil_scoped_release release;
+                     stats = self.boundary(configs, values(params, dirty), read, outlines, slots, forward);
+                 }
+                 py::list found;
+                 for (const RenderStats &each : stats) found.append(to_dict(each));
+                 return found;
              })
         .def("render_aov", rendering(&NativeScene::aov))
         .def("aov_vjp", rendering(&NativeScene::aov_reverse))

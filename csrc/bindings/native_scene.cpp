@@ -117,48 +117,40 @@ public:
         return forward_aov<S>(call(c), outputs(c, out), d.call);
     }
 
-    double find_outlines(const Config &c, const ParameterValues &values, uintptr_t moves,
-                         SceneOutlines &outlines) override {
+    bool find_outlines(const Config &c, const ParameterValues &values, uintptr_t moves,
+                       SceneOutlines &outlines) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
-        outlines.pieces =
-            tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), outlines.set, c.glued);
-        return outlines.pieces.total();
+        return tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), c.glued,
+                                    data_.geometry_version(), outlines.set, outlines.pieces);
     }
 
-    RenderStats boundary(const Config &c, const ParameterValues &values, const BoundaryRequest &given,
-                         const SceneOutlines &outlines, const Addresses &slots, bool forward) override {
+    std::vector<RenderStats> boundary(const std::vector<Config> &configs, const ParameterValues &values,
+                                      const std::vector<BoundaryRequest> &requests, const SceneOutlines &outlines,
+                                      const Addresses &slots, bool forward) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
-        constexpr const char *parts[] = {"silhouettes", "outputs", "reflections", "shadows", "pilot"};
-        const auto *part = std::find(std::begin(parts), std::end(parts), given.part);
-        if (part == std::end(parts)) throw std::invalid_argument("boundary: unknown: " + given.part);
-        auto number = [&](const char *name) { return given.numbers.at(name); };
-        auto reals = [&](const char *name) {
-            return reinterpret_cast<double *>(given.arrays.count(name) ? given.arrays.at(name) : 0);
-        };
-        const RenderCall<S> whole = call(c);
-        BoundaryCall<S> b{};
-        b.part = BoundaryPart(part - parts);
-        const AovOutput<S> seen = outputs(c, given.outputs);
-        const AovLayout layout = layout_of(seen, channels_);
-        const bool of_outputs = b.part == BoundaryPart::Outputs;
-        b.layout = &layout, b.channels = (of_outputs ? layout.n : channels_) + 1;
-        b.filter = of_outputs ? filter_of(seen, whole.filter) : whole.filter;
-        b.outlines = &outlines.set, b.pieces = &outlines.pieces;
-        b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
-        b.offset = number("offset"), b.samples = number("samples");
-        b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
-        b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
-        b.near = number("near"), b.in_view = number("in_view");
-        b.glued = c.glued;
-        b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
+        data_.update(read_only<S>(values.addresses), values.dirty, false);  // find_outlines has looked
+        if (configs.empty()) return {};
+        std::vector<RenderCall<S>> calls;
+        std::vector<BoundaryCall<S>> boundaries;
+        std::vector<AovLayout> layouts;  // to which the calls refer
+        layouts.reserve(requests.size());
+        for (size_t i = 0; i < requests.size(); ++i) {
+            calls.push_back(call(configs[i]));
+            boundaries.push_back(boundary_call(configs[i], requests[i], outlines, calls[i], layouts));
+        }
+        const Config &c = configs[0];
         if (forward) {
             ForwardCall<S> d(data_, c.path, c.light, slots);
-            return boundary_forward<S>(whole, b, d.call);
+            std::vector<RenderStats> stats;
+            for (size_t i = 0; i < calls.size(); ++i) {
+                stats.push_back(boundary_forward<S>(calls[i], boundaries[i], d.call));
+                if (stats.back().interrupted) break;
+            }
+            return stats;
         }
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
-        RenderStats stats = boundary_reverse<S>(whole, b, d);
+        std::vector<RenderStats> stats = boundary_reverse<S>(calls, boundaries, d);
         add_gradients(data_, d, slots);
         return stats;
     }
@@ -328,6 +320,33 @@ private:
         for (size_t i = 0; i < out.attributes.size() && i < c.attributes.size(); ++i)
             out.attributes[i] = c.attributes[i];
         return out;
+    }
+
+    BoundaryCall<S> boundary_call(const Config &c, const BoundaryRequest &given, const SceneOutlines &outlines,
+                                  const RenderCall<S> &call, std::vector<AovLayout> &layouts) {
+        constexpr const char *parts[] = {"silhouettes", "outputs", "reflections", "shadows", "pilot"};
+        const auto *part = std::find(std::begin(parts), std::end(parts), given.part);
+        if (part == std::end(parts)) throw std::invalid_argument("boundary: unknown: " + given.part);
+        auto number = [&](const char *name) { return given.numbers.at(name); };
+        auto reals = [&](const char *name) {
+            return reinterpret_cast<double *>(given.arrays.count(name) ? given.arrays.at(name) : 0);
+        };
+        BoundaryCall<S> b{};
+        b.part = BoundaryPart(part - parts);
+        const AovOutput<S> seen = outputs(c, given.outputs);
+        const AovLayout &layout = layouts.emplace_back(layout_of(seen, channels_));
+        const bool of_outputs = b.part == BoundaryPart::Outputs;
+        b.layout = &layout, b.channels = (of_outputs ? layout.n : channels_) + 1;
+        b.filter = of_outputs ? filter_of(seen, call.filter) : call.filter;
+        b.outlines = &outlines.set, b.pieces = &outlines.pieces;
+        b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
+        b.offset = number("offset"), b.samples = number("samples");
+        b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
+        b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
+        b.near = number("near"), b.in_view = number("in_view");
+        b.glued = c.glued;
+        b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
+        return b;
     }
 
     // Of a probe's arrays those that go by the number of a slot.

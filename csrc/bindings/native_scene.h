@@ -51,11 +51,13 @@ public:
     virtual RenderStats aov_forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                     const Arrays &out) = 0;
 
-    // Brings outlines up to date, see OutlineSet::update; the length in pixels of those that the camera sees.
-    virtual double find_outlines(const Config &, const ParameterValues &, uintptr_t moves, SceneOutlines &) = 0;
+    // Brings outlines up to date, see OutlineSet::update; false if that was interrupted.
+    virtual bool find_outlines(const Config &, const ParameterValues &, uintptr_t moves, SceneOutlines &) = 0;
     // The derivative of their motion: added to the gradients or, `forward`, along tangents.
-    virtual RenderStats boundary(const Config &, const ParameterValues &, const BoundaryRequest &,
-                                 const SceneOutlines &, const Addresses &slots, bool forward) = 0;
+    // Of several samples of parts at once, with a configuration each.
+    virtual std::vector<RenderStats> boundary(const std::vector<Config> &, const ParameterValues &,
+                                              const std::vector<BoundaryRequest> &, const SceneOutlines &,
+                                              const Addresses &slots, bool forward) = 0;
 
     // Rays: origins and directions (n, 3) and lengths (n,).
     virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,

@@ -41,12 +41,17 @@ struct BoundaryCall {
     double *place, *value;
 };
 
-// Brings outlines up to date, see OutlineSet::update; returns pieces of those that the camera sees; `glued`: for such
-// samples.
+// Brings outlines up to date, see OutlineSet::update, and finds pieces of those that the camera sees, `glued`: for such
+// samples; false if that was interrupted.
 template <class S>
-OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, bool glued);
+bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, uint64_t version, OutlineSet &outlines,
+                   OutlinePieces &pieces);
+// Of several calls, which add up what they find together, so that the gradients of a large mesh are made once. It ends
+// with one that is interrupted.
 template <class S>
-RenderStats boundary_reverse(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
+std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &calls,
+                                          const std::vector<BoundaryCall<S>> &boundaries,
+                                          DerivativeCall<S> &derivative);
 template <class S>
 RenderStats boundary_forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
 

@@ -161,7 +161,7 @@ private:
     // Whether an element is of such a shape, and nothing of it is seen.
     bool is_invisible(int32_t element) const {
         const OutlineSet &set = *boundary_.outlines;
-        const uint32_t shape = set.is_edge(size_t(element)) ? uint32_t(set.halves(size_t(element))->shape)
+        const uint32_t shape = set.is_edge(size_t(element)) ? set.shape_of(set.half(scene_, size_t(element), 0))
                                                             : uint32_t(set.curve(size_t(element)).shape);
         return lets_through(shape) && (call_.config.hide_emitters || scene_.shapes[shape].emitter < 0);
     }

@@ -54,13 +54,16 @@ public:
         const OutlineTree &tree = set_.tree();
         std::vector<std::vector<OutlinePiece>> found(size_t(std::max(1, call_.threads)));
         std::vector<std::vector<double>> lengths(found.size());
-        for_ranges(tree.size(), call_.threads, [&](size_t begin, size_t end, int range) {
-            for (size_t i = begin; i < end; ++i) {
-                const OutlineElement e = tree.get(i);
-                const float weight = candidate(e);
-                if (weight > 0) cut(e.index, weight, found[size_t(range)], lengths[size_t(range)]);
-            }
-        });
+        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)};
+        auto visit = [&](size_t begin, size_t end, int range) {
+            for (size_t leaf = begin; leaf < end; ++leaf)
+                tree.for_outlines(leaf, o, parallel_, float(lens_), glued_, [&](int32_t i) {
+                    const float weight = candidate(set_.element(*call_.scene, size_t(i)), o);
+                    if (weight > 0) cut(i, weight, found[size_t(range)], lengths[size_t(range)]);
+                });
+        };
+        constexpr size_t few = 256;
+        for_ranges(tree.n_leaves(), call_.threads, visit, few);
         OutlinePieces r;
         double sum = 0;
         for (size_t k = 0; k < found.size(); ++k) {
@@ -82,11 +85,11 @@ private:
     std::vector<uint32_t> near_;  // with a list of pixels: how many of it are above and to the left, in the crop
 
     // Whether an element that moves can be an outline or a crease from the camera: a weight.
-    float candidate(const OutlineElement &e) const {
+    float candidate(const OutlineElement &e, const Vec3<float> &o) const {
         if (!(e.moves || glued_) || !(e.weight > 0)) return 0;
         const float weight = e.moves ? 1.f : 0.25f;
         if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return weight;
-        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)}, d = parallel_ ? o : e.a - o;
+        const Vec3<float> d = parallel_ ? o : e.a - o;
         const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
         const float margin = float(lens_) + 1e-5f * std::sqrt(dot(d, d));
         const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);

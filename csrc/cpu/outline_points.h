@@ -35,7 +35,7 @@ public:
     // Its place alone.
     V place(int32_t element, S s, const V &origin, bool parallel) const {
         if (!set_.is_edge(size_t(element))) return curve_point(set_.curve(size_t(element)), s, origin, parallel).p;
-        const HalfEdge &h = *set_.halves(size_t(element));
+        const HalfEdge h = set_.half(scene_, size_t(element), 0);
         const V a = position(h.v0);
         return a + (position(h.v1) - a) * s;
     }
@@ -48,11 +48,12 @@ public:
             const uint32_t shape = uint32_t(set_.curve(size_t(element)).shape);
             return matrix(shape, transform_point(scene_.shape_matrices + 24 * shape + 12, p));
         }
-        const HalfEdge *h = set_.halves(size_t(element));
         const size_t n = set_.count(size_t(element));
         for (size_t k = 0; k < n; ++k) {  // copies of a vertex share its motion
-            vertex(uint32_t(h[k].shape), h[k].v0, (S(1) - s) / S(n));
-            vertex(uint32_t(h[k].shape), h[k].v1, s / S(n));
+            const HalfEdge h = set_.half(scene_, size_t(element), k);
+            const uint32_t shape = set_.shape_of(h);
+            vertex(shape, h.v0, (S(1) - s) / S(n));
+            vertex(shape, h.v1, s / S(n));
         }
     }
 
@@ -67,41 +68,43 @@ private:
     static S sign(S x) { return S(x > 0) - S(x < 0); }
 
     OutlinePoint<S> edge_point(size_t edge, S s, const V &origin, bool parallel) const {
-        const HalfEdge *h = set_.halves(edge);
         const size_t n = set_.count(edge);
-        const V a = position(h->v0), b = position(h->v1);
+        const HalfEdge first = set_.half(scene_, edge, 0);
+        const V a = position(first.v0), b = position(first.v1);
         OutlinePoint<S> r;
         r.along = b - a, r.p = a + r.along * s;
         const V towards = parallel ? origin : r.p - origin, across = cross(towards, r.along);
         const S length = std::sqrt(dot(across, across)), inverse = 1 / std::max(length, S(1e-30));
         bool right = false, left = false;
         for (size_t k = 0; k < n; ++k) {
-            const S side = dot(position(h[k].third) - a, across);
+            const V third = position(set_.half(scene_, edge, k).third);
+            const S side = dot(third - a, across);
             right |= side > 0, left |= side < 0;
             r.room = std::min(r.room, std::abs(side) * inverse);
-            r.reach = std::max(r.reach, max_abs(position(h[k].third) - r.p));
+            r.reach = std::max(r.reach, max_abs(third - r.p));
         }
         r.reach = std::max({r.reach, max_abs(a - r.p), max_abs(b - r.p)});
-        const bool flat = !(scene_.shapes[h->shape].flags & HasNormals), both = right && left;
+        const bool flat = !(scene_.shapes[set_.shape_of(first)].flags & HasNormals), both = right && left;
         r.valid = !both || set_.is_split(edge) || flat;
         r.front = both ? S(0) : S(right) - S(left);
-        if (r.front != 0) r.rim = rim(h, n, s, towards, a, across, inverse);
+        if (r.front != 0) r.rim = rim(edge, s, towards, a, across, inverse);
         return r;
     }
 
     // How far across rays, on faces that are seen, interpolated normals look away from where these come from. There a
     // surface is black although it is seen. That ends at a line on the face, which moves about like the edge, and what
     // is beyond is what the edge's motion uncovers.
-    S rim(const HalfEdge *first, size_t n, S s, const V &towards, const V &a, const V &across, S inverse) const {
-        for (const HalfEdge *h = first; h < first + n; ++h) {
-            const V out = cross(position(h->v1) - a, position(h->third) - a);
-            if (!(dot(out, towards) * (h->turned ? S(-1) : S(1)) < 0)) continue;
-            if (!(scene_.shapes[h->shape].flags & HasNormals)) return 0;
-            const S at_edge = dot(normal(h->v0) * (S(1) - s) + normal(h->v1) * s, towards);
+    S rim(size_t edge, S s, const V &towards, const V &a, const V &across, S inverse) const {
+        for (size_t k = 0; k < set_.count(edge); ++k) {
+            const HalfEdge h = set_.half(scene_, edge, k);
+            const V out = cross(position(h.v1) - a, position(h.third) - a);
+            if (!(dot(out, towards) * (h.turned ? S(-1) : S(1)) < 0)) continue;
+            if (!(scene_.shapes[set_.shape_of(h)].flags & HasNormals)) return 0;
+            const S at_edge = dot(normal(h.v0) * (S(1) - s) + normal(h.v1) * s, towards);
             if (!(at_edge > 0)) return 0;
-            const S inside = std::min(dot(normal(h->third), towards), S(0));
+            const S inside = std::min(dot(normal(h.third), towards), S(0));
             const S share = std::min(at_edge / std::max(at_edge - inside, S(1e-30)), S(1));
-            return share * std::abs(dot(position(h->third) - a, across)) * inverse;
+            return share * std::abs(dot(position(h.third) - a, across)) * inverse;
         }
         return 0;
     }

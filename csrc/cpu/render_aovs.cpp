@@ -165,7 +165,6 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
     RenderStats stats;
     {
         Stopwatch watch(stats.seconds);
-        derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
         TileSchedule schedule = make_schedule(call);
         const Filter filter = filter_of(out, call.filter);
         const AovLayout layout = layout_of(out, call.values);

@@ -26,8 +26,8 @@ RenderStats run_boundary(const RenderCall<S> &call, const BoundaryCall<S> &bound
 }
 
 template <class Tile, class F, class S = ScalarOf<F>>
-RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, DerivativeCall<S> &derivative) {
-    derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
+RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, const DerivativeCall<S> &derivative,
+                    std::vector<GradientBuffers<S>> &locals) {
     FilmBlock film;
     film.reset(call.crop, given.channels);
     const double *from = given.adjoint;
@@ -36,18 +36,15 @@ RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, Der
             std::copy_n(from, film.values, film.at(y, x));
     BoundaryCall<S> boundary = given;
     boundary.film = &film;
-    std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
     auto make = [&](int thread) {
         locals[size_t(thread)].allocate(derivative, thread);
         return std::make_unique<Tile>(call, boundary, derivative);
     };
-    RenderStats stats =
-        run_boundary<Tile>(call, boundary, make, [&](Tile &tile, uint64_t first, uint32_t n, int thread, auto &&stop) {
-            GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
-            tile.run(first, n, sink, stop);
-        });
-    add_buffers(locals, derivative);
-    return stats;
+    return run_boundary<Tile>(call, boundary, make,
+                              [&](Tile &tile, uint64_t first, uint32_t n, int thread, auto &&stop) {
+                                  GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
+                                  tile.run(first, n, sink, stop);
+                              });
 }
 
 template <class Tile, class F, class S = ScalarOf<F>>
@@ -81,21 +78,39 @@ struct LightPathCall {
 }  // namespace
 
 template <class S>
-OutlinePieces find_outlines(const RenderCall<S> &call, const uint8_t *moves, OutlineSet &outlines, bool glued) {
-    outlines.update(*call.scene, moves, call.threads);
-    return OutlineCutter<S>(call, outlines, glued).cut();
+bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, uint64_t version, OutlineSet &outlines,
+                   OutlinePieces &pieces) {
+    auto interrupted = [&] { return call.interrupted && call.interrupted(0); };
+    pieces = {};
+    if (!outlines.update(*call.scene, moves, version, call.threads, interrupted)) return false;
+    pieces = OutlineCutter<S>(call, outlines, glued).cut();
+    return true;
 }
 template <class S>
-RenderStats boundary_reverse(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
-                             DerivativeCall<S> &derivative) {
+std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &calls,
+                                          const std::vector<BoundaryCall<S>> &boundaries,
+                                          DerivativeCall<S> &derivative) {
     using F = PacketOf<S>;
-    const LightPathCall<S> light(given, boundary.glued);
-    const RenderCall<S> &call = light.call;
     derivative.needs.geometry = true;  // paths keep where they arrived although lights alone may move
-    if (boundary.part == BoundaryPart::Silhouettes) return reverse<SilhouetteTile<F>, F>(call, boundary, derivative);
-    if (boundary.part == BoundaryPart::Outputs) return reverse<OutputTile<F>, F>(call, boundary, derivative);
-    if (boundary.part == BoundaryPart::Reflections) return reverse<ReflectionTile<F>, F>(call, boundary, derivative);
-    return reverse<ShadowTile<F>, F>(call, boundary, derivative);
+    int threads = 1;
+    for (const RenderCall<S> &call : calls) threads = std::max(threads, call.threads);
+    std::vector<GradientBuffers<S>> sums{size_t(threads)};
+    auto reverse_one = [&](const RenderCall<S> &given, const BoundaryCall<S> &boundary) {
+        const LightPathCall<S> light(given, boundary.glued);
+        const RenderCall<S> &call = light.call;
+        const BoundaryPart part = boundary.part;
+        if (part == BoundaryPart::Silhouettes) return reverse<SilhouetteTile<F>, F>(call, boundary, derivative, sums);
+        if (part == BoundaryPart::Outputs) return reverse<OutputTile<F>, F>(call, boundary, derivative, sums);
+        if (part == BoundaryPart::Reflections) return reverse<ReflectionTile<F>, F>(call, boundary, derivative, sums);
+        return reverse<ShadowTile<F>, F>(call, boundary, derivative, sums);
+    };
+    std::vector<RenderStats> stats;
+    for (size_t i = 0; i < calls.size(); ++i) {
+        stats.push_back(reverse_one(calls[i], boundaries[i]));
+        if (stats.back().interrupted) return stats;
+    }
+    add_buffers(sums, derivative);
+    return stats;
 }
 template <class S>
 RenderStats boundary_forward(const RenderCall<S> &given, const BoundaryCall<S> &boundary,
@@ -110,9 +125,11 @@ RenderStats boundary_forward(const RenderCall<S> &given, const BoundaryCall<S> &
     return forward<ShadowTile<F>, F>(call, boundary, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                                       \
-    template OutlinePieces find_outlines(const RenderCall<S> &, const uint8_t *, OutlineSet &, bool);           \
-    template RenderStats boundary_reverse(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &); \
+#define TR_INSTANTIATE(S)                                                                                          \
+    template bool find_outlines(const RenderCall<S> &, const uint8_t *, bool, uint64_t, OutlineSet &,              \
+                                OutlinePieces &);                                                                  \
+    template std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &,                         \
+                                                       const std::vector<BoundaryCall<S>> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

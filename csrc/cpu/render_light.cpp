@@ -248,7 +248,6 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     RenderStats stats;
     {
         Stopwatch watch(stats.seconds);
-        derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
         TileSchedule schedule = schedule_of_light(call);
         const size_t capacity = 512;
         AdjointFilm adjoint(call.crop);

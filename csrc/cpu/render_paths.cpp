@@ -92,7 +92,6 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     RenderStats stats;
     {
         Stopwatch watch(stats.seconds);
-        derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
         TileSchedule schedule = make_schedule(call);
         const int values = call.values;
         if (derivative.adaptive) allocate(schedule, call.filter, derivative.adjoint, values);

@@ -324,11 +324,19 @@ private:
     std::vector<Zeros<S>> memory_;
 };
 
-// Adds what the threads have summed up, in their order.
+// Adds what the threads have summed up, in their order. The sums of the first one become those of all.
 template <class S>
-void add_buffers(const std::vector<GradientBuffers<S>> &buffers, DerivativeCall<S> &derivative) {
-    for (const GradientBuffers<S> &buffer : buffers)
-        if (!buffer.pointers.empty()) derivative.sums.add(buffer.sums);  // a thread may never have started
+void add_buffers(std::vector<GradientBuffers<S>> &buffers, DerivativeCall<S> &derivative) {
+    bool first = true;
+    for (GradientBuffers<S> &buffer : buffers) {
+        if (buffer.pointers.empty()) continue;  // a thread may never have started
+        if (first)
+            derivative.sums = std::move(buffer.sums);
+        else
+            derivative.sums.add(buffer.sums);
+        first = false;
+    }
+    if (first) derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);
     struct Part {
         size_t tensor, begin, end;
     };

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstring>
+#include <stdexcept>
 
 #include "morton_order.h"
 #include "parallel.h"
@@ -12,6 +13,8 @@ namespace tr {
 namespace {
 
 constexpr float Hollow = 0.1f;  // weight of edges that can be seen from behind only
+// Scenes of more edges than this have them rounded, in the order of their vertices, of which there are fewer.
+constexpr size_t ManyEdges = size_t(1) << 16;
 
 using V = Vec3<float>;
 
@@ -38,6 +41,11 @@ bool has_area(const SceneView<S> &scene, const uint32_t *face) {
     return max_abs(cross(p[1] - p[0], p[2] - p[0])) > 0;
 }
 
+constexpr size_t FewLeaves = 256;  // for a thread
+
+// Of a curve.
+Extent extent_of(const OutlineElement &e) { return {{e.a.x, e.a.y, e.a.z}, 2 * e.b.x}; }
+
 // The largest factor by which the matrix of these columns stretches, by the power method.
 float stretch(const V &x, const V &y, const V &z) {
     V v{0.6f, 0.5f, 0.7f};
@@ -48,14 +56,15 @@ float stretch(const V &x, const V &y, const V &z) {
     return norm(x * v.x + y * v.y + z * v.z);
 }
 
-// For each vertex of meshes the first one that is in the same place.
+// For each vertex of meshes, those of which are `known`, the first one that is in the same place.
 template <class S>
-std::vector<uint32_t> weld(const SceneView<S> &scene, const std::vector<uint32_t> &vertices, size_t n) {
+std::vector<uint32_t> weld(const SceneView<S> &scene, const std::vector<uint8_t> &known) {
     constexpr uint32_t empty = 0xFFFFFFFFu;
     size_t size = 16;
-    while (size < 2 * vertices.size()) size *= 2;
-    std::vector<uint32_t> table(size, empty), first(n, empty);
-    for (uint32_t v : vertices) {
+    while (size < 2 * known.size()) size *= 2;
+    std::vector<uint32_t> table(size, empty), first(known.size(), empty);
+    for (uint32_t v = 0; v < known.size(); ++v) {
+        if (!known[v]) continue;
         const S *p = scene.vertices + VertexRow<S>::Size * size_t(v);
         uint64_t hash = 0;
         for (size_t k = 0; k < 3; ++k) {
@@ -76,74 +85,100 @@ std::vector<uint32_t> weld(const SceneView<S> &scene, const std::vector<uint32_t
     return first;
 }
 
+// In order, and those that are equal in theirs. Few are sorted where they are.
+template <class It, class Less>
+void sort_few(It begin, It end, Less &&less) {
+    if (end - begin > 32) return std::stable_sort(begin, end, less);
+    for (It i = begin; i != end; ++i)
+        for (It k = i; k != begin && less(*k, *(k - 1)); --k) std::swap(*k, *(k - 1));
+}
+
 }  // namespace
 
 // Half edges go by the smaller of their welded ends, and there by the larger one.
 template <class S>
-void OutlineSet::find(const SceneView<S> &scene) {
-    struct Found {
-        uint32_t high;
-        HalfEdge half;
-    };
-    std::vector<uint32_t> vertices;
-    std::vector<uint8_t> known;
+bool OutlineSet::find(const SceneView<S> &scene, const std::function<bool()> &interrupted) {
+    constexpr size_t patience = size_t(1) << 18;  // a few milliseconds
+    size_t work = 0;
+    auto stop = [&] { return interrupted && ++work % patience == 0 && interrupted(); };
+    meshes_.clear();
+    size_t n_faces = 0;
+    for (int32_t s = 0; s < scene.n_shapes; ++s) {
+        const ShapeInfo &info = scene.shapes[s];
+        if ((info.flags & IsCurved) || info.n_faces == 0) continue;
+        meshes_.push_back({uint32_t(info.face_offset), uint32_t(s)});
+        n_faces = std::max(n_faces, size_t(info.face_offset) + size_t(info.n_faces));
+    }
+    std::sort(meshes_.begin(), meshes_.end(), [](const Mesh &a, const Mesh &b) { return a.face < b.face; });
+    if (3 * n_faces >= Flag) throw std::length_error("outlines: more than 715 million triangles");
+    // Calls visit(face, its indices); false if it was interrupted.
     auto each_face = [&](auto &&visit) {
         for (int32_t s = 0; s < scene.n_shapes; ++s) {
             const ShapeInfo &info = scene.shapes[s];
             if (info.flags & IsCurved) continue;
-            for (int32_t f = 0; f < info.n_faces; ++f)
-                visit(uint32_t(s), scene.faces + 3 * size_t(info.face_offset + f));
+            for (uint32_t f = uint32_t(info.face_offset), end = f + uint32_t(info.n_faces); f < end; ++f) {
+                if (stop()) return false;
+                visit(f, scene.faces + 3 * size_t(f));
+            }
         }
+        return true;
     };
+    std::vector<uint8_t> known, flat(n_faces);
     flat_.clear();
-    each_face([&](uint32_t, const uint32_t *face) {
-        if (!has_area(scene, face)) flat_.push_back(uint32_t((face - scene.faces) / 3));
+    bool whole = each_face([&](uint32_t f, const uint32_t *face) {
+        if (!has_area(scene, face)) flat_.push_back(f), flat[f] = 1;
         for (size_t k = 0; k < 3; ++k) {
             if (face[k] >= known.size()) known.resize(size_t(face[k]) + 1 + known.size() / 2);
-            if (!known[face[k]]) known[face[k]] = 1, vertices.push_back(face[k]);
+            known[face[k]] = 1;
         }
     });
-    std::sort(vertices.begin(), vertices.end());
-    const size_t n = vertices.empty() ? 0 : size_t(vertices.back()) + 1;
-    const std::vector<uint32_t> first = weld(scene, vertices, n);
+    if (!whole) return false;
+    size_t n = known.size();
+    while (n > 0 && !known[n - 1]) --n;
+    known.resize(n);
+    const std::vector<uint32_t> first = weld(scene, known);
+    if (interrupted && interrupted()) return false;
     copies_.clear();
-    for (uint32_t v : vertices)
-        if (first[v] != v) copies_.push_back(v), copies_.push_back(first[v]);
+    for (uint32_t v = 0; v < n; ++v)
+        if (known[v] && first[v] != v) copies_.push_back(v), copies_.push_back(first[v]);
     // faces without an area have no part in it
+    struct Found {
+        uint32_t high, corner;
+    };
     auto each_half = [&](auto &&visit) {
-        each_face([&](uint32_t shape, const uint32_t *face) {
-            if (!has_area(scene, face)) return;
-            for (size_t k = 0; k < 3; ++k) {
-                const uint32_t v0 = face[k], v1 = face[(k + 1) % 3], third = face[(k + 2) % 3];
-                const bool turned = first[v0] > first[v1];
-                const uint32_t low = turned ? v1 : v0, high = turned ? v0 : v1;
-                visit(first[low], Found{first[high], {low, high, third, shape & 0x7FFFFFFFu, turned}});
+        return each_face([&](uint32_t f, const uint32_t *face) {
+            for (uint32_t k = 0; k < 3 && !flat[f]; ++k) {
+                const uint32_t from = first[face[k]], to = first[face[(k + 1) % 3]];
+                visit(std::min(from, to), Found{std::max(from, to), (3 * f + k) | (from > to ? Flag : 0)});
             }
         });
     };
     std::vector<uint32_t> bucket(n + 1);
-    each_half([&](uint32_t low, const Found &) { ++bucket[low + 1]; });
+    if (!each_half([&](uint32_t low, const Found &) { ++bucket[low + 1]; })) return false;
     for (size_t v = 0; v < n; ++v) bucket[v + 1] += bucket[v];
     std::vector<Found> all(n ? bucket[n] : 0);
-    std::vector<uint32_t> next(bucket.begin(), bucket.end());
-    each_half([&](uint32_t low, const Found &found) { all[next[low]++] = found; });
-    halves_.clear(), split_.clear(), begin_.assign(1, 0);
-    halves_.reserve(all.size());
-    for (size_t v = 0; v < n; ++v) {
-        std::stable_sort(all.begin() + bucket[v], all.begin() + bucket[v + 1],
-                         [](const Found &a, const Found &b) { return a.high < b.high; });
-        for (uint32_t i = bucket[v]; i < bucket[v + 1]; ++i) {
-            const HalfEdge &half = all[i].half;
-            if (i > bucket[v] && all[i].high == all[i - 1].high) {
-                const HalfEdge &before = halves_[begin_[begin_.size() - 2]];
-                split_.back() |= half.v0 != before.v0 || half.v1 != before.v1 || half.shape != before.shape;
-                ++begin_.back();
-            } else {
-                begin_.push_back(begin_.back() + 1), split_.push_back(0);
-            }
-            halves_.push_back(half);
+    if (!each_half([&](uint32_t low, const Found &found) { all[bucket[low]++] = found; })) return false;
+    corners_.clear(), begin_.clear(), groups_.clear();
+    corners_.reserve(all.size());
+    for (size_t v = 0, i = 0; v < n; ++v) {
+        if (stop()) return false;
+        auto begin = all.begin() + ptrdiff_t(i), end = all.begin() + bucket[v];  // now where the next one's begin
+        sort_few(begin, end, [](const Found &a, const Found &b) { return a.high < b.high; });
+        if (begin != end) groups_.push_back(uint32_t(begin_.size()));
+        HalfEdge before{};
+        for (; i < bucket[v]; ++i) {
+            corners_.push_back(all[i].corner);
+            const HalfEdge half = half_of(scene, all[i].corner);
+            if (all.begin() + ptrdiff_t(i) == begin || all[i].high != all[i - 1].high)
+                begin_.push_back(uint32_t(i)), before = half;
+            else if (half.v0 != before.v0 || half.v1 != before.v1 || shape_of(half) != shape_of(before))
+                begin_.back() |= Flag;
         }
     }
+    begin_.push_back(uint32_t(corners_.size()));
+    groups_.push_back(uint32_t(n_edges()));
+    if (n_edges() <= ManyEdges) groups_.clear();
+    groups_.shrink_to_fit(), begin_.shrink_to_fit();
     curves_.clear();
     for (int32_t s = 0; s < scene.n_shapes; ++s) {
         const int32_t flags = scene.shapes[s].flags;
@@ -152,7 +187,7 @@ void OutlineSet::find(const SceneView<S> &scene) {
         for (int32_t k = OutlineCurve::LowerRim; k <= OutlineCurve::RightLine && (flags & IsCylinder); ++k)
             curves_.push_back({s, k});
     }
-    found_ = true;
+    return found_ = true;
 }
 
 template <class S>
@@ -167,55 +202,129 @@ bool OutlineSet::holds(const SceneView<S> &scene) const {
 }
 
 template <class S>
-void OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, int threads) {
-    if (!found_ || !holds(scene)) find(scene);
+bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, uint64_t version, int threads,
+                        const std::function<bool()> &interrupted) {
+    const std::vector<uint8_t> moving(moves, moves + scene.n_shapes);
+    if (found_ && version == version_ && moving == moves_) return true;
+    version_ = 0;  // until the end is reached
+    moves_ = moving;
+    if (!found_ || !holds(scene)) {
+        found_ = false;
+        if (!find(scene, interrupted)) return false;
+    }
     // Of where things are now, so that what a call finds does not depend on earlier ones.
+    if (groups_.empty())
+        plant(scene, threads);
+    else
+        plant_groups(scene, threads);
+    tree_.build(threads);
+    version_ = version;
+    return true;
+}
+
+// Every element by itself.
+template <class S>
+void OutlineSet::plant(const SceneView<S> &scene, int threads) {
     std::vector<Extent> things(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) {
             if (is_edge(i)) {
-                const V a = place_of(scene, halves(i)->v0), b = place_of(scene, halves(i)->v1), p = (a + b) * 0.5f;
+                const HalfEdge h = half(scene, i, 0);
+                const V a = place_of(scene, h.v0), b = place_of(scene, h.v1), p = (a + b) * 0.5f;
                 things[i] = {{p.x, p.y, p.z}, norm(b - a)};
             } else {
-                const OutlineElement e = curve_element(scene, i);
-                things[i] = {{e.a.x, e.a.y, e.a.z}, 2 * e.b.x};
+                things[i] = extent_of(curve_element(scene, i));
             }
         }
     });
     const std::vector<int32_t> order = morton_order(things.data(), size(), threads);
-    tree_.resize(size());
-    for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
-        for (size_t k = begin; k < end; ++k) {
-            const size_t i = size_t(order[k]);
-            bool any = false;
-            if (is_edge(i))
-                for (size_t h = 0; h < count(i); ++h) any |= moves[halves(i)[h].shape] != 0;
-            else
-                any = moves[curve(i).shape] != 0;
-            OutlineElement e = element(scene, i);
-            e.moves = any;
-            e.index = int32_t(i);
-            tree_.set(k, e);
+    tree_.resize(size(), 0);
+    for_ranges(
+        tree_.n_leaves(), threads,
+        [&](size_t begin, size_t end, int) {
+            OutlineElement elements[OutlineTree::Wide];
+            for (size_t leaf = begin; leaf < end; ++leaf) {
+                size_t n = 0;
+                for (size_t k = leaf * OutlineTree::Wide; n < OutlineTree::Wide && k < size(); ++k)
+                    elements[n++] = element(scene, size_t(order[k]));
+                tree_.set(leaf, elements, n);
+            }
+        },
+        FewLeaves);
+}
+
+// Curves by themselves; then edges by their smaller ends, a third as many as there are edges: those of one, about
+// half of all around it, are next to each other whatever is done.
+template <class S>
+void OutlineSet::plant_groups(const SceneView<S> &scene, int threads) {
+    const size_t n = groups_.size() - 1;
+    std::vector<Extent> things(std::max(n, curves_.size()));
+    for (size_t i = 0; i < curves_.size(); ++i) things[i] = extent_of(curve_element(scene, n_edges() + i));
+    tree_.resize(curves_.size(), n_edges());
+    OutlineElement elements[OutlineTree::Wide];
+    const std::vector<int32_t> curves = morton_order(things.data(), curves_.size(), threads);
+    const size_t first = (curves.size() + OutlineTree::Wide - 1) / OutlineTree::Wide;
+    for (size_t leaf = 0, k = 0; leaf < first; ++leaf) {
+        size_t count = 0;
+        for (; count < OutlineTree::Wide && k < curves.size(); ++k)
+            elements[count++] = curve_element(scene, n_edges() + size_t(curves[k]));
+        tree_.set(leaf, elements, count);
+    }
+    for_ranges(n, threads, [&](size_t begin, size_t end, int) {
+        for (size_t i = begin; i < end; ++i) {
+            const V a = place_of(scene, half(scene, groups_[i], 0).v0);
+            float size = 0;
+            for (size_t e = groups_[i]; e < groups_[i + 1]; ++e) {
+                size = std::max(size, squared_norm(place_of(scene, half(scene, e, 0).v1) - a));
+            }
+            things[i] = {{a.x, a.y, a.z}, std::sqrt(size)};
         }
     });
-    tree_.build(threads);
+    const std::vector<int32_t> order = morton_order(things.data(), n, threads);
+    std::vector<Extent>().swap(things);
+    std::vector<uint32_t> ends(n);  // of the edges of the first groups
+    for (size_t i = 0, sum = 0; i < n; ++i) {
+        const size_t group = size_t(order[i]);
+        ends[i] = uint32_t(sum += groups_[group + 1] - groups_[group]);
+    }
+    for_ranges(
+        tree_.n_leaves() - first, threads,
+        [&](size_t begin, size_t end, int) {
+            OutlineElement leaf_elements[OutlineTree::Wide];
+            const size_t before = begin * OutlineTree::Wide;
+            size_t i = size_t(std::upper_bound(ends.begin(), ends.end(), before) - ends.begin());
+            size_t e = i < n ? groups_[size_t(order[i]) + 1] - (ends[i] - before) : 0;
+            for (size_t leaf = begin; leaf < end; ++leaf) {
+                size_t count = 0;
+                while (count < OutlineTree::Wide && i < n) {
+                    leaf_elements[count++] = edge_element(scene, e);
+                    if (++e < groups_[size_t(order[i]) + 1]) continue;
+                    if (++i < n) e = groups_[size_t(order[i])];
+                }
+                tree_.set(first + leaf, leaf_elements, count);
+            }
+        },
+        FewLeaves);
 }
 
 template <class S>
 OutlineElement OutlineSet::edge_element(const SceneView<S> &scene, size_t edge) const {
-    const HalfEdge *h = halves(edge);
     const size_t n = count(edge);
-    const V a = place_of(scene, h->v0), b = place_of(scene, h->v1);
-    const V n0 = face_normal(scene, h[0]), n1 = n > 1 ? face_normal(scene, h[1]) : n0;
-    const bool flat = !(scene.shapes[h->shape].flags & HasNormals), split = is_split(edge);
-    float bend = std::max(0.f, 1 - dot(n0, n1));
+    const HalfEdge h = half(scene, edge, 0), other = n > 1 ? half(scene, edge, 1) : h;
+    const uint32_t shape = shape_of(h);
+    const V a = place_of(scene, h.v0), b = place_of(scene, h.v1);
+    const V n0 = face_normal(scene, h), n1 = n > 1 ? face_normal(scene, other) : n0;
+    const bool flat = !(scene.shapes[shape].flags & HasNormals), split = is_split(edge);
+    const float bend = std::max(0.f, 1 - dot(n0, n1));
     OutlineElement e{};
     e.a = a, e.b = b, e.n0 = n0, e.n1 = n1;
     e.weight = bend > 1e-7f || split || n != 2 ? 1.f : 0.f;
-    if (n == 2 && dot(n0, place_of(scene, h[1].third) - a) > 0) e.weight *= Hollow;
+    if (n == 2 && dot(n0, place_of(scene, other.third) - a) > 0) e.weight *= Hollow;
     e.bend = split ? std::max(bend, 0.05f) : bend;
     e.kind = n != 2 ? OutlineElement::Always : split || flat ? OutlineElement::Crease : OutlineElement::Edge;
-    e.shape = -2;
+    e.shape = -2, e.index = int32_t(edge);
+    e.moves = moves_[shape] != 0;
+    for (size_t k = 1; k < n && split; ++k) e.moves |= moves_[shape_of(half(scene, edge, k))] != 0;
     return e;
 }
 
@@ -228,14 +337,22 @@ OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t eleme
     const float across = std::max(norm(x), norm(y));
     const bool line = c.kind >= OutlineCurve::LeftLine;
     OutlineElement e{};
-    e.kind = OutlineElement::Round, e.shape = c.shape, e.bend = 1, e.weight = line ? 0.3f : 1.f;
+    e.kind = OutlineElement::Round, e.shape = c.shape, e.index = int32_t(element),
+    e.moves = moves_[size_t(c.shape)] != 0;
+    e.bend = 1, e.weight = line ? 0.3f : 1.f;
     e.a = c.kind == OutlineCurve::UpperRim ? place + z : line ? place + z * 0.5f : place;
     // a line is somewhere on the cylinder, around its axis
     e.b.x = c.kind == OutlineCurve::Contour ? stretch(x, y, z) : line ? across + 0.5f * norm(z) : across;
     return e;
 }
 
-template void OutlineSet::update(const SceneView<float> &, const uint8_t *, int);
-template void OutlineSet::update(const SceneView<double> &, const uint8_t *, int);
+#define TR_INSTANTIATE(S)                                                                  \
+    template bool OutlineSet::update(const SceneView<S> &, const uint8_t *, uint64_t, int, \
+                                     const std::function<bool()> &);                       \
+    template OutlineElement OutlineSet::edge_element(const SceneView<S> &, size_t) const;  \
+    template OutlineElement OutlineSet::curve_element(const SceneView<S> &, size_t) const;
+TR_INSTANTIATE(float)
+TR_INSTANTIATE(double)
+#undef TR_INSTANTIATE
 
 }  // namespace tr

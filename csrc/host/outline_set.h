@@ -3,6 +3,8 @@
 // once; where they are, and a tree to choose from, is brought up to date.
 #pragma once
 
+#include <functional>
+
 #include "core/scene.h"
 #include "outline_tree.h"
 
@@ -11,7 +13,8 @@ namespace tr {
 // An edge as one of its faces has it: its ends, in the same order for all of its faces, and the face's third corner.
 // `turned`: the face has the ends the other way round.
 struct HalfEdge {
-    uint32_t v0, v1, third, shape : 31, turned : 1;
+    uint32_t v0, v1, third, face;
+    bool turned;
 };
 
 // What of a quadric is an outline.
@@ -24,40 +27,76 @@ class OutlineSet {
 public:
     // To where vertices are; `moves`: by shape, whether it does. Edges are found the first time, and where vertices
     // that were in one place no longer are, or faces that had no area have one. (Of a scene with other indices there
-    // is another set.)
+    // is another set.) Nothing is done if `version`, see SceneData::geometry_version, and `moves` are those of the last
+    // time. `interrupted` is asked now and then; false if it was, and nothing is known then.
     template <class S>
-    void update(const SceneView<S> &scene, const uint8_t *moves, int threads);
+    bool update(const SceneView<S> &scene, const uint8_t *moves, uint64_t version, int threads,
+                const std::function<bool()> &interrupted);
 
     size_t n_edges() const { return begin_.size() - 1; }
     size_t size() const { return n_edges() + curves_.size(); }
     bool is_edge(size_t element) const { return element < n_edges(); }
-    // Of an edge.
-    const HalfEdge *halves(size_t edge) const { return halves_.data() + begin_[edge]; }
-    size_t count(size_t edge) const { return begin_[edge + 1] - begin_[edge]; }
+    // How many faces an edge has, and one of them.
+    size_t count(size_t edge) const { return begin_of(edge + 1) - begin_of(edge); }
+    template <class S>
+    HalfEdge half(const SceneView<S> &scene, size_t edge, size_t k) const {
+        return half_of(scene, corners_[begin_of(edge) + k]);
+    }
+    uint32_t shape_of(const HalfEdge &half) const {
+        if (meshes_.size() == 1) return meshes_[0].shape;
+        size_t low = 0, high = meshes_.size();
+        while (high - low > 1) {
+            const size_t middle = (low + high) / 2;
+            (meshes_[middle].face <= half.face ? low : high) = middle;
+        }
+        return meshes_[low].shape;
+    }
     // Faces have vertices or shapes of their own there.
-    bool is_split(size_t edge) const { return split_[edge] != 0; }
+    bool is_split(size_t edge) const { return (begin_[edge] & Flag) != 0; }
     // Of another element.
     const OutlineCurve &curve(size_t element) const { return curves_[element - n_edges()]; }
-    const OutlineTree &tree() const { return tree_; }
-
-private:
-    std::vector<HalfEdge> halves_;
-    std::vector<uint32_t> begin_{0};
-    std::vector<OutlineCurve> curves_;
-    std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
-    std::vector<uint32_t> flat_;    // faces without an area
-    std::vector<uint8_t> split_;
-    OutlineTree tree_;
-    bool found_ = false;
-
-    template <class S>
-    void find(const SceneView<S> &scene);
-    template <class S>
-    bool holds(const SceneView<S> &scene) const;
     template <class S>
     OutlineElement element(const SceneView<S> &scene, size_t i) const {
         return is_edge(i) ? edge_element(scene, i) : curve_element(scene, i);
     }
+    const OutlineTree &tree() const { return tree_; }
+
+private:
+    static constexpr uint32_t Flag = 0x80000000u;
+    struct Mesh {
+        uint32_t face, shape;  // its first one
+    };
+    // Of edges: three times a face, plus which of its corners the edge begins at, and whether it is turned; where those
+    // of each edge begin, and whether it is split.
+    std::vector<uint32_t> corners_, begin_{0};
+    std::vector<uint32_t> groups_;  // where edges begin that share their smaller end, of many edges
+    std::vector<Mesh> meshes_;
+    std::vector<OutlineCurve> curves_;
+    std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
+    std::vector<uint32_t> flat_;    // faces without an area
+    std::vector<uint8_t> moves_;    // by shape
+    OutlineTree tree_;
+    bool found_ = false;
+    uint64_t version_ = 0;
+
+    template <class S>
+    static HalfEdge half_of(const SceneView<S> &scene, uint32_t corner) {
+        const uint32_t at = corner & ~Flag, face = at / 3, i = at - 3 * face;
+        const uint32_t *v = scene.faces + 3 * size_t(face);
+        // without branches, which nobody foresees
+        const uint32_t next = (i + 1) & (i / 2 - 1), turned = corner / Flag, from = v[i], to = v[next];
+        const uint32_t swapped = (from ^ to) & (0 - turned);
+        return {from ^ swapped, to ^ swapped, v[3 - i - next], face, turned != 0};
+    }
+    size_t begin_of(size_t edge) const { return begin_[edge] & ~Flag; }
+    template <class S>
+    bool find(const SceneView<S> &scene, const std::function<bool()> &interrupted);
+    template <class S>
+    bool holds(const SceneView<S> &scene) const;
+    template <class S>
+    void plant(const SceneView<S> &scene, int threads);
+    template <class S>
+    void plant_groups(const SceneView<S> &scene, int threads);
     template <class S>
     OutlineElement edge_element(const SceneView<S> &scene, size_t edge) const;
     template <class S>

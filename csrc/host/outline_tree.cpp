@@ -4,8 +4,6 @@
 #include <cmath>
 #include <numeric>
 
-#include "parallel.h"
-
 namespace tr {
 
 namespace {
@@ -17,11 +15,6 @@ using M = MaskOf<F>;
 constexpr size_t W = size_t(Lanes<F>::Width);
 constexpr float pi = float(Pi);
 static_assert(OutlineTree::Wide % W == 0);
-
-V unit(const V &a) {
-    const float length = norm(a);
-    return length > 0 ? a * (1 / length) : V{0, 0, 1};
-}
 
 // Numbers of a counter (Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
 struct Numbers {
@@ -39,14 +32,6 @@ struct Numbers {
 template <class T>
 Vec3<F> load_vector(const T &columns, size_t i) {
     return {load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
-}
-template <class T>
-V lane_of(const T &columns, size_t k) {
-    return {columns[0][k], columns[1][k], columns[2][k]};
-}
-template <class T>
-void put_lane(const V &v, T &columns, size_t k) {
-    columns[0][k] = v.x, columns[1][k] = v.y, columns[2][k] = v.z;
 }
 Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
 
@@ -135,119 +120,6 @@ struct OutlineTree::Candidates {
     alignas(64) float s[Wide], target[Wide];
 };
 
-void OutlineTree::resize(size_t n) {
-    n_ = n;
-    leaves_.resize((n + Wide - 1) / Wide);
-    if (!leaves_.empty()) leaves_.back() = {};
-}
-
-void OutlineTree::set(size_t i, const OutlineElement &e) {
-    Elements &leaf = leaves_[i / Wide];
-    const size_t k = i % Wide;
-    put_lane(e.a, leaf.a, k), put_lane(e.b, leaf.b, k), put_lane(e.n0, leaf.n0, k), put_lane(e.n1, leaf.n1, k);
-    leaf.weight[k] = e.moves ? e.weight : -e.weight, leaf.bend[k] = e.bend;
-    leaf.kind[k] = e.kind, leaf.shape[k] = e.shape, leaf.index[k] = e.index;
-}
-
-OutlineElement OutlineTree::get(size_t i) const {
-    const Elements &leaf = leaves_[i / Wide];
-    const size_t k = i % Wide;
-    return {lane_of(leaf.a, k), lane_of(leaf.b, k), lane_of(leaf.n0, k), lane_of(leaf.n1, k), std::fabs(leaf.weight[k]),
-            leaf.bend[k],       leaf.kind[k],       leaf.shape[k],       leaf.index[k],       leaf.weight[k] > 0};
-}
-
-void OutlineTree::build(int threads) {
-    levels_.clear();
-    size_t n = leaves_.size();
-    for (bool first = true; n > 0; first = false) {
-        std::vector<Nodes> level((n + Wide - 1) / Wide);
-        const std::vector<Nodes> *below = first ? nullptr : &levels_.back();
-        for_ranges(n, threads, [&](size_t begin, size_t end, int) {
-            for (size_t i = begin; i < end; ++i)
-                put(below ? united((*below)[i]) : node_of(leaves_[i]), level[i / Wide], i % Wide);
-        });
-        levels_.push_back(std::move(level));
-        n = levels_.back().size();
-        if (n == 1) break;
-    }
-}
-
-void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
-    put_lane(node.center, to.center, k), put_lane(node.axis, to.axis, k);
-    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux,
-    to.still[k] = node.still;
-}
-
-OutlineTree::Node OutlineTree::node_of(const Elements &leaf) const {
-    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
-    auto include = [&](const V &p) {
-        low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-        high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
-    };
-    bool any_direction = false;
-    Node node;
-    for (size_t k = 0; k < Wide; ++k) {
-        const float weight = std::fabs(leaf.weight[k]);
-        if (!(weight > 0)) continue;
-        float &flux = leaf.weight[k] > 0 ? node.flux : node.still;
-        const V a = lane_of(leaf.a, k), b = lane_of(leaf.b, k);
-        const int32_t kind = leaf.kind[k];
-        if (kind == OutlineElement::Round) {
-            const V r{b.x, b.x, b.x};
-            include(a - r), include(a + r);
-            flux += weight * 2 * pi * b.x;
-        } else {
-            include(a), include(b);
-            // an edge is an outline from the share of directions between its faces
-            const float angle = kind == OutlineElement::Edge ? std::sqrt(2 * leaf.bend[k]) / pi : 1;
-            flux += weight * norm(b - a) * std::max(angle, 1e-4f);
-        }
-        any_direction |= kind != OutlineElement::Edge;
-        sum = sum + lane_of(leaf.n0, k) + lane_of(leaf.n1, k);
-    }
-    if (!(node.flux + node.still > 0)) return node;
-    node.center = (low + high) * 0.5f;
-    node.radius = norm(high - low) * 0.5f * 1.00001f;
-    node.axis = unit(sum);
-    node.cosine = any_direction ? -1.f : 1.f;
-    for (size_t k = 0; k < Wide && !any_direction; ++k)
-        if (leaf.weight[k] != 0)
-            node.cosine =
-                std::min({node.cosine, dot(node.axis, lane_of(leaf.n0, k)), dot(node.axis, lane_of(leaf.n1, k))});
-    node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
-    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
-    return node;
-}
-
-OutlineTree::Node OutlineTree::united(const Nodes &children) {
-    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
-    Node node;
-    for (size_t k = 0; k < Wide; ++k) {
-        if (!(children.flux[k] + children.still[k] > 0)) continue;
-        const V c = lane_of(children.center, k);
-        const float r = children.radius[k];
-        low = {std::min(low.x, c.x - r), std::min(low.y, c.y - r), std::min(low.z, c.z - r)};
-        high = {std::max(high.x, c.x + r), std::max(high.y, c.y + r), std::max(high.z, c.z + r)};
-        sum = sum + lane_of(children.axis, k);
-        node.flux += children.flux[k], node.still += children.still[k];
-    }
-    if (!(node.flux + node.still > 0)) return node;
-    node.center = (low + high) * 0.5f;
-    node.axis = unit(sum);
-    float angle = 0;  // the half angle that holds all cones
-    for (size_t k = 0; k < Wide; ++k) {
-        if (!(children.flux[k] + children.still[k] > 0)) continue;
-        node.radius = std::max(node.radius, norm(lane_of(children.center, k) - node.center) + children.radius[k]);
-        const float between = std::acos(std::clamp(dot(node.axis, lane_of(children.axis, k)), -1.f, 1.f));
-        angle = std::max(angle, children.cosine[k] > 0 ? between + std::acos(std::min(children.cosine[k], 1.f)) : pi);
-    }
-    node.radius *= 1.00001f;
-    angle += 1e-3f;
-    node.cosine = angle < pi / 2 ? std::cos(angle) : -1.f;
-    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
-    return node;
-}
-
 bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]) {
     auto inverse_square = [](const F &x) {
         const F r = rsqrt(max(x, F(1e-30f)));
@@ -301,7 +173,10 @@ float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnc
 
 // A place along each of the edges from one random number, in proportion to sin / r^2 where that varies: with l along
 // the line from its point next to `from`, h away, the integral of h / r^3 is l / (h r).
-void OutlineTree::propose(const Elements &leaf, const OutlineAnchor &from, float u, Candidates &to) {
+void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Candidates &to) const {
+    Elements space;
+    Rounding rounding;
+    const Elements &leaf = leaves_.get(number, space, rounding);
     bool curves = false;
     for (size_t i = 0; i < Wide; i += W) {
         const Vec3<F> p = widen(from.p), along = load_vector(leaf.b, i) - load_vector(leaf.a, i);
@@ -321,11 +196,12 @@ void OutlineTree::propose(const Elements &leaf, const OutlineAnchor &from, float
         const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
         const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
         const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
-        auto front = [&](const Column<float>(&n)[3]) { return mask<F>(dot(load_vector(n, i), d) < F(0)); };
-        const M n0 = front(leaf.n0), n1 = front(leaf.n1), outline = (n0 && !n1) || (n1 && !n0);
+        const F n0 = dot(load_vector(leaf.n0, i), d), n1 = dot(load_vector(leaf.n1, i), d), distance = norm(d);
+        const M unknown = mask<F>(min(abs(n0), abs(n1)) <= distance * F(rounding.normal) + F(rounding.place));
+        const M in0 = mask<F>(n0 < F(0)), in1 = mask<F>(n1 < F(0)), outline = (in0 && !in1) || (in1 && !in0) || unknown;
         const F crease = select(mask<F>(kind == int32_t(OutlineElement::Crease)), max(F(0.05f), min(bend, F(1))), F(0));
         F kept = weight * select(outline || mask<F>(kind == int32_t(OutlineElement::Always)), F(1), crease);
-        const F inverse = F(1) / max(norm(d), F(1e-30f));
+        const F inverse = F(1) / max(distance, F(1e-30f));
         const F r =
             kept * norm(cross(d, along)) * inverse * inverse * inverse * scattered(from, d * inverse, F(1), F(0));
         const M round = mask<F>(kind == int32_t(OutlineElement::Round));
@@ -396,7 +272,7 @@ private:
     void add(int level, size_t number) {
         Group &g = groups_[n_++];
         g.level = level, g.number = number;
-        if (level < 0) return propose(tree_.leaves_[number], from_, u_, g.nodes);
+        if (level < 0) return tree_.propose(number, from_, u_, g.nodes);
         alignas(64) float near[Wide];
         if (!importance(tree_.levels_[size_t(level)][number], from_, g.nodes.weights.each, near)) return;
         for (size_t k = 0; k < Wide; ++k)
@@ -432,13 +308,14 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
             importance(levels_[l][place.index], from, weights.each, near);
             place.probability *= weights.add_up() ? weights.choose(numbers.single(), place.index) : 0;
             place.level = int(l);
+            if (l == 0) leaves_.prefetch(place.index);
         }
     double sum = 0;
     float target = 0;
     for (Place &place : places) {
         if (place.level == 0 && place.probability > 0) {
             const size_t leaf = place.index;
-            propose(leaves_[leaf], from, numbers.single(), candidates);
+            propose(leaf, from, numbers.single(), candidates);
             if (!weights.add_up()) continue;
             const size_t k = weights.pick(numbers.single());
             place.index = leaf * Wide + k, place.probability *= weights.each[k] / weights.total();
@@ -448,7 +325,7 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
         const double share = double(place.weight) / double(place.probability);
         sum += share;
         if (numbers.uniform() * sum >= share) continue;
-        choice.element = leaves_[place.index / Wide].index[place.index % Wide];
+        choice.element = leaves_.index(place.index / Wide, place.index % Wide);
         choice.s = place.s, target = place.target;
     }
     if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(target)));

@@ -9,19 +9,9 @@
 #include <cstdint>
 #include <vector>
 
-#include "core/math/vector.h"
+#include "outline_leaves.h"
 
 namespace tr {
-
-// What can be an outline: a straight edge between `a` and `b` of faces with normals n0 and n1; or, `Round`, a curve
-// around `a` with the radius b[0], of the curved shape of number `shape`.
-struct OutlineElement {
-    enum Kind : int32_t { Edge = 0, Always = 1, Crease = 2, Round = 3 };  // Crease: of an edge, an outline or not
-    Vec3<float> a, b, n0, n1;
-    float weight, bend;
-    int32_t kind, shape, index;
-    bool moves;
-};
 
 // Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like
 // (1 - share) max(0, n.d) + share / (1 + k (1 - axis.d) / 2)^2; n = 0: alike in all directions. What is on the curved
@@ -42,15 +32,26 @@ struct OutlineChoice {
 
 class OutlineTree {
 public:
-    static constexpr size_t Wide = 16, Descents = 2;
+    static constexpr size_t Wide = OutlineLeaves::Wide, Descents = 2;
 
-    // Elements in an order that keeps close ones together, see `morton_order`; `build` finds the rest once they are
-    // there.
-    void resize(size_t n);
-    size_t size() const { return n_; }
-    void set(size_t i, const OutlineElement &element);
-    OutlineElement get(size_t i) const;
+    // For n_elements that are kept as they are, and n_rounded edges; in leaves of their own. `set` gives a leaf up to
+    // sixteen, from the first one on, in an order that keeps close ones together, see `morton_order`; different leaves
+    // may be set at once. `build` finds the rest once they are there.
+    void resize(size_t n_elements, size_t n_rounded);
+    size_t n_leaves() const { return leaves_.size(); }
+    void set(size_t leaf, const OutlineElement *elements, size_t n);
     void build(int threads);
+
+    // Calls visit(index) for the elements of a leaf, in their order; those of most leaves that have none which moves
+    // (or, `resting`, rests) and of which some face may be seen and another not, within `margin`, from p or,
+    // `parallel`, along p, are left out.
+    template <class Visit>
+    void for_outlines(size_t leaf, const Vec3<float> &p, bool parallel, float margin, bool resting,
+                      Visit &&visit) const {
+        if (!may_have_outlines(leaf, p, parallel, margin, resting)) return;
+        for (size_t k = 0; k < Wide; ++k)
+            if (int32_t index = leaves_.index(leaf, k); index >= 0) visit(index);
+    }
 
     OutlineChoice choose(const OutlineAnchor &from, uint64_t seed) const;
 
@@ -63,20 +64,17 @@ private:
         Vec3<float> axis{0, 0, 1};
         float cosine = -1, sine = 0, flux = 0, still = 0;
     };
+    using Elements = OutlineLeaves::Elements;
+    using Rounding = OutlineLeaves::Rounding;
     template <class T>
-    using Column = T[Wide];
+    using Column = OutlineLeaves::Column<T>;
     struct alignas(64) Nodes {  // siblings
         Column<float> center[3], radius, axis[3], cosine, sine, flux, still;
     };
-    struct alignas(64) Elements {                              // of a leaf
-        Column<float> a[3], b[3], n0[3], n1[3], weight, bend;  // a weight below zero: it rests
-        Column<int32_t> kind, shape, index;
-    };
-    size_t n_ = 0;
-    std::vector<Elements> leaves_;
+    OutlineLeaves leaves_;
     std::vector<std::vector<Nodes>> levels_;  // from the leaves to the root, which are the children of one
 
-    Node node_of(const Elements &leaf) const;
+    static Node node_of(const Elements &leaf);
     static Node united(const Nodes &children);
     static void put(const Node &node, Nodes &to, size_t k);
     // A node, or at level -1 an edge and a place along it, see Candidates; and the probability to be there.
@@ -87,9 +85,10 @@ private:
     };
     struct Candidates;
     class Front;
+    bool may_have_outlines(size_t leaf, const Vec3<float> &p, bool parallel, float margin, bool resting) const;
     // Whether some are near; then, what these may be at most.
     static bool importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]);
-    static void propose(const Elements &leaf, const OutlineAnchor &from, float u, Candidates &to);
+    void propose(size_t leaf, const OutlineAnchor &from, float u, Candidates &to) const;
     static float curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from);
 };
 

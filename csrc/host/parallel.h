@@ -10,10 +10,11 @@
 
 namespace tr {
 
-// Calls visit(begin, end, number) for ranges of 0 .. n, in this order of numbers, at once; few are not worth a thread.
+// Calls visit(begin, end, number) for ranges of 0 .. n, in this order of numbers, at once; `few` are not worth a
+// thread.
 template <class Visit>
-void for_ranges(size_t n, int threads, Visit &&visit) {
-    const size_t ranges = std::max<size_t>(1, std::min(size_t(std::max(1, threads)), n / 4096));
+void for_ranges(size_t n, int threads, Visit &&visit, size_t few = 4096) {
+    const size_t ranges = std::max<size_t>(1, std::min(size_t(std::max(1, threads)), n / few));
     std::vector<std::exception_ptr> errors(ranges);
     auto run = [&](size_t r) {
         try {

@@ -104,7 +104,7 @@ typename SceneData<S>::Counters SceneData<S>::counters() const {
 }
 
 template <class S>
-void SceneData<S>::update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty) {
+void SceneData<S>::update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look) {
     if (!accel_) throw std::invalid_argument("scene: update before build");
     if (params.size() != n_params() || dirty.size() != n_params())
         bad_value("scene: update", std::to_string(n_params()) + " parameters", std::to_string(params.size()));
@@ -112,7 +112,9 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
         if (!params[i] && layout_.slot_sizes[i] > 0) bad_value("parameter " + std::to_string(i), "an address", "null");
 
     // until the end is reached nothing counts as up to date
-    const std::vector<uint8_t> all(params.size(), 1), changed = all_dirty_ ? all : with_silent_changes(params, dirty);
+    const std::vector<uint8_t> all(params.size(), 1), changed = all_dirty_ ? all
+                                                                : look     ? with_silent_changes(params, dirty)
+                                                                           : dirty;
     for (size_t i = 0; i < params.size(); ++i)
         if (changed[i]) mean_texels_.erase(int(i));
     bool first = all_dirty_ || geometry_dirty_, new_environment = all_dirty_ || environment_dirty_;

@@ -39,7 +39,8 @@ public:
     // Values: `params` has an address for every parameter (they stay in use until the next call), dirty[i] != 0 says
     // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,
     // and so does the first after a call that failed. std::invalid_argument for values that cannot be rendered.
-    void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
+    // `look`: for what was written without a word, too; without if a call just before has looked.
+    void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look = true);
 
     // How emitters are chosen until the next update: by their weights, or by those times their power. An update goes
     // back to weights.
@@ -58,6 +59,9 @@ public:
     Counters counters() const;
 
     void bounds(S out[6]) const;  // lower corner, upper corner; (inf, -inf) without shapes
+
+    // Another number, of all scenes, after each change of where shapes are.
+    uint64_t geometry_version() const { return geometry_version_; }
 
     // For derivatives: where the small parameters are in the block of constants. A parameter that is used twice has
     // two entries.
@@ -87,6 +91,7 @@ private:
     std::unique_ptr<Accel> accel_;
     // what has to be made whatever `dirty` says
     bool all_dirty_ = true, geometry_dirty_ = true, environment_dirty_ = true;
+    uint64_t geometry_version_ = 0;
     bool rebuilt_ = false;  // from another scene: the acceleration structure is made the fast way
     Counters counters_;
 

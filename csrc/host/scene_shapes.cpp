@@ -1,5 +1,6 @@
 // The geometry of a scene: the renderer's tables, areas of lights, and what Embree gets.
 #include <algorithm>
+#include <atomic>
 
 #include "../accel/sdf_grid.h"
 #include "../core/registry.h"
@@ -11,6 +12,8 @@ namespace tr {
 namespace {
 
 constexpr double LargestCoordinate = 1e18;  // its square is still finite in single precision
+
+std::atomic<uint64_t> geometry_versions{0};  // of scenes of both precisions
 
 }  // namespace
 
@@ -57,6 +60,7 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         update_quadric(i);
         rebuild = true;
     }
+    if (rebuild || geometry_version_ == 0) geometry_version_ = ++geometry_versions;
     if (rebuild) accel_->commit(rebuilt_);
 }
 

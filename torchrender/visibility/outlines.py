@@ -89,7 +89,7 @@ class Outlines:
         value = torch.zeros(FEW, dtype=torch.float64)
         out = {"place": place.data_ptr(), "value": value.data_ptr()}
         numbers = {"first": 0, "count": FEW, "total": 1, "offset": 0, "samples": 1}
-        self._call("pilot", self.configs[0], numbers, out, [0] * len(self.params), True)
+        self._call([("pilot", self.configs[0], numbers)], out, [0] * len(self.params), True)
         edges, seen = float(value.sum()), place[torch.isfinite(place).all(1)]
         return min(1.0, max(float(self.film.wanted(seen).sum()) / edges, 1e-3)) if edges else 1.0
 
@@ -97,8 +97,7 @@ class Outlines:
         """Adds to the gradients, by slot; `adjoint` (H, W, channels) is that of the film, see `FilmPlaces`."""
         adjoint = adjoint.contiguous()
         addresses = [0 if g is None else g.data_ptr() for i, g in enumerate(grads)]
-        for part, config, numbers in self._blocks(1 << 62):
-            self._call(part, config, numbers, {"adjoint": adjoint.data_ptr()}, addresses, False)
+        self._call(list(self._blocks(1 << 62)), {"adjoint": adjoint.data_ptr()}, addresses, False)
 
     def forward(self, total: torch.Tensor, tangents: Sequence[torch.Tensor | None]) -> None:
         """Adds to the sums of the film, for tangents by slot."""
@@ -108,7 +107,7 @@ class Outlines:
             place = torch.zeros(rows, 2, dtype=torch.float64)
             value = torch.zeros(rows, self.film.channels, dtype=torch.float64)
             out = {"place": place.data_ptr(), "value": value.data_ptr()}
-            self._call(part, config, numbers, out, addresses, True)
+            self._call([(part, config, numbers)], out, addresses, True)
             some = (value != 0).any(1)
             self.film.splat(total, place[some], value[some])
 
@@ -133,19 +132,20 @@ class Outlines:
 
     def _call(
         self,
-        part: str,
-        config: dict[str, Any],
-        numbers: Mapping[str, float],
+        requests: Sequence[tuple[str, dict[str, Any], Mapping[str, float]]],
         out: dict[str, int],
         addresses: list[int],
         forward: bool,
     ) -> None:
-        config = {**config, "seed": mix(config["seed"], STREAMS[part])}
+        """What `_blocks` gives, in one call of the core, which makes gradients of a large mesh once for all."""
         arrays = {"cells": self.cells.data_ptr(), "moves": self.moves.data_ptr()} | out
-        given = {name: float(x) for name, x in {**self.numbers, **numbers}.items()}
-        rest = self.names, self.handle, addresses, forward
-        found = self.call.native.call("boundary", self.params, config, part, arrays, given, *rest)
-        so_far = self.statistics.setdefault(part, {"samples": 0, "rays": 0, "seconds": 0.0})
-        so_far["samples"] += int(numbers["count"])
-        so_far["rays"] += found["closest_rays"] + found["shadow_rays"]
-        so_far["seconds"] += found["seconds"]
+        configs = [{**config, "seed": mix(config["seed"], STREAMS[part])} for part, config, _ in requests]
+        given = [{name: float(x) for name, x in {**self.numbers, **numbers}.items()} for *_, numbers in requests]
+        read = configs, [part for part, *_ in requests], given
+        rest = arrays, self.names, self.handle, addresses, forward
+        results = self.call.native.call("boundary", self.params, read, *rest)
+        for (part, _, numbers), found in zip(requests, results, strict=True):
+            so_far = self.statistics.setdefault(part, {"samples": 0, "rays": 0, "seconds": 0.0})
+            so_far["samples"] += int(numbers["count"])
+            so_far["rays"] += found["closest_rays"] + found["shadow_rays"]
+            so_far["seconds"] += found["seconds"]

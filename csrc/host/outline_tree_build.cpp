@@ -1,0 +1,146 @@
+// The nodes of an OutlineTree.
+#include <algorithm>
+#include <cmath>
+
+#include "outline_tree.h"
+#include "parallel.h"
+
+namespace tr {
+
+namespace {
+
+using V = Vec3<float>;
+constexpr float pi = float(Pi);
+
+V unit(const V &a) {
+    const float length = norm(a);
+    return length > 0 ? a * (1 / length) : V{0, 0, 1};
+}
+
+}  // namespace
+
+void OutlineTree::resize(size_t n_elements, size_t n_rounded) {
+    leaves_.resize(n_elements, n_rounded);
+    const size_t n = leaves_.size();
+    levels_.resize(n > 0 ? 1 : 0);
+    if (n == 0) return;
+    levels_[0].resize((n + Wide - 1) / Wide);
+    levels_[0].back() = {};
+}
+
+void OutlineTree::set(size_t leaf, const OutlineElement *elements, size_t n) {
+    Elements all{};
+    std::fill_n(all.index, Wide, -1);
+    for (size_t k = 0; k < n; ++k) all.set(k, elements[k]);
+    leaves_.set(leaf, all);
+    put(node_of(all), levels_[0][leaf / Wide], leaf % Wide);
+}
+
+void OutlineTree::build(int threads) {
+    constexpr size_t few = 256;
+    while (!levels_.empty() && levels_.back().size() > 1) {
+        const std::vector<Nodes> &below = levels_.back();
+        std::vector<Nodes> level((below.size() + Wide - 1) / Wide);
+        for_ranges(
+            below.size(), threads,
+            [&](size_t begin, size_t end, int) {
+                for (size_t i = begin; i < end; ++i) put(united(below[i]), level[i / Wide], i % Wide);
+            },
+            few);
+        levels_.push_back(std::move(level));
+    }
+}
+
+// Whether some face below may be seen from p and another not: with the unit axis and the half angle of the cone, and
+// the ball's centre at the vector c, normals times vectors to p are not closer to zero than the cosine of the largest
+// angle between them times |c|, but for the radius.
+bool OutlineTree::may_have_outlines(size_t leaf, const V &p, bool parallel, float margin, bool resting) const {
+    const Nodes &nodes = levels_[0][leaf / Wide];
+    const size_t k = leaf % Wide;
+    if (!(nodes.flux[k] > 0) && !(resting && nodes.still[k] > 0)) return false;
+    if (!(nodes.cosine[k] > 0)) return true;
+    const V c = parallel ? p : lane_of(nodes.center, k) - p;
+    const float radius = parallel ? 0.f : nodes.radius[k], distance = norm(c);
+    const float along = std::fabs(dot(lane_of(nodes.axis, k), c)),
+                across = std::sqrt(std::max(0.f, distance * distance - along * along));
+    const float least = along * nodes.cosine[k] - across * nodes.sine[k] - radius;
+    return !(least > margin + 1e-4f * (distance + radius));
+}
+
+void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
+    put_lane(node.center, to.center, k), put_lane(node.axis, to.axis, k);
+    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux,
+    to.still[k] = node.still;
+}
+
+OutlineTree::Node OutlineTree::node_of(const Elements &leaf) {
+    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
+    auto include = [&](const V &p) {
+        low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
+        high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    };
+    bool any_direction = false;
+    Node node;
+    for (size_t k = 0; k < Wide; ++k) {
+        const float weight = std::fabs(leaf.weight[k]);
+        if (!(weight > 0)) continue;
+        float &flux = leaf.weight[k] > 0 ? node.flux : node.still;
+        const V a = lane_of(leaf.a, k), b = lane_of(leaf.b, k);
+        const int32_t kind = leaf.kind[k];
+        if (kind == OutlineElement::Round) {
+            const V r{b.x, b.x, b.x};
+            include(a - r), include(a + r);
+            flux += weight * 2 * pi * b.x;
+        } else {
+            include(a), include(b);
+            // an edge is an outline from the share of directions between its faces
+            const float angle = kind == OutlineElement::Edge ? std::sqrt(2 * leaf.bend[k]) / pi : 1;
+            flux += weight * norm(b - a) * std::max(angle, 1e-4f);
+        }
+        any_direction |= kind != OutlineElement::Edge;
+        sum = sum + lane_of(leaf.n0, k) + lane_of(leaf.n1, k);
+    }
+    if (!(node.flux + node.still > 0)) return node;
+    node.center = (low + high) * 0.5f;
+    node.radius = norm(high - low) * 0.5f * 1.00001f;
+    node.axis = unit(sum);
+    node.cosine = any_direction ? -1.f : 1.f;
+    for (size_t k = 0; k < Wide && !any_direction; ++k)
+        if (leaf.weight[k] != 0)
+            node.cosine =
+                std::min({node.cosine, dot(node.axis, lane_of(leaf.n0, k)), dot(node.axis, lane_of(leaf.n1, k))});
+    node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
+    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
+    return node;
+}
+
+OutlineTree::Node OutlineTree::united(const Nodes &children) {
+    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
+    Node node;
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
+        const V c = lane_of(children.center, k);
+        const float r = children.radius[k];
+        low = {std::min(low.x, c.x - r), std::min(low.y, c.y - r), std::min(low.z, c.z - r)};
+        high = {std::max(high.x, c.x + r), std::max(high.y, c.y + r), std::max(high.z, c.z + r)};
+        sum = sum + lane_of(children.axis, k);
+        node.flux += children.flux[k], node.still += children.still[k];
+    }
+    if (!(node.flux + node.still > 0)) return node;
+    node.center = (low + high) * 0.5f;
+    node.axis = unit(sum);
+    float angle = 0;  // the half angle that holds all cones
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
+        node.radius = std::max(node.radius, norm(lane_of(children.center, k) - node.center) + children.radius[k]);
+        const float between = std::acos(std::clamp(dot(node.axis, lane_of(children.axis, k)), -1.f, 1.f));
+        angle = std::max(angle, children.cosine[k] > 0 ? between + std::acos(std::min(children.cosine[k], 1.f)) : pi);
+    }
+    node.radius *= 1.00001f;
+    angle += 1e-3f;
+    node.cosine = angle < pi / 2 ? std::cos(angle) : -1.f;
+    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
+    return node;
+}
+
+}  // namespace tr
