@@ -100,35 +100,24 @@ public:
     const TapeColumns<S> &open(size_t entries, const TapeGroups &groups) {
         level_.reserve(entries, groups);
         entries_ = entries;
-        each([&](auto *array, auto *) { std::memset(array, 0, entries_ * sizeof(*array)); }, level_);
+        for_handed(level_.columns, [&](auto *array) { std::memset(array, 0, entries_ * sizeof(*array)); });
         return level_.columns;
     }
-    // `level` has at most as many.
-    void hand_to(const TapeLevel<S> &level) {
+    void hand_to(const TapeLevel<S> &level) const {
         const size_t n = std::min(entries_, level.capacity());
-        each([&](const auto *from, auto *to) { std::memcpy(to, from, n * sizeof(*to)); }, level);
+        std::vector<void *> to;
+        for_handed(level.columns, [&](auto *array) { to.push_back(array); });
+        size_t k = 0;
+        for_handed(level_.columns, [&](const auto *array) { std::memcpy(to[k++], array, n * sizeof(*array)); });
     }
 
 private:
+    // The arrays of those columns.
     template <class Visit>
-    void each(Visit &&visit, const TapeLevel<S> &other) {
-        auto both = [&](const auto &mine, const auto &theirs) {
-            std::vector<void *> to;
-            theirs.for_arrays([&](auto *array) { to.push_back(array); });
-            size_t k = 0;
-            mine.for_arrays([&](auto *array) { visit(array, static_cast<decltype(array)>(to[k++])); });
-        };
-        auto column = [&](const auto &mine, const auto &theirs) {
-            std::vector<void *> to;
-            theirs.each([&](auto *array) { to.push_back(array); });
-            size_t k = 0;
-            mine.each([&](auto *array) { visit(array, static_cast<decltype(array)>(to[k++])); });
-        };
-        const TapeColumns<S> &mine = level_.columns, &theirs = other.columns;
-        column(mine.vertex.suffix, theirs.vertex.suffix);
-        both(mine.next, theirs.next);
-        if (!mine.motion.rest_bar.x) return;
-        column(mine.motion.rest_bar, theirs.motion.rest_bar), column(mine.motion.from_bar, theirs.motion.from_bar);
+    static void for_handed(const TapeColumns<S> &columns, Visit &&visit) {
+        columns.vertex.suffix.each(visit);
+        columns.next.for_arrays(visit);
+        if (columns.motion.rest_bar.x) columns.motion.rest_bar.each(visit), columns.motion.from_bar.each(visit);
     }
 
     TapeLevel<S> level_;

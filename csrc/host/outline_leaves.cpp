@@ -8,6 +8,7 @@ namespace tr {
 namespace {
 
 constexpr float Places = 65535, Normals = 32767, Weights = 127, Bends = 63;
+constexpr float Half = 0.5f;  // makes cutting off the fraction rounding, of what is not negative
 
 using F = PacketOf<float>;
 using M = MaskOf<F>;
@@ -92,15 +93,15 @@ OutlineLeaves::Rounded OutlineLeaves::pack(const Elements &from) {
             store(&known[i], select(mask<F>(size > F(0.5f)), load<F>(&known[i]), F(0)));
         }
         for (size_t c = 0; c < 2; ++c)
-            for (size_t k = 0; k < Wide; ++k) r[c][k] = int16_t(int32_t(flat[c][k] * Normals + Normals + 0.5f) - 32767);
+            for (size_t k = 0; k < Wide; ++k) r[c][k] = int16_t(int32_t(flat[c][k] * Normals + Normals + Half) - 32767);
     };
     flatten(from.n0, to.n0), flatten(from.n1, to.n1);
     for (size_t k = 0; k < Wide; ++k) {
         const float weight = from.weight[k], bend = std::min(std::max(from.bend[k], 0.f), 1.f);
         const int32_t kind = known[k] > 0 ? from.kind[k] : int32_t(OutlineElement::Always);
-        const int32_t size = std::max(1, int32_t(std::min(std::fabs(weight), 1.f) * Weights + 0.5f));
+        const int32_t size = std::max(1, int32_t(std::min(std::fabs(weight), 1.f) * Weights + Half));
         to.weight[k] = int8_t(weight > 0 ? size : weight < 0 ? -size : 0);
-        to.kind[k] = uint8_t(kind << 6 | int32_t(bend * Bends + 0.5f));
+        to.kind[k] = uint8_t(kind << 6 | int32_t(bend * Bends + Half));
         to.index[k] = from.index[k];
     }
     return to;

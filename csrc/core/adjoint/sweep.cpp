@@ -68,8 +68,7 @@ TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, co
 // What moves a vertex of a path through media, and what it hands to the one before: as elsewhere, with the motion of
 // the segment that ends here. `hit` and `d_bar` are those of the vertex, `next` what came from behind.
 template <class F>
-TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                         const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
+TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents, int kind,
                                          const VertexRecord<F> &v, const NextVertex<F> &next,
                                          const SegmentMotion<F> &segment, const F &log_bar, HitAdjoint<F> hit,
                                          Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
@@ -86,8 +85,7 @@ TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeCol
         if (passes) hit.p = hit.p + next.ray.o, d_bar = d_bar + next.ray.d;
         ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
         if (passes) {
-            u = next.segment, p = next.p, from = next.from;
-            at = next.at;
+            u = next.segment, p = next.p, at = next.at, from = next.from;
             if (any(glued_behind)) {
                 HitAdjoint<F> rest_hit;
                 rest_hit.p = next.rest;
@@ -185,8 +183,8 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
     if (parents) hand_radiance(*parents, parent, r, active);
     if (moves) {
-        sweep_volumetric_motion(c, tape, parents, kind, i, v, next, motion, contract(a, arrived), hit, d_bar, slot,
-                                parent, active, sink);
+        sweep_volumetric_motion(c, parents, kind, v, next, motion, contract(a, arrived), hit, d_bar, slot, parent,
+                                active, sink);
     } else if (needs.geometry) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
