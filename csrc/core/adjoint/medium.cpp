@@ -146,7 +146,6 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
         if (any(lit)) {
             turned = light_bar * phase_slope(scene, info.phase, v.p, v.d, v.wo_light, light_bar, lit, p, sink);
             direction = direction + v.wo_light * turned;
-            Vec3<F> x_bar = v.way.o;
             DirectAdjoint<F> g{v.light,
                                v.p,
                                v.wo_light,
@@ -156,13 +155,7 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
                                light_at,
                                needs.geometry,
                                v.way.end};
-            IntOf<F> kind = emitter_kind<F>(scene, v.light.emitter, lit);
-            for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &some) {
-                Vec3<F> bar{F(0), F(0), F(0)};
-                if (emitter.direct_vjp) emitter.direct_vjp(scene, g, some, bar, sink);
-                x_bar = select(some, x_bar + bar, x_bar);
-            });
-            p = select(lit, p + x_bar, p);
+            p = select(lit, p + v.way.o + sweep_direct(scene, g, lit, sink), p);
         }
         p_bar = select(lanes, p_bar + p, p_bar);
         d_bar = select(lanes, d_bar + direction, d_bar);

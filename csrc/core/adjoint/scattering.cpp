@@ -13,6 +13,17 @@ TR_LARGE void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &poin
 }
 
 template <class F>
+TR_LARGE Vec3<F> sweep_direct(const SceneOf<F> &scene, const DirectAdjoint<F> &g, const MaskOf<F> &lit,
+                              GradientSink<F> &sink) {
+    Vec3<F> x_bar{F(0), F(0), F(0)};
+    IntOf<F> kind = emitter_kind<F>(scene, g.point.emitter, lit);
+    for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
+        if (emitter.direct_vjp) emitter.direct_vjp(scene, g, lanes, x_bar, sink);
+    });
+    return x_bar;
+}
+
+template <class F>
 TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Transport transport,
                                      const Spectrum<F> &a, const Spectrum<F> &path_factor,
                                      const Spectrum<F> &light_factor, const GradientNeeds &needs, const MaskOf<F> &lit,
@@ -67,7 +78,7 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
                                 const GradientNeeds &needs, VertexFrame<F> &frame, Vec3<F> &wi_bar, HitAdjoint<F> &hit,
                                 GradientSink<F> &sink) {
     wi_bar = wi_bar + bsdf.light.wi_bar;
-    Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + light_d_bar + v.way.d, x_bar{F(0), F(0), F(0)};
+    Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + light_d_bar + v.way.d;
     DirectAdjoint<F> g{v.light,
                        v.p,
                        frame.frame.to_world(v.wo_light),
@@ -77,11 +88,7 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
                        light_at,
                        needs.geometry,
                        v.way.end};
-    IntOf<F> kind = emitter_kind<F>(scene, v.light.emitter, lit);
-    for_each_emitter_kind<F>(kind, lit, [&](const EmitterKernels<F> &emitter, const MaskOf<F> &lanes) {
-        if (emitter.direct_vjp) emitter.direct_vjp(scene, g, lanes, x_bar, sink);
-    });
-    hit.p = hit.p + x_bar + v.way.o;
+    hit.p = hit.p + sweep_direct(scene, g, lit, sink) + v.way.o;
 }
 
 }  // namespace
@@ -139,6 +146,8 @@ TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const V
     template void sweep_emitter(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Spectrum<F> &, \
                                 const GradientNeeds &, const MaskOf<F> &, CoordinateAdjoint<F> &, Vec3<F> &,         \
                                 GradientSink<F> &);                                                                  \
+    template Vec3<F> sweep_direct(const SceneView<S> &, const DirectAdjoint<F> &, const MaskOf<F> &,                 \
+                                  GradientSink<F> &);                                                                \
     template Spectrum<F> sweep_scattering(const SceneView<S> &, int, const VertexRecord<F> &, Spectrum<F>,           \
                                           NextVertex<F>, const GradientNeeds &, const MaskOf<F> &, HitAdjoint<F> &,  \
                                           Vec3<F> &, GradientSink<F> &);

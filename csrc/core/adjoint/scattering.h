@@ -27,6 +27,11 @@ TR_LARGE void sweep_emitter(const SceneOf<F> &scene, const EmitterPoint<F> &poin
                             const Spectrum<F> &g, const GradientNeeds &needs, const MaskOf<F> &active,
                             CoordinateAdjoint<F> &at, Vec3<F> &d_bar, GradientSink<F> &sink);
 
+// The way from sampled points to the reference points of `lit`, see DirectAdjoint; returns the adjoint of the latter.
+template <class F>
+TR_LARGE Vec3<F> sweep_direct(const SceneOf<F> &scene, const DirectAdjoint<F> &g, const MaskOf<F> &lit,
+                              GradientSink<F> &sink);
+
 // One scattering vertex of this kind; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit
 // and of the arriving ray's direction.
 template <class F>

@@ -65,18 +65,26 @@ TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, co
     sweep_camera(c.scene, sensor, at, c.width, c.height, ray, F(0), active, sink);
 }
 
-// What moves a vertex of a path through media, and what it hands to the one before: as elsewhere, with the motion of
-// the segment that ends here. `hit` and `d_bar` are those of the vertex, `next` what came from behind.
+// A vertex of a path through media that moves, and the segment that ends at it: what they hand to the one before, which
+// is otherwise as elsewhere. `hit` and `d_bar` are those of the vertex, `next` what came from behind, `arrived` the
+// radiance there and `branch` see sweep_segment. Returns the radiance at the segment's beginning.
 template <class F>
-TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents, int kind,
-                                         const VertexRecord<F> &v, const NextVertex<F> &next,
-                                         const SegmentMotion<F> &segment, const F &log_bar, HitAdjoint<F> hit,
-                                         Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
-                                         const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_NOINLINE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                             const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
+                                             const VertexRecord<F> &v, const NextVertex<F> &next,
+                                             const SegmentPacket<F> &packet, const Spectrum<F> &delta,
+                                             const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> hit,
+                                             Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
+                                             const MaskOf<F> &active, GradientSink<F> &sink) {
     const Vec3<F> zero{F(0), F(0), F(0)};
     const bool passes = kind == NullKind, surface = kind < MissKind;
     const auto glued_behind = MaskOf<F>(passes) && active && mask<F>(squared_norm(next.segment) > F(0));
-    const auto chain = glued_behind || (surface && !passes ? active && !v.attached : MaskOf<F>(false));
+    const auto ends_glued = MaskOf<F>(surface && !passes) && active && !v.attached, chain = glued_behind || ends_glued;
+    SegmentMotion<F> segment{{}, v.d, hit.p, MaskOf<F>(kind == CollisionKind), ends_glued, chain, {}, {}};
+    read(tape.motion, Entries<F>(i), segment.at);
+    Spectrum<F> r =
+        sweep_segment(c.scene, packet, delta, v.beta, arrived, branch, c.needs.medium, active, sink, &segment);
+    const F log_bar = contract(pull(delta, v.beta), arrived);
     RayAdjoint<F> ray{zero, d_bar};
     Vec3<F> u = zero, p = v.p, rest = zero, from = zero;
     SurfacePoint<F> at = v.at;
@@ -103,7 +111,7 @@ TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeCol
     if (!parents) {
         ray.o = ray.o + rest + from;
         if (c.needs.camera) sweep_start(c, slot, ray, active, sink);
-        return;
+        return r;
     }
     hand_motion(*parents, parent, ray, u, p, at, active);
     auto vector = [&](const auto &column, const Vec3<F> &value) {
@@ -111,6 +119,7 @@ TR_NOINLINE void sweep_volumetric_motion(const SweepContext<F> &c, const TapeCol
         scatter_lanes<F>(column.z, parent, value.z, active);
     };
     vector(parents->motion.rest_bar, rest), vector(parents->motion.from_bar, from);
+    return r;
 }
 
 template <class F>
@@ -153,14 +162,11 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     HitAdjoint<F> hit;
     Vec3<F> d_bar{F(0), F(0), F(0)};
     NextVertex<F> next = read_next<F>(tape, i, needs.geometry && (surface || collided || passes));
-    SegmentMotion<F> motion;
-    if (moves) {
-        read(tape.motion, from, motion.at);
-        motion.d = v.d;
-        if (surface || collided) {
-            v.way = sweep_shadow_motion(c.scene, segment, motion.at, v.p, delta, active, sink);
-            next.ray.o = next.ray.o + next.rest + next.from;
-        }
+    if (moves && (surface || collided)) {
+        MotionPacket<F> motion;
+        read(tape.motion, from, motion);
+        v.way = sweep_shadow_motion(c.scene, segment, motion, v.p, delta, active, sink);
+        next.ray.o = next.ray.o + next.rest + next.from;
     }
     auto lit = active && mask<F>(v.emission_weight > F(0));
     if ((needs.emitter || needs.geometry) && any(lit))
@@ -168,24 +174,15 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     if (surface) r = r + sweep_scattering(c.scene, kind, v, a, next, needs, active, hit, d_bar, sink);
     if (passes) r = r + next.radiance * v.inverse_pdf;
     if (collided) r = r + sweep_collision(c.scene, v, segment.medium, a, next, needs, active, hit.p, d_bar, sink);
-    const Spectrum<F> arrived = r;
-    if (volumetric) {
-        if (moves) {
-            motion.collision_bar = hit.p;
-            motion.collided = MaskOf<F>(collided);
-            motion.ends_glued = surface ? active && !v.attached : MaskOf<F>(false);
-            motion.seen_from_glued = motion.ends_glued;
-            if (passes) motion.seen_from_glued = active && mask<F>(squared_norm(next.segment) > F(0));
-        }
-        r = sweep_segment(c.scene, segment, delta, v.beta, r, branch_radiance(c, level, i, slot, active), needs.medium,
-                          active, sink, moves ? &motion : nullptr);
-    }
     UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
+    if (volumetric) {
+        Spectrum<F> branch = branch_radiance(c, level, i, slot, active);
+        r = moves ? sweep_moving_segment(c, tape, parents, kind, i, v, next, segment, delta, r, branch, hit, d_bar,
+                                         slot, parent, active, sink)
+                  : sweep_segment(c.scene, segment, delta, v.beta, r, branch, needs.medium, active, sink);
+    }
     if (parents) hand_radiance(*parents, parent, r, active);
-    if (moves) {
-        sweep_volumetric_motion(c, parents, kind, v, next, motion, contract(a, arrived), hit, d_bar, slot, parent,
-                                active, sink);
-    } else if (needs.geometry) {
+    if (needs.geometry && !moves) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
         if (kind != MissKind) {

@@ -116,7 +116,7 @@ TR_LARGE void begin_flight(const PathContext<F> &c, const MediumContext<F> &m, c
     auto active = mask<F>(U(i) + lane_index<F>() < U(queue.n));
     auto missed = mask<F>(from.get(hits.at.shape) == U(NoHit));
     write(flight.end, i, select(missed, from(queue.length), from(hits.t)));
-    write(flight.behind, i, from.get(hits.at.shape));
+    if (c.needs->geometry) write(flight.behind, i, from.get(hits.at.shape));
     write(flight.start, i, F(0));
     write(flight.length, i, F(0));
     write(flight.collided, i, U(0u));
