@@ -36,9 +36,9 @@ struct PointSink {
     S derivative = 0;  // forward mode
 
     bool wants(uint32_t shape) const { return sink.shape_wanted[shape] != 0; }
-    void vertex(uint32_t index, const Vec3<S> &g) {
-        const S *tangent = sink.vertex_tangent[0];
-        double *to = sink.vertices[0];
+    void vertex(uint32_t index, const Vec3<S> &g, VertexArray array = VertexArray::Positions) {
+        const S *tangent = sink.vertex_tangent[size_t(array)];
+        double *to = sink.vertices[size_t(array)];
         const S v[3] = {g.x, g.y, g.z};
         for (size_t i = 0; i < 3; ++i)
             if (!sink.forward && to)

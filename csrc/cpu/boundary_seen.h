@@ -4,7 +4,8 @@
 //     dI = integral of h(p - u) / Z  (L_minus - L_plus)  w sin  n.(db - do - r dd)  dl
 //
 // L may be anything that is seen; see boundary_outputs.h for what is not radiance. Of glued samples L is zero on the
-// side of what hides, and where the ray on the other side ends at E the rate is n.(dB - (1 - tau) do - tau dE).
+// side of what hides, and where the ray on the other side ends at E the rate is n.(dB - (1 - tau) do - tau dE). Rims of
+// normals are among the outlines, see outline_rims.h; glued, they have what they move over their faces, and both sides.
 #pragma once
 
 #include "boundary_tile.h"
@@ -24,10 +25,12 @@ protected:
     struct Sight {
         uint32_t slot;
         int32_t element;
+        V origin;  // of the ray, or its direction
         S s;
         V b, n;
         S front, t, distance;  // of b from where the ray begins, and from the camera
-        S weight;
+        S weight, reach;
+        bool resolved;  // its own faces are met beside it
     };
     std::vector<Sight> sights_;
     std::vector<OutlineRay> rays_;  // two for each, beside it
@@ -62,7 +65,7 @@ protected:
     }
     // What is seen on the sides of -n and of n, in a channel.
     void set_jump(size_t sight, size_t channel, double minus, double plus) {
-        if (boundary_.glued) (sights_[sight].front > 0 ? plus : minus) = 0;
+        if (boundary_.glued && !is_rim(sights_[sight])) (sights_[sight].front > 0 ? plus : minus) = 0;
         const double jump = (minus - plus) * double(sights_[sight].weight);
         jumps_[sight * channels() + channel] = std::isfinite(jump) ? jump : 0;
     }
@@ -99,7 +102,8 @@ private:
             x.s = S(from + (to - from) * double(this->number(k, 0)));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
-            if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0)) continue;
+            if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0 && !is_rim(x)))
+                continue;
             if (!film_place<S>(scene_, sensor(), point.p, width, height, place)) continue;
             if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), place, width, height);
@@ -112,12 +116,13 @@ private:
             const double density = mass / total / (to - from);                 // by the parameter
             x.weight = S(double(turned) / double(area) / density / boundary_.total);
             if (!std::isfinite(x.weight)) continue;
-            x.b = point.p, x.n = across * (1 / turned), x.front = point.front;
+            x.b = point.p, x.n = across * (1 / turned), x.front = point.front, x.origin = origin;
             slots.film_x[k] = place.x, slots.film_y[k] = place.y;
-            const S side = std::max(std::min(S(Beside) * std::sqrt(area), point.room / 8),
-                                    Base::least_side(point.p, x.t, point.reach));
+            const S beside = S(is_rim(x) ? BesideRim : Beside) * std::sqrt(area);
+            const S side = std::max(std::min(beside, point.room / 8), Base::least_side(point.p, x.t, point.reach));
+            x.reach = point.reach, x.resolved = point.room > S(1.25) * side;
             for (S sign : {S(-1), S(1)}) {
-                const V offset = x.n * (sign * (side + (x.front == sign ? S(BeyondRim) * point.rim : S(0))));
+                const V offset = x.n * (sign * side);
                 rays_.push_back(parallel() ? OutlineRay{o + offset, d}
                                            : OutlineRay{o, Base::unit(point.p - o + offset)});
                 lengths_.push_back(ray.length);
@@ -125,7 +130,10 @@ private:
             sights_.push_back(x);
         }
     }
-    static constexpr double Beside = 0x1p-14;  // how far beside an outline its colours are looked at, in pixels
+    // How far beside an outline its colours are looked at, in pixels; beside rims, which are where rounded normals say.
+    static constexpr double Beside = 0x1p-14, BesideRim = 0x1p-11;
+
+    bool is_rim(const Sight &x) const { return boundary_.outlines->is_face(size_t(x.element)); }
 
     void look_past() {
         PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
@@ -143,7 +151,10 @@ private:
                 const OutlineRay &ray = rays_[2 * k + h];
                 t[h] = ray.t + dot(queue.o.get(2 * k + h) - ray.o, ray.d);
             }
-            if (!Base::is_open(sights_[k].front, sights_[k].t, t, S(1e-5))) continue;
+            const size_t hiding = sights_[k].front > 0 ? 1 : 0;
+            if (is_repeated(sights_[k], rays_[2 * k + hiding].at, t[hiding])) continue;
+            const S tolerance = S(is_rim(sights_[k]) ? 5e-3 : 1e-5);
+            if (!Base::is_open(sights_[k].front, sights_[k].t, t, tolerance)) continue;
             for (size_t h = 0; h < 2; ++h) {
                 rays_[2 * kept + h] = rays_[2 * k + h], lengths_[2 * kept + h] = lengths_[2 * k + h];
                 rays_[2 * kept + h].met_from = queue.o.get(2 * k + h);
@@ -153,6 +164,21 @@ private:
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
     }
 
+    // Of two edges that are closer to each other, across rays, than rays are traced both would have the jump between
+    // what is behind them and the nearer one. The nearer has it: past the other one a ray meets a face, beyond its own,
+    // that is nearer. t: what the ray on the side that hides meets.
+    bool is_repeated(const Sight &x, const SurfacePoint<S> &at, S t) const {
+        const OutlineSet &set = *boundary_.outlines;
+        if (x.front == 0 || !x.resolved || !set.is_edge(size_t(x.element))) return false;
+        if (!(t < x.t - S(0.02) * x.reach)) return false;
+        for (size_t i = 0; i < set.count(size_t(x.element)); ++i) {
+            const HalfEdge h = set.half(scene_, size_t(x.element), i);
+            const uint32_t shape = set.shape_of(h);
+            if (shape == at.shape && h.face - uint32_t(scene_.shapes[shape].face_offset) == at.primitive) return false;
+        }
+        return true;
+    }
+
     // Shapes that the camera's rays pass: lights that are hidden, and boundaries of media that do not scatter.
     bool lets_through(uint32_t shape) const {
         const bool hidden = call_.config.hide_emitters && scene_.shapes[shape].emitter >= 0;
@@ -160,9 +186,7 @@ private:
     }
     // Whether an element is of such a shape, and nothing of it is seen.
     bool is_invisible(int32_t element) const {
-        const OutlineSet &set = *boundary_.outlines;
-        const uint32_t shape = set.is_edge(size_t(element)) ? set.shape_of(set.half(scene_, size_t(element), 0))
-                                                            : uint32_t(set.curve(size_t(element)).shape);
+        const uint32_t shape = boundary_.outlines->shape_of_element(scene_, size_t(element));
         return lets_through(shape) && (call_.config.hide_emitters || scene_.shapes[shape].emitter < 0);
     }
 
@@ -176,34 +200,52 @@ private:
         return tau;
     }
 
+    // Of a rim, which moves with its face (glued points do, too) and over it.
+    void add_to_rim(const Sight &x, const V &g, PointSink<F> &sink) {
+        const OutlineSet &set = *boundary_.outlines;
+        const uint32_t face = set.face(size_t(x.element));
+        const RimPoint<S> rim = outlines_.rim_point(x.element, x.s, x.origin, parallel());
+        const S rate = dot(g, rim.slope);
+        const V with_face = boundary_.glued ? V{S(0), S(0), S(0)} : g, turn = rim.N * rate;
+        const V material = parallel() ? with_face : with_face + turn;
+        for (size_t i = 0; i < 3 && sink.wants(set.shape_of_face(face)); ++i) {
+            const uint32_t vertex = scene_.faces[3 * size_t(face) + i];
+            sink.vertex(vertex, material * rim.b[i]);
+            sink.vertex(vertex, rim.w * (-rate * rim.b[i]), VertexArray::Normals);
+        }
+        this->anchors_.p_bar.set(x.slot, material);
+        this->anchors_.d.set(x.slot, with_face * -x.distance + (parallel() ? turn : V{S(0), S(0), S(0)}));
+    }
+
     template <class Weight>
     void add(uint32_t n, GradientSink<F> &sink, Weight &&weight) {
-        const auto &p_bar = this->anchors_.p_bar;
-        for (uint32_t k = 0; k < n; ++k) p_bar.set(k, {S(0), S(0), S(0)});
-        std::vector<S> distance(n + W, S(0));
+        const auto &p_bar = this->anchors_.p_bar, &d_bar = this->anchors_.d;
+        for (uint32_t k = 0; k < n; ++k) p_bar.set(k, {S(0), S(0), S(0)}), d_bar.set(k, {S(0), S(0), S(0)});
         PointSink<F> points{sink};
         for (const Sight &x : sights_) {
             const S w = weight(x);
             if (w == 0 || !std::isfinite(w)) continue;
             const V g = x.n * w;
             points.derivative = 0;
-            this->add_to_outline(x.element, x.s, x.b, g, points);
+            if (is_rim(x)) {
+                add_to_rim(x, g, points);
+            } else {
+                this->add_to_outline(x.element, x.s, x.b, g, points);
+                p_bar.set(x.slot, boundary_.glued ? g * (1 - add_end(x, g)) : g);
+                if (!boundary_.glued) d_bar.set(x.slot, g * -x.distance);
+            }
             if (sink.forward) paths_.slots.radiance[0][x.slot] += points.derivative;
-            if (boundary_.glued)
-                p_bar.set(x.slot, g * (1 - add_end(x, g)));
-            else
-                p_bar.set(x.slot, g), distance[x.slot] = x.distance;
         }
         if (boundary_.glued) this->sweep_glued(sink, paths_.slots);
         if (!paths_.wavefront.needs().camera) return;
         for (uint32_t i = 0; i < n; i += W) {
             Entries<F> from(i);
             const Vec3<F> g = from(p_bar);
-            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(g) > F(0));
+            M active = mask<F>(lane_index<F>() < U(n - i)) && mask<F>(max_abs(g) + max_abs(from(d_bar)) > F(0));
             if (!any(active)) continue;
             sink.begin();
             const CameraSample<F> at = camera_sample<F>(path_call_.config, sensor(), paths_.slots, from);
-            const RayAdjoint<F> ray{-g, g * -load<F>(distance.data() + i)};
+            const RayAdjoint<F> ray{-g, from(d_bar)};
             sweep_camera(scene_, sensor(), at, S(call_.film_width), S(call_.film_height), ray, F(0), active, sink);
             if (sink.forward) add_to_entries<F>(paths_.slots.radiance, U(i) + lane_index<F>(), sink.derivative, active);
         }

@@ -52,23 +52,22 @@ public:
 
     OutlinePieces cut() const {
         const OutlineTree &tree = set_.tree();
-        std::vector<std::vector<OutlinePiece>> found(size_t(std::max(1, call_.threads)));
-        std::vector<std::vector<double>> lengths(found.size());
         const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)};
-        auto visit = [&](size_t begin, size_t end, int range) {
-            for (size_t leaf = begin; leaf < end; ++leaf)
-                tree.for_outlines(leaf, o, parallel_, float(lens_), glued_, [&](int32_t i) {
-                    const float weight = candidate(set_.element(*call_.scene, size_t(i)), o);
-                    if (weight > 0) cut(i, weight, found[size_t(range)], lengths[size_t(range)]);
-                });
-        };
-        constexpr size_t few = 256;
-        for_ranges(tree.n_leaves(), call_.threads, visit, few);
         OutlinePieces r;
-        double sum = 0;
-        for (size_t k = 0; k < found.size(); ++k) {
-            r.all.insert(r.all.end(), found[k].begin(), found[k].end());
-            for (double length : lengths[k]) r.cdf.push_back(sum += length);
+        collect(tree.n_leaves(), r, [&](size_t leaf, auto &&add) {
+            tree.for_outlines(leaf, o, parallel_, float(lens_), glued_, [&](int32_t i) {
+                const float weight = candidate(set_.element(*call_.scene, size_t(i)), o);
+                if (weight > 0) add(size_t(i), weight);
+            });
+        });
+        for (int32_t s = 0; s < call_.scene->n_shapes; ++s) {
+            const ShapeInfo &info = call_.scene->shapes[s];
+            if ((info.flags & IsCurved) || !(info.flags & HasNormals) || !set_.moves(uint32_t(s))) continue;
+            collect(size_t(info.n_faces), r, [&](size_t k, auto &&add) {
+                const uint32_t face = uint32_t(info.face_offset) + uint32_t(k);
+                if (Rim<S>(*call_.scene, face, origin_, parallel_).possible(lens_))
+                    add(set_.element_of_face(face), 0.25f);
+            });
         }
         return r;
     }
@@ -96,6 +95,24 @@ private:
         if (!same) return weight;
         if (glued_) return 0;
         return e.kind == OutlineElement::Crease && (e.bend > 1e-6f) ? std::min(std::max(e.bend, 0.05f), 1.f) : 0.f;
+    }
+
+    // Appends pieces of what visit(i, add) adds, an element and its weight, for i < n: in the same order for any number
+    // of threads.
+    template <class Visit>
+    void collect(size_t n, OutlinePieces &to, Visit &&visit) const {
+        constexpr size_t few = 256;
+        std::vector<OutlinePieces> found(size_t(std::max(1, call_.threads)));
+        auto each = [&](size_t begin, size_t end, int range) {
+            auto add = [&](size_t i, float weight) { cut(int32_t(i), weight, found[size_t(range)]); };
+            for (size_t i = begin; i < end; ++i) visit(i, add);
+        };
+        for_ranges(n, call_.threads, each, few);
+        double sum = to.total();
+        for (const OutlinePieces &part : found) {
+            to.all.insert(to.all.end(), part.all.begin(), part.all.end());
+            for (double length : part.cdf) to.cdf.push_back(sum += length);
+        }
     }
 
     struct OnFilm {
@@ -127,19 +144,20 @@ private:
         return r;
     }
 
-    void cut(int32_t element, float weight, std::vector<OutlinePiece> &to, std::vector<double> &lengths) const {
+    // The lengths are not added up yet.
+    void cut(int32_t element, float weight, OutlinePieces &to) const {
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
-        if (!set_.is_edge(size_t(element))) n = std::max(n, Fewest);
+        if (!set_.is_edge(size_t(element)) && !set_.is_face(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
             const OnFilm piece = on_film(element, begin, end, 2);
             const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
             const S length = std::min(piece.length, most);
             if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) continue;
-            to.push_back({element, float(begin), float(end)});
-            lengths.push_back(double(weight) * double(length));
+            to.all.push_back({element, float(begin), float(end)});
+            to.cdf.push_back(double(weight) * double(length));
         }
     }
 

@@ -6,6 +6,7 @@
 
 #include "core/adjoint/gradient_sink.h"
 #include "host/outline_set.h"
+#include "outline_rims.h"
 
 namespace tr {
 
@@ -29,19 +30,33 @@ public:
     // At the parameter s of an element, as rays from `origin`, or along the unit vector of this name if `parallel`, see
     // it.
     OutlinePoint<S> point(int32_t element, S s, const V &origin, bool parallel) const {
+        if (set_.is_face(size_t(element))) {
+            const Rim<S> rim(scene_, set_.face(size_t(element)), origin, parallel);
+            const RimPoint<S> found = rim.at(s);
+            return {found.p, found.along, found.valid, S(0), found.room / 8, S(0), rim.reach(found.p)};
+        }
         return set_.is_edge(size_t(element)) ? edge_point(size_t(element), s, origin, parallel)
                                              : curve_point(set_.curve(size_t(element)), s, origin, parallel);
     }
     // Its place alone.
     V place(int32_t element, S s, const V &origin, bool parallel) const {
+        if (set_.is_face(size_t(element))) {
+            const RimPoint<S> found = rim_point(element, s, origin, parallel);
+            return found.valid ? found.p : V{S(NAN), S(NAN), S(NAN)};
+        }
         if (!set_.is_edge(size_t(element))) return curve_point(set_.curve(size_t(element)), s, origin, parallel).p;
         const HalfEdge h = set_.half(scene_, size_t(element), 0);
         const V a = position(h.v0);
         return a + (position(h.v1) - a) * s;
     }
 
-    // Hands the adjoint of such a point on: `vertex(shape, index, share)` for every vertex of an edge, `matrix(shape,
-    // local)` of a quadric.
+    // Of an element that is a face.
+    RimPoint<S> rim_point(int32_t element, S s, const V &origin, bool parallel) const {
+        return Rim<S>(scene_, set_.face(size_t(element)), origin, parallel).at(s);
+    }
+
+    // Hands the adjoint of a point that is not of a rim on: `vertex(shape, index, share)` for every vertex of an edge,
+    // `matrix(shape, local)` of a quadric.
     template <class Vertex, class Matrix>
     void spread(int32_t element, S s, const V &p, Vertex &&vertex, Matrix &&matrix) const {
         if (!set_.is_edge(size_t(element))) {
@@ -80,7 +95,7 @@ private:
             const V third = position(set_.half(scene_, edge, k).third);
             const S side = dot(third - a, across);
             right |= side > 0, left |= side < 0;
-            r.room = std::min(r.room, std::abs(side) * inverse);
+            r.room = std::min(r.room, std::abs(side) * inverse * share(third, s, r, towards, parallel));
             r.reach = std::max(r.reach, max_abs(third - r.p));
         }
         r.reach = std::max({r.reach, max_abs(a - r.p), max_abs(b - r.p)});
@@ -89,6 +104,15 @@ private:
         r.front = both ? S(0) : S(right) - S(left);
         if (r.front != 0) r.rim = rim(edge, s, towards, a, across, inverse);
         return r;
+    }
+
+    // The share of its height that a triangle has at a place on its base, the edge from a, as rays see it.
+    static S share(const V &third, S s, const OutlinePoint<S> &r, const V &towards, bool parallel) {
+        const S square = dot(towards, towards), depth = dot(third - r.p, towards);
+        const V beside = parallel ? third - r.p : (third - r.p + towards) * (square / (square + depth)) - towards;
+        const V along = r.along - towards * (dot(r.along, towards) / square);
+        const S foot = s + dot(beside, along) / std::max(dot(along, along), S(1e-30));
+        return s < foot ? s / foot : (1 - s) / (1 - foot);
     }
 
     // How far across rays, on faces that are seen, interpolated normals look away from where these come from. There a

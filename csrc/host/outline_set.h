@@ -36,18 +36,30 @@ public:
     size_t n_edges() const { return begin_.size() - 1; }
     size_t size() const { return n_edges() + curves_.size(); }
     bool is_edge(size_t element) const { return element < n_edges(); }
+    // Beyond the elements are the faces, for the rims of their normals (see cpu/outline_rims.h).
+    bool is_face(size_t element) const { return element >= size(); }
+    uint32_t face(size_t element) const { return uint32_t(element - size()); }
+    size_t element_of_face(uint32_t face) const { return size() + face; }
+    // Of which shape an element is, of the first where faces of several meet.
+    template <class S>
+    uint32_t shape_of_element(const SceneView<S> &scene, size_t i) const {
+        if (is_face(i)) return shape_of_face(face(i));
+        return is_edge(i) ? shape_of(half(scene, i, 0)) : uint32_t(curve(i).shape);
+    }
+    bool moves(uint32_t shape) const { return moves_[shape] != 0; }
     // How many faces an edge has, and one of them.
     size_t count(size_t edge) const { return begin_of(edge + 1) - begin_of(edge); }
     template <class S>
     HalfEdge half(const SceneView<S> &scene, size_t edge, size_t k) const {
         return half_of(scene, corners_[begin_of(edge) + k]);
     }
-    uint32_t shape_of(const HalfEdge &half) const {
+    uint32_t shape_of(const HalfEdge &half) const { return shape_of_face(half.face); }
+    uint32_t shape_of_face(uint32_t face) const {
         if (meshes_.size() == 1) return meshes_[0].shape;
         size_t low = 0, high = meshes_.size();
         while (high - low > 1) {
             const size_t middle = (low + high) / 2;
-            (meshes_[middle].face <= half.face ? low : high) = middle;
+            (meshes_[middle].face <= face ? low : high) = middle;
         }
         return meshes_[low].shape;
     }

@@ -3,6 +3,7 @@
 
 #include "accel/embree_library.h"
 #include "core/sensor/camera.h"
+#include "cpu/outline_rims.h"
 #include "host/morton_order.h"
 #include "host/outline_set.h"
 #include "scene_builder.h"
@@ -174,6 +175,67 @@ TR_TEST(a_camera_sees_points_of_a_ray_where_it_begins) {
             CHECK_NEAR(found.y, at.y, 1e-9);
         }
     }
+}
+
+// Rims of random triangles: places, derivatives by the parameter, and how they move where normals do.
+TR_TEST(rims_of_normals) {
+    using S = double;
+    using V = Vec3<S>;
+    std::mt19937 random(11);
+    std::uniform_real_distribution<S> u(-1, 1);
+    const uint32_t faces[3] = {0, 1, 2};
+    VertexRow<S> rows[3];
+    SceneView<S> scene{};
+    scene.vertices = rows[0].p, scene.faces = faces;
+    int found = 0, twice = 0;
+    for (int k = 0; k < 20000; ++k) {
+        const V around{u(random), u(random), u(random)}, origin{S(0.3), S(-0.2), S(1.2)};
+        S by[3][3];
+        for (size_t i = 0; i < 3; ++i) {
+            const S n[3] = {around.x, around.y, around.z};
+            for (size_t c = 0; c < 3; ++c)
+                rows[i].p[c] = u(random), rows[i].n[c] = n[c] + S(0.8) * u(random), by[i][c] = u(random);
+        }
+        const bool parallel = k % 2 == 1;
+        const V from = parallel ? V{S(0.1), S(0.2), S(-0.97)} : origin;
+        const Rim<S> rim(scene, 0, from, parallel);
+        const S s = S(0.5) + S(0.49) * u(random), h = 1e-6;
+        const RimPoint<S> at = rim.at(s);
+        if (!at.valid) continue;
+        CHECK(rim.possible(0));
+        const auto normals_turn = [&](S by_much) {
+            for (size_t i = 0; i < 3; ++i)
+                for (size_t c = 0; c < 3; ++c) rows[i].n[c] += by_much * by[i][c];
+        };
+        CHECK_NEAR(dot(at.N, at.w), S(0), 1e-12);
+        V turned{0, 0, 0}, place{0, 0, 0};
+        for (size_t i = 0; i < 3; ++i) {
+            CHECK(at.b[i] >= 0);
+            turned = turned + V{by[i][0], by[i][1], by[i][2]} * at.b[i];
+            place = place + V{rows[i].p[0], rows[i].p[1], rows[i].p[2]} * at.b[i];
+        }
+        CHECK_NEAR(max_abs(place - at.p), S(0), 1e-12);
+        const RimPoint<S> next = rim.at(s + h), last = rim.at(s - h);
+        normals_turn(h);
+        const RimPoint<S> after = Rim<S>(scene, 0, from, parallel).at(s);
+        normals_turn(-2 * h);
+        const RimPoint<S> before = Rim<S>(scene, 0, from, parallel).at(s);
+        // near where a line touches the rim, or where it goes through a corner, differences are of no use
+        if (!next.valid || !last.valid || !after.valid || !before.valid) continue;
+        const S size = 1 + max_abs(at.along) + max_abs(at.slope);
+        if (size > 20) continue;
+        CHECK_NEAR(max_abs((next.p - last.p) * (1 / (2 * h)) - at.along), S(0), 1e-4 * size * size);
+        CHECK_NEAR(max_abs((after.p - before.p) * (1 / (2 * h)) + at.slope * dot(at.w, turned)), S(0),
+                   1e-4 * size * size);
+        ++found;
+        const auto g = [&](size_t i) {
+            const V n{rows[i].n[0], rows[i].n[1], rows[i].n[2]}, p{rows[i].p[0], rows[i].p[1], rows[i].p[2]};
+            return dot(n, parallel ? -from : from - p) > 0;
+        };
+        twice += g(0) == g(1) && g(1) == g(2);
+    }
+    CHECK(found > 1000);
+    CHECK(twice > 10);  // of rims that meet a line two times
 }
 
 TR_TEST(the_order_is_a_function_of_places_alone) {

@@ -181,30 +181,21 @@ CASES = {
         size=38,
         differences_spp=64,
     ),
-}
-KNOWN = {
     "glowing ball of interpolated normals": Case(
         {"light": ball(T.translate([1.25, 0, 0]), smooth=True, emitter=glowing(1.0))},
         {"light.vertex_positions": X},
         0.015,
     ),
 }
-WHY = {
-    "glowing ball of interpolated normals": "where interpolated normals turn away is left out: -0.897 for -0.948",
-}
-ALL = CASES | KNOWN
 
 
-@pytest.mark.parametrize(
-    "name",
-    [*CASES, *(pytest.param(name, marks=pytest.mark.xfail(strict=True, reason=why)) for name, why in WHY.items())],
-)
+@pytest.mark.parametrize("name", CASES)
 def test_against_differences(name):
-    case = ALL[name]
+    case = CASES[name]
     scene = case.scene()
     settings = {"spp": case.spp, "differences_spp": case.differences_spp, "step": case.step, "seeds": 8}
     settings |= {"weight": case.weight, "spp_visibility": case.spp_visibility}
-    check(*by_theta(scene, case.directions(scene), **settings), case.rtol, len(ALL))
+    check(*by_theta(scene, case.directions(scene), **settings), case.rtol, len(CASES))
 
 
 @pytest.mark.parametrize("name", ["occluder", "right angle that shadows itself", "camera"])

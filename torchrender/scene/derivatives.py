@@ -69,12 +69,11 @@ def moves_rays(slot: Slot) -> bool:
 
 
 def moves_outlines(slot: Slot) -> bool:
-    """Whether silhouettes or shadows depend on a parameter."""
+    """Whether silhouettes, shadows or rims of interpolated normals depend on a parameter."""
     if slot.module.category == "emitter":
         return slot.attribute in ("position", "to_world")
-    shading = ("vertex_normals", "vertex_texcoords")
     own = slot.module.category == "sensor" or slot.attribute in slot.module.fields()
-    return slot.module.category in ("shape", "sensor") and own and slot.attribute not in shading
+    return slot.module.category in ("shape", "sensor") and own and slot.attribute != "vertex_texcoords"
 
 
 PAGE = """# Which derivatives there are
@@ -92,9 +91,10 @@ points on what emits are glued to it, and integrated over area (the material for
 Zhao, "Path-Space Differentiable Rendering", SIGGRAPH 2020). Silhouettes, creases and shadows of meshes, spheres, disks
 and cylinders move with them, in radiance, and what the camera sees in alpha and in the outputs of the first hit.
 `features`, `duv_dx`, `duv_dy`, an `irradiancemeter` and radiance with a `tr.TorchBSDF` lack that, and so does
-`visibility=False`; jumps of `uv` along a line of a round shape do not move either, nor does the horizon of interpolated
-and mapped normals. What depends on the object: `to_uv` of a bitmap with nearest texels has no derivative; that of
-`vertex_normals` is complete on diffuse surfaces.
+`visibility=False`; jumps of `uv` along a line of a round shape do not move either, nor the lines where mapped normals
+begin to look away from the viewer, and where faces do from light that their interpolated normals still see. What
+depends on the object: `to_uv` of a bitmap with nearest texels has no derivative; that of `vertex_normals` is complete
+on diffuse surfaces.
 
 `tr.VolumetricPathTracer` has the same derivatives, of media, too, and of what moves media: their boundaries, the places
 of grids, with the border beyond which a grid is empty, lights and cameras in and around them. Of moving edges it has

@@ -18,6 +18,7 @@ PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may 
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
 SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "distant", "radiancemeter")
 STILL = "distant"  # where a ray of it begins is not a function of the film's place
+NORMALS, SHADING = ("normals",), ("normals", "texcoords")  # fields of meshes that place nothing
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
 
 
@@ -43,16 +44,26 @@ def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
     found = []
     for kind, numbers, _ in layout.objects[category]:
         fields = models()[category, kind].fields
-        slots = [n for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
-        found.append((kind, slots))
+        named = [(f.name, n) for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
+        found.append((kind, [n for name, n in named if name not in SHADING]))
+    return found
+
+
+def normal_slots(layout: Layout) -> list[list[int]]:
+    """The slots of the normals of each shape, which move their rims."""
+    found = []
+    for kind, numbers, _ in layout.objects["shape"]:
+        fields = models()["shape", kind].fields
+        found.append([n for n, f in zip(numbers, fields, strict=True) if f.name in NORMALS and n >= 0])
     return found
 
 
 def all_placing_slots(layout: Layout) -> set[int]:
-    """The slots of what may place shapes, cameras and lights, but for cameras whose motion has no such term."""
+    """The slots of what may place shapes, rims, cameras and lights, but for cameras whose motion has no such term."""
     categories = ("shape", "sensor", "emitter")
     placing = [found for c in categories for found in placing_slots(layout, c)]
-    return {slot for kind, slots in placing if kind != STILL for slot in slots}
+    normals = {slot for slots in normal_slots(layout) for slot in slots}
+    return normals | {slot for kind, slots in placing if kind != STILL for slot in slots}
 
 
 def boundary_of(
@@ -70,16 +81,18 @@ def boundary_of(
     camera = kind != STILL and asked(slots)
     moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
     lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
-    if not any(moves) and not lights:
+    turned = [asked(slots) for slots in normal_slots(call.layout)]
+    if not any(moves) and not lights and not any(turned):
         return None
     usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
-    if call.config.get("volumetric") and outputs is None:  # of those that the camera sees alone
-        if not any(moves):
+    # of those that the camera sees alone
+    if (call.config.get("volumetric") and outputs is None) or not (any(moves) or lights):
+        if not any(moves) and not any(turned):
             return None
         usual = usual[0], 0.0
         spp = spp and (spp[0], 0.0)
     glued = outputs is None and call.config["integrator"] == "ptracer"
-    moving = torch.tensor(moves, dtype=torch.bool)
+    moving = torch.tensor(moves, dtype=torch.bool) | torch.tensor(turned, dtype=torch.bool)
     return BoundaryCall(of_light(call) if glued else call, spp or usual, moving, spp is None, outputs, glued)
 
 
