@@ -1,5 +1,6 @@
 """Large steps on grids and meshes: against dense matrices, adjoints, both modes of differentiation, and refusals."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -101,6 +102,8 @@ def test_mesh_against_a_dense_solve():
     u = joined.to_differential(vertices)
     assert u.shape == (joined.count, 3)
     torch.testing.assert_close(joined.from_differential(u), vertices, rtol=0, atol=1e-12)
+    of_arrays = MeshSmoothing(vertices.numpy(), faces.numpy().astype(np.uint32), 4.0)
+    assert torch.equal(of_arrays.to_differential(vertices), u)
     moved = joined.from_differential(u + torch.rand(u.shape, dtype=torch.float64))
     assert torch.equal(moved[[-2, -1]], moved[[3, 17]]) and not torch.equal(moved, vertices)
 

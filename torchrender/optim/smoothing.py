@@ -164,6 +164,13 @@ class _MeshSolve(torch.autograd.Function):
         return _MeshSolve.apply(tangent, ctx.factors)
 
 
+def _as_tensor(x: Any) -> Any:
+    """An array as a tensor, of signed integers if it has integers; others as they are."""
+    if not isinstance(x, np.ndarray):
+        return x
+    return torch.from_numpy(np.array(x, dtype=np.int64 if np.issubdtype(x.dtype, np.integer) else x.dtype))
+
+
 class MeshSmoothing:
     """Large steps for meshes: ``u = (I + lambda L) x`` on vertices, and back.
 
@@ -171,17 +178,20 @@ class MeshSmoothing:
     while vertices move: the matrix is factorised once, here, by scipy.
 
     Args:
-        vertices: (V, 3) positions, of which only equality matters: vertices at the same place, as files have them along
+        vertices: (V, 3) positions, a tensor or an array, of which only equality matters: vertices at the same place, as files have them along
             seams of texture coordinates, are treated as one. Or the number of vertices: none are joined.
-        faces: (F, 3) integers, as `tr.Mesh` takes them.
+        faces: (F, 3) integers, a tensor or an array.
         lambda_: how smooth, at least 0.
 
     Raises:
         TypeError, ValueError: for arguments other than these.
     """
 
-    def __init__(self, vertices: torch.Tensor | int, faces: torch.Tensor, lambda_: float = 19.0) -> None:
+    def __init__(
+        self, vertices: torch.Tensor | np.ndarray | int, faces: torch.Tensor | np.ndarray, lambda_: float = 19.0
+    ) -> None:
         self.lambda_ = _checked_lambda(lambda_)
+        vertices, faces = _as_tensor(vertices), _as_tensor(faces)
         if isinstance(vertices, int) and not isinstance(vertices, bool):
             if vertices < 1:
                 raise ValueError(f"vertices: expected at least 1, got {vertices}")
