@@ -29,6 +29,7 @@ class OutlineCutter {
     using V = Vec3<S>;
     static constexpr S Pixels = 16;                // length of a piece on the film
     static constexpr S DistantPixels = 64;         // what counts as so many, of `distant`, whose one pixel sees all
+    static constexpr float RimWeight = 0.25f;      // many are hidden, and narrow faces have long ones
     static constexpr int Most = 256, Fewest = 32;  // pieces of an outline, and of a curve
 
 public:
@@ -66,7 +67,7 @@ public:
             collect(size_t(info.n_faces), r, [&](size_t k, auto &&add) {
                 const uint32_t face = uint32_t(info.face_offset) + uint32_t(k);
                 if (Rim<S>(*call_.scene, face, origin_, parallel_).possible(lens_))
-                    add(set_.element_of_face(face), 0.25f);
+                    add(set_.element_of_face(face), RimWeight);
             });
         }
         return r;

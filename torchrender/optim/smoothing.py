@@ -178,8 +178,9 @@ class MeshSmoothing:
     while vertices move: the matrix is factorised once, here, by scipy.
 
     Args:
-        vertices: (V, 3) positions, a tensor or an array, of which only equality matters: vertices at the same place, as files have them along
-            seams of texture coordinates, are treated as one. Or the number of vertices: none are joined.
+        vertices: (V, 3) positions, a tensor or an array, of which only equality matters: vertices at the same place, as
+            files have them along seams of texture coordinates, are treated as one. Or the number of vertices: none are
+            joined.
         faces: (F, 3) integers, a tensor or an array.
         lambda_: how smooth, at least 0.
 
