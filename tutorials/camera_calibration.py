@@ -24,6 +24,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves, save_signed
 
 import torchrender as tr
@@ -265,8 +266,8 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="a smaller photograph: well under a minute")
-    parser.add_argument("--height", type=int, help="rows of the photograph, a multiple of 12")
-    parser.add_argument("--spp", type=int, default=8, help="samples a pixel and picture (default 8)")
+    parser.add_argument("--height", type=at_least_one, help="rows of the photograph, a multiple of 12")
+    parser.add_argument("--spp", type=at_least_one, default=8, help="samples a pixel and picture (default 8)")
     parser.add_argument("--output", type=Path, default=Path("output/camera_calibration"), help="folder of the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

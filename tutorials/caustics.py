@@ -30,7 +30,7 @@ from typing import Any
 
 import torch
 from checkpoints import Checkpoint
-from command_line import given, reported
+from command_line import at_least_one, given, reported
 from pictures import save, save_curves
 from plates import write_plate
 
@@ -221,9 +221,9 @@ def verify(folder: Path, heights: torch.Tensor, target: torch.Tensor, colour: bo
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--full", action="store_true", help="2048 x 2048 heights, 10 passes of 256 + 64 spp")
-    parser.add_argument("--size", type=int, help="heights along a side, with 128 x 128 pixels and 64 + 32 spp")
+    parser.add_argument("--size", type=at_least_one, help="heights along a side, with 128 x 128 pixels and 64 + 32 spp")
     parser.add_argument("--grey", action="store_true", help="a grey picture by white light")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
     parser.add_argument("--width-mm", type=float, default=100.0, help="width of the plate in mm (default 100)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, default=Path("output/caustics"), help="folder for the results")

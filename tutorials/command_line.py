@@ -1,4 +1,4 @@
-"""What long tutorials have in common as programs: options that replace a size's settings, and how a run ends."""
+"""What tutorials have in common as programs: options that count, or replace a size's settings, and how a run ends."""
 
 from __future__ import annotations
 
@@ -8,6 +8,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+
+def at_least_one(text: str) -> int:
+    """The type of options that count something."""
+    try:
+        number = int(text)
+    except ValueError:
+        number = 0
+    if number < 1:
+        raise argparse.ArgumentTypeError(f"expected a whole number of at least 1, got {text!r}")
+    return number
 
 
 def given(options: argparse.Namespace, *names: str) -> dict[str, Any]:

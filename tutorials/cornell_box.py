@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves, save_signed
 
 import torchrender as tr
@@ -134,9 +135,9 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations, a noisier target: well under a minute")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--spp", type=int, default=16, help="samples a pixel and iteration (default 16)")
-    parser.add_argument("--resolution", type=int, default=256, help="pixels along a side (default 256)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--spp", type=at_least_one, default=16, help="samples a pixel and iteration (default 16)")
+    parser.add_argument("--resolution", type=at_least_one, default=256, help="pixels along a side (default 256)")
     parser.add_argument("--output", type=Path, default=Path("output/cornell_box"), help="folder for the pictures")
     options = parser.parse_args(argv)
     iterations = options.iterations or (60 if options.demo else 150)

@@ -23,6 +23,7 @@ import time
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from glass_ball import panorama
 from pictures import save, save_curves
 from torch.nn.utils import parametrize
@@ -195,9 +196,9 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations, smaller pictures")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
     parser.add_argument("--alpha", type=float, default=0.08, help="roughness of the metal (default 0.08)")
-    parser.add_argument("--spp", type=int, default=32, help="samples a pixel and iteration (default 32)")
+    parser.add_argument("--spp", type=at_least_one, default=32, help="samples a pixel and iteration (default 32)")
     parser.add_argument("--output", type=Path, default=Path("output/environment_map"), help="folder for the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

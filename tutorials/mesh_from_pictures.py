@@ -24,7 +24,7 @@ from typing import Any
 import torch
 import trimesh
 from checkpoints import Checkpoint
-from command_line import given, reported
+from command_line import at_least_one, given, reported
 from meshes import cameras, chamfer, directions, points_outside, subdivide, turntable, write_ply
 from pictures import save, save_curves
 
@@ -214,9 +214,9 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="5120 triangles, 64 x 64 pixels, fewer steps")
-    parser.add_argument("--iterations", type=int, help="steps with the sphere's triangles (default 200)")
-    parser.add_argument("--views", type=int, default=16, help="pictures that are given (default 16)")
-    parser.add_argument("--resolution", type=int, help="pixels along a side of a picture (default 128)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps with the sphere's triangles (default 200)")
+    parser.add_argument("--views", type=at_least_one, default=16, help="pictures that are given (default 16)")
+    parser.add_argument("--resolution", type=at_least_one, help="pixels along a side of a picture (default 128)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, default=Path("output/mesh_from_pictures"), help="folder for the results")
     options = parser.parse_args(argv)

@@ -21,6 +21,7 @@ import time
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves
 from torch import nn
 
@@ -215,9 +216,11 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations: well under two minutes")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--spp", type=int, default=4, help="samples a pixel and iteration (default 4)")
-    parser.add_argument("--resolution", type=int, default=96, help="pixels along a side of a picture (default 96)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--spp", type=at_least_one, default=4, help="samples a pixel and iteration (default 4)")
+    parser.add_argument(
+        "--resolution", type=at_least_one, default=96, help="pixels along a side of a picture (default 96)"
+    )
     parser.add_argument("--output", type=Path, default=Path("output/neural_bsdf"), help="folder for the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

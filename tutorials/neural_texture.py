@@ -18,6 +18,7 @@ import time
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves
 from torch import nn
 
@@ -197,9 +198,11 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations: well under a minute")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--spp", type=int, default=16, help="samples a pixel and iteration (default 16)")
-    parser.add_argument("--resolution", type=int, default=160, help="pixels along a side of a picture (default 160)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--spp", type=at_least_one, default=16, help="samples a pixel and iteration (default 16)")
+    parser.add_argument(
+        "--resolution", type=at_least_one, default=160, help="pixels along a side of a picture (default 160)"
+    )
     parser.add_argument("--output", type=Path, default=Path("output/neural_texture"), help="folder for the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

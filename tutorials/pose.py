@@ -22,7 +22,7 @@ from typing import Any
 
 import torch
 from checkpoints import Checkpoint
-from command_line import given, reported
+from command_line import at_least_one, given, reported
 from mesh_from_pictures import monkey
 from pictures import save, save_curves, save_signed
 
@@ -193,9 +193,9 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("part", nargs="?", choices=PARTS, default="picture", help="what is given (default picture)")
     parser.add_argument("--demo", action="store_true", help="64 x 64 pixels, fewer steps and samples")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser (default 150)")
-    parser.add_argument("--resolution", type=int, help="pixels along a side (default 128)")
-    parser.add_argument("--spp", type=int, help="samples a pixel and step (default 16)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser (default 150)")
+    parser.add_argument("--resolution", type=at_least_one, help="pixels along a side (default 128)")
+    parser.add_argument("--spp", type=at_least_one, help="samples a pixel and step (default 16)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, help="folder for the results (default output/pose_PART)")
     options = parser.parse_args(argv)

@@ -23,6 +23,7 @@ import time
 from pathlib import Path
 
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves
 from torch.nn.utils import parametrize
 
@@ -202,9 +203,9 @@ def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations, smaller pictures")
     parser.add_argument("--hidden", action="store_true", help="do not show the lamp")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--spp", type=int, default=16, help="samples a pixel and iteration (default 16)")
-    parser.add_argument("--resolution", type=int, help="pixels along a side of a picture")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--spp", type=at_least_one, default=16, help="samples a pixel and iteration (default 16)")
+    parser.add_argument("--resolution", type=at_least_one, help="pixels along a side of a picture")
     parser.add_argument("--output", type=Path, default=Path("output/room"), help="folder for the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

@@ -20,7 +20,7 @@ from typing import Any
 
 import torch
 from checkpoints import Checkpoint
-from command_line import given, reported
+from command_line import at_least_one, given, reported
 from meshes import cameras, write_ply
 from pictures import save, save_curves
 
@@ -211,8 +211,8 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="a coarser tube, 48 x 48 pixels, 60 steps")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser (default 450)")
-    parser.add_argument("--resolution", type=int, help="pixels along a side (default 128)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser (default 450)")
+    parser.add_argument("--resolution", type=at_least_one, help="pixels along a side (default 128)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, default=Path("output/shadow_art"), help="folder for the results")
     options = parser.parse_args(argv)

@@ -19,7 +19,7 @@ from typing import Any
 
 import torch
 from checkpoints import Checkpoint
-from command_line import reported
+from command_line import at_least_one, reported
 from pictures import save, save_curves
 from volumes import SCENES, make_media, psnr, volume_of
 
@@ -158,7 +158,7 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--full", action="store_true", help="64 x 256 x 256 voxels, 6 passes of 16 + 4 spp")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser (default 80, with --full 170)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser (default 80, with --full 170)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, default=Path("output/slab"), help="folder for the pictures")
     options = parser.parse_args(argv)

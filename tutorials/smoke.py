@@ -21,7 +21,7 @@ from typing import Any
 
 import torch
 from checkpoints import Checkpoint
-from command_line import reported
+from command_line import at_least_one, reported
 from pictures import save, save_curves
 from volumes import SCENES, make_media, projections, psnr, turntable, volume_of
 
@@ -179,7 +179,7 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--full", action="store_true", help="128^3 voxels, 128 x 128 pixels, 8 passes of 64 + 16 spp")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser (default 100, with --full 250)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser (default 100, with --full 250)")
     parser.add_argument("--restart", action="store_true", help="begin anew where a checkpoint is found")
     parser.add_argument("--output", type=Path, default=Path("output/smoke"), help="folder for the pictures")
     options = parser.parse_args(argv)

@@ -26,6 +26,7 @@ from typing import Any
 
 import kornia
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves
 from torch.nn.utils import parametrize
 
@@ -243,9 +244,9 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="smaller maps, fewer iterations")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--size", type=int, help="texels along a side of the maps")
-    parser.add_argument("--lamps", type=int, default=24, help="photographs (default 24)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--size", type=at_least_one, help="texels along a side of the maps")
+    parser.add_argument("--lamps", type=at_least_one, default=24, help="photographs (default 24)")
     parser.add_argument("--output", type=Path, default=Path("output/svbrdf"), help="folder for the pictures")
     options = parser.parse_args(argv)
     size = options.size or (64 if options.demo else 128)

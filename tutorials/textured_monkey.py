@@ -17,6 +17,7 @@ from pathlib import Path
 
 import kornia
 import torch
+from command_line import at_least_one
 from pictures import save, save_curves, save_signed
 
 import torchrender as tr
@@ -182,9 +183,11 @@ def run(
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--demo", action="store_true", help="fewer iterations: well under a minute")
-    parser.add_argument("--iterations", type=int, help="steps of the optimiser")
-    parser.add_argument("--spp", type=int, default=16, help="samples a pixel and iteration (default 16)")
-    parser.add_argument("--resolution", type=int, default=256, help="pixels along a side of a picture (default 256)")
+    parser.add_argument("--iterations", type=at_least_one, help="steps of the optimiser")
+    parser.add_argument("--spp", type=at_least_one, default=16, help="samples a pixel and iteration (default 16)")
+    parser.add_argument(
+        "--resolution", type=at_least_one, default=256, help="pixels along a side of a picture (default 256)"
+    )
     parser.add_argument("--output", type=Path, default=Path("output/textured_monkey"), help="folder for the pictures")
     options = parser.parse_args(argv)
     start = time.perf_counter()

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from command_line import at_least_one
 
 import torchrender as tr
 from torchrender.image import false_colors, srgb_to_linear
@@ -167,8 +168,10 @@ def run(
 
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--iterations", type=int, default=200, help="steps of the optimiser (default %(default)s)")
-    parser.add_argument("--resolution", type=int, default=96, help="pixels along a side (default %(default)s)")
+    parser.add_argument(
+        "--iterations", type=at_least_one, default=200, help="steps of the optimiser (default %(default)s)"
+    )
+    parser.add_argument("--resolution", type=at_least_one, default=96, help="pixels along a side (default %(default)s)")
     parser.add_argument("--output", type=Path, default=Path("output/watch_training"), help="folder for the logs")
     options = parser.parse_args(argv)
     start = time.perf_counter()

@@ -33,6 +33,18 @@ def check_pictures(folder: Path, names: list[str]) -> None:
     assert (folder / "loss.png").stat().st_size > 1000
 
 
+COUNTED = sorted(p.stem for p in TUTORIALS.glob("*.py") if '"--iterations"' in p.read_text())
+
+
+@pytest.mark.parametrize("name", COUNTED)
+def test_no_iterations_are_refused_before_any_work(tutorial, name, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        tutorial(name).main(["--iterations", "0"])
+    assert ended.value.code == 2 and not list(tmp_path.iterdir())
+    assert "--iterations: expected a whole number of at least 1, got '0'" in capsys.readouterr().err
+
+
 def test_cornell_box(tutorial, tmp_path, capsys):
     errors = tutorial("cornell_box").run(tmp_path, resolution=64, spp=16, iterations=50, target_spp=1024)
     assert set(errors) == {"floor", "ceil", "red", "green", "box"}
