@@ -208,7 +208,8 @@ private:
         const S rate = dot(g, rim.slope);
         const V with_face = boundary_.glued ? V{S(0), S(0), S(0)} : g, turn = rim.N * rate;
         const V material = parallel() ? with_face : with_face + turn;
-        for (size_t i = 0; i < 3 && sink.wants(set.shape_of_face(face)); ++i) {
+        const bool wanted = sink.wants(set.shape_of_face(face));
+        for (size_t i = 0; i < 3 && wanted; ++i) {
             const uint32_t vertex = scene_.faces[3 * size_t(face) + i];
             sink.vertex(vertex, material * rim.b[i]);
             sink.vertex(vertex, rim.w * (-rate * rim.b[i]), VertexArray::Normals);

@@ -150,7 +150,7 @@ private:
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
-        if (!set_.is_edge(size_t(element)) && !set_.is_face(size_t(element))) n = std::max(n, Fewest);
+        if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
             const OnFilm piece = on_film(element, begin, end, 2);

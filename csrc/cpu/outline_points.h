@@ -31,9 +31,8 @@ public:
     // it.
     OutlinePoint<S> point(int32_t element, S s, const V &origin, bool parallel) const {
         if (set_.is_face(size_t(element))) {
-            const Rim<S> rim(scene_, set_.face(size_t(element)), origin, parallel);
-            const RimPoint<S> found = rim.at(s);
-            return {found.p, found.along, found.valid, S(0), found.room / 8, S(0), rim.reach(found.p)};
+            const RimPoint<S> found = rim_point(element, s, origin, parallel);
+            return {found.p, found.along, found.valid, S(0), found.room / 8, S(0), found.reach};
         }
         return set_.is_edge(size_t(element)) ? edge_point(size_t(element), s, origin, parallel)
                                              : curve_point(set_.curve(size_t(element)), s, origin, parallel);

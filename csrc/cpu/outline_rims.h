@@ -25,6 +25,7 @@ struct RimPoint {
     S b[3];               // barycentric coordinates
     Vec3<S> N, w, slope;  // slope: x_t / g_t
     S room;               // how far the face reaches across the ray, beside the line
+    S reach;              // how far it reaches from p
 };
 
 template <class S>
@@ -84,12 +85,10 @@ public:
         r.slope = x_t * (1 / g_t), r.along = (x_s - r.slope * g_s) * speed;
         const V across = cross(r.w, r.along);
         r.room = std::fabs(dot(across, x_t)) * std::min(t, 1 - t) / std::sqrt(dot(across, across));
+        r.reach = std::max({max_abs(p_[0] - r.p), max_abs(p_[1] - r.p), max_abs(p_[2] - r.p)});
         r.valid = g_t != 0 && std::isfinite(dot(r.along, r.along));
         return r;
     }
-
-    // How far it reaches from a point.
-    S reach(const V &p) const { return std::max({max_abs(p_[0] - p), max_abs(p_[1] - p), max_abs(p_[2] - p)}); }
 
 private:
     bool parallel_;

@@ -38,6 +38,7 @@ public:
     bool is_edge(size_t element) const { return element < n_edges(); }
     // Beyond the elements are the faces, for the rims of their normals (see cpu/outline_rims.h).
     bool is_face(size_t element) const { return element >= size(); }
+    bool is_curve(size_t element) const { return !is_edge(element) && !is_face(element); }
     uint32_t face(size_t element) const { return uint32_t(element - size()); }
     size_t element_of_face(uint32_t face) const { return size() + face; }
     // Of which shape an element is, of the first where faces of several meet.

@@ -18,7 +18,8 @@ PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may 
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
 SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "distant", "radiancemeter")
 STILL = "distant"  # where a ray of it begins is not a function of the film's place
-NORMALS, SHADING = ("normals",), ("normals", "texcoords")  # fields of meshes that place nothing
+NORMALS = "normals"
+SHADING = (NORMALS, "texcoords")  # fields of meshes that place nothing
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
 
 
@@ -39,31 +40,21 @@ class BoundaryCall:
     glued: bool = False
 
 
-def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int]]]:
-    """The types of all objects of a category, and the slots of what may place them."""
+def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int], list[int]]]:
+    """Of all objects of a category: type, slots of what may place them, and of their normals, which move their rims."""
     found = []
     for kind, numbers, _ in layout.objects[category]:
         fields = models()[category, kind].fields
-        named = [(f.name, n) for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
-        found.append((kind, [n for name, n in named if name not in SHADING]))
-    return found
-
-
-def normal_slots(layout: Layout) -> list[list[int]]:
-    """The slots of the normals of each shape, which move their rims."""
-    found = []
-    for kind, numbers, _ in layout.objects["shape"]:
-        fields = models()["shape", kind].fields
-        found.append([n for n, f in zip(numbers, fields, strict=True) if f.name in NORMALS and n >= 0])
+        given = [(f.name, n) for n, f in zip(numbers, fields, strict=True) if f.kind in PLACING and n >= 0]
+        placing = [n for name, n in given if name not in SHADING]
+        found.append((kind, placing, [n for name, n in given if name == NORMALS]))
     return found
 
 
 def all_placing_slots(layout: Layout) -> set[int]:
     """The slots of what may place shapes, rims, cameras and lights, but for cameras whose motion has no such term."""
-    categories = ("shape", "sensor", "emitter")
-    placing = [found for c in categories for found in placing_slots(layout, c)]
-    normals = {slot for slots in normal_slots(layout) for slot in slots}
-    return normals | {slot for kind, slots in placing if kind != STILL for slot in slots}
+    found = [row for category in ("shape", "sensor", "emitter") for row in placing_slots(layout, category)]
+    return {slot for kind, placing, normals in found if kind != STILL for slot in placing + normals}
 
 
 def boundary_of(
@@ -71,7 +62,7 @@ def boundary_of(
 ) -> BoundaryCall | None:
     """The boundary term of a rendering with these tensors; None if nothing that has one may be differentiated."""
     spp = call.spp_visibility
-    kind, slots = placing_slots(call.layout, "sensor")[call.config["sensor"]]
+    kind, slots, _ = placing_slots(call.layout, "sensor")[call.config["sensor"]]
     if kind not in SENSORS or spp == (0, 0):
         return None
 
@@ -79,21 +70,20 @@ def boundary_of(
         return any(has_derivative(tensors[n]) for n in slots)
 
     camera = kind != STILL and asked(slots)
-    moves = [camera or asked(slots) for _, slots in placing_slots(call.layout, "shape")]
-    lights = any(asked(slots) for k, slots in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
-    turned = [asked(slots) for slots in normal_slots(call.layout)]
-    if not any(moves) and not lights and not any(turned):
+    shapes = placing_slots(call.layout, "shape")
+    placed = [camera or asked(placing) for _, placing, _ in shapes]
+    moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]
+    lights = any(asked(slots) for k, slots, _ in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
+    # of those that the camera sees alone: of rims there are no others, and beside media others have no such term
+    seen_alone = (call.config.get("volumetric") and outputs is None) or not (any(placed) or lights)
+    if seen_alone and not any(moves):
         return None
     usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
-    # of those that the camera sees alone
-    if (call.config.get("volumetric") and outputs is None) or not (any(moves) or lights):
-        if not any(moves) and not any(turned):
-            return None
-        usual = usual[0], 0.0
-        spp = spp and (spp[0], 0.0)
+    seen, others = spp or usual
+    counts = (seen, 0.0) if seen_alone else (seen, others)
     glued = outputs is None and call.config["integrator"] == "ptracer"
-    moving = torch.tensor(moves, dtype=torch.bool) | torch.tensor(turned, dtype=torch.bool)
-    return BoundaryCall(of_light(call) if glued else call, spp or usual, moving, spp is None, outputs, glued)
+    moving = torch.tensor(moves, dtype=torch.bool)
+    return BoundaryCall(of_light(call) if glued else call, counts, moving, spp is None, outputs, glued)
 
 
 def of_light(call: RenderCall) -> RenderCall:
