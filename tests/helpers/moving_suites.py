@@ -80,6 +80,19 @@ def moved(scene: tr.Scene, moves: Mapping[str, torch.Tensor] | None, theta: torc
     return {name: scene.get_parameter(name).detach() + theta * move for name, move in moves.items()}
 
 
+def derivative(f: Callable[..., torch.Tensor], **settings) -> float:
+    """Of a function of theta with these settings, where theta is zero, in reverse mode."""
+    theta = torch.zeros((), dtype=DOUBLE, requires_grad=True)
+    return float(torch.autograd.grad(f(theta, **settings), theta)[0])
+
+
+def both_modes(f: Callable[[torch.Tensor], torch.Tensor]) -> tuple[float, float]:
+    """The derivative of a function of theta, where theta is zero, in forward and in reverse mode."""
+    theta = torch.zeros((), dtype=DOUBLE)
+    _, forward = torch.func.jvp(f, (theta,), (torch.ones_like(theta),))
+    return float(forward), derivative(f)
+
+
 def by_theta(
     scene: tr.Scene,
     moves: Mapping[str, torch.Tensor] | None,
@@ -101,13 +114,12 @@ def by_theta(
     def f(theta: torch.Tensor, **more) -> torch.Tensor:
         return weighted(image(scene, moved(scene, moves, theta), **more), weight)
 
+    here = torch.zeros((), dtype=DOUBLE)
     derivatives, differences = [], []
     for seed in range(seeds):
-        theta = torch.zeros((), dtype=DOUBLE, requires_grad=True)
-        value = f(theta, spp=1, seed=seeds + seed, spp_grad=spp, seed_grad=seed, **settings)
-        derivatives.append(float(torch.autograd.grad(value, theta)[0]))
+        derivatives.append(derivative(f, spp=1, seed=seeds + seed, spp_grad=spp, seed_grad=seed, **settings))
         with torch.no_grad():
-            ends = [f(theta + h, spp=differences_spp, seed=seed, sampler="sobol") for h in (step, -step)]
+            ends = [f(here + h, spp=differences_spp, seed=seed, sampler="sobol") for h in (step, -step)]
         differences.append(float(ends[0] - ends[1]) / (2 * step))
     return torch.tensor(derivatives), torch.tensor(differences)
 
