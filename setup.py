@@ -224,6 +224,9 @@ class Ninja:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
             # The bindings hand rows and addresses on: optimised fully, pybind11's templates take a third longer.
             own = ["-O1"] if source.parent.name == "bindings" else []
+            # Rays go back over the very numbers that brought them there: a product and a sum must round alike wherever
+            # they are written.
+            own += ["-ffp-contract=off"] if source.stem == "bent_rays" else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
         return made

@@ -50,6 +50,7 @@ from .versions import count_fused_steps as _count_fused_steps
 if TYPE_CHECKING:  # what __getattr__ below finds
     from . import constraints as constraints
     from . import daylight as daylight
+    from . import gradientindex as gradientindex
     from . import heightfield as heightfield
     from . import io as io
     from . import optim as optim
@@ -71,7 +72,18 @@ if TYPE_CHECKING:  # what __getattr__ below finds
 _count_fused_steps()
 
 # Imported when first used, so that importing this package stays fast: module -> names that it gives.
-_LAZY_MODULES = ("constraints", "daylight", "heightfield", "io", "optim", "rotation", "sdfgrid", "testing", "typing")
+_LAZY_MODULES = (
+    "constraints",
+    "daylight",
+    "gradientindex",
+    "heightfield",
+    "io",
+    "optim",
+    "rotation",
+    "sdfgrid",
+    "testing",
+    "typing",
+)
 _MODULES = ("backends", "integrators")
 _LAZY_NAMES = {
     "tonemap": "image",

@@ -17,6 +17,7 @@ from .scene.emitters import EnvironmentMap as EnvironmentMap
 from .scene.emitters import PointLight as PointLight
 from .scene.emitters import Projector as Projector
 from .scene.emitters import SpotLight as SpotLight
+from .scene.gradientindex import GradientIndexMedium as GradientIndexMedium
 from .scene.heightfield import HeightField as HeightField
 from .scene.layers import BlendBSDF as BlendBSDF
 from .scene.layers import BumpMap as BumpMap

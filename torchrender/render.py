@@ -31,6 +31,7 @@ from .render_arguments import (
 )
 from .render_call import RenderCall
 from .render_checks import (
+    check_bending,
     check_light,
     check_media,
     check_sensor,
@@ -229,6 +230,8 @@ def render(
         warn_of_glass_on_curves(scene)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
+    if shows_radiance:
+        check_bending(packed)
     if light:
         check_light(packed, names, adaptive_grad)
     elif shows_radiance:

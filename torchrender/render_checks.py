@@ -25,6 +25,16 @@ def check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volum
         warn_once(scene.warned, "media", text)
 
 
+def check_bending(packed: Layout) -> None:
+    """Light that bends."""
+    for kind, _, name in packed.objects["medium"]:
+        if kind == "gradientindex":
+            raise ValueError(
+                f"render: integrator: none of them bends light, as {name} (gradientindex) does; "
+                "tr.gradientindex.trace follows rays through it"
+            )
+
+
 def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
     """What light tracing does not have."""
     if packed.media:

@@ -165,6 +165,12 @@ inline void declare_scene(py::module_ &m) {
                const Addresses &params,
                const std::vector<bool> &dirty) { self.probe(what, index, n, arrays, values(params, dirty)); },
             Release())
+        .def(
+            "bend",
+            [](NativeScene &self, const std::string &what, size_t n, const std::map<std::string, double> &numbers,
+               const Arrays &arrays, const Addresses &params,
+               const std::vector<bool> &dirty) { self.bend({what, n, numbers, arrays}, values(params, dirty)); },
+            Release())
         .def("record_rays", &NativeScene::record_rays, py::arg("record").none(true), Release())
         .def(
             "replay_rays",

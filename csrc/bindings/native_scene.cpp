@@ -2,6 +2,7 @@
 
 #include <mutex>
 
+#include "bend.h"
 #include "core/sensor/camera.h"
 #include "cpu/aovs.h"
 #include "cpu/packet_rows.h"
@@ -233,6 +234,13 @@ public:
         if (what == "phase_reverse") return phase_reverse(probe, index, n);
         if (what == "phase_forward") return phase_forward(probe, index, n);
         throw std::invalid_argument("probe: unknown: " + what);
+    }
+
+    void bend(const BendRequest &request, const ParameterValues &values) override {
+        if (request.what != "trace") return tr::bend<S>(nullptr, nullptr, request);
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        tr::bend<S>(&data_.view(), &data_.accel(), request);
     }
 
     std::array<double, 6> bounds() override {

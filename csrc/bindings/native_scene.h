@@ -31,6 +31,14 @@ struct BoundaryRequest {
     Arrays outputs;  // by the names of outputs: anything but zero
 };
 
+// What of bent_rays.h, its numbers and its arrays by their names, and how many rows these have.
+struct BendRequest {
+    std::string what;  // trace, reverse, forward, field, field_reverse or field_forward
+    size_t n;
+    std::map<std::string, double> numbers;
+    Arrays arrays;
+};
+
 class NativeScene {
 public:
     virtual ~NativeScene() = default;
@@ -65,6 +73,8 @@ public:
     virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const ParameterValues &) = 0;
     // One model of the scene, see probes.h; arrays by name.
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const ParameterValues &) = 0;
+    // Rays that bend, see bend.h.
+    virtual void bend(const BendRequest &, const ParameterValues &) = 0;
     virtual std::array<double, 6> bounds() = 0;
     virtual std::vector<double> emitter_probabilities() = 0;  // of the last call
     // The record that keeps the rays of the next renderings; null: none any more.

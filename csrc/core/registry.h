@@ -50,7 +50,7 @@ using Shapes = TypeList<MeshModel, SphereModel, DiskModel, RectangleModel, Heigh
 using Sensors =
     TypeList<Perspective, IrradianceMeter, ThinLens, Orthographic, Fisheye, Panorama, RadianceMeter, Distant>;
 using Volumes = TypeList<ConstantVolume, GridVolume>;
-using Media = TypeList<HomogeneousMedium, HeterogeneousMedium>;
+using Media = TypeList<HomogeneousMedium, HeterogeneousMedium, GradientIndexMedium>;
 using Attributes = TypeList<AttributeModel>;
 
 // BSDFs that are resolved to one of those they contain, where a path meets them (integrator/bsdf_stack.h).

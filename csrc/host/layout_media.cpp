@@ -20,6 +20,12 @@ void LayoutBuilder::connect_media() {
     for (int i = 0; i < int(list("medium").size()); ++i) {
         const int32_t *field = out_.records["medium"][size_t(i)].field;
         MediumInfo info{};
+        if (list("medium")[size_t(i)].type == GradientIndexMedium::model.type) {
+            info.extinction = info.albedo = info.emission = info.phase = -1;
+            info.flags = Bends;
+            out_.media.push_back(info);
+            continue;
+        }
         info.extinction = field[MediumFields::Extinction];
         info.albedo = field[MediumFields::Albedo];
         info.emission = field[MediumFields::Emission];

@@ -53,6 +53,7 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
     majorants_.assign(size_t(layout_.n_majorants), S(0));
     for (size_t m = 0; m < layout_.media.size(); ++m) {
         const MediumInfo &info = layout_.media[m];
+        if (info.flags & Bends) continue;
         auto where = [&](const char *field) { return path("medium", int(m)) + ": field '" + field + "'"; };
         auto check = [&](int32_t volume, S largest, const char *field, const char *expected) {
             if (volume < 0) return;

@@ -3,6 +3,7 @@
 from . import (  # noqa: F401  (they register their classes)
     camera,
     emitters,
+    gradientindex,
     heightfield,
     materials,
     media,

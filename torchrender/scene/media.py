@@ -18,6 +18,11 @@ class Medium(Plugin):
     """What all media share. An object of this class may be the medium of several shapes and cameras."""
 
     category = "medium"
+
+
+class ScatteringMedium(Medium):
+    """A medium that light travels through in straight lines until it is scattered."""
+
     aliases: ClassVar[dict[str, str]] = {"phase": "phase_function"}
     renames: ClassVar[dict[str, str]] = {"phase": "phase_function"}
     # Of how emitters are sampled the noise alone depends, and the extinction itself says whether it has colours.
@@ -68,7 +73,7 @@ def _may_be_phase(value: Any) -> bool:
 
 
 @register
-class HomogeneousMedium(Medium):
+class HomogeneousMedium(ScatteringMedium):
     """A medium whose extinction is the same everywhere.
 
     Args:
@@ -92,7 +97,7 @@ class HomogeneousMedium(Medium):
 
 
 @register
-class HeterogeneousMedium(Medium):
+class HeterogeneousMedium(ScatteringMedium):
     """A medium whose extinction may be a grid, outside of whose cube there is no medium: no extinction, no emission.
 
     Args:

@@ -15,7 +15,7 @@ from torch import nn
 
 from .declaration import TENSOR_KINDS, models
 from .derivatives import COMPLETE, Limits
-from .media import Medium
+from .media import Medium, ScatteringMedium
 from .mesh import Mesh
 from .plugin import Plugin
 from .sensor import Sensor
@@ -63,6 +63,9 @@ class Slot:
         if self.attribute == "heights":  # of a height field: any size
             if len(shape) != 2 or 0 in shape:
                 raise ValueError(f"{what}: expected shape (H, W), got {shape}")
+        elif self.attribute == "index":  # of refraction: likewise
+            if len(shape) != 3 or 0 in shape:
+                raise ValueError(f"{what}: expected shape (Z, Y, X), got {shape}")
         elif self.attribute == "grid":  # of distances: likewise
             if len(shape) != 4 or shape[3] != 1 or min(shape[:3]) < 2:
                 raise ValueError(f"{what}: expected shape (D, H, W, 1) with D, H, W > 1, got {shape}")
@@ -213,7 +216,7 @@ class _Packer:
 
 def canonical(name: str) -> str:
     """A dotted name with the words of a scene dict (``ball.interior.phase.g``) in those of the modules."""
-    words = {**Shape.aliases, **Medium.aliases}
+    words = {**Shape.aliases, **ScatteringMedium.aliases}
     return ".".join(words.get(part, part) for part in name.split("."))
 
 

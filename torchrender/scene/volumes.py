@@ -70,7 +70,7 @@ class GridVolume(Plugin):
             ctx.error(f"give one of filename, grid and data; got {' and '.join(given) or 'none'}")
         content = properties.pop(given[0])
         to_world = properties.get("to_world")
-        to_world = None if to_world is None else _invertible(to_world, ctx.at("to_world"))
+        to_world = None if to_world is None else invertible(to_world, ctx.at("to_world"))
         if given[0] == "filename":
             from .. import io
 
@@ -97,7 +97,7 @@ class GridVolume(Plugin):
     def check(self, ctx: Context) -> None:
         super().check(ctx)
         if self._parameters.get("to_world") is not None:
-            _invertible(self.to_world, ctx.at("to_world"))
+            invertible(self.to_world, ctx.at("to_world"))
 
     def extra_repr(self) -> str:
         return " x ".join(str(n) for n in self.data.shape[:3]) + " voxels, " + super().extra_repr()
@@ -113,7 +113,7 @@ def _placed(box: torch.Tensor, path: Path) -> torch.Tensor:
     return matrix
 
 
-def _invertible(value: Any, ctx: Context) -> torch.Tensor:
+def invertible(value: Any, ctx: Context) -> torch.Tensor:
     """`value` as a 4x4 matrix in double precision that can be inverted."""
     matrix = values.matrix(value, 4, Context(ctx.color, torch.float64, ctx.device, ctx.path, ctx.folder))
     plain = matrix.detach()

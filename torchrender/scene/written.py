@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 
 MODULES = """
-    camera cameras curves emitters heightfield layers materials media mesh phases
+    camera cameras curves emitters gradientindex heightfield layers materials media mesh phases
     point_sensors sdfgrid sensor shapes textures volumes
 """
 

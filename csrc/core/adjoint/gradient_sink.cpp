@@ -2,19 +2,6 @@
 
 namespace tr {
 
-namespace {
-
-template <class M>
-TR_INLINE bool lane_is_set(const M &m, [[maybe_unused]] int i) {
-    if constexpr (std::is_same_v<M, bool>) return m;
-#if TR_HAS_PACKETS
-    else
-        return m.entry(i);
-#endif
-}
-
-}  // namespace
-
 // ----------------------------------------------------------------------------------------------------------- shared
 template <class F>
 TR_INLINE MaskOf<F> GradientSink<F>::count_finite(const M &usable, const M &active) {

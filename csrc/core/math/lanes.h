@@ -67,10 +67,12 @@ TR_INLINE float min(float a, float b) { return a < b ? a : b; }
 TR_INLINE double min(double a, double b) { return a < b ? a : b; }
 TR_INLINE int32_t min(int32_t a, int32_t b) { return a < b ? a : b; }
 TR_INLINE uint32_t min(uint32_t a, uint32_t b) { return a < b ? a : b; }
+TR_INLINE int64_t min(int64_t a, int64_t b) { return a < b ? a : b; }
 TR_INLINE float max(float a, float b) { return a > b ? a : b; }
 TR_INLINE double max(double a, double b) { return a > b ? a : b; }
 TR_INLINE int32_t max(int32_t a, int32_t b) { return a > b ? a : b; }
 TR_INLINE uint32_t max(uint32_t a, uint32_t b) { return a > b ? a : b; }
+TR_INLINE int64_t max(int64_t a, int64_t b) { return a > b ? a : b; }
 TR_INLINE float fmadd(float a, float b, float c) { return a * b + c; }
 TR_INLINE double fmadd(double a, double b, double c) { return a * b + c; }
 TR_INLINE bool isfinite(float x) { return x - x == 0.f; }
@@ -146,6 +148,15 @@ TR_INLINE auto lane(const T &x, [[maybe_unused]] int i) {
 #if TR_HAS_PACKETS
     else
         return x.entry(i);
+#endif
+}
+
+template <class M>
+TR_INLINE bool lane_is_set(const M &m, [[maybe_unused]] int i) {
+    if constexpr (std::is_same_v<M, bool>) return m;
+#if TR_HAS_PACKETS
+    else
+        return m.entry(i);
 #endif
 }
 

@@ -6,8 +6,9 @@
 namespace tr {
 
 enum MediumFlags : int32_t {
-    IsGrid = 1,      // the extinction is a grid, otherwise the same everywhere
-    IsChromatic = 2  // the extinction differs between channels
+    IsGrid = 1,       // the extinction is a grid, otherwise the same everywhere
+    IsChromatic = 2,  // the extinction differs between channels
+    Bends = 4         // a gradient index, of which nothing else is here
 };
 
 struct MediumInfo {

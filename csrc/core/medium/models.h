@@ -29,4 +29,27 @@ struct HeterogeneousMedium : MediumFields {
         0,        "HeterogeneousMedium"};
 };
 
+// Light in it bends; see bend.h.
+struct GradientIndexMedium {
+    static constexpr const char *Splines[] = {"cubic", "quadratic", nullptr};
+    static constexpr Field fields[] = {
+        {"index", Kind::Tensor, None, -INFINITY, INFINITY, "interior",
+         "control values (Z, Y, X) of the index of refraction, before base and scale"},
+        {"index_base", Kind::Float, 0, -INFINITY, INFINITY, "interior", "added to the scaled control values"},
+        {"index_scale", Kind::Float, 1, -INFINITY, INFINITY, "interior", "factor of the control values"},
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, "interior",
+         "from the unit cube that the grid fills to the world"},
+        {"ext_ior", Kind::Float, 1.000277, 1e-3, 1e3, "interior",
+         "index of refraction outside of dielectric boundaries"},
+        {"sigma_t", Kind::Spectrum, 0, 0, INFINITY, "interior", "absorption per unit length"},
+        {"interpolation", Kind::Int, 0, 0, 1, "", "B-splines of squared indices", Splines},
+        {"step", Kind::Float, 1, 1e-3, 2, "none: a setting of the numerical solution",
+         "length of steps in voxels, at most"},
+        {"max_steps", Kind::Int, 0, 0, 1e9, "", "after which a ray is given up; 0: 8 (X + Y + Z) / step"},
+    };
+    static constexpr Model model = {
+        "medium", "gradientindex",      "A medium whose index of refraction varies: light in it bends.", fields, 9,
+        0,        "GradientIndexMedium"};
+};
+
 }  // namespace tr

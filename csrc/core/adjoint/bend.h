@@ -1,0 +1,139 @@
+// Derivatives of rays that bend: those of exactly the steps that were taken, not of the differential equation, whose
+// solution these are not. Rounding counts as the identity.
+//
+// Backwards, with lambda and mu the adjoints of position and velocity, p = G mu, H the second derivatives of Phi and
+// B_i the splines, a kick of weight w and a drift are
+//
+//     kick:   values_bar_i += w p . grad B_i,  lambda += w H p,  G_bar += w mu (grad Phi)^T,  u -= w F
+//     drift:  mu += lambda,  q -= u
+//
+// A function of the position that was added up, c Phi, has values_bar_i += c B_i and lambda += c grad Phi.
+#pragma once
+
+#include "../medium/bend.h"
+
+namespace tr {
+
+namespace detail {
+
+// a b + c, rounded once where that is an instruction.
+template <class S>
+TR_INLINE S fused(S a, S b, S c) {
+#if defined(__FMA__)
+    return std::fma(a, b, c);
+#else
+    return a * b + c;
+#endif
+}
+
+}  // namespace detail
+
+// values_bar_i += slope . grad B_i + value B_i. Lanes may add to the same numbers: what those in the same cell add is
+// summed up first, if there are few cells.
+template <int T, class F, class S>
+TR_INLINE void splat_spline(const BendField<S> &field, const SplineAxes<T, F> &at, const UIntOf<F> &first,
+                            const F &value, const Vec3<F> &slope, S *values_bar, const MaskOf<F> &active) {
+    constexpr int W = Lanes<F>::Width;
+    // a row along x has w[k] a + d[k] b
+    alignas(64) S a[T * T][W], b[T * T][W], w[W][T], d[W][T];
+    alignas(64) uint32_t from[W];
+    for (int k = 0; k < T; ++k) {
+        alignas(64) S lanes[2][W];
+        store(lanes[0], at[0].w[k]), store(lanes[1], at[0].d[k]);
+        for (int i = 0; i < W; ++i) w[i][k] = lanes[0][i], d[i][k] = lanes[1][i];
+    }
+    store(from, first);
+    for (int z = 0; z < T; ++z)
+        for (int y = 0; y < T; ++y) {
+            const F wz = at[1].w[y] * at[2].w[z];
+            store(b[z * T + y], slope.x * wz);
+            store(a[z * T + y],
+                  fmadd(slope.y, at[1].d[y] * at[2].w[z], fmadd(slope.z, at[1].w[y] * at[2].d[z], value * wz)));
+        }
+    const size_t row = size_t(field.row()), slice = size_t(field.slice());
+    auto add = [&](uint32_t cell, const S(&sum)[T *T][T]) {
+        for (int z = 0; z < T; ++z)
+            for (int y = 0; y < T; ++y) {
+                S *to = values_bar + cell + size_t(z) * slice + size_t(y) * row;
+                for (int k = 0; k < T; ++k) to[k] += sum[z * T + y][k];
+            }
+    };
+    auto add_lane = [&](S(&sum)[T *T][T], int i) {
+        for (int zy = 0; zy < T * T; ++zy)
+            for (int k = 0; k < T; ++k)
+                sum[zy][k] = detail::fused(w[i][k], a[zy][i], detail::fused(d[i][k], b[zy][i], sum[zy][k]));
+    };
+    const FewCells<F> few(first, active);
+    if (few.all) {
+        for (int c = 0; c < few.n; ++c) {
+            S sum[T * T][T] = {};
+            for (int i = 0; i < W; ++i)
+                if (lane_is_set(active, i) && from[i] == few.cell[c]) add_lane(sum, i);
+            add(few.cell[c], sum);
+        }
+        return;
+    }
+    for (int i = 0; i < W; ++i) {
+        if (!lane_is_set(active, i)) continue;
+        S sum[T * T][T] = {};
+        add_lane(sum, i);
+        add(from[i], sum);
+    }
+}
+
+// The adjoint of a ray on its way back.
+template <class F>
+struct BendAdjoint {
+    Vec3<F> q, u;       // lambda, mu
+    F optical, length;  // of the sums of Phi and of n over all kicks
+    F kick[6];          // G_bar
+};
+
+// One kick of weight w backwards; the values' part goes to `values_bar`, unless that is null. `constant`: that of Phi.
+template <int T, class F, class S>
+TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const F &w,
+                         BendAdjoint<F> &adjoint, S *values_bar, const MaskOf<F> &active) {
+    const BendCell<F> cell = cell_at<T>(field, s, bits);
+    const SplineAxes<T, F> at(cell);
+    const BendJet<F> jet = spline_jet<T>(field, at, cell.first, active);
+    const F weight = select(active, w, F(0));
+    const Vec3<F> p = symmetric_times<F>(field.kick, adjoint.u) * weight, &g = jet.slope, &m = adjoint.u;
+    const F n = sqrt(max(F(0), (jet.value + F(constant)) * F(2)));
+    const F value = weight * (adjoint.optical + select(mask<F>(n > F(0)), adjoint.length / n, F(0)));
+    if (values_bar) splat_spline<T>(field, at, cell.first, value, p, values_bar, active);
+    adjoint.q = adjoint.q + symmetric_times<F>(jet.curve, p) + g * value;
+    const F change[6] = {
+        m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
+    for (int k = 0; k < 6; ++k) adjoint.kick[k] = fmadd(weight, change[k], adjoint.kick[k]);
+    kick<F, true>(s, symmetric_times<F>(field.kick, g) * w, active);
+}
+
+// The tangent of a ray on its way.
+template <class F>
+struct BendTangent {
+    Vec3<F> q, u;
+    F optical, length;
+};
+
+// One kick of weight w with its derivative: forwards. `tangent`: that of the field's values and of G, zero if null.
+template <int T, class F, class S>
+TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tangent, S constant, BendState<F> &s,
+                            int bits, const F &w, BendTangent<F> &d, const MaskOf<F> &active) {
+    const BendCell<F> cell = cell_at<T>(field, s, bits);
+    const SplineAxes<T, F> at(cell);
+    const BendJet<F> jet = spline_jet<T>(field, at, cell.first, active);
+    Vec3<F> slope = symmetric_times<F>(jet.curve, d.q);
+    F value = dot(jet.slope, d.q);
+    if (tangent.values) {
+        const BendJet<F> change = spline_jet<T>(tangent, at, cell.first, active);
+        slope = slope + change.slope, value = value + change.value;
+    }
+    const F weight = select(active, w, F(0));
+    const F n = sqrt(max(F(0), (jet.value + F(constant)) * F(2)));
+    d.u = d.u + (symmetric_times<F>(field.kick, slope) + symmetric_times<F>(tangent.kick, jet.slope)) * weight;
+    d.optical = fmadd(weight, value, d.optical);
+    d.length = fmadd(weight, select(mask<F>(n > F(0)), value / n, F(0)), d.length);
+    kick<F, false>(s, symmetric_times<F>(field.kick, jet.slope) * w, active);
+}
+
+}  // namespace tr

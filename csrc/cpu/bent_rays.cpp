@@ -1,0 +1,353 @@
+#include "bent_rays.h"
+
+#include <algorithm>
+#include <limits>
+#include <memory>
+
+#include "bend_blocks.h"
+#include "core/adjoint/bend.h"
+#include "host/parallel.h"
+#include "packet_rows.h"
+#include "zeros.h"
+
+namespace tr {
+
+namespace {
+
+template <class F>
+void put_state(BendInt<ScalarOf<F>> *to, const PacketRows<F> &rows, const BendState<F> &s) {
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    for (size_t k = 0; k < 6; ++k) {
+        alignas(64) BendInt<ScalarOf<F>> lanes[W];
+        store(lanes, k < 3 ? s.q[k] : s.u[k - 3]);
+        for (size_t i = 0; i < rows.count; ++i) to[6 * (rows.begin + i) + k] = lanes[i];
+    }
+}
+template <class F>
+BendState<F> get_state(const BendInt<ScalarOf<F>> *from, const PacketRows<F> &rows) {
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    BendState<F> s;
+    for (size_t k = 0; k < 6; ++k) {
+        alignas(64) BendInt<ScalarOf<F>> lanes[W];
+        for (size_t i = 0; i < W; ++i) lanes[i] = from[6 * (rows.begin + std::min(i, rows.count - 1)) + k];
+        BendInt<F> &number = k < 3 ? s.q[k] : s.u[k - 3];
+        if constexpr (W == 1) number = lanes[0];
+#if TR_HAS_PACKETS
+        else
+            number = drjit::load<BendInt<F>>(lanes);
+#endif
+    }
+    return s;
+}
+template <class F>
+IntOf<F> get_steps(const int32_t *from, const PacketRows<F> &rows) {
+    return IntOf<F>(rows.index(reinterpret_cast<const uint32_t *>(from)));
+}
+
+// Calls visit(rows, number of the thread) for packets of rows.
+template <class F, class Visit>
+void for_packets(size_t n, int threads, Visit &&visit) {
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    for_ranges((n + W - 1) / W, threads,
+               [&](size_t begin, size_t end, int thread) {
+                   for (size_t p = begin; p < end; ++p) visit(PacketRows<F>(p * W, n), thread);
+               },
+               64);
+}
+
+// Calls visit with the number of coefficients along an axis.
+template <class Visit>
+void with_taps(bool quadratic, Visit &&visit) {
+    if (quadratic)
+        visit(std::integral_constant<int, 3>{});
+    else
+        visit(std::integral_constant<int, 4>{});
+}
+
+// Gradients by threads; the first one's is the result.
+template <class S>
+class Partials {
+public:
+    Partials(S *result, size_t n, int threads) : result_(result), n_(n), others_(size_t(std::max(1, threads))) {}
+    S *of(int thread) {
+        if (thread == 0 || !result_) return result_;
+        auto &own = others_[size_t(thread)];
+        if (!own) own = std::make_unique<Zeros<S>>(n_);
+        return own->data();
+    }
+    // In the order of the threads.
+    void add() {
+        for (const auto &other : others_)
+            if (other)
+                for (size_t i = 0; i < n_; ++i) result_[i] += other->data()[i];
+    }
+
+private:
+    S *result_;
+    size_t n_;
+    std::vector<std::unique_ptr<Zeros<S>>> others_;
+};
+
+// A packet of flights.
+template <int T, class F>
+class Flight {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    using I = IntOf<F>;
+    static constexpr size_t W = size_t(Lanes<F>::Width);
+
+public:
+    Flight(const Accel &accel, const BentRays<S> &rays, const BendBlocks &blocks, const S *to_world, double reach)
+        : accel_(accel),
+          rays_(rays),
+          field_(rays.field),
+          blocks_(blocks),
+          to_world_(to_world),
+          bits_(position_bits<F>(rays.field)),
+          reach_(to_fixed<S>(std::min(S(reach), S(4)), BendNumber<F>::Velocity)) {}
+
+    void run(const PacketRows<F> &rows, const S *offset, int32_t max_steps, const BentHits<S> &hits) {
+        start_bent(state_, rows.vector(rays_.q), rows.vector(rays_.u), bits_);
+        MaskOf<F> live = rows.active;
+        optical_ = length_ = F(0), shape_ = U(BentTooLong), primitive_ = U(0u), t_ = F(S(INFINITY));
+        I steps(0);
+        kick_all(F(S(0.5)), live);
+        for (int32_t m = 0; any(live); ++m) {
+            const MaskOf<F> inside = live && in_box(0, 1), gone = live && !inside && !in_box(1, 3);
+            MaskOf<F> near = (live && !inside) || blocks_.surface_near(state_, bits_, inside) || (live && fast());
+            shape_ = select(mask<U>(gone), U(BentTooFar), shape_);
+            live = live && !gone;
+            near = near && live;
+            if (any(near) || m == 0) {
+                query(m == 0 ? live : near, m == 0 ? rows.vector(offset) : Vec3<F>{F(0), F(0), F(0)});
+                live = live && mask<F>(shape_ == U(BentTooLong));
+            }
+            if (m == max_steps || !any(live)) break;
+            drift(state_, bits_, live);
+            steps = select(mask<I>(live), steps + 1, steps);
+            kick_all(F(1), live);
+        }
+        rows.put(rays_.last_q, position_of(state_, bits_));
+        rows.put(rays_.last_u, velocity_of(state_));
+        rows.put(rays_.sums, Vec2<F>{optical_, length_});
+        put_state(rays_.state, rows, state_);
+        rows.put_integers(rays_.steps, steps);
+        rows.put_integers(hits.shape, shape_), rows.put_integers(hits.primitive, primitive_);
+        rows.put(hits.t, t_);
+    }
+
+private:
+    const Accel &accel_;
+    const BentRays<S> &rays_;
+    const BendField<S> &field_;
+    const BendBlocks &blocks_;
+    const S *to_world_;
+    const int bits_;
+    const BendInt<S> reach_;
+    BendState<F> state_;
+    F optical_, length_, t_;
+    U shape_, primitive_;
+
+    void kick_all(const F &w, const MaskOf<F> &active) {
+        const BendSlope<F> at = spline_slope<T, F>(field_, cell_at<T>(field_, state_, bits_), active);
+        const F value = at.value + F(rays_.constant), weight = select(active, w, F(0));
+        optical_ = fmadd(weight, value, optical_);
+        length_ = fmadd(weight, sqrt(max(F(0), value * F(2))), length_);
+        kick<F, false>(state_, symmetric_times<F>(field_.kick, at.slope) * w, active);
+    }
+
+    // Whether it is in the grid, grown by `margin` times its size on both sides to `whole` times.
+    MaskOf<F> in_box(int margin, int whole) const {
+        using Lane = BendLane<F>;
+        MaskOf<F> r(true);
+        for (int k = 0; k < 3; ++k) {
+            const Lane n = Lane(field_.n[k]) << bits_;
+            r = r && mask<F>(state_.q[k] >= BendInt<F>(-n * margin)) &&
+                mask<F>(state_.q[k] < BendInt<F>(limit(n, whole - margin)));
+        }
+        return r;
+    }
+    static BendLane<F> limit(BendLane<F> n, int times) {
+        const double all = double(n) * times, most = double(std::numeric_limits<BendLane<F>>::max());
+        return all < most ? n * times : std::numeric_limits<BendLane<F>>::max();
+    }
+    // Whether a step is longer than blocks allow for.
+    MaskOf<F> fast() const {
+        MaskOf<F> r(false);
+        for (const auto &u : state_.u) r = r || mask<F>(u > BendInt<F>(reach_)) || mask<F>(u < BendInt<F>(-reach_));
+        return r;
+    }
+
+    // The nearest surface along the step, and a little more, so that a surface between two steps is not missed.
+    TR_NOINLINE void query(const MaskOf<F> &active, const Vec3<F> &offset) {
+        const Vec3<F> q = position_of(state_, bits_), u = velocity_of(state_);
+        auto row = [&](int i, const Vec3<F> &v) {
+            return fmadd(F(to_world_[4 * i]), v.x, fmadd(F(to_world_[4 * i + 1]), v.y, F(to_world_[4 * i + 2]) * v.z));
+        };
+        alignas(64) S number[W];
+        alignas(64) float ray[7][W], t[W], b1[W], b2[W];
+        uint32_t shape[W], primitive[W];
+        auto put = [&](size_t column, const F &x) {
+            store(number, x);
+            for (size_t i = 0; i < W; ++i) ray[column][i] = float(number[i]);
+        };
+        const F shift[3] = {offset.x, offset.y, offset.z};
+        for (int k = 0; k < 3; ++k) {
+            put(size_t(k), row(k, q) + F(to_world_[4 * k + 3]) + shift[k]);
+            put(size_t(3 + k), row(k, u));
+        }
+        put(6, select(active, F(S(1.0001)), F(-1)));
+        accel_.intersect({{ray[0], ray[1], ray[2]}, {ray[3], ray[4], ray[5]}, ray[6]}, {shape, primitive, t, b1, b2}, W,
+                         false);
+        for (size_t i = 0; i < W; ++i) number[i] = S(t[i]);
+        const U found = load_uint<F>(shape);
+        const MaskOf<F> hit = active && mask<F>(found != U(Accel::Miss));
+        shape_ = select(mask<U>(hit), found, shape_);
+        primitive_ = select(mask<U>(hit), load_uint<F>(primitive), primitive_);
+        t_ = select(hit, load<F>(number), t_);
+    }
+};
+
+}  // namespace
+
+template <class S>
+void trace_bent(const SceneView<S> &scene, const Accel &accel, const BentRays<S> &rays, const S *to_world,
+                const S *offset, double reach, int32_t max_steps, const BentHits<S> &hits) {
+    using F = PacketOf<S>;
+    const BendBlocks blocks(scene, rays.field.n, to_world, reach);
+    with_taps(rays.quadratic, [&](auto taps) {
+        for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int) {
+            Flight<decltype(taps)::value, F>(accel, rays, blocks, to_world, reach).run(rows, offset, max_steps, hits);
+        });
+    });
+}
+
+template <class S>
+void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints) {
+    using F = PacketOf<S>;
+    using I = IntOf<F>;
+    Partials<S> partials(adjoints.values, rays.field.size(), rays.threads);
+    std::vector<std::array<double, 6>> kicks(size_t(std::max(1, rays.threads)), {0, 0, 0, 0, 0, 0});
+    const int bits = position_bits<F>(rays.field);
+    with_taps(rays.quadratic, [&](auto taps) {
+        constexpr int T = decltype(taps)::value;
+        for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int thread) {
+            S *values = partials.of(thread);
+            const Vec2<F> sums = rows.pair(adjoints.sums);
+            BendAdjoint<F> a{rows.vector(adjoints.last_q), rows.vector(adjoints.last_u), sums.x, sums.y, {}};
+            const F all = max_abs(a.q) + max_abs(a.u) + abs(a.optical) + abs(a.length);
+            MaskOf<F> live = rows.active && !mask<F>(all == F(0));
+            for (F &number : a.kick) number = F(0);
+            BendState<F> s = get_state<F>(rays.state, rows);
+            I left = get_steps<F>(rays.steps, rows);
+            while (any(live)) {
+                const MaskOf<F> goes_on = live && mask<F>(left > I(0));
+                kick_back<T, F>(rays.field, rays.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, values, live);
+                live = goes_on;
+                left = left - 1;
+                a.u = select(live, a.u + a.q, a.u);
+                drift_back(s, bits, live);
+            }
+            rows.put(adjoints.q, a.q), rows.put(adjoints.u, a.u);
+            for (size_t k = 0; k < 6; ++k) kicks[size_t(thread)][k] += double(lane_sum(a.kick[k]));
+        });
+    });
+    partials.add();
+    for (const auto &kick : kicks)
+        for (size_t k = 0; k < 6; ++k) adjoints.kick[k] += kick[k];
+}
+
+template <class S>
+void forward_bent(const BentRays<S> &rays, const BentTangents<S> &tangents) {
+    using F = PacketOf<S>;
+    using I = IntOf<F>;
+    const int bits = position_bits<F>(rays.field);
+    with_taps(rays.quadratic, [&](auto taps) {
+        constexpr int T = decltype(taps)::value;
+        for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int) {
+            BendTangent<F> d{rows.vector(tangents.q), rows.vector(tangents.u), F(0), F(0)};
+            BendState<F> s;
+            start_bent(s, rows.vector(rays.q), rows.vector(rays.u), bits);
+            I left = get_steps<F>(rays.steps, rows);
+            MaskOf<F> live = rows.active;
+            for (F w(S(0.5)); any(live); w = F(1)) {
+                kick_tangent<T, F>(rays.field, tangents.field, rays.constant, s, bits, w, d, live);
+                live = live && mask<F>(left > I(0));
+                left = left - 1;
+                d.q = select(live, d.q + d.u, d.q);
+                drift(s, bits, live);
+            }
+            rows.put(tangents.last_q, d.q), rows.put(tangents.last_u, d.u);
+            rows.put(tangents.sums, Vec2<F>{d.optical, d.length});
+        });
+    });
+}
+
+namespace {
+
+// Of the points of a packet: visit(rows, thread, weights, first coefficient, value, gradient and second derivatives).
+template <class S, class Visit>
+void for_points(const BentRays<S> &rays, Visit &&visit) {
+    using F = PacketOf<S>;
+    const int bits = position_bits<F>(rays.field);
+    with_taps(rays.quadratic, [&](auto taps) {
+        constexpr int T = decltype(taps)::value;
+        for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int thread) {
+            BendState<F> s;
+            start_bent(s, rows.vector(rays.q), Vec3<F>{F(0), F(0), F(0)}, bits);
+            const BendCell<F> cell = cell_at<T>(rays.field, s, bits);
+            const SplineAxes<T, F> at(cell);
+            visit(rows, thread, at, cell.first, spline_jet<T>(rays.field, at, cell.first, rows.active));
+        });
+    });
+}
+
+}  // namespace
+
+template <class S>
+void evaluate_field(const BentRays<S> &rays, const FieldValues<S> &out) {
+    for_points(rays, [&](const auto &rows, int, const auto &, const auto &, const auto &jet) {
+        rows.put(out.value, jet.value), rows.put(out.slope, jet.slope);
+    });
+}
+
+template <class S>
+void reverse_field(const BentRays<S> &rays, const FieldValues<S> &adjoints, S *q, S *values) {
+    using F = PacketOf<S>;
+    Partials<S> partials(values, rays.field.size(), rays.threads);
+    for_points(rays, [&](const auto &rows, int thread, const auto &at, const auto &first, const auto &jet) {
+        const F value = rows.number(adjoints.value);
+        const Vec3<F> slope = rows.vector(adjoints.slope);
+        rows.put(q, jet.slope * value + symmetric_times<F>(jet.curve, slope));
+        if (S *to = partials.of(thread)) splat_spline(rays.field, at, first, value, slope, to, rows.active);
+    });
+    partials.add();
+}
+
+template <class S>
+void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, const FieldValues<S> &out) {
+    using F = PacketOf<S>;
+    for_points(rays, [&](const auto &rows, int, const auto &at, const auto &first, const auto &jet) {
+        const Vec3<F> q = rows.vector(tangents.q);
+        F value = dot(jet.slope, q);
+        Vec3<F> slope = symmetric_times<F>(jet.curve, q);
+        if (tangents.field.values) {
+            const BendJet<F> change = spline_jet(tangents.field, at, first, rows.active);
+            value = value + change.value, slope = slope + change.slope;
+        }
+        rows.put(out.value, value), rows.put(out.slope, slope);
+    });
+}
+
+#define TR_INSTANTIATE(S)                                                                                            \
+    template void trace_bent(const SceneView<S> &, const Accel &, const BentRays<S> &, const S *, const S *, double, \
+                             int32_t, const BentHits<S> &);                                                          \
+    template void reverse_bent(const BentRays<S> &, const BentAdjoints<S> &);                                        \
+    template void forward_bent(const BentRays<S> &, const BentTangents<S> &);                                        \
+    template void evaluate_field(const BentRays<S> &, const FieldValues<S> &);                                       \
+    template void reverse_field(const BentRays<S> &, const FieldValues<S> &, S *, S *);                              \
+    template void forward_field(const BentRays<S> &, const BentTangents<S> &, const FieldValues<S> &);
+TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr

@@ -1,0 +1,81 @@
+// Flights of rays through a medium whose index of refraction varies, from where they begin to the last kick before they
+// meet a surface; their derivatives; and the field by itself.
+#pragma once
+
+#include <map>
+#include <string>
+
+#include "accel/accel.h"
+#include "core/medium/bend.h"
+#include "core/scene.h"
+
+namespace tr {
+
+// Arrays of n rows, in voxels and voxels a step unless stated.
+template <class S>
+struct BentRays {
+    BendField<S> field;
+    S constant;  // of Phi, which the field's values do not have
+    bool quadratic;
+    int threads;
+    size_t n;
+
+    // In: where a ray begins and its velocity.
+    const S *q, *u;
+    // Its last kick: state (n, 6), as many steps before it; there position and velocity after it; and the sums of Phi
+    // and of n over the kicks (n, 2), with weights 1/2, 1, 1, ...
+    BendInt<S> *state;
+    int32_t *steps;
+    S *last_q, *last_u, *sums;
+};
+
+// What a flight ends at; `t` in the velocity's length. Rays that were given up have one of these in place of a shape.
+enum : uint32_t { BentTooLong = Accel::Miss, BentTooFar = Accel::Miss - 1 };
+
+template <class S>
+struct BentHits {
+    uint32_t *shape, *primitive;
+    S *t;
+};
+
+// `offset`: (n, 3) in the world, from where the ray begins to where surfaces count from on; `reach`: no step is longer
+// in any coordinate, or it is slower to trace.
+template <class S>
+void trace_bent(const SceneView<S> &scene, const Accel &accel, const BentRays<S> &rays, const S *to_world,
+                const S *offset, double reach, int32_t max_steps, const BentHits<S> &hits);
+
+// Adjoints of last_q, last_u and sums in, of q, u, of the field's values (to which it is added) and of `kick` (6
+// numbers) out.
+template <class S>
+struct BentAdjoints {
+    const S *last_q, *last_u, *sums;
+    S *q, *u, *values;
+    double *kick;
+};
+template <class S>
+void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints);
+
+// Tangents of what goes in, those of values and of `kick` as a field, and of what comes out; `rays.steps` are known.
+template <class S>
+struct BentTangents {
+    BendField<S> field;
+    const S *q, *u;
+    S *last_q, *last_u, *sums;
+};
+template <class S>
+void forward_bent(const BentRays<S> &rays, const BentTangents<S> &tangents);
+
+// The field at points `rays.q`: values (n,) and gradients (n, 3); their adjoints in, of points and of the field's
+// values (added) out; tangents of points and values in, of both out.
+template <class S>
+struct FieldValues {
+    S *value, *slope;
+};
+template <class S>
+void evaluate_field(const BentRays<S> &rays, const FieldValues<S> &out);
+template <class S>
+void reverse_field(const BentRays<S> &rays, const FieldValues<S> &adjoints, S *q, S *values);
+template <class S>
+void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, const FieldValues<S> &out);
+
+}  // namespace tr

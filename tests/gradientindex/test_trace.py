@@ -1,0 +1,101 @@
+"""Rays through media whose index varies: derivatives against differences, both modes, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+import torchrender as tr
+
+DOUBLE = torch.float64
+BOX = tr.Transform.translate([-1, -1, -1]) @ tr.Transform.scale(2)
+
+
+def glass(index, bsdf: str = "dielectric", dtype: torch.dtype = DOUBLE, shape: str = "cube", **medium) -> tr.Scene:
+    """A shape of this index in air."""
+    interior = {"type": "gradientindex", "index": index, "to_world": BOX, **medium}
+    described = {"type": "scene", "lens": {"type": shape, "interior": interior, "bsdf": {"type": bsdf}}}
+    return tr.load_dict(described, dtype=dtype)
+
+
+def random_index(size: int, amount: float = 0.03) -> torch.Tensor:
+    noise = torch.randn(size, size, size, generator=torch.Generator().manual_seed(0), dtype=DOUBLE)
+    return 1.5 + amount * noise
+
+
+def beam(n: int) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    o = torch.rand(n, 3, generator=generator, dtype=DOUBLE) - 0.5
+    o[:, 2] = -3
+    return o, torch.tensor([0.02, 0.03, 1.0], dtype=DOUBLE).expand(n, 3).contiguous()
+
+
+def number_of(rays: tr.gradientindex.BentRays) -> torch.Tensor:
+    """A function of everything that is differentiable."""
+    weight = torch.linspace(0.5, 1.5, len(rays.valid), dtype=rays.position.dtype)
+    found = torch.sin(3 * rays.position[:, :2]).sum(1) + torch.cos(2 * rays.direction).sum(1)
+    return (weight * (found + rays.optical_path.square() + rays.length.sin() + rays.index)).sum()
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])
+@pytest.mark.parametrize("bsdf", ["dielectric", "null"])
+def test_derivatives_by_the_index_are_those_of_the_rays(interpolation, bsdf):
+    index = random_index(12)
+    scene = glass(index, bsdf, interpolation=interpolation)
+    rays = beam(100)
+
+    def f(values):
+        return number_of(tr.gradientindex.trace(scene, "lens", *rays, params={"lens.interior.index": values}))
+
+    generator = torch.Generator().manual_seed(2)
+    along = torch.randn(index.shape, generator=generator, dtype=DOUBLE)
+    leaf = index.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(f(leaf), leaf)
+    reverse = float((gradient * along).sum())
+    _, forward = torch.func.jvp(f, (index,), (along,))
+    step = 1e-5
+    difference = float(f(index + step * along) - f(index - step * along)) / (2 * step)
+    assert abs(reverse) > 1
+    assert float(forward) == pytest.approx(reverse, rel=1e-10)
+    assert difference == pytest.approx(reverse, rel=1e-6)
+
+
+def test_a_constant_index_is_a_slab():
+    """Parallel, shifted, by Snell's law."""
+    scene = glass(1.5, ext_ior=1.0)
+    direction = torch.tensor([[math.sin(0.5), 0, math.cos(0.5)]], dtype=DOUBLE)
+    rays = tr.gradientindex.trace(scene, "lens", torch.tensor([[-1.5, 0, -3.0]], dtype=DOUBLE), direction)
+    inside = math.asin(math.sin(0.5) / 1.5)
+    assert bool(rays.valid.all())
+    assert torch.allclose(rays.direction, direction, atol=1e-12)
+    assert float(rays.position[0, 0]) == pytest.approx(-1.5 + 2 * math.tan(0.5) + 2 * math.tan(inside), abs=1e-9)
+    assert float(rays.length[0]) == pytest.approx(2 / math.cos(inside), abs=1e-9)
+    assert float(rays.optical_path[0]) == pytest.approx(3 / math.cos(inside), abs=1e-9)
+
+
+def test_integrators_say_what_follows_rays():
+    scene = glass(1.5)
+    scene["sky"] = tr.load_dict({"type": "constant"})
+    camera = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
+    with pytest.raises(ValueError, match=r"lens\.interior_medium.*bends|bends.*lens\.interior.*gradientindex\.trace"):
+        tr.render(scene, sensor=tr.load_dict(camera), spp=1)
+
+
+@pytest.mark.parametrize(
+    ("index", "what"),
+    [
+        (torch.ones(2, 2, 2, 3), r"index: expected control values of shape \(Z, Y, X\)"),
+        (torch.zeros(2, 2, 2), "index: expected positive indices of refraction"),
+        (torch.ones(1, 1, 1001), "at most 1000 voxels"),
+    ],
+)
+def test_indices_that_are_none(index, what):
+    with pytest.raises((TypeError, ValueError), match=what):
+        glass(index)
+
+
+def test_interpolation_has_a_continuous_gradient():
+    with pytest.raises(ValueError, match="'trilinear' has no continuous gradient"):
+        glass(1.5, interpolation="trilinear")

@@ -1,0 +1,317 @@
+"""Rays through the medium of a shape: in at its boundary, bent inside, out again."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+
+from ..compiling import opaque
+from ..errors import RangeWarning, describe, nearest
+from ..queries import _rays, find_hits
+from ..scene.declaration import models
+from ..scene.gather import gather
+from ..scene.native import NativeScene
+from ..scene.packing import Layout
+from ..scene.scene import Scene
+from ..surface import Surfaces, dot, inverse_linear, normalize, transform_vector
+from .field import padded
+from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
+
+OFFSET = 8.9406967e-5  # rays leave surfaces from a point so far off, see offset_amount in core/shape/surface.h
+INACCURATE = 0.01  # |p| / n - 1, which is 0 for exact rays
+
+
+class BentRays(NamedTuple):
+    """Where rays come out of a medium, or to a surface in it; 0 in rows that are not valid.
+
+    `position`, `direction` (N, 3): in the world, the direction of unit length, behind the boundary if that is where the
+    ray has come to. `optical_path`, `length` (N,): the integrals of n and of 1 over the way in the medium, in the
+    world's units; `transmittance` (N, C) of that way. `index` (N,): n at its end. `steps` (N,) int32. `shape_id` (N,)
+    int32: the shape at the end. `valid` (N,) bool: the ray went into the medium and came out of it, or met a surface in
+    it.
+    """
+
+    position: torch.Tensor
+    direction: torch.Tensor
+    optical_path: torch.Tensor
+    length: torch.Tensor
+    transmittance: torch.Tensor
+    index: torch.Tensor
+    steps: torch.Tensor
+    shape_id: torch.Tensor
+    valid: torch.Tensor
+
+
+@opaque
+def trace(
+    scene: Scene,
+    shape: str,
+    origins: Any,
+    directions: Any,
+    *,
+    params: Mapping[str, torch.Tensor] | None = None,
+) -> BentRays:
+    """Follow rays through the medium of a shape, whose index of refraction varies.
+
+    A ray begins outside, and the first thing it meets is the shape, or inside of it. It is refracted where it goes in
+    (unless the boundary is `null`), bent by the medium, and refracted where it comes out. It ends there, or at the
+    first surface inside. Rays that are totally reflected, at either end, are not valid.
+
+    How two rays become a spot::
+
+        rays = tr.gradientindex.trace(scene, "ball", origins, directions)
+        loss = (rays.position[rays.valid] - target).square().sum(1).mean()
+
+    The rays are those of a numerical solution (velocity Verlet with steps of about a voxel), and derivatives are those
+    of exactly this solution, in memory that does not grow with the number of steps: by rays, `index`, `index_base`,
+    `index_scale`, `to_world`, `ext_ior`, `sigma_t`, and by the shapes where rays go in and out; in reverse and forward
+    mode, once. At corners of the boundary, where a ray changes from one face to another, rays jump.
+
+    Args:
+        scene: where.
+        shape: the name of a shape whose `interior` is a `gradientindex` medium and whose BSDF is `null` or
+            `dielectric`.
+        origins, directions: (N, 3), world space, array-like; directions need not be normalised.
+        params: tensors that replace parameters of these names in this call, as in `render`.
+
+    Returns:
+        A named tuple of tensors, see `BentRays`.
+
+    Raises:
+        TypeError, ValueError: before any work, naming the argument, what was expected and what came.
+
+    Warns:
+        RangeWarning: for rays that took more than `max_steps`, that went further beyond the grid than it is long, and
+            where steps are too long for how fast the index changes.
+    """
+    scene, origins, directions, limits = _rays("gradientindex.trace", scene, origins, directions, None)
+    layout = scene.layout()
+    tensors = gather(scene, layout, params, "gradientindex.trace")
+    row = _row_of(layout, shape)
+    medium = _Medium.of(scene, layout, tensors, row, shape)
+    native = scene.native(layout, [tuple(t.shape) for t in tensors])
+    surfaces = Surfaces.of(scene, layout, tensors)
+    directions = normalize(directions)
+
+    # the way in
+    first = find_hits(native, tensors, origins, directions, limits)
+    facing = dot(first.normal, directions.detach())
+    rows = (first.shape_id == row).nonzero()[:, 0]
+    o, d, outside = origins[rows], directions[rows], (facing[rows] < 0)[:, None]
+    entry = surfaces.meet(first.shape_id[rows], first.prim_id[rows], o, d, first.t[rows])
+    x = torch.where(outside, entry.position, o)
+    bending = medium.bending(native)
+    n, _ = medium.index_at(bending, x)
+    p, through = medium.refracted(d, entry.normal, n, outside)
+    amount = OFFSET * (1 + x.detach().abs().amax(1, True))
+    offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
+
+    # through the medium
+    q, u = medium.to_voxels(x), medium.step * transform_vector(medium.inverse, p)
+    plain = [t.detach() for t in (offset, medium.placed(), *tensors)]
+    flights = Flights.apply(bending, medium.values, medium.kick, q, u, *plain)
+    last_q, last_u, sums, _, steps, hit, primitive, t = flights
+    x, v = medium.to_world(last_q), transform_vector(medium.matrix, last_u)
+    _warn_of_lost(hit, through)
+    usable = ((hit >= 0) & through).nonzero()[:, 0]
+    rows, steps, hit, outside = rows[usable], steps[usable], hit[usable], outside[usable]
+    x, v, sums = x[usable], v[usable], sums[usable]
+
+    # and out
+    end = surfaces.meet(hit, primitive[usable], x, v, t[usable])
+    n, slope = medium.index_at(bending, end.position)
+    rest = end.t - 0.5  # the last kick is of what is left of it
+    v = v + rest[:, None] * slope * medium.step**2
+    sums = sums + rest[:, None] * torch.stack([n * n / 2, n], 1)
+    _warn_of_inaccuracy(v, n, medium.step)
+    along = normalize(v)
+    leaves, out_normal = hit == row, end.normal
+    direction, free = medium.leaving(along, out_normal, n, leaves[:, None])
+    good = free & ((dot(along.detach(), out_normal.detach()) > 0) | ~leaves)
+    length = sums[:, 1] * medium.step
+    found = {
+        "position": end.position,
+        "direction": direction,
+        "optical_path": sums[:, 0] * (2 * medium.step),
+        "length": length,
+        "transmittance": torch.exp(-length[:, None] * medium.sigma_t),
+        "index": n,
+        "steps": steps,
+        "shape_id": hit,
+    }
+    rows, keep = rows[good], good
+    valid = torch.zeros(len(origins), dtype=torch.bool)
+    valid[rows] = True
+    count = len(origins)
+    spread = {name: x.new_zeros(count, *x.shape[1:]).index_put((rows,), x[keep]) for name, x in found.items()}
+    return BentRays(**spread, valid=valid)
+
+
+@dataclass
+class _Medium:
+    """A medium in the units of rays: positions in voxels, steps of `step`, in world units of length over index.
+
+    `values` are the spline's control values of Phi = n^2 / 2 but for `constant`; `matrix`, `inverse` (3, 3) and
+    `origin` (3,) place the voxels; `kick` is G. `ext_ior` is None for a null boundary.
+    """
+
+    values: torch.Tensor
+    constant: float
+    quadratic: bool
+    matrix: torch.Tensor
+    inverse: torch.Tensor
+    origin: torch.Tensor
+    kick: torch.Tensor
+    step: float
+    reach: float
+    max_steps: int
+    ext_ior: torch.Tensor | None
+    sigma_t: torch.Tensor
+
+    @classmethod
+    def of(cls, scene: Scene, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
+        numbers, ext_ior = _numbers_of(layout, tensors, row, shape)
+        value = {name: tensors[n] for name, n in numbers.items() if name not in ("interpolation", "max_steps")}
+        index, base, scale, to_world = (value[n] for n in ("index", "index_base", "index_scale", "to_world"))
+        # a constant part near all indices leaves differences as small as they are given
+        reference = float(base) if float(base) > 0 else 1.0
+        difference = (base - reference) + scale * index
+        values = difference * (reference + difference / 2)
+        largest = float((reference + difference.detach()).amax())
+        if not math.isfinite(largest) or largest <= 0:
+            raise ValueError(f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}")
+        size = index.shape[2], index.shape[1], index.shape[0]
+        matrix = to_world[:3, :3] / to_world.new_tensor(size)
+        voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())
+        # rounded up, so that steps hardly ever change in an optimisation
+        voxels = float(value["step"])
+        step = voxels * voxel / (math.ceil(largest * 16) / 16)
+        inverse = inverse_linear(matrix)
+        g = step**2 * (inverse[:, None, :] * inverse[None, :, :]).sum(-1)  # sums keep their precision under autocast
+        kick = torch.stack([g[0, 0], g[1, 1], g[2, 2], g[0, 1], g[0, 2], g[1, 2]])
+        limit = numbers["max_steps"] or math.ceil(8 * sum(size) / voxels)
+        quadratic = numbers["interpolation"] == 1
+        return cls(
+            padded(values),
+            reference**2 / 2,
+            quadratic,
+            matrix,
+            inverse,
+            to_world[:3, 3],
+            kick,
+            step,
+            1.5 * voxels,
+            limit,
+            ext_ior,
+            value["sigma_t"].reshape(-1),
+        )
+
+    def bending(self, native: NativeScene) -> Bending:
+        size = self.values.shape[2] - 4, self.values.shape[1] - 4, self.values.shape[0] - 4
+        return Bending(native, size, self.constant, self.quadratic, self.reach, self.max_steps)
+
+    def placed(self) -> torch.Tensor:
+        """(3, 4), from voxels to the world."""
+        return torch.cat([self.matrix, self.origin[:, None]], 1)
+
+    def to_voxels(self, x: torch.Tensor) -> torch.Tensor:
+        return transform_vector(self.inverse, x - self.origin)
+
+    def to_world(self, q: torch.Tensor) -> torch.Tensor:
+        return transform_vector(self.matrix, q) + self.origin
+
+    def index_at(self, bending: Bending, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The index (N,) and the gradient of Phi (N, 3) in the world."""
+        value, slope = Field.apply(bending, self.values, self.to_voxels(x))
+        return torch.sqrt(2 * (value + self.constant)), transform_vector(self.inverse.T, slope)
+
+    def refracted(
+        self, d: torch.Tensor, normal: torch.Tensor, n: torch.Tensor, outside: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The direction times n of rays in the medium, those from outside refracted; whether there are any."""
+        straight = d * n[:, None]
+        if self.ext_ior is None:
+            return straight, torch.ones_like(outside[:, 0])
+        # Snell's law: what is tangential stays, of a vector as long as the index
+        tangential = (d - normal * dot(d, normal)[:, None]) * self.ext_ior
+        square = n * n - dot(tangential, tangential)
+        possible = (square > 0) | ~outside[:, 0]
+        normal_part = torch.sqrt(torch.where(possible & outside[:, 0], square, 1.0))[:, None]
+        return torch.where(outside, tangential - normal * normal_part, straight), possible
+
+    def leaving(
+        self, d: torch.Tensor, normal: torch.Tensor, n: torch.Tensor, leaves: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Directions behind the boundary, for those that come to it; which ones are not totally reflected."""
+        if self.ext_ior is None:
+            return d, torch.ones_like(leaves[:, 0])
+        tangential = (d - normal * dot(d, normal)[:, None]) * n[:, None]
+        square = self.ext_ior**2 - dot(tangential, tangential)
+        possible = (square > 0) | ~leaves[:, 0]
+        normal_part = torch.sqrt(torch.where(possible & leaves[:, 0], square, 1.0))[:, None]
+        return torch.where(leaves, (tangential + normal * normal_part) / self.ext_ior, d), possible
+
+
+def _row_of(layout: Layout, shape: Any) -> int:
+    names = [name for _, _, name in layout.objects["shape"]]
+    if not isinstance(shape, str):
+        raise TypeError(f"gradientindex.trace: shape: expected the name of a shape, got {describe(shape)}")
+    if shape not in names:
+        raise ValueError(f"gradientindex.trace: shape: the scene has no shape {shape!r}; {nearest(shape, names)}")
+    return names.index(shape)
+
+
+def _numbers_of(
+    layout: Layout, tensors: list[torch.Tensor], row: int, shape: str
+) -> tuple[dict[str, int], torch.Tensor | None]:
+    """Of the medium inside of a shape the slots and static numbers by name; the index outside, None if it goes on."""
+    kind, numbers, _ = layout.objects["shape"][row]
+    own = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
+    where = f"gradientindex.trace: {shape}"
+    inside = own.get("interior", -1)
+    medium = layout.objects["medium"][inside] if inside >= 0 else ("none", [], "")
+    if medium[0] != "gradientindex":
+        raise ValueError(f"{where}: expected a gradientindex medium as its interior, got {medium[0]}")
+    if own["bsdf"] in layout.torch_bsdfs:
+        raise ValueError(f"{where}.bsdf: expected null or dielectric, got one written in PyTorch")
+    bsdf, of_bsdf, _ = layout.objects["bsdf"][own["bsdf"]]
+    if bsdf not in ("null", "dielectric"):
+        raise ValueError(f"{where}.bsdf: expected null or dielectric as the boundary of the medium, got {bsdf}")
+    fields = [f.name for f in models()["medium", "gradientindex"].fields]
+    found = dict(zip(fields, medium[1], strict=True))
+    if bsdf == "null":
+        return found, None
+    usual = models()["bsdf", "dielectric"].fields[0].default
+    if usual is None or abs(float(tensors[of_bsdf[0]]) - usual) > 1e-5:
+        raise ValueError(
+            f"{where}.bsdf: the index inside is that of the medium, and the one outside its ext_ior: leave out int_ior "
+            "and ext_ior of the dielectric"
+        )
+    return found, tensors[found["ext_ior"]]
+
+
+def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:
+    for code, text in (
+        (TOO_LONG, "took more than max_steps steps, and are not valid"),
+        (TOO_FAR, "went further beyond the grid than it is long, and are not valid: is the shape closed?"),
+    ):
+        count = int(((hit == code) & through).sum())
+        if count:
+            warnings.warn(f"gradientindex.trace: {count} of {len(hit)} rays {text}", RangeWarning, stacklevel=4)
+
+
+def _warn_of_inaccuracy(v: torch.Tensor, n: torch.Tensor, step: float) -> None:
+    with torch.no_grad():
+        error = (torch.linalg.vector_norm(v, dim=1) / (n * step) - 1).abs()
+        worst = float(error.amax()) if len(error) else 0.0
+    if worst > INACCURATE:
+        text = (
+            f"gradientindex.trace: |p| / n, which is 1 along a ray, is off by {worst:.1%}: the index changes too fast "
+            "for steps of this length; make `step` smaller, or the index smoother"
+        )
+        warnings.warn(text, RangeWarning, stacklevel=4)
