@@ -31,6 +31,7 @@ from .render_arguments import (
 )
 from .render_call import RenderCall
 from .render_checks import (
+    bending_media,
     check_bending,
     check_light,
     check_media,
@@ -230,8 +231,9 @@ def render(
         warn_of_glass_on_curves(scene)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
-    if shows_radiance:
-        check_bending(packed)
+    bends = shows_radiance and bool(bending_media(packed))
+    if bends:
+        check_bending(packed, traces, not (volumetric or wavefront))
     if light:
         check_light(packed, names, adaptive_grad)
     elif shows_radiance:
@@ -307,6 +309,7 @@ def render(
             and not volumetric
             and not light
             and not wavefront
+            and not bends
             and call.spp_grad == call.spp
             and not _mixes(packed)
             and torch.is_grad_enabled()

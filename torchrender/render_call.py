@@ -112,7 +112,7 @@ class RenderCall:
         return in_forward_mode() or any(tensors[i].requires_grad for i in layout.outlines)
 
     def finish(self, kind: str, all_stats: list[dict[str, Any]]) -> None:
-        """Keep the statistics; warn once of samples that were not finite."""
+        """Keep the statistics; warn of samples that were not finite, and of rays that were given up."""
         total = dict(all_stats[0])
         for stats in all_stats[1:]:
             for key, value in stats.items():
@@ -126,6 +126,14 @@ class RenderCall:
             if self.nan == "raise":
                 raise RenderError(text)
             warnings.warn(text + "; they were dropped", RuntimeWarning, stacklevel=depth_outside())
+
+        lost = int(total.get("bent_rays_lost", 0))
+        if lost:
+            text = (
+                f"{lost} rays in gradientindex media took more than max_steps steps, or went further beyond the grid "
+                "than it is long; they are black. Is the shape around the medium closed?"
+            )
+            warnings.warn(text, RuntimeWarning, stacklevel=depth_outside())
 
     def store_hits(self, limit: int) -> torch.Tensor:
         """Begin to keep hits, `limit` bytes at most; they live as long as the memory of the tensor that comes back."""

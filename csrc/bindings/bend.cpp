@@ -40,8 +40,9 @@ void bend(const SceneView<S> *scene, const Accel *accel, const BendRequest &requ
                                       given("values_bar"), reinterpret_cast<double *>(request.arrays.at("kick_bar"))});
     if (what != "trace") throw std::invalid_argument("bend: unknown: " + what);
     rays.last_q = at("last_q"), rays.last_u = at("last_u"), rays.sums = at("sums");
-    trace_bent<S>(*scene, *accel, rays, at("to_world"), at("offset"), number("reach"), int32_t(number("max_steps")),
-                  {indices("shape_id"), indices("prim_id"), at("t")});
+    BendMedium<S> medium = scene->bends[size_t(number("medium"))];
+    medium.field = rays.field;  // of the same numbers, with the matrix that its derivative will have
+    trace_bent<S>(medium, *accel, rays, at("offset"), {indices("shape_id"), indices("prim_id"), at("t")});
 }
 
 #define TR_INSTANTIATE(S) template void bend(const SceneView<S> *, const Accel *, const BendRequest &);

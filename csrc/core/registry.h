@@ -60,15 +60,18 @@ using BsdfWrappers = TypeList<TwoSided, BlendBsdf, MaskBsdf, NormalMap, BumpMap>
 TR_BSDFS(TR_NAME)
 #undef TR_NAME
 struct MaskHole;
+struct GradientDielectric;
 
-// What a path can meet: the BSDFs, and the holes of masks.
+// What a path can meet: the BSDFs, the holes of masks, and dielectrics around media that light bends in.
 #define TR_NAME(M) M,
-using Bsdfs = TypeList<TR_BSDFS(TR_NAME) MaskHole>;
+using Bsdfs = TypeList<TR_BSDFS(TR_NAME) MaskHole, GradientDielectric>;
 #undef TR_NAME
 
 constexpr int NullKind = kind_of_model<NullBsdf>(Bsdfs{}), MaskHoleKind = kind_of_model<MaskHole>(Bsdfs{});
+constexpr int DielectricKind = kind_of_model<Dielectric>(Bsdfs{}),
+              GradientDielectricKind = kind_of_model<GradientDielectric>(Bsdfs{});
 // Records of wrappers have these kinds.
-constexpr int FirstWrapper = MaskHoleKind + 1;
+constexpr int FirstWrapper = GradientDielectricKind + 1;
 constexpr int TwoSidedKind = FirstWrapper + kind_of_model<TwoSided>(BsdfWrappers{});
 constexpr int BlendKind = FirstWrapper + kind_of_model<BlendBsdf>(BsdfWrappers{});
 constexpr int MaskKind = FirstWrapper + kind_of_model<MaskBsdf>(BsdfWrappers{});

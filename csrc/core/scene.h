@@ -61,6 +61,8 @@ struct AttributeInfo {
 };
 
 struct MediumInfo;
+template <class S>
+struct BendMedium;
 
 template <class S>
 struct SceneView {
@@ -107,7 +109,8 @@ struct SceneView {
     int32_t n_media;
     const S *volume_to_local;  // 12 a volume
     const S *majorants;
-    const S *phase_tables;  // see phase/tabulated.h
+    const S *phase_tables;       // see phase/tabulated.h
+    const BendMedium<S> *bends;  // by medium, see medium/bend_medium.h; null: light goes straight in all of them
 };
 
 template <class F>

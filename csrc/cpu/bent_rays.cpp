@@ -4,7 +4,6 @@
 #include <limits>
 #include <memory>
 
-#include "bend_blocks.h"
 #include "core/adjoint/bend.h"
 #include "host/parallel.h"
 #include "packet_rows.h"
@@ -97,63 +96,51 @@ class Flight {
     static constexpr size_t W = size_t(Lanes<F>::Width);
 
 public:
-    Flight(const Accel &accel, const BentRays<S> &rays, const BendBlocks &blocks, const S *to_world, double reach)
-        : accel_(accel),
-          rays_(rays),
-          field_(rays.field),
-          blocks_(blocks),
-          to_world_(to_world),
-          bits_(position_bits<F>(rays.field)),
-          reach_(to_fixed<S>(std::min(S(reach), S(4)), BendNumber<F>::Velocity)) {}
+    Flight(const BendMedium<S> &medium, const Accel &accel)
+        : medium_(medium),
+          field_(medium.field),
+          accel_(accel),
+          bits_(position_bits<F>(medium.field)),
+          reach_(to_fixed<S>(std::min(medium.reach, S(4)), BendNumber<F>::Velocity)) {}
 
-    void run(const PacketRows<F> &rows, const S *offset, int32_t max_steps, const BentHits<S> &hits) {
-        start_bent(state_, rows.vector(rays_.q), rows.vector(rays_.u), bits_);
-        MaskOf<F> live = rows.active;
-        optical_ = length_ = F(0), shape_ = U(BentTooLong), primitive_ = U(0u), t_ = F(S(INFINITY));
-        I steps(0);
+    FlightEnd<F> run(const Vec3<F> &q, const Vec3<F> &u, const Vec3<F> &offset, const MaskOf<F> &active) {
+        start_bent(at_.state, q, u, bits_);
+        MaskOf<F> live = active;
+        at_.optical = at_.length = at_.b1 = at_.b2 = F(0), at_.t = F(S(INFINITY));
+        at_.shape = U(BentTooLong), at_.primitive = U(0u), at_.steps = I(0);
         kick_all(F(S(0.5)), live);
         for (int32_t m = 0; any(live); ++m) {
             const MaskOf<F> inside = live && in_box(0, 1), gone = live && !inside && !in_box(1, 3);
-            MaskOf<F> near = (live && !inside) || blocks_.surface_near(state_, bits_, inside) || (live && fast());
-            shape_ = select(mask<U>(gone), U(BentTooFar), shape_);
+            MaskOf<F> near = (live && !inside) || surface_near(medium_, at_.state, bits_, inside) || (live && fast());
+            at_.shape = select(mask<U>(gone), U(BentTooFar), at_.shape);
             live = live && !gone;
             near = near && live;
             if (any(near) || m == 0) {
-                query(m == 0 ? live : near, m == 0 ? rows.vector(offset) : Vec3<F>{F(0), F(0), F(0)});
-                live = live && mask<F>(shape_ == U(BentTooLong));
+                query(m == 0 ? live : near, m == 0 ? offset : Vec3<F>{F(0), F(0), F(0)});
+                live = live && mask<F>(at_.shape == U(BentTooLong));
             }
-            if (m == max_steps || !any(live)) break;
-            drift(state_, bits_, live);
-            steps = select(mask<I>(live), steps + 1, steps);
+            if (m == medium_.max_steps || !any(live)) break;
+            drift(at_.state, bits_, live);
+            at_.steps = select(mask<I>(live), at_.steps + 1, at_.steps);
             kick_all(F(1), live);
         }
-        rows.put(rays_.last_q, position_of(state_, bits_));
-        rows.put(rays_.last_u, velocity_of(state_));
-        rows.put(rays_.sums, Vec2<F>{optical_, length_});
-        put_state(rays_.state, rows, state_);
-        rows.put_integers(rays_.steps, steps);
-        rows.put_integers(hits.shape, shape_), rows.put_integers(hits.primitive, primitive_);
-        rows.put(hits.t, t_);
+        return at_;
     }
 
 private:
-    const Accel &accel_;
-    const BentRays<S> &rays_;
+    const BendMedium<S> &medium_;
     const BendField<S> &field_;
-    const BendBlocks &blocks_;
-    const S *to_world_;
+    const Accel &accel_;
     const int bits_;
     const BendInt<S> reach_;
-    BendState<F> state_;
-    F optical_, length_, t_;
-    U shape_, primitive_;
+    FlightEnd<F> at_;
 
     void kick_all(const F &w, const MaskOf<F> &active) {
-        const BendSlope<F> at = spline_slope<T, F>(field_, cell_at<T>(field_, state_, bits_), active);
-        const F value = at.value + F(rays_.constant), weight = select(active, w, F(0));
-        optical_ = fmadd(weight, value, optical_);
-        length_ = fmadd(weight, sqrt(max(F(0), value * F(2))), length_);
-        kick<F, false>(state_, symmetric_times<F>(field_.kick, at.slope) * w, active);
+        const BendSlope<F> at = spline_slope<T, F>(field_, cell_at<T>(field_, at_.state, bits_), active);
+        const F value = at.value + F(medium_.constant), weight = select(active, w, F(0));
+        at_.optical = fmadd(weight, value, at_.optical);
+        at_.length = fmadd(weight, sqrt(max(F(0), value * F(2))), at_.length);
+        kick<F, false>(at_.state, symmetric_times<F>(field_.kick, at.slope) * w, active);
     }
 
     // Whether it is in the grid, grown by `margin` times its size on both sides to `whole` times.
@@ -162,8 +149,8 @@ private:
         MaskOf<F> r(true);
         for (int k = 0; k < 3; ++k) {
             const Lane n = Lane(field_.n[k]) << bits_;
-            r = r && mask<F>(state_.q[k] >= BendInt<F>(-n * margin)) &&
-                mask<F>(state_.q[k] < BendInt<F>(limit(n, whole - margin)));
+            r = r && mask<F>(at_.state.q[k] >= BendInt<F>(-n * margin)) &&
+                mask<F>(at_.state.q[k] < BendInt<F>(limit(n, whole - margin)));
         }
         return r;
     }
@@ -174,51 +161,60 @@ private:
     // Whether a step is longer than blocks allow for.
     MaskOf<F> fast() const {
         MaskOf<F> r(false);
-        for (const auto &u : state_.u) r = r || mask<F>(u > BendInt<F>(reach_)) || mask<F>(u < BendInt<F>(-reach_));
+        for (const auto &u : at_.state.u) r = r || mask<F>(u > BendInt<F>(reach_)) || mask<F>(u < BendInt<F>(-reach_));
         return r;
     }
 
     // The nearest surface along the step, and a little more, so that a surface between two steps is not missed.
     TR_NOINLINE void query(const MaskOf<F> &active, const Vec3<F> &offset) {
-        const Vec3<F> q = position_of(state_, bits_), u = velocity_of(state_);
-        auto row = [&](int i, const Vec3<F> &v) {
-            return fmadd(F(to_world_[4 * i]), v.x, fmadd(F(to_world_[4 * i + 1]), v.y, F(to_world_[4 * i + 2]) * v.z));
-        };
+        const Vec3<F> o = transform_point(medium_.to_world, position_of(at_.state, bits_)) + offset,
+                      d = transform_vector(medium_.to_world, velocity_of(at_.state));
         alignas(64) S number[W];
         alignas(64) float ray[7][W], t[W], b1[W], b2[W];
-        uint32_t shape[W], primitive[W];
-        auto put = [&](size_t column, const F &x) {
-            store(number, x);
-            for (size_t i = 0; i < W; ++i) ray[column][i] = float(number[i]);
-        };
-        const F shift[3] = {offset.x, offset.y, offset.z};
-        for (int k = 0; k < 3; ++k) {
-            put(size_t(k), row(k, q) + F(to_world_[4 * k + 3]) + shift[k]);
-            put(size_t(3 + k), row(k, u));
+        alignas(64) uint32_t shape[W], primitive[W];
+        const F columns[7] = {o.x, o.y, o.z, d.x, d.y, d.z, select(active, F(S(1.0001)), F(-1))};
+        for (size_t k = 0; k < 7; ++k) {
+            store(number, columns[k]);
+            for (size_t i = 0; i < W; ++i) ray[k][i] = float(number[i]);
         }
-        put(6, select(active, F(S(1.0001)), F(-1)));
         accel_.intersect({{ray[0], ray[1], ray[2]}, {ray[3], ray[4], ray[5]}, ray[6]}, {shape, primitive, t, b1, b2}, W,
                          false);
-        for (size_t i = 0; i < W; ++i) number[i] = S(t[i]);
         const U found = load_uint<F>(shape);
         const MaskOf<F> hit = active && mask<F>(found != U(Accel::Miss));
-        shape_ = select(mask<U>(hit), found, shape_);
-        primitive_ = select(mask<U>(hit), load_uint<F>(primitive), primitive_);
-        t_ = select(hit, load<F>(number), t_);
+        at_.shape = select(mask<U>(hit), found, at_.shape);
+        at_.primitive = select(mask<U>(hit), load_uint<F>(primitive), at_.primitive);
+        auto take = [&](const float (&from)[W], F &to) {
+            for (size_t i = 0; i < W; ++i) number[i] = S(from[i]);
+            to = select(hit, load<F>(number), to);
+        };
+        take(t, at_.t), take(b1, at_.b1), take(b2, at_.b2);
     }
 };
 
 }  // namespace
 
+template <class F>
+FlightEnd<F> fly(const BendMedium<ScalarOf<F>> &medium, const Accel &accel, const Vec3<F> &q, const Vec3<F> &u,
+                 const Vec3<F> &offset, const MaskOf<F> &active) {
+    return medium.quadratic ? Flight<3, F>(medium, accel).run(q, u, offset, active)
+                            : Flight<4, F>(medium, accel).run(q, u, offset, active);
+}
+
 template <class S>
-void trace_bent(const SceneView<S> &scene, const Accel &accel, const BentRays<S> &rays, const S *to_world,
-                const S *offset, double reach, int32_t max_steps, const BentHits<S> &hits) {
+void trace_bent(const BendMedium<S> &medium, const Accel &accel, const BentRays<S> &rays, const S *offset,
+                const BentHits<S> &hits) {
     using F = PacketOf<S>;
-    const BendBlocks blocks(scene, rays.field.n, to_world, reach);
-    with_taps(rays.quadratic, [&](auto taps) {
-        for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int) {
-            Flight<decltype(taps)::value, F>(accel, rays, blocks, to_world, reach).run(rows, offset, max_steps, hits);
-        });
+    const int bits = position_bits<F>(medium.field);
+    for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int) {
+        const FlightEnd<F> end =
+            fly<F>(medium, accel, rows.vector(rays.q), rows.vector(rays.u), rows.vector(offset), rows.active);
+        rows.put(rays.last_q, position_of(end.state, bits));
+        rows.put(rays.last_u, velocity_of(end.state));
+        rows.put(rays.sums, Vec2<F>{end.optical, end.length});
+        put_state(rays.state, rows, end.state);
+        rows.put_integers(rays.steps, end.steps);
+        rows.put_integers(hits.shape, end.shape), rows.put_integers(hits.primitive, end.primitive);
+        rows.put(hits.t, end.t);
     });
 }
 
@@ -242,7 +238,10 @@ void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints) {
             I left = get_steps<F>(rays.steps, rows);
             while (any(live)) {
                 const MaskOf<F> goes_on = live && mask<F>(left > I(0));
-                kick_back<T, F>(rays.field, rays.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, values, live);
+                kick_back<T, F>(rays.field, rays.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, live,
+                                [&](const auto &at, const auto &first, const F &value, const Vec3<F> &slope) {
+                                    if (values) splat_spline<T>(rays.field, at, first, value, slope, values, live);
+                                });
                 live = goes_on;
                 left = left - 1;
                 a.u = select(live, a.u + a.q, a.u);
@@ -339,13 +338,16 @@ void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, con
     });
 }
 
-#define TR_INSTANTIATE(S)                                                                                            \
-    template void trace_bent(const SceneView<S> &, const Accel &, const BentRays<S> &, const S *, const S *, double, \
-                             int32_t, const BentHits<S> &);                                                          \
-    template void reverse_bent(const BentRays<S> &, const BentAdjoints<S> &);                                        \
-    template void forward_bent(const BentRays<S> &, const BentTangents<S> &);                                        \
-    template void evaluate_field(const BentRays<S> &, const FieldValues<S> &);                                       \
-    template void reverse_field(const BentRays<S> &, const FieldValues<S> &, S *, S *);                              \
+#define TR_INSTANTIATE(S)                                                                                \
+    template FlightEnd<PacketOf<S>> fly(const BendMedium<S> &, const Accel &, const Vec3<PacketOf<S>> &, \
+                                        const Vec3<PacketOf<S>> &, const Vec3<PacketOf<S>> &,            \
+                                        const MaskOf<PacketOf<S>> &);                                    \
+    template void trace_bent(const BendMedium<S> &, const Accel &, const BentRays<S> &, const S *,       \
+                             const BentHits<S> &);                                                       \
+    template void reverse_bent(const BentRays<S> &, const BentAdjoints<S> &);                            \
+    template void forward_bent(const BentRays<S> &, const BentTangents<S> &);                            \
+    template void evaluate_field(const BentRays<S> &, const FieldValues<S> &);                           \
+    template void reverse_field(const BentRays<S> &, const FieldValues<S> &, S *, S *);                  \
     template void forward_field(const BentRays<S> &, const BentTangents<S> &, const FieldValues<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -2,14 +2,30 @@
 // meet a surface; their derivatives; and the field by itself.
 #pragma once
 
-#include <map>
-#include <string>
-
 #include "accel/accel.h"
-#include "core/medium/bend.h"
-#include "core/scene.h"
+#include "core/medium/bend_medium.h"
 
 namespace tr {
+
+// What a flight ends at. Rays that were given up have one of these in place of a shape.
+enum : uint32_t { BentTooLong = Accel::Miss, BentTooFar = Accel::Miss - 1 };
+
+// Its last kick: the state after it, as many steps before it, sums of Phi and of n over the kicks, with weights 1/2, 1,
+// 1, ...; and what is hit from there, `t` steps away.
+template <class F>
+struct FlightEnd {
+    BendState<F> state;
+    IntOf<F> steps;
+    F optical, length;
+    UIntOf<F> shape, primitive;
+    F t, b1, b2;
+};
+
+// From q with the velocity u, in voxels and voxels a step. `offset`: in the world, from where the ray begins to where
+// surfaces count from on.
+template <class F>
+FlightEnd<F> fly(const BendMedium<ScalarOf<F>> &medium, const Accel &accel, const Vec3<F> &q, const Vec3<F> &u,
+                 const Vec3<F> &offset, const MaskOf<F> &active);
 
 // Arrays of n rows, in voxels and voxels a step unless stated.
 template <class S>
@@ -22,27 +38,20 @@ struct BentRays {
 
     // In: where a ray begins and its velocity.
     const S *q, *u;
-    // Its last kick: state (n, 6), as many steps before it; there position and velocity after it; and the sums of Phi
-    // and of n over the kicks (n, 2), with weights 1/2, 1, 1, ...
+    // What FlightEnd has: state (n, 6), steps; position and velocity; sums (n, 2).
     BendInt<S> *state;
     int32_t *steps;
     S *last_q, *last_u, *sums;
 };
-
-// What a flight ends at; `t` in the velocity's length. Rays that were given up have one of these in place of a shape.
-enum : uint32_t { BentTooLong = Accel::Miss, BentTooFar = Accel::Miss - 1 };
 
 template <class S>
 struct BentHits {
     uint32_t *shape, *primitive;
     S *t;
 };
-
-// `offset`: (n, 3) in the world, from where the ray begins to where surfaces count from on; `reach`: no step is longer
-// in any coordinate, or it is slower to trace.
 template <class S>
-void trace_bent(const SceneView<S> &scene, const Accel &accel, const BentRays<S> &rays, const S *to_world,
-                const S *offset, double reach, int32_t max_steps, const BentHits<S> &hits);
+void trace_bent(const BendMedium<S> &medium, const Accel &accel, const BentRays<S> &rays, const S *offset,
+                const BentHits<S> &hits);
 
 // Adjoints of last_q, last_u and sums in, of q, u, of the field's values (to which it is added) and of `kick` (6
 // numbers) out.

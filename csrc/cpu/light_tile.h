@@ -37,6 +37,7 @@ public:
         if (max_depth == 0 || wavefront.scene().n_emitters == 0) return;
         PathQueue<S> *current = &wavefront.queues[0], *next = &wavefront.queues[1];
         start(*current, uint32_t(n), recording);
+        if (wavefront.bender) wavefront.bender->begin(*current);
         finish_connections(recording, visit);
         for (int depth = 0; current->n > 0 && !stop() && (max_depth < 0 || depth + 2 <= max_depth); ++depth) {
             wavefront.trace(*current);

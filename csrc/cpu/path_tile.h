@@ -54,6 +54,7 @@ public:
         PathQueue<S> *queues = wavefront.queues;
         if ((config_.max_depth >= 0 && first >= config_.max_depth) || queues[0].n == 0) return;
         if (media_) return run_volumetric(recording, stop);
+        if (wavefront.bender) wavefront.bender->begin(queues[0]);
         if (!traced) wavefront.trace(queues[0]);
         if (config_.hide_emitters && first == 0 && !traced) wavefront.pass_emitters();
         const bool scatters = config_.max_depth < 0 || config_.max_depth > first + 1;
@@ -83,6 +84,7 @@ public:
     // The vertices that the rays meet, `depth` vertices behind the first one, and nothing after them; recorded.
     void first_vertices(int depth) {
         wavefront.tape.begin_block(0);
+        if (wavefront.bender) wavefront.bender->begin(wavefront.queues[0]);
         wavefront.trace(wavefront.queues[0]);
         if (config_.hide_emitters && depth == 0) wavefront.pass_emitters();
         step(wavefront.queues[0], wavefront.queues[1], {depth, 0, true}, true, TapeLevel<S>::NoParent);
@@ -217,7 +219,8 @@ private:
         keep_entries<F>(queue, [&](uint32_t i) {
             Entries<F> from(i);
             // what it meets counts as seen, light or not
-            return may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == U(0u));
+            M kept = may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == U(0u));
+            return wavefront.bender ? kept || mask<F>(from(queue.medium) >= 0) : kept;
         });
     }
 

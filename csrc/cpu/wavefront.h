@@ -4,8 +4,10 @@
 
 #include <algorithm>
 #include <chrono>
+#include <optional>
 #include <utility>
 
+#include "bender.h"
 #include "core/integrator/classify.h"
 #include "ray_queries.h"
 #include "render.h"
@@ -68,17 +70,20 @@ public:
     Tape<S> tape;
     Diagnostics diagnostics;
     RenderStats stats;
-    HitRecorder recorder;  // off unless begun before a run: keeps what its rays hit,
-    HitReplay replay;      // or knows it already
+    HitRecorder recorder;             // off unless begun before a run: keeps what its rays hit,
+    HitReplay replay;                 // or knows it already
+    std::optional<Bender<F>> bender;  // of scenes with media that light bends in
 
     Wavefront(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative, bool of_light)
         : queries(*call.accel, entries(shadow_capacity(call, capacity))),
           tape({call.scene->has_stacks, call.scene->follows_tangent, call.config.volumetric,
-                call.config.volumetric && derivative && derivative->gradient_needs().geometry, of_light}),
+                call.config.volumetric && derivative && derivative->gradient_needs().geometry, of_light,
+                call.scene->bends && derivative}),
           call_(call),
           scene_(*call.scene) {
         if (derivative) needs_ = derivative->gradient_needs();
         const size_t n = capacity + 2 * W;
+        if (scene_.bends) bender.emplace(scene_, *call.accel, entries(n));
         slots_arena_.allocate(n, slots, queues[0], queues[1], queues[2]);
         shadow_arena_.allocate(shadow_capacity(call, capacity), shadows);
         order_arena_.declare([&](Arena &arena) {
@@ -96,8 +101,10 @@ public:
 
     // `recording`: onto the tape's last level.
     PathContext<F> context(bool recording) {
-        return {scene_,       call_.config, slots, diagnostics, &needs_, recording ? &tape.last().columns : nullptr,
-                recorder.on()};
+        return {scene_,        call_.config,
+                slots,         diagnostics,
+                &needs_,       recording ? &tape.last().columns : nullptr,
+                recorder.on(), bender ? &bender->columns : nullptr};
     }
 
     // Entries that n hits take at most once they are grouped.
@@ -120,6 +127,10 @@ public:
             stats.closest_rays += queue.n;
         }
         queries.widen(queue.n);
+        if (bender) {
+            bender->run(queue, queries.hits);
+            stats.bent_rays_lost += std::exchange(bender->lost, 0);
+        }
         if (call_.ray_record && !replay.on()) {
             size_t found = queue.n - size_t(std::count(hits.shape, hits.shape + queue.n, NoHit));
             call_.ray_record->add(coherent ? RayKind::Camera : RayKind::Bounce, rays, queue.n, found);

@@ -87,6 +87,11 @@ bool GradientRequirements::motion(size_t sensor) const {
             if (any_number(category, i, kinds)) return true;
         return false;
     };
+    for (size_t m = 0; m < layout_.media.size(); ++m) {  // bent light comes to other places
+        if (!(layout_.media[m].flags & Bends)) continue;
+        const int32_t index = layout_.records.at("medium")[m].field[field_index(GradientIndexMedium::fields, "index")];
+        if (needs_grad_[size_t(index)] || any_number("medium", m, {Kind::Float, Kind::Transform})) return true;
+    }
     // maps of texture coordinates and factors of attributes; places of volumes; the environment's rotation; what turns
     // delta lobes
     if (any("texture", {Kind::Transform2, Kind::Float}) || any("volume", {Kind::Transform}) ||

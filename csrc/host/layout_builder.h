@@ -94,6 +94,7 @@ private:
 
     // layout_media.cpp
     void connect_media();
+    void bound_bending(ShapeInfo &info);
     static int majorant_cell(const int (&n)[3]);
     bool lets_through(int32_t bsdf) const;
     void find_enclosed_media();

@@ -51,12 +51,23 @@ void LayoutBuilder::connect_shapes() {
         info.interior = value("shape", i, interior);
         info.exterior = value("shape", i, interior + 1);
         if (info.bsdf < 0) fail(where("shape", i, "bsdf"), "a bsdf", "none");
+        if (info.interior >= 0 && (out_.media[size_t(info.interior)].flags & Bends)) bound_bending(info);
         if (flip >= 0 && value("shape", i, flip)) info.flags |= FlipNormals;
         if (info.emitter >= 0 && !(info.flags & IsCurved)) {
             info.cdf_offset = out_.n_cdf_faces;
             out_.n_cdf_faces += info.n_faces;
         }
     }
+}
+
+// Around a medium that light bends in a dielectric is one of a kind of its own.
+void LayoutBuilder::bound_bending(ShapeInfo &info) {
+    Record record = out_.records["bsdf"][size_t(info.bsdf)];
+    if (record.kind != DielectricKind) return;
+    record.kind = GradientDielectricKind;
+    out_.paths["bsdf"].push_back(out_.paths["bsdf"][size_t(info.bsdf)]);
+    out_.records["bsdf"].push_back(record);
+    info.bsdf = int32_t(out_.records["bsdf"].size() - 1);
 }
 
 void LayoutBuilder::begin_mesh(ShapeInfo &info, int64_t n_vertices, int64_t n_faces, const std::string &at) {

@@ -46,8 +46,10 @@ const ModelEntry *find_model(const std::string &category, const std::string &typ
 }
 
 const Model &model_of(const std::string &category, const Record &record) {
+    int kind = record.kind;
+    if (category == "bsdf" && kind == GradientDielectricKind) kind = DielectricKind;
     for (const ModelEntry &entry : all_models())
-        if (category == entry.model->category && entry.kind == record.kind) return *entry.model;
+        if (category == entry.model->category && entry.kind == kind) return *entry.model;
     throw std::logic_error(category + ": a record of an unknown kind");
 }
 

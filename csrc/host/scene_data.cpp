@@ -133,6 +133,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_phases(first ? all : changed);
     update_bsdfs();
     refresh_view();
+    update_bends();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }
 

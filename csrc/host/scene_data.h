@@ -8,6 +8,7 @@
 
 #include "../accel/accel.h"
 #include "../core/scene.h"
+#include "bend_blocks.h"
 #include "distribution.h"
 #include "gradient.h"
 #include "layout.h"
@@ -117,6 +118,8 @@ private:
     std::map<int, double> mean_texels_;  // mean luminance by slot, of what has been asked for
     std::vector<S> light_boxes_;
     int n_light_boxes_ = -1;
+    std::vector<BendMedium<S>> bends_;  // by medium
+    std::vector<std::unique_ptr<BendBlocks>> blocks_;
     EnvironmentTables<S> environment_;
     S env_to_local_[12]{}, env_to_world_[12]{};
     std::vector<S> volume_to_local_, majorants_, phase_tables_, bsdf_tables_;
@@ -167,6 +170,7 @@ private:
     void update_light_boxes();
     void update_ball();
     void update_media(const std::vector<uint8_t> &dirty);
+    void update_bends();
     void update_phases(const std::vector<uint8_t> &dirty);
     void update_bsdfs();
     void refresh_view();

@@ -131,15 +131,6 @@ def axis_weights(x: torch.Tensor, n: int, interpolation: str) -> tuple[torch.Ten
     return taps, torch.stack(w, -1), torch.stack(d, -1) * n
 
 
-def padded(values: torch.Tensor) -> torch.Tensor:
-    """With two more numbers at every border, as the core reads them."""
-    for axis in range(3):
-        n = values.shape[axis]
-        rows = torch.arange(-2, n + 2, device=values.device).clamp(0, n - 1)
-        values = values.index_select(axis, rows)
-    return values.contiguous()
-
-
 def _check(index: torch.Tensor, interpolation: str) -> None:
     if interpolation not in INTERPOLATIONS:
         raise ValueError(f"interpolation: expected one of {INTERPOLATIONS}, got {interpolation!r}")

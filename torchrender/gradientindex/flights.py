@@ -30,8 +30,7 @@ class Bending:
     size: tuple[int, int, int]
     constant: float
     quadratic: bool
-    reach: float
-    max_steps: int
+    medium: int  # its number
     threads: int = field(default_factory=torch.get_num_threads)
 
     def call(
@@ -40,7 +39,7 @@ class Bending:
         """`params`: of the scene, which tracing meets."""
         numbers = dict(zip("xyz", map(float, self.size), strict=True))
         numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(self.threads)}
-        numbers |= {"reach": self.reach, "max_steps": float(self.max_steps)}
+        numbers |= {"medium": float(self.medium)}
         given = {name: t.data_ptr() for name, t in arrays.items() if t is not None}
         if params is None:
             self.native.handle.bend(what, n, numbers, given, [], [])
@@ -67,13 +66,12 @@ class Flights(UnbatchedFunction):
     """``last_q, last_u, sums, state, steps, shape, primitive, t = Flights.apply(bending, values, kick, q, u, ...)``.
 
     To the last kick before a surface; the first three are differentiable, by the first four tensors. The others are
-    where surfaces count from (N, 3), relative to where rays begin, the map (3, 4) from voxels to the world, and the
-    scene's parameters.
+    where surfaces count from (N, 3), relative to where rays begin, and the scene's parameters.
     """
 
     @staticmethod
     def forward(bending: Bending, *inputs: torch.Tensor) -> Any:
-        values, kick, q, u, offset, to_world, *params = _dense(*inputs)
+        values, kick, q, u, offset, *params = _dense(*inputs)
         n = len(q)
         state = torch.empty(n, 6, dtype=torch.int64 if q.dtype == torch.float64 else torch.int32)
         out = {"last_q": bending.empty(n, 3), "last_u": bending.empty(n, 3), "sums": bending.empty(n, 2)}
@@ -83,7 +81,7 @@ class Flights(UnbatchedFunction):
             "prim_id": torch.empty(n, dtype=torch.int32),
             "t": bending.empty(n),
         }
-        given = {"values": values, "kick": kick, "q": q, "u": u, "offset": offset, "to_world": to_world}
+        given = {"values": values, "kick": kick, "q": q, "u": u, "offset": offset}
         bending.call("trace", n, {**given, **out}, params)
         return tuple(out.values())
 

@@ -14,12 +14,11 @@ from ..compiling import opaque
 from ..errors import RangeWarning, describe, nearest
 from ..queries import _rays, find_hits
 from ..scene.declaration import models
-from ..scene.gather import gather
+from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
 from ..scene.scene import Scene
 from ..surface import Surfaces, dot, inverse_linear, normalize, transform_vector
-from .field import padded
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 
 OFFSET = 8.9406967e-5  # rays leave surfaces from a point so far off, see offset_amount in core/shape/surface.h
@@ -113,7 +112,7 @@ def trace(
 
     # through the medium
     q, u = medium.to_voxels(x), medium.step * transform_vector(medium.inverse, p)
-    plain = [t.detach() for t in (offset, medium.placed(), *tensors)]
+    plain = [t.detach() for t in (offset, *tensors)]
     flights = Flights.apply(bending, medium.values, medium.kick, q, u, *plain)
     last_q, last_u, sums, _, steps, hit, primitive, t = flights
     x, v = medium.to_world(last_q), transform_vector(medium.matrix, last_u)
@@ -168,24 +167,18 @@ class _Medium:
     origin: torch.Tensor
     kick: torch.Tensor
     step: float
-    reach: float
-    max_steps: int
+    number: int
     ext_ior: torch.Tensor | None
     sigma_t: torch.Tensor
 
     @classmethod
     def of(cls, scene: Scene, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
-        numbers, ext_ior = _numbers_of(layout, tensors, row, shape)
+        number, numbers, ext_ior = _numbers_of(layout, tensors, row, shape)
         value = {name: tensors[n] for name, n in numbers.items() if name not in ("interpolation", "max_steps")}
-        index, base, scale, to_world = (value[n] for n in ("index", "index_base", "index_scale", "to_world"))
-        # a constant part near all indices leaves differences as small as they are given
-        reference = float(base) if float(base) > 0 else 1.0
-        difference = (base - reference) + scale * index
-        values = difference * (reference + difference / 2)
-        largest = float((reference + difference.detach()).amax())
-        if not math.isfinite(largest) or largest <= 0:
-            raise ValueError(f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}")
-        size = index.shape[2], index.shape[1], index.shape[0]
+        values, to_world = value["index"], value["to_world"]  # as `gather` has them for the core
+        constant = reference_index(value["index_base"]) ** 2 / 2
+        largest = float(torch.sqrt(2 * (values.detach().amax() + constant)))
+        size = [n - 4 for n in reversed(values.shape)]
         matrix = to_world[:3, :3] / to_world.new_tensor(size)
         voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())
         # rounded up, so that steps hardly ever change in an optimisation
@@ -194,30 +187,13 @@ class _Medium:
         inverse = inverse_linear(matrix)
         g = step**2 * (inverse[:, None, :] * inverse[None, :, :]).sum(-1)  # sums keep their precision under autocast
         kick = torch.stack([g[0, 0], g[1, 1], g[2, 2], g[0, 1], g[0, 2], g[1, 2]])
-        limit = numbers["max_steps"] or math.ceil(8 * sum(size) / voxels)
         quadratic = numbers["interpolation"] == 1
-        return cls(
-            padded(values),
-            reference**2 / 2,
-            quadratic,
-            matrix,
-            inverse,
-            to_world[:3, 3],
-            kick,
-            step,
-            1.5 * voxels,
-            limit,
-            ext_ior,
-            value["sigma_t"].reshape(-1),
-        )
+        sigma_t = value["sigma_t"].reshape(-1)
+        return cls(values, constant, quadratic, matrix, inverse, to_world[:3, 3], kick, step, number, ext_ior, sigma_t)
 
     def bending(self, native: NativeScene) -> Bending:
         size = self.values.shape[2] - 4, self.values.shape[1] - 4, self.values.shape[0] - 4
-        return Bending(native, size, self.constant, self.quadratic, self.reach, self.max_steps)
-
-    def placed(self) -> torch.Tensor:
-        """(3, 4), from voxels to the world."""
-        return torch.cat([self.matrix, self.origin[:, None]], 1)
+        return Bending(native, size, self.constant, self.quadratic, self.number)
 
     def to_voxels(self, x: torch.Tensor) -> torch.Tensor:
         return transform_vector(self.inverse, x - self.origin)
@@ -268,8 +244,8 @@ def _row_of(layout: Layout, shape: Any) -> int:
 
 def _numbers_of(
     layout: Layout, tensors: list[torch.Tensor], row: int, shape: str
-) -> tuple[dict[str, int], torch.Tensor | None]:
-    """Of the medium inside of a shape the slots and static numbers by name; the index outside, None if it goes on."""
+) -> tuple[int, dict[str, int], torch.Tensor | None]:
+    """Of the medium inside of a shape its number, slots and static numbers by name; the index outside, or None."""
     kind, numbers, _ = layout.objects["shape"][row]
     own = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
     where = f"gradientindex.trace: {shape}"
@@ -285,14 +261,14 @@ def _numbers_of(
     fields = [f.name for f in models()["medium", "gradientindex"].fields]
     found = dict(zip(fields, medium[1], strict=True))
     if bsdf == "null":
-        return found, None
+        return inside, found, None
     usual = models()["bsdf", "dielectric"].fields[0].default
     if usual is None or abs(float(tensors[of_bsdf[0]]) - usual) > 1e-5:
         raise ValueError(
             f"{where}.bsdf: the index inside is that of the medium, and the one outside its ext_ior: leave out int_ior "
             "and ext_ior of the dielectric"
         )
-    return found, tensors[found["ext_ior"]]
+    return inside, found, tensors[found["ext_ior"]]
 
 
 def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:

@@ -66,7 +66,29 @@ def gather(
         if has_derivative(tensors[normals]):  # asked for by itself: a change on top of what follows from the positions
             computed = computed + (tensors[normals] - tensors[normals].detach())
         tensors[normals] = _dense(scene, "normals", computed)
+    for _, numbers, _ in (row for row in layout.objects["medium"] if row[0] == "gradientindex"):
+        tensors[numbers[0]] = bending_field(*(tensors[n] for n in numbers[:3]))
     return tensors
+
+
+def bending_field(index: torch.Tensor, base: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
+    """What the core bends light by, (Z + 4, Y + 4, X + 4): n^2 / 2 of the control values but for a constant.
+
+    Those at the border once more behind it. The constant is that of an index near all others, so that differences stay
+    as small as they are given.
+    """
+    reference = reference_index(base)
+    difference = (base - reference) + scale * index
+    values = difference * (reference + difference / 2)
+    for axis, n in enumerate(index.shape):
+        rows = torch.arange(-2, n + 2, device=index.device).clamp(0, n - 1)
+        values = values.index_select(axis, rows)
+    return values.contiguous()
+
+
+def reference_index(base: torch.Tensor) -> float:
+    """The index of refraction whose half square is that constant."""
+    return float(base) if float(base) > 0 else 1.0
 
 
 def has_derivative(tensor: torch.Tensor) -> bool:

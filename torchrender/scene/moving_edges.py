@@ -35,7 +35,8 @@ def moving_caveat(
     voxels = _named("of jumps of", layout, "volume", _has_nearest) if volumetric else []
     if not outlines:
         return ", and ".join([NONE, *voxels]) + ZERO
-    missing = (UNSEEN if volumetric else []) + ([OWN] if OWN in caveat else [])
+    bends = any(kind == "gradientindex" for kind, _, _ in layout.objects["medium"])
+    missing = (UNSEEN if volumetric or bends else []) + ([OWN] if OWN in caveat else [])
     if OTHERS in caveat:
         missing += _named("of silhouettes of", layout, "shape", lambda kind, _: kind in WITHOUT_OUTLINES)
     if BORDER in caveat:

@@ -10,7 +10,9 @@
 // A function of the position that was added up, c Phi, has values_bar_i += c B_i and lambda += c grad Phi.
 #pragma once
 
-#include "../medium/bend.h"
+#include "../medium/bend_medium.h"
+#include "../state/queues.h"
+#include "surface.h"
 
 namespace tr {
 
@@ -89,10 +91,11 @@ struct BendAdjoint {
     F kick[6];          // G_bar
 };
 
-// One kick of weight w backwards; the values' part goes to `values_bar`, unless that is null. `constant`: that of Phi.
-template <int T, class F, class S>
+// One kick of weight w backwards; the values' part goes to add(axes, first coefficient, value, slope). `constant`: that
+// of Phi.
+template <int T, class F, class S, class Add>
 TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const F &w,
-                         BendAdjoint<F> &adjoint, S *values_bar, const MaskOf<F> &active) {
+                         BendAdjoint<F> &adjoint, const MaskOf<F> &active, Add &&add) {
     const BendCell<F> cell = cell_at<T>(field, s, bits);
     const SplineAxes<T, F> at(cell);
     const BendJet<F> jet = spline_jet<T>(field, at, cell.first, active);
@@ -100,7 +103,7 @@ TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s,
     const Vec3<F> p = symmetric_times<F>(field.kick, adjoint.u) * weight, &g = jet.slope, &m = adjoint.u;
     const F n = sqrt(max(F(0), (jet.value + F(constant)) * F(2)));
     const F value = weight * (adjoint.optical + select(mask<F>(n > F(0)), adjoint.length / n, F(0)));
-    if (values_bar) splat_spline<T>(field, at, cell.first, value, p, values_bar, active);
+    add(at, cell.first, value, p);
     adjoint.q = adjoint.q + symmetric_times<F>(jet.curve, p) + g * value;
     const F change[6] = {
         m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
@@ -135,5 +138,25 @@ TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tange
     d.length = fmadd(weight, select(mask<F>(n > F(0)), value / n, F(0)), d.length);
     kick<F, false>(s, symmetric_times<F>(field.kick, jet.slope) * w, active);
 }
+
+// ------------------------------------------------------------------------------------------------------------ paths
+// A ray that came through a medium to the surface point p, along d at its end, `bent` being what is kept of it: from
+// adjoints of the point, of d and of the way's length that of the ray where it entered the medium; that of the medium
+// goes to the sink.
+template <class F>
+TR_LARGE RayAdjoint<F> sweep_flight(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
+                                    const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                    const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar, HitAdjoint<F> hit,
+                                    const MaskOf<F> &active, GradientSink<F> &sink);
+
+// Of the index at surface points p: adds its adjoint to the sink, and to that of p.
+template <class F>
+TR_LARGE void sweep_index(const BendMedium<ScalarOf<F>> &medium, const Vec3<F> &p, const F &n_bar,
+                          const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
+
+// Of what refracts at boundaries, see boundary_eta.
+template <class F>
+TR_LARGE void sweep_boundary(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const F &eta_bar,
+                             const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink);
 
 }  // namespace tr

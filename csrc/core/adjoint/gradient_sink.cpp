@@ -28,6 +28,11 @@ TR_INLINE void GradientSink<F>::add_derivative(const F &d, const M &active) {
     add_derivative(one, active);
 }
 
+template <class F>
+TR_LARGE void GradientSink<F>::number_tangent(const F &d, const M &active) {
+    add_derivative(d, active);
+}
+
 // --------------------------------------------------------------------------------------------------------- textures
 template <class F>
 struct GradientSink<F>::Scatter {

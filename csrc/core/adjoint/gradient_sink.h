@@ -88,6 +88,9 @@ public:
     // Of a volume's data at p.
     TR_LARGE void volume(const Scene &, int32_t index, const Vec3<F> &p, const Spectrum<F> &g, const M &active);
 
+    // In forward mode: a number whose adjoint is one has this tangent.
+    TR_LARGE void number_tangent(const F &d, const M &active);
+
     TR_INLINE M wants_shape(const U &shape, const M &active) const {
         return active && mask<F>(gather<I>(shape_wanted, shape, mask<I>(active)) != 0);
     }

@@ -1,5 +1,7 @@
 #include "scattering.h"
 
+#include "bend.h"
+
 namespace tr {
 
 template <class F>
@@ -30,7 +32,7 @@ TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const Ve
                                      const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink)
     : bsdf(bsdf_kernels<F>(kind)), connected(bsdf.is(HasSmoothLobes) && any(lit)) {
     load_parameters(scene, sink.waves, bsdf, v.bsdf, v.at, active, params);
-    const BsdfNeeds wanted{needs.bsdf || (needs.geometry && needs.lookups), needs.numbers()};
+    const BsdfNeeds wanted{needs.bsdf || (needs.geometry && (needs.lookups || bsdf.bent)), needs.numbers()};
     bsdf.vjp(params, v.wi, v.wo, v.lobe, transport, a, path_factor, wanted, path);
     if (connected)
         bsdf.vjp(params, v.wi, v.wo_light, IntOf<F>(0), transport, a, light_factor, wanted, light);
@@ -41,6 +43,7 @@ TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const Ve
     if (connected)
         for (int i = 0; i < bsdf.n_variables; ++i) path.by_variable[i] = path.by_variable[i] + light.by_variable[i];
     sweep_parameters(scene, bsdf, v.bsdf, v.at, path.by_variable, needs, active, hit.at, sink);
+    if (bsdf.bent) sweep_boundary(scene, v.at, v.p, component_sum(path.by_variable[0]), active, hit, sink);
 }
 
 template <class F>
@@ -64,7 +67,10 @@ TR_LARGE void BsdfAdjoint<F>::sweep_continuation(const SceneOf<F> &scene, const 
         if (smooth) turned = select(mask<F>(v.lobe == 0), Vec3<F>{F(0), F(0), F(0)}, turned);
         F number_bar[BsdfInfo::MaxFields];
         bsdf.direction_vjp(params, v.wi, v.lobe, frame.out_of(v.wo, turned), wi_bar, number_bar);
-        sweep_numbers(scene, bsdf, v.bsdf, number_bar, active, sink);
+        if (bsdf.bent)
+            sweep_boundary(scene, v.at, v.p, number_bar[0], active, hit, sink);
+        else
+            sweep_numbers(scene, bsdf, v.bsdf, number_bar, active, sink);
     }
 }
 

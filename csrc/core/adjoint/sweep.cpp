@@ -2,6 +2,8 @@
 
 #include "../integrator/camera.h"
 #include "../integrator/classify.h"
+#include "../medium/medium.h"
+#include "bend.h"
 #include "camera.h"
 
 namespace tr {
@@ -63,6 +65,55 @@ TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, co
     const Record &sensor = c.scene.sensors[c.config.sensor];
     CameraSample<F> at = camera_sample<F>(c.config, sensor, c.slots, LaneSet<F>(slot, active));
     sweep_camera(c.scene, sensor, at, c.width, c.height, ray, F(0), active, sink);
+}
+
+// Of the ray to a vertex: straight, or bent by a medium. `log_bar`: see Arrival; `emitted_bar`: the adjoint of the
+// logarithm of what is emitted at the vertex.
+template <class F>
+TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
+                                      const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar,
+                                      const F &emitted_bar, const F &length_bar, HitAdjoint<F> hit,
+                                      const MaskOf<F> &active, GradientSink<F> &sink) {
+    if (!tape.bent.medium.at)
+        return sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
+    BentPacket<F> bent;
+    read(tape.bent, Entries<F>(i), bent);
+    const MaskOf<F> straight = active && mask<F>(bent.medium < 0);
+    RayAdjoint<F> r{{F(0), F(0), F(0)}, {F(0), F(0), F(0)}};
+    if (any(straight)) {
+        const RayAdjoint<F> found =
+            sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, straight, sink);
+        r = {select(straight, found.o, r.o), select(straight, found.d, r.d)};
+    }
+    for_each_bend<F>(c.scene, bent.medium, active, [&](const auto &medium, const MaskOf<F> &lanes) {
+        if (any(lanes && mask<F>(abs(emitted_bar) > F(0))))  // of 1 / n^2
+            sweep_index(medium, v.p, emitted_bar * F(-2) / local_index<F>(medium, v.p, lanes).n, lanes, hit, sink);
+        const RayAdjoint<F> found =
+            sweep_flight(c.scene, medium, bent, v.at, v.p, v.d, d_bar, length_bar, hit, lanes, sink);
+        r = {select(lanes, found.o, r.o), select(lanes, found.d, r.d)};
+    });
+    return r;
+}
+
+// Absorption on the way of bent rays: radiance r at its end becomes that at its beginning. Returns the adjoint of its
+// length.
+template <class F>
+TR_NOINLINE F sweep_absorption(const SceneOf<F> &scene, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
+                               const Spectrum<F> &a, const MaskOf<F> &active, Spectrum<F> &r, GradientSink<F> &sink) {
+    Entries<F> from(i);
+    const F length = from(tape.bent.length);
+    const Spectrum<F> total = a * r;
+    F length_bar(0);
+    for_each_bend<F>(scene, from(tape.bent.medium), active, [&](const auto &medium, const MaskOf<F> &lanes) {
+        const Spectrum<F> through = transmittance<F>(scene, medium, length);
+        F sum(0);
+        for (int c = 0; c < SpectrumSize; ++c)
+            sum = fmadd(total[c], F(scene.values.constants[medium.sigma_t_offset + c]), sum);
+        length_bar = select(lanes, -sum, length_bar);
+        sink.spectrum(IntOf<F>(medium.sigma_t_offset), total * (-length), lanes);
+        r = select(lanes, r * through, r);
+    });
+    return length_bar;
 }
 
 // A vertex of a path through media that moves, and the segment that ends at it: what they hand to the one before, which
@@ -181,12 +232,16 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
                                          slot, parent, active, sink)
                   : sweep_segment(c.scene, segment, delta, v.beta, r, branch, needs.medium, active, sink);
     }
+    const Spectrum<F> arrived = r;
+    F length_bar(0);
+    if (tape.bent.medium.at) length_bar = sweep_absorption(c.scene, tape, i, a, active, r, sink);
     if (parents) hand_radiance(*parents, parent, r, active);
     if (needs.geometry && !moves) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
         if (kind != MissKind) {
-            ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, contract(a, r)), hit, active, sink);
+            ray = sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), contract(a, v.emission_radiance),
+                                length_bar, hit, active, sink);
             u = glued_segment(v, active);
         }
         if (parents)
@@ -217,7 +272,7 @@ TR_LARGE Vec3<F> sweep_place(const SweepContext<F> &c, const TapeColumns<ScalarO
         sweep_scattering(c.scene, kind, v, uniform_spectrum(F(0)), next, c.needs, active, hit, d_bar, sink);
     else
         hit.p = hit.p + next.ray.o;
-    RayAdjoint<F> ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, F(0)), hit, active, sink);
+    RayAdjoint<F> ray = sweep_arrival(c, tape, i, v, d_bar, F(0), F(0), F(0), hit, active, sink);
     if (parents)
         hand_motion(*parents, active_only<F>(from(tape.vertex.parent), active), ray, {F(0), F(0), F(0)}, v.p, v.at,
                     active);
@@ -258,10 +313,13 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
         Spectrum<F> r =
             sweep_light_scattering(c.scene, sensor, kind, v, connection, a, next, needs, active, hit, d_bar, sink);
         UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
+        const Spectrum<F> arrived = r;
+        F length_bar(0);
+        if (tape.bent.medium.at) length_bar = sweep_absorption(c.scene, tape, i, a, active, r, sink);
         hand_radiance(*parents, parent, r, active);
         if (needs.geometry) {
             RayAdjoint<F> ray =
-                sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, contract(a, r)), hit, active, sink);
+                sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), F(0), length_bar, hit, active, sink);
             hand_motion(*parents, parent, ray, glued_segment(v, active), v.p, v.at, active);
         }
     }

@@ -9,7 +9,8 @@ TR_DEVICE_CONSTEXPR BsdfKernels<F> bsdf_kernels_of();
 template <class F>
 TR_HD const BsdfKernels<F> &bsdf_kernels(int kind) {
 #define TR_TABLE(M) bsdf_kernels_of<M, F>(),
-    static const BsdfKernels<F> all[] = {TR_BSDFS(TR_TABLE) bsdf_kernels_of<MaskHole, F>()};
+    static const BsdfKernels<F> all[] = {TR_BSDFS(TR_TABLE) bsdf_kernels_of<MaskHole, F>(),
+                                         bsdf_kernels_of<GradientDielectric, F>()};
 #undef TR_TABLE
     return all[kind];
 }

@@ -41,6 +41,7 @@ struct BsdfInfo : ModelInfo {
     int n_continuous, n_differentiable, n_variables, n_colors, n_numbers, n_choices;
     int luminance_of;  // the field whose luminance is a further number, -1: none
     bool tabulated;
+    bool bent;                        // the number is not the record's, see medium/bend_medium.h
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
     int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always
                      // does

@@ -62,6 +62,18 @@ struct Dielectric {
     }
 };
 
+// The boundary of a medium whose index of refraction varies, inside of which `eta` is what it is there: see
+// load_parameters. Of the radiance there paths carry L / n^2, which nothing changes.
+struct GradientDielectric : Dielectric {
+    static constexpr bool Bent = true;
+    template <class P, class F>
+    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe,
+                               Transport = Transport::Radiance) {
+        return Dielectric::eval(params, wi, wo, lobe, Transport::Importance);
+    }
+};
+
 TR_BSDF(Dielectric)
+TR_BSDF(GradientDielectric)
 
 }  // namespace tr

@@ -6,6 +6,7 @@
 //   and
 //                                             a variable of its own, since all components depend on it
 //   static constexpr bool Tabulated = true;   (optional) the host makes a table for its records
+//   static constexpr bool Bent = true;        (optional) its number is the index of a medium at the point
 //   eval(params, wi, wo, lobe)    f |cos| of a smooth lobe, or of a delta lobe its weight times the probability with
 //                                 which `sample` chooses it; takes the Transport last if the model IsAsymmetric.
 //                                 Written for a scalar type T, it is its own derivative when T is a dual number
@@ -43,6 +44,11 @@ template <class M>
 struct IsTabulated<M, std::enable_if_t<M::Tabulated>> : std::true_type {};
 
 template <class M, class = void>
+struct IsBent : std::false_type {};
+template <class M>
+struct IsBent<M, std::enable_if_t<M::Bent>> : std::true_type {};
+
+template <class M, class = void>
 struct IsJoint : std::false_type {};
 template <class M>
 struct IsJoint<M, std::enable_if_t<M::Joint>> : std::true_type {};
@@ -66,6 +72,7 @@ constexpr BsdfInfo bsdf_info() {
     r.luminance_of = LuminanceOf<M>::value;
     r.n_variables = r.n_differentiable + (r.luminance_of >= 0);
     r.tabulated = IsTabulated<M>::value;
+    r.bent = IsBent<M>::value;
     r.albedo = M::Albedo;
     r.specular = field_named(model, "specular_reflectance");
     r.roughness = field_named(model, "alpha") >= 0 ? field_named(model, "alpha") : field_named(model, "roughness");

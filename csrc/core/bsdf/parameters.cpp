@@ -1,5 +1,7 @@
 #include "parameters.h"
 
+#include "../medium/bend_medium.h"
+
 namespace tr {
 
 namespace {
@@ -34,13 +36,14 @@ TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &wav
     using I = IntOf<F>;
     ParameterWriter<F> writer(model, to);
     to.table = scene.bsdf_tables;
+    const bool bent = model.bent;
     const int32_t first = any(active) ? int32_t(first_lane(bsdf, active)) : -1;
     if (first >= 0 && !any(active && mask<F>(bsdf != first))) {  // one object in all lanes: its record is read once
         const Record &record = scene.bsdfs[first];
         for (int i = 0; i < model.n_continuous; ++i) {
             const int32_t field = record.field[i];
             if (model.use[i] == BsdfInfo::Number)
-                *writer.number++ = F(scene.values.constants[field]);
+                *writer.number++ = bent ? boundary_eta<F>(scene, at, active) : F(scene.values.constants[field]);
             else if (TextureKind(scene.textures[field].kind) == TextureKind::Constant)
                 writer.put(
                     i, model.use[i],
@@ -54,7 +57,9 @@ TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &wav
     }
     for (int i = 0; i < model.n_continuous; ++i) {
         const I field = record_field<F>(scene.bsdfs, i, bsdf, active);
-        if (model.use[i] == BsdfInfo::Number)
+        if (model.use[i] == BsdfInfo::Number && bent)
+            *writer.number++ = boundary_eta<F>(scene, at, active);
+        else if (model.use[i] == BsdfInfo::Number)
             *writer.number++ = gather<F>(scene.values.constants, UIntOf<F>(field), active);
         else
             writer.put(i, model.use[i], eval_texture(scene, waves, field, at, active));
@@ -72,7 +77,9 @@ TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, c
         const bool is_field = i < model.n_differentiable;
         const BsdfInfo::Use use = is_field ? BsdfInfo::Use(model.use[i]) : BsdfInfo::Luminance;
         IntOf<F> field = record_field<F>(scene.bsdfs, is_field ? i : model.luminance_of, bsdf, active);
-        if (use == BsdfInfo::Number) {
+        if (model.bent && use == BsdfInfo::Number) {
+            // see sweep_boundary
+        } else if (use == BsdfInfo::Number) {
             sink.number(field, g[i], active);
         } else if (use == BsdfInfo::Luminance) {
             if (needs.bsdf) sink.scalar_texture(scene, field, at, g[i], active);

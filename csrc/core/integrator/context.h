@@ -26,6 +26,7 @@ struct PathContext {
     const GradientNeeds *needs;            // of the tape
     const TapeColumns<S> *tape = nullptr;  // the level of this step; null: radiance is added up
     bool keeps_black = false;              // shadow rays that bring nothing are traced, too
+    const BentColumns<S> *bent = nullptr;  // by entry of the queue; null: no medium bends light
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
 };

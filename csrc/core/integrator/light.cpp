@@ -1,6 +1,7 @@
 #include "light.h"
 
 #include "../bsdf/parameters.h"
+#include "../medium/bend_medium.h"
 
 namespace tr {
 
@@ -190,6 +191,7 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
             Vec3<F> segment = si.p - lanes(in.from);
             write_arrival(c, i, ray.d, si.p, segment, norm(segment), arrival_of<F>(lanes(in.pdf)));
         }
+        if (c.bent) write_bent(c, i, lanes);
     }
     const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
     ResolvedBsdf<F> resolved = resolve_hit(c, samples, si, ray.d, step.scattering(), false, active);
@@ -232,11 +234,18 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
                         connections);
     if (!any(alive)) return;
     Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo)));
-    append(
-        out,
-        PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p, select(s.sample.delta, F(0), s.sample.pdf),
-                     pull(beta, weight) * keep, F(1), survival * keep, slot, U(i) + lane_index<F>(), U(1u)},
-        alive);
+    F pdf = select(s.sample.delta, F(0), s.sample.pdf);
+    IntOf<F> medium(-1);
+    if (c.bent) {
+        medium = medium_behind(c.scene, si.at.shape, si.ng, d, lanes(in.medium), alive);
+        pdf = select(bends<F>(c.scene, medium, alive), F(0), pdf);  // what comes bent is not glued to its surface
+    }
+    uint32_t at =
+        append(out,
+               PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p, pdf, pull(beta, weight) * keep,
+                            F(1), survival * keep, slot, U(i) + lane_index<F>(), U(1u)},
+               alive);
+    if (c.bent) append_lanes(out, at, PathMedium<F>{medium, U(0u), uniform_spectrum(F(1)), F(0)}, alive);
 }
 
 #define TR_INSTANTIATE(F, S)                                                                                  \

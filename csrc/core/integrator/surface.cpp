@@ -1,6 +1,7 @@
 #include "surface.h"
 
 #include "../bsdf/parameters.h"
+#include "../medium/bend_medium.h"
 #include "medium.h"
 
 namespace tr {
@@ -68,6 +69,18 @@ TR_INLINE void sample_light(const PathContext<F> &c, const Wavelengths<F> &waves
     if (!any(r.shadow_ray)) return;
     r.light_weight = emitter_sample_weight(r.light, value.pdf, n_light, n_bsdf, r.shadow_ray);
     r.emitted = eval_emitter(c.scene, waves, r.light.point, r.shadow_ray);
+}
+
+// Light in a medium that bends it does not come straight from emitters: what is found there counts alone. Likewise
+// along the sampled direction; returns the density that others are weighted against.
+template <class F>
+TR_NOINLINE F leave_bending(const SceneOf<F> &scene, const Interaction<F> &si, const IntOf<F> &medium, const Vec3<F> &d,
+                            const F &pdf, const MaskOf<F> &active, Scattering<F> &s) {
+    const IntOf<F> to_light = medium_behind(scene, si.at.shape, si.ng, s.light.d, medium, active),
+                   onwards = medium_behind(scene, si.at.shape, si.ng, d, medium, active);
+    s.shadow_ray = s.shadow_ray && !bends<F>(scene, to_light, active);
+    s.light_weight = select(s.shadow_ray, s.light_weight, F(0));
+    return select(bends<F>(scene, onwards, active), F(0), pdf);
 }
 
 template <class F>
@@ -148,12 +161,22 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     M shown = passes && config.hide_emitters ? active && !mask<F>(lanes(in.depth) == U(0u)) : active;
     FoundEmission<F> e =
         step.split == 0 ? surface_emission(c, waves, si, cos_i, from, shown, step.depth) : no_emission<F>();
+    M bent(false);
+    if (c.bent) {
+        const I within = lanes(c.bent->medium);
+        bent = active && mask<F>(within >= 0);
+        // of the light there paths carry L / n^2
+        for_each_bend<F>(c.scene, within, bent && mask<F>(e.weight > F(0)), [&](const auto &inside, const M &there) {
+            const F n = local_index<F>(inside, si.p, there).n, factor = select(there, F(1) / (n * n), F(1));
+            e.weight = e.weight * factor, e.radiance = e.radiance * factor;
+        });
+    }
     if (c.tape) {
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
         if (c.needs->geometry) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
-            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || M(passes);
+            auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || M(passes) || bent;
             U arrival = arrival_kind<F>(slides);
             F t = si.t;
             if (volumetric) {  // boundaries hand directions on, but those that were sampled rest
@@ -162,6 +185,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
             }
             write_arrival(c, i, ray.d, si.p, segment, step.depth == 0 ? norm(segment) : t, arrival);
         }
+        if (c.bent) write_bent(c, i, lanes);
     } else {
         add_radiance(c, slot, beta, e, active, "emitter");
     }
@@ -173,6 +197,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     M may = active, counted(true);  // lanes that may scatter; those that roulette may end
     U path_depth = U(uint32_t(step.depth));
     I medium(-1);
+    if (c.bent) medium = lanes(in.medium);
     if (volumetric) {
         path_depth = lanes(in.depth);
         medium = lanes(in.medium);
@@ -189,6 +214,9 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     Random4<F> u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
     Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
     Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, u_light, u_bsdf, may);
+    Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo)));
+    F pdf = select(s.sample.delta, F(0), s.sample.pdf);
+    if (c.bent) pdf = leave_bending(c.scene, si, medium, d, pdf, active, s);
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
 
     Spectrum<F> weight = s.f * s.inverse_pdf, kept = weight;
@@ -203,12 +231,12 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
                          {s.light.point.emitter, s.light.point.at, s.wo_light, s.light_weight, s.light.distance,
                           s.emitted, s.sample.wo, s.sample.lobe, select(alive, s.inverse_pdf * keep, F(0))});
     if (!any(alive)) return;
-    Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo))), o = offset_origin(si.p, si.ng, d);
+    Vec3<F> o = offset_origin(si.p, si.ng, d);
     PathState<F> next{o,
                       d,
                       F(S(INFINITY)),
                       si.p,
-                      select(s.sample.delta, F(0), s.sample.pdf),
+                      pdf,
                       pull(beta, weight) * keep,
                       eta,
                       survival * keep,
@@ -220,6 +248,11 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         append_lanes(out, at,
                      PathMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, d, medium, alive), path_depth + 1u,
                                    lanes(in.channel), dot(o - si.p, d)},
+                     alive);
+    else if (c.bent)
+        append_lanes(out, at,
+                     PathMedium<F>{medium_behind(c.scene, si.at.shape, si.ng, d, medium, alive), U(0u),
+                                   uniform_spectrum(F(1)), F(0)},
                      alive);
 }
 
@@ -240,6 +273,7 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
     Spectrum<F> beta = lanes(in.beta);
     if (!c.tape) return add_radiance(c, slot, beta, e, shown, "environment");
     write_vertex(c, i, slot, lanes(in.parent), beta, e.point.at, e);
+    if (c.bent) write(c.tape->bent.medium, i, IntOf<F>(-1));
     if (!c.needs->geometry) return;
     Vec3<F> zero{F(0), F(0), F(0)};
     write_arrival(c, i, lanes(in.d), zero, zero, F(0), arrival_kind<F>(mask<F>(lanes(in.pdf) == F(0))));

@@ -98,6 +98,14 @@ TR_INLINE UIntOf<F> arrival_kind(const MaskOf<F> &attached) {
     return select(mask<U>(attached), U(uint32_t(Attached)), U(uint32_t(Glued)));
 }
 
+// How bent rays came, of scenes with media that bend them.
+template <class F>
+TR_INLINE void write_bent(const PathContext<F> &c, size_t i, const LaneSet<F> &lanes) {
+    BentPacket<F> flight;
+    read(*c.bent, lanes, flight);
+    write(c.tape->bent, i, flight);
+}
+
 // No emitter sample, and what comes along the path weighted with `inverse_pdf`.
 template <class F>
 TR_INLINE OutgoingPacket<F> passing(const F &inverse_pdf) {

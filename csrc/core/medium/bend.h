@@ -79,6 +79,37 @@ TR_INLINE Vec3<F> velocity_of(const BendState<F> &s) {
     return {from_fixed<F>(s.u[0], bits), from_fixed<F>(s.u[1], bits), from_fixed<F>(s.u[2], bits)};
 }
 
+// Integers as the bits of numbers, which columns hold.
+template <class F>
+TR_INLINE F to_bits(const BendInt<F> &x) {
+    if constexpr (Lanes<F>::Width == 1) {
+        F r;
+        std::memcpy(&r, &x, sizeof r);
+        return r;
+#if TR_HAS_PACKETS
+    } else {
+        return drjit::reinterpret_array<F>(x);
+#endif
+    }
+}
+template <class F>
+TR_INLINE BendInt<F> from_bits(const F &x) {
+    if constexpr (Lanes<F>::Width == 1) {
+        BendInt<F> r;
+        std::memcpy(&r, &x, sizeof r);
+        return r;
+#if TR_HAS_PACKETS
+    } else {
+        return drjit::reinterpret_array<BendInt<F>>(x);
+#endif
+    }
+}
+template <class F>
+TR_INLINE BendState<F> state_from_bits(const Vec3<F> &q, const Vec3<F> &u) {
+    return {{from_bits<F>(q.x), from_bits<F>(q.y), from_bits<F>(q.z)},
+            {from_bits<F>(u.x), from_bits<F>(u.y), from_bits<F>(u.z)}};
+}
+
 // What numbers of any size are clamped to, so that sums of two do not overflow.
 template <class F>
 TR_INLINE F within_fixed(const F &x, int bits) {

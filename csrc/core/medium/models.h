@@ -29,17 +29,22 @@ struct HeterogeneousMedium : MediumFields {
         0,        "HeterogeneousMedium"};
 };
 
+constexpr const char *BendEdges =
+    "interior, without the motion of edges seen through the medium; zero where there are none or both sides of them "
+    "are "
+    "of equal colour";
+
 // Light in it bends; see bend.h.
 struct GradientIndexMedium {
     static constexpr const char *Splines[] = {"cubic", "quadratic", nullptr};
     static constexpr Field fields[] = {
-        {"index", Kind::Tensor, None, -INFINITY, INFINITY, "interior",
+        {"index", Kind::Tensor, None, -INFINITY, INFINITY, BendEdges,
          "control values (Z, Y, X) of the index of refraction, before base and scale"},
-        {"index_base", Kind::Float, 0, -INFINITY, INFINITY, "interior", "added to the scaled control values"},
-        {"index_scale", Kind::Float, 1, -INFINITY, INFINITY, "interior", "factor of the control values"},
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, "interior",
+        {"index_base", Kind::Float, 0, -INFINITY, INFINITY, BendEdges, "added to the scaled control values"},
+        {"index_scale", Kind::Float, 1, -INFINITY, INFINITY, BendEdges, "factor of the control values"},
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, BendEdges,
          "from the unit cube that the grid fills to the world"},
-        {"ext_ior", Kind::Float, 1.000277, 1e-3, 1e3, "interior",
+        {"ext_ior", Kind::Float, 1.000277, 1e-3, 1e3, BendEdges,
          "index of refraction outside of dielectric boundaries"},
         {"sigma_t", Kind::Spectrum, 0, 0, INFINITY, "interior", "absorption per unit length"},
         {"interpolation", Kind::Int, 0, 0, 1, "", "B-splines of squared indices", Splines},

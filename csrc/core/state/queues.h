@@ -60,6 +60,18 @@ struct HitColumns {
     TR_COLUMNS(TR_HIT_COLUMNS)
 };
 
+// By entry of a path queue, and on the tape: of rays through media that bend them the last step but one that is whole,
+// as the bits of the state's integers (medium/bend.h), how much of a step is left from there to the hit, the steps
+// before it, the length of all, and the medium; -1: the ray is straight.
+#define TR_BENT_COLUMNS(X) \
+    X(Vector, q) X(Vector, u) X(Number, rest) X(Index, steps) X(Number, length) X(Integer, medium)
+
+template <class S>
+struct BentColumns {
+    TR_COLUMNS(TR_BENT_COLUMNS)
+};
+TR_PACKET(BentPacket, TR_BENT_COLUMNS)
+
 // ------------------------------------------------------------------------------------------------------- shadow rays
 // Rays to emitters, and of light paths to the camera: the ray, the sample, the entry of the tape's level, and what
 // they bring if nothing is in the way.

@@ -84,6 +84,7 @@ struct TapeColumns {
     SegmentColumns<S> segment{};
     MotionColumns<S> motion{};
     ConnectionColumns<S> connection{};
+    BentColumns<S> bent{};
 };
 
 // How a ray came to a vertex: from something glued to its surface; along a ray that moves with what it comes from, so

@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include "core/state/queues.h"
-
 namespace tr {
 
 namespace {

@@ -5,29 +5,23 @@
 #include <array>
 #include <vector>
 
-#include "core/medium/bend.h"
-#include "core/scene.h"
+#include "core/medium/bend_medium.h"
 
 namespace tr {
 
 class BendBlocks {
 public:
-    static constexpr int Bits = 2;  // blocks of 4 voxels along a side
+    static constexpr int Bits = BendMedium<float>::BlockBits;
 
     // Of a scene's surfaces those that are within `reach` voxels of a block, and perhaps more; `to_world`: from voxels,
     // 3 rows of 4.
     template <class S>
     BendBlocks(const SceneView<S> &scene, const int32_t (&n)[3], const S *to_world, double reach);
 
-    // Whether there may be one near a position in the grid.
-    template <class F>
-    TR_INLINE MaskOf<F> surface_near(const BendState<F> &s, int bits, const MaskOf<F> &active) const {
-        using U = UIntOf<F>;
-        auto block = [&](int k) { return U(IntOf<F>(s.q[k] >> (bits + Bits))); };
-        const U index = (block(2) * uint32_t(n_[1]) + block(1)) * uint32_t(n_[0]) + block(0);
-        const U word = gather<U>(words_.data(), index >> 5, mask<U>(active));
-        return active && mask<F>(((word >> (index & 31u)) & 1u) != 0u);
-    }
+    uint64_t version = 0;  // of the geometry they are of
+
+    const uint32_t *words() const { return words_.data(); }
+    const int32_t (&n() const)[3] { return n_; }
 
 private:
     using Point = std::array<double, 3>;

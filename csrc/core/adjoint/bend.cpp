@@ -1,0 +1,226 @@
+#include "bend.h"
+
+#include "../medium/medium.h"
+
+namespace tr {
+
+namespace {
+
+// Of a field's values, to where a sink wants it.
+template <int T, class F, class S>
+TR_INLINE void add_values(const BendMedium<S> &medium, const SplineAxes<T, F> &at, const UIntOf<F> &first,
+                          const F &value, const Vec3<F> &slope, const MaskOf<F> &active, GradientSink<F> &sink) {
+    if (!sink.forward) {
+        S *to = sink.tensors[medium.slot];
+        if (to)
+            splat_spline<T>(medium.field, at, first, value, slope, to,
+                            active && mask<F>(isfinite(value + slope.x + slope.y + slope.z)));
+        return;
+    }
+    BendField<S> tangent = medium.field;
+    tangent.values = sink.tangent.tensors[medium.slot].data;
+    if (!tangent.values) return;
+    const BendJet<F> change = spline_jet<T>(tangent, at, first, active);
+    sink.number_tangent(value * change.value + dot(slope, change.slope), active);
+}
+
+// m^T v, of a matrix of 3 rows of 4.
+template <class F, class S>
+TR_INLINE Vec3<F> transposed(const S *m, const Vec3<F> &v) {
+    return transform_normal(m, v);
+}
+
+// The adjoint of where a medium is: of its map x = A q + b from voxels. Steps do not depend on it.
+template <class F>
+struct PlaceAdjoint {
+    F a[3][3];
+    Vec3<F> b{F(0), F(0), F(0)};
+
+    PlaceAdjoint() {
+        for (auto &row : a)
+            for (F &number : row) number = F(0);
+    }
+    // Of a vector A v whose adjoint is y; of A^-1 z it is that of -A (A^-1 z) with the adjoint A^-T y.
+    void add(const Vec3<F> &y, const Vec3<F> &v) {
+        const F row[3] = {y.x, y.y, y.z}, column[3] = {v.x, v.y, v.z};
+        for (int i = 0; i < 3; ++i)
+            for (int k = 0; k < 3; ++k) a[i][k] = fmadd(row[i], column[k], a[i][k]);
+    }
+    // Of a point A q + b.
+    void add_point(const Vec3<F> &y, const Vec3<F> &q) { add(y, q), b = b + y; }
+
+    // G = step^2 A^-1 A^-T: -2 A^-T G_bar G, of a symmetric G_bar.
+    template <class S>
+    void add_kick(const BendMedium<S> &medium, const F (&kick)[6]) {
+        const S *g = medium.field.kick;
+        const Vec3<F> columns[3] = {
+            {F(g[0]), F(g[3]), F(g[4])}, {F(g[3]), F(g[1]), F(g[5])}, {F(g[4]), F(g[5]), F(g[2])}};
+        const F half[6] = {kick[0], kick[1], kick[2], kick[3] * F(S(0.5)), kick[4] * F(S(0.5)), kick[5] * F(S(0.5))};
+        for (int k = 0; k < 3; ++k) {
+            const Vec3<F> y = transform_normal(medium.to_voxels, symmetric_times<F>(half, columns[k]));
+            const F row[3] = {y.x, y.y, y.z};
+            for (int i = 0; i < 3; ++i) a[i][k] = a[i][k] - F(2) * row[i];
+        }
+    }
+
+    // To the parameter, from the unit cube to the world.
+    template <class S>
+    void hand_to(const BendMedium<S> &medium, const MaskOf<F> &active, GradientSink<F> &sink) const {
+        const F offset[3] = {b.x, b.y, b.z};
+        for (int i = 0; i < 3; ++i) {
+            const IntOf<F> at = IntOf<F>(medium.to_world_offset + 4 * i);
+            for (int k = 0; k < 3; ++k) sink.scalar(at + k, a[i][k] * F(S(1) / S(medium.field.n[k])), active);
+            sink.scalar(at + 3, offset[i], active);
+        }
+    }
+};
+
+template <int T, class F>
+TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
+                                          const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                          const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar,
+                                          HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink) {
+    using S = ScalarOf<F>;
+    using I = IntOf<F>;
+    const BendField<S> &field = medium.field;
+    const int bits = position_bits<F>(field);
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    auto add = [&](const SplineAxes<T, F> &axes, const UIntOf<F> &first, const F &value, const Vec3<F> &slope,
+                   const MaskOf<F> &lanes) { add_values<T>(medium, axes, first, value, slope, lanes, sink); };
+
+    BendState<F> s = state_from_bits(bent.q, bent.u);
+    const Vec3<F> u = velocity_of(s), v = transform_vector(medium.to_world, u);
+    const F speed = norm(v), inverse_speed = F(1) / select(mask<F>(speed > F(0)), speed, F(1));
+    const Vec3<F> straight = v * inverse_speed;
+
+    // the kick at the end, of what is left of the last step
+    BendState<F> end;
+    start_bent(end, transform_point(medium.to_voxels, p), zero, bits);
+    const BendCell<F> cell = cell_at<T>(field, end, bits);
+    const SplineAxes<T, F> axes(cell);
+    const BendJet<F> jet = spline_jet<T>(field, axes, cell.first, active);
+    const Vec3<F> force = symmetric_times<F>(field.kick, jet.slope);
+    const F weight = bent.rest - F(S(0.5));
+    const F inverse = F(1) / norm(transform_vector(medium.to_world, u + force * weight));
+    const Vec3<F> end_bar = transposed(medium.to_world, unnormalize(d, d_bar, inverse));
+    const Vec3<F> kick = symmetric_times<F>(field.kick, end_bar) * weight;
+    const F n_end = sqrt(max(F(S(1e-12)), (jet.value + F(medium.constant)) * F(2)));
+    const F way_bar = length_bar * F(medium.step), value = way_bar * weight / n_end;  // the way is a sum of n
+    add(axes, cell.first, value, kick, active);
+    const Vec3<F> end_p_bar = transposed(medium.to_voxels, symmetric_times<F>(jet.curve, kick) + jet.slope * value);
+    hit.p = hit.p + end_p_bar;
+    PlaceAdjoint<F> place;
+    place.add_point(-end_p_bar, position_of(end, bits));
+    place.add(unnormalize(d, d_bar, inverse), u + force * weight);
+
+    // the hit slides along the last step
+    const F t_bar = (dot(force, end_bar) + n_end * way_bar) * inverse_speed;
+    hit.p = hit.p + straight * t_bar;
+    const Arrival<F> in{MaskOf<F>(true), straight, bent.rest * speed, straight, zero, F(0)};
+    const RayAdjoint<F> last = sweep_surface(scene, at, p, in, hit, active, sink);
+    const Vec3<F> o_bar = last.o - straight * t_bar,
+                  v_bar = unnormalize(straight, last.d, inverse_speed) - straight * (t_bar * bent.rest);
+    place.add_point(o_bar, position_of(s, bits));
+    place.add(v_bar, u);
+    BendAdjoint<F> a{
+        transposed(medium.to_world, o_bar), end_bar + transposed(medium.to_world, v_bar), F(0), way_bar, {}};
+    const Vec3<F> &m = end_bar, &g = jet.slope;
+    const F kick_bar[6] = {
+        m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
+    for (int k = 0; k < 6; ++k) a.kick[k] = kick_bar[k] * weight;
+
+    I left = I(bent.steps);
+    MaskOf<F> live = active;
+    while (any(live)) {
+        const MaskOf<F> goes_on = live && mask<F>(left > I(0));
+        kick_back<T, F>(field, medium.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, live,
+                        [&](const auto &axes_k, const auto &first, const F &value, const Vec3<F> &slope) {
+                            add(axes_k, first, value, slope, live);
+                        });
+        live = goes_on;
+        left = left - 1;
+        a.u = select(live, a.u + a.q, a.u);
+        drift_back(s, bits, live);
+    }
+
+    // u = step n d at the beginning
+    const Vec3<F> direction = normalize(transform_vector(medium.to_world, velocity_of(s)));
+    const BendCell<F> first_cell = cell_at<T>(field, s, bits);
+    const SplineAxes<T, F> first_axes(first_cell);
+    const BendJet<F> first_jet = spline_jet<T>(field, first_axes, first_cell.first, active);
+    const F n = sqrt(max(F(S(1e-12)), (first_jet.value + F(medium.constant)) * F(2)));
+    const Vec3<F> w = transposed(medium.to_voxels, a.u) * F(medium.step);
+    const F phi_bar = dot(w, direction) / n;
+    add(first_axes, first_cell.first, phi_bar, zero, active);
+    a.q = a.q + first_jet.slope * phi_bar;
+    const RayAdjoint<F> ray{transposed(medium.to_voxels, a.q), w * n};
+    place.add_point(-ray.o, position_of(s, bits));
+    place.add(-ray.d, transform_vector(medium.to_voxels, direction));
+    place.add_kick(medium, a.kick);
+    place.hand_to(medium, active, sink);
+    return ray;
+}
+
+template <int T, class F>
+TR_NOINLINE void sweep_index_of(const BendMedium<ScalarOf<F>> &medium, const Vec3<F> &p, const F &n_bar,
+                                const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink) {
+    using S = ScalarOf<F>;
+    const int bits = position_bits<F>(medium.field);
+    BendState<F> s;
+    start_bent(s, transform_point(medium.to_voxels, p), {F(0), F(0), F(0)}, bits);
+    const BendCell<F> cell = cell_at<T>(medium.field, s, bits);
+    const SplineAxes<T, F> axes(cell);
+    const BendJet<F> jet = spline_jet<T>(medium.field, axes, cell.first, active);
+    const F n = sqrt(max(F(S(1e-12)), (jet.value + F(medium.constant)) * F(2)));
+    const F phi_bar = select(active, n_bar / n, F(0));
+    add_values<T>(medium, axes, cell.first, phi_bar, {F(0), F(0), F(0)}, active, sink);
+    const Vec3<F> p_bar = transposed(medium.to_voxels, jet.slope * phi_bar);
+    hit.p = hit.p + p_bar;
+    PlaceAdjoint<F> place;
+    place.add_point(-p_bar, position_of(s, bits));
+    place.hand_to(medium, active, sink);
+}
+
+}  // namespace
+
+template <class F>
+TR_LARGE RayAdjoint<F> sweep_flight(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
+                                    const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
+                                    const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar, HitAdjoint<F> hit,
+                                    const MaskOf<F> &active, GradientSink<F> &sink) {
+    return medium.quadratic
+               ? sweep_flight_of<3, F>(scene, medium, bent, at, p, d, d_bar, length_bar, hit, active, sink)
+               : sweep_flight_of<4, F>(scene, medium, bent, at, p, d, d_bar, length_bar, hit, active, sink);
+}
+
+template <class F>
+TR_LARGE void sweep_index(const BendMedium<ScalarOf<F>> &medium, const Vec3<F> &p, const F &n_bar,
+                          const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink) {
+    if (medium.quadratic)
+        sweep_index_of<3, F>(medium, p, n_bar, active, hit, sink);
+    else
+        sweep_index_of<4, F>(medium, p, n_bar, active, hit, sink);
+}
+
+template <class F>
+TR_LARGE void sweep_boundary(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const F &eta_bar,
+                             const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink) {
+    for_each_bend<F>(scene, inner_medium<F>(scene, at, active), active, [&](const auto &medium, const auto &lanes) {
+        const F outside = F(medium.ext_ior), eta = local_index<F>(medium, p, lanes).n / outside;
+        sweep_index(medium, p, eta_bar / outside, lanes, hit, sink);
+        sink.scalar(IntOf<F>(medium.ext_ior_offset), -eta_bar * eta / outside, lanes);
+    });
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template RayAdjoint<F> sweep_flight(const SceneView<S> &, const BendMedium<S> &, const BentPacket<F> &,          \
+                                        const SurfacePoint<F> &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,  \
+                                        const F &, HitAdjoint<F>, const MaskOf<F> &, GradientSink<F> &);             \
+    template void sweep_index(const BendMedium<S> &, const Vec3<F> &, const F &, const MaskOf<F> &, HitAdjoint<F> &, \
+                              GradientSink<F> &);                                                                    \
+    template void sweep_boundary(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &, const F &,          \
+                                 const MaskOf<F> &, HitAdjoint<F> &, GradientSink<F> &);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
+#undef TR_INSTANTIATE
+
+}  // namespace tr
