@@ -103,7 +103,7 @@ def test_the_linear_interpolation_that_is_refused_has_another_derivative():
     """Its force jumps from voxel to voxel, of which an adjoint knows nothing; splines pass this very test."""
     for degree in (2, 3):
         adjoint, difference = adjoint_and_difference(degree)
-        assert difference == pytest.approx(adjoint, rel=1e-3)
+        assert difference == pytest.approx(adjoint, rel=5e-3)
     adjoint, difference = adjoint_and_difference(1)
     assert abs(difference - adjoint) > 0.1 * abs(adjoint)
 
