@@ -58,9 +58,10 @@ def trace(
 ) -> BentRays:
     """Follow rays through the medium of a shape, whose index of refraction varies.
 
-    A ray begins outside, and the first thing it meets is the shape, or inside of it. It is refracted where it goes in
-    (unless the boundary is `null`), bent by the medium, and refracted where it comes out. It ends there, or at the
-    first surface inside. Rays that are totally reflected, at either end, are not valid.
+    A ray begins outside, and the first thing it meets is the shape; or it begins inside, with nothing but the shape
+    straight ahead. It is refracted where it goes in (unless the boundary is `null`), bent by the medium, and refracted
+    where it comes out. It ends there, or at the first surface inside. Rays that are totally reflected, at either end,
+    are not valid.
 
     How two rays become a spot::
 
@@ -70,7 +71,8 @@ def trace(
     The rays are those of a numerical solution (velocity Verlet with steps of about a voxel), and derivatives are those
     of exactly this solution, in memory that does not grow with the number of steps: by rays, `index`, `index_base`,
     `index_scale`, `to_world`, `ext_ior`, `sigma_t`, and by the shapes where rays go in and out; in reverse and forward
-    mode, once. At corners of the boundary, where a ray changes from one face to another, rays jump.
+    mode, once. The length of steps, which follows `to_world` and the largest index, counts as constant. At corners of
+    the boundary, where a ray changes from one face to another, rays jump.
 
     Args:
         scene: where.
@@ -96,13 +98,14 @@ def trace(
     medium = _Medium.of(scene, layout, tensors, row, shape)
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
     surfaces = Surfaces.of(scene, layout, tensors)
-    directions = normalize(directions)
 
     # the way in
-    first = find_hits(native, tensors, origins, directions, limits)
-    facing = dot(first.normal, directions.detach())
+    towards = normalize(directions.detach())
+    first = find_hits(native, tensors, origins, towards, limits)
+    facing = dot(first.normal, towards)
     rows = (first.shape_id == row).nonzero()[:, 0]
-    o, d, outside = origins[rows], directions[rows], (facing[rows] < 0)[:, None]
+    # after the choice: what is not a direction has derivatives that are no numbers, not zeros
+    o, d, outside = origins[rows], normalize(directions[rows]), (facing[rows] < 0)[:, None]
     entry = surfaces.meet(first.shape_id[rows], first.prim_id[rows], o, d, first.t[rows])
     x = torch.where(outside, entry.position, o)
     bending = medium.bending(native)

@@ -16,6 +16,7 @@ from .registry import register
 from .volumes import invertible
 
 MOST_VOXELS = 1000  # a side: positions of rays are fixed-point numbers
+MOST_STEPS = 10**9
 
 
 @register
@@ -78,7 +79,10 @@ class GradientIndexMedium(Medium):
     def convert_static(self, name: str, value: Any, ctx: Context) -> bool | str | int:
         if name == "interpolation" and value in ("trilinear", "linear", "nearest"):
             ctx.error(f"{value!r} has no continuous gradient, which light follows: expected 'cubic' or 'quadratic'")
-        return super().convert_static(name, value, ctx)
+        converted = super().convert_static(name, value, ctx)
+        if name == "max_steps" and not 0 <= int(converted) <= MOST_STEPS:
+            ctx.error(f"expected an integer between 0 and {MOST_STEPS}, got {value!r}")
+        return converted
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
