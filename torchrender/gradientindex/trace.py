@@ -12,6 +12,7 @@ import torch
 
 from ..compiling import opaque
 from ..errors import RangeWarning, describe, nearest
+from ..functions import refuse_batches
 from ..queries import _rays, find_hits
 from ..scene.declaration import models
 from ..scene.gather import gather
@@ -94,6 +95,8 @@ def trace(
     scene, origins, directions, limits = _rays("gradientindex.trace", scene, origins, directions, None)
     layout = scene.layout()
     tensors = gather(scene, layout, params, "gradientindex.trace")
+    for tensor in (origins, directions, *tensors):
+        refuse_batches(tensor)
     row = _row_of(layout, shape)
     medium = _Medium.of(scene, layout, tensors, row, shape)
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
