@@ -60,7 +60,9 @@ class GradientIndexMedium(Medium):
 
             path: Path = ctx.at("filename").file(name)
             with ctx.at("filename").located():
-                properties["index"] = io.read_volume(path)[..., 0]
+                properties["index"] = self.convert_tensor(
+                    self.fields()["index"], io.read_volume(path), ctx.at("filename")
+                )
         return properties
 
     def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
