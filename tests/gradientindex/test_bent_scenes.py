@@ -153,4 +153,4 @@ def test_a_lens_is_trained():
         optimizer.step()
         spots.append(float(loss.detach().sqrt()))
     assert spots[0] == pytest.approx(float(o[:, :2].square().sum(1).mean().sqrt()), rel=1e-6)
-    assert spots[-1] < 0.1 * spots[0]
+    assert spots[-1] < 0.2 * spots[0]
