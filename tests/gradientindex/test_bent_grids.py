@@ -129,7 +129,7 @@ def test_single_precision(interpolation):
 def test_the_longest_grids(axis, dtype):
     """1000 voxels along one axis, 1 along others: nothing overflows, straight rays come out where they should.
 
-    In single precision places are multiples of 2^-20 voxels, here of the whole side; so every drift is half of that off.
+    In single precision places are multiples of 2^-20 voxels, here of the side: every drift may be half of that off.
     """
     shape = [1, 1, 1]
     shape[2 - axis] = 1000
@@ -159,7 +159,7 @@ def test_fewest_voxels():
 @pytest.mark.parametrize("shape", ["cube", "sphere"])
 def test_hardly_a_ray_is_lost(shape, dtype):
     """From all sides, those that graze included: less than 5 in 10000 are. Values are finite in any case."""
-    n, generator = 20000, torch.Generator().manual_seed(8)
+    n, generator = 8000, torch.Generator().manual_seed(8)
     o = torch.randn(n, 3, generator=generator, dtype=DOUBLE)
     o = 4 * o / o.norm(dim=1, keepdim=True)
     d = torch.rand(n, 3, generator=generator, dtype=DOUBLE) * 2 - 1 - o
