@@ -89,8 +89,8 @@ void check_way_back(int rays, int most) {
 
 template <class F>
 void check_ways_back() {
-    check_way_back<3, F>(10000, 100);
-    check_way_back<4, F>(10000, 100);
+    check_way_back<3, F>(10000, 40);
+    check_way_back<4, F>(10000, 40);
     check_way_back<3, F>(200, 2000);
     check_way_back<4, F>(200, 2000);
 }
