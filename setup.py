@@ -226,7 +226,7 @@ class Ninja:
             own = ["-O1"] if source.parent.name == "bindings" else []
             # Rays go back over the very numbers that brought them there: a product and a sum must round alike wherever
             # they are written.
-            own += ["-ffp-contract=off"] if source.stem in ("bend", "bent_rays") else []
+            own += ["-ffp-contract=off"] if source.stem in ("bend", "bent_rays", "test_bend") else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
         return made

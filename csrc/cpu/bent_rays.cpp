@@ -115,14 +115,17 @@ public:
             at_.shape = select(mask<U>(gone), U(BentTooFar), at_.shape);
             live = live && !gone;
             near = near && live;
-            if (any(near) || m == 0) {
-                query(m == 0 ? live : near, m == 0 ? offset : Vec3<F>{F(0), F(0), F(0)});
+            if (m == 0) skip_ = steps_off(offset);
+            near = near || (live && MaskOf<F>(m == 0));
+            if (any(near)) {
+                query(near);
                 live = live && mask<F>(at_.shape == U(BentTooLong));
             }
             if (m == medium_.max_steps || !any(live)) break;
             drift(at_.state, bits_, live);
             at_.steps = select(mask<I>(live), at_.steps + 1, at_.steps);
             kick_all(F(1), live);
+            skip_ = max(F(0), skip_ - F(1));
         }
         return at_;
     }
@@ -134,6 +137,7 @@ private:
     const int bits_;
     const BendInt<S> reach_;
     FlightEnd<F> at_;
+    F skip_{0};  // steps from here on in which no surface counts
 
     void kick_all(const F &w, const MaskOf<F> &active) {
         const BendSlope<F> at = spline_slope<T, F>(field_, cell_at<T>(field_, at_.state, bits_), active);
@@ -165,14 +169,22 @@ private:
         return r;
     }
 
+    // How far along the ray it is off its surface: as far as `offset` is, or, where it grazes it, some more.
+    F steps_off(const Vec3<F> &offset) const {
+        const Vec3<F> d = transform_vector(medium_.to_world, velocity_of(at_.state));
+        const F off = norm(offset), speed = norm(d), usable = select(mask<F>(off > F(0)), off * speed, F(1));
+        const F cosine = max(dot(offset, d) / usable, F(S(0.0625)));
+        return select(mask<F>(off > F(0)), off / (cosine * max(speed, F(S(1e-30)))), F(0));
+    }
+
     // The nearest surface along the step, and a little more, so that a surface between two steps is not missed.
-    TR_NOINLINE void query(const MaskOf<F> &active, const Vec3<F> &offset) {
-        const Vec3<F> o = transform_point(medium_.to_world, position_of(at_.state, bits_)) + offset,
-                      d = transform_vector(medium_.to_world, velocity_of(at_.state));
+    TR_NOINLINE void query(const MaskOf<F> &active) {
+        const Vec3<F> d = transform_vector(medium_.to_world, velocity_of(at_.state)),
+                      o = transform_point(medium_.to_world, position_of(at_.state, bits_)) + d * skip_;
         alignas(64) S number[W];
         alignas(64) float ray[7][W], t[W], b1[W], b2[W];
         alignas(64) uint32_t shape[W], primitive[W];
-        const F columns[7] = {o.x, o.y, o.z, d.x, d.y, d.z, select(active, F(S(1.0001)), F(-1))};
+        const F columns[7] = {o.x, o.y, o.z, d.x, d.y, d.z, select(active, F(S(1.0001)) - skip_, F(-1))};
         for (size_t k = 0; k < 7; ++k) {
             store(number, columns[k]);
             for (size_t i = 0; i < W; ++i) ray[k][i] = float(number[i]);
@@ -188,6 +200,7 @@ private:
             to = select(hit, load<F>(number), to);
         };
         take(t, at_.t), take(b1, at_.b1), take(b2, at_.b2);
+        at_.t = select(hit, at_.t + skip_, at_.t);
     }
 };
 

@@ -21,8 +21,8 @@ struct FlightEnd {
     F t, b1, b2;
 };
 
-// From q with the velocity u, in voxels and voxels a step. `offset`: in the world, from where the ray begins to where
-// surfaces count from on.
+// From q with the velocity u, in voxels and voxels a step. `offset`: in the world, from where the ray begins to a point
+// off the surface that it leaves, which it does not meet again at once; 0: it leaves none.
 template <class F>
 FlightEnd<F> fly(const BendMedium<ScalarOf<F>> &medium, const Accel &accel, const Vec3<F> &q, const Vec3<F> &u,
                  const Vec3<F> &offset, const MaskOf<F> &active);

@@ -6,37 +6,9 @@ import math
 
 import pytest
 import torch
+from bent_scenes import DOUBLE, beam, glass, number_of, random_index
 
 import torchrender as tr
-
-DOUBLE = torch.float64
-BOX = tr.Transform.translate([-1, -1, -1]) @ tr.Transform.scale(2)
-
-
-def glass(index, bsdf: str = "dielectric", dtype: torch.dtype = DOUBLE, shape: str = "cube", **medium) -> tr.Scene:
-    """A shape of this index in air."""
-    interior = {"type": "gradientindex", "index": index, "to_world": BOX, **medium}
-    described = {"type": "scene", "lens": {"type": shape, "interior": interior, "bsdf": {"type": bsdf}}}
-    return tr.load_dict(described, dtype=dtype)
-
-
-def random_index(size: int, amount: float = 0.03) -> torch.Tensor:
-    noise = torch.randn(size, size, size, generator=torch.Generator().manual_seed(0), dtype=DOUBLE)
-    return 1.5 + amount * noise
-
-
-def beam(n: int) -> tuple[torch.Tensor, torch.Tensor]:
-    generator = torch.Generator().manual_seed(1)
-    o = torch.rand(n, 3, generator=generator, dtype=DOUBLE) - 0.5
-    o[:, 2] = -3
-    return o, torch.tensor([0.02, 0.03, 1.0], dtype=DOUBLE).expand(n, 3).contiguous()
-
-
-def number_of(rays: tr.gradientindex.BentRays) -> torch.Tensor:
-    """A function of everything that is differentiable."""
-    weight = torch.linspace(0.5, 1.5, len(rays.valid), dtype=rays.position.dtype)
-    found = torch.sin(3 * rays.position[:, :2]).sum(1) + torch.cos(2 * rays.direction).sum(1)
-    return (weight * (found + rays.optical_path.square() + rays.length.sin() + rays.index)).sum()
 
 
 @pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])

@@ -54,7 +54,7 @@ def fit(samples: torch.Tensor, interpolation: str = "cubic") -> torch.Tensor:
     Raises:
         TypeError, ValueError: as `evaluate`; where `samples` are so rough that no real control values give them.
     """
-    _check(samples, interpolation)
+    _check(samples, interpolation, "samples")
     values = samples * samples
     side, middle = (1 / 6, 2 / 3) if interpolation == "cubic" else (1 / 8, 3 / 4)
     for axis in range(3):
@@ -131,12 +131,13 @@ def axis_weights(x: torch.Tensor, n: int, interpolation: str) -> tuple[torch.Ten
     return taps, torch.stack(w, -1), torch.stack(d, -1) * n
 
 
-def _check(index: torch.Tensor, interpolation: str) -> None:
+def _check(index: torch.Tensor, interpolation: str, name: str = "index") -> None:
     if interpolation not in INTERPOLATIONS:
         raise ValueError(f"interpolation: expected one of {INTERPOLATIONS}, got {interpolation!r}")
     if not isinstance(index, torch.Tensor) or not index.is_floating_point():
-        raise TypeError(f"index: expected a floating-point tensor of shape (Z, Y, X), got {describe(index)}")
+        raise TypeError(f"{name}: expected a floating-point tensor of shape (Z, Y, X), got {describe(index)}")
     if index.ndim != 3 or 0 in index.shape:
-        raise ValueError(f"index: expected shape (Z, Y, X), none of them 0, got {describe(index)}")
-    if not bool((index.detach() > 0).all()):
-        raise ValueError("index: expected positive numbers that are finite")
+        raise ValueError(f"{name}: expected shape (Z, Y, X), none of them 0, got {describe(index)}")
+    known = index.detach()
+    if not bool(((known > 0) & torch.isfinite(known)).all()):
+        raise ValueError(f"{name}: expected positive numbers that are finite")

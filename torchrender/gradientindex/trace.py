@@ -12,6 +12,7 @@ import torch
 
 from ..compiling import opaque
 from ..errors import RangeWarning, describe, nearest
+from ..functions import refuse_batches
 from ..queries import _rays, find_hits
 from ..scene.declaration import models
 from ..scene.gather import gather, reference_index
@@ -57,9 +58,10 @@ def trace(
 ) -> BentRays:
     """Follow rays through the medium of a shape, whose index of refraction varies.
 
-    A ray begins outside, and the first thing it meets is the shape, or inside of it. It is refracted where it goes in
-    (unless the boundary is `null`), bent by the medium, and refracted where it comes out. It ends there, or at the
-    first surface inside. Rays that are totally reflected, at either end, are not valid.
+    A ray begins outside, and the first thing it meets is the shape; or it begins inside, with nothing but the shape
+    straight ahead. It is refracted where it goes in (unless the boundary is `null`), bent by the medium, and refracted
+    where it comes out. It ends there, or at the first surface inside. Rays that are totally reflected, at either end,
+    are not valid.
 
     How two rays become a spot::
 
@@ -69,7 +71,8 @@ def trace(
     The rays are those of a numerical solution (velocity Verlet with steps of about a voxel), and derivatives are those
     of exactly this solution, in memory that does not grow with the number of steps: by rays, `index`, `index_base`,
     `index_scale`, `to_world`, `ext_ior`, `sigma_t`, and by the shapes where rays go in and out; in reverse and forward
-    mode, once. At corners of the boundary, where a ray changes from one face to another, rays jump.
+    mode, once. The length of steps, which follows `to_world` and the largest index, counts as constant. At corners of
+    the boundary, where a ray changes from one face to another, rays jump.
 
     Args:
         scene: where.
@@ -91,17 +94,20 @@ def trace(
     scene, origins, directions, limits = _rays("gradientindex.trace", scene, origins, directions, None)
     layout = scene.layout()
     tensors = gather(scene, layout, params, "gradientindex.trace")
+    for tensor in (origins, directions, *tensors):
+        refuse_batches(tensor)
     row = _row_of(layout, shape)
     medium = _Medium.of(scene, layout, tensors, row, shape)
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
     surfaces = Surfaces.of(scene, layout, tensors)
-    directions = normalize(directions)
 
     # the way in
-    first = find_hits(native, tensors, origins, directions, limits)
-    facing = dot(first.normal, directions.detach())
+    towards = normalize(directions.detach())
+    first = find_hits(native, tensors, origins, towards, limits)
+    facing = dot(first.normal, towards)
     rows = (first.shape_id == row).nonzero()[:, 0]
-    o, d, outside = origins[rows], directions[rows], (facing[rows] < 0)[:, None]
+    # after the choice: what is not a direction has derivatives that are no numbers, not zeros
+    o, d, outside = origins[rows], normalize(directions[rows]), (facing[rows] < 0)[:, None]
     entry = surfaces.meet(first.shape_id[rows], first.prim_id[rows], o, d, first.t[rows])
     x = torch.where(outside, entry.position, o)
     bending = medium.bending(native)
@@ -178,6 +184,8 @@ class _Medium:
         values, to_world = value["index"], value["to_world"]  # as `gather` has them for the core
         constant = reference_index(value["index_base"]) ** 2 / 2
         largest = float(torch.sqrt(2 * (values.detach().amax() + constant)))
+        if not 0 < largest < math.inf:
+            raise ValueError(f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}")
         size = [n - 4 for n in reversed(values.shape)]
         matrix = to_world[:3, :3] / to_world.new_tensor(size)
         voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())

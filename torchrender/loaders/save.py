@@ -238,7 +238,7 @@ class _Writer:
 
     def tensor(self, plugin: Plugin, name: str, tensor: torch.Tensor, depth: int, where: str) -> None:
         """An image or a grid in a file of its own, a table in place."""
-        if plugin.category == "volume" or plugin.type == "sdfgrid":
+        if plugin.category in ("volume", "medium") or plugin.type == "sdfgrid":
             path, said = self.file("volumes", where, ".vol")
             io.write_volume(path, tensor)
         elif tensor.ndim == 1:

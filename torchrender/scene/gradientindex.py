@@ -16,6 +16,7 @@ from .registry import register
 from .volumes import invertible
 
 MOST_VOXELS = 1000  # a side: positions of rays are fixed-point numbers
+MOST_STEPS = 10**9
 
 
 @register
@@ -59,7 +60,9 @@ class GradientIndexMedium(Medium):
 
             path: Path = ctx.at("filename").file(name)
             with ctx.at("filename").located():
-                properties["index"] = io.read_volume(path)[..., 0]
+                properties["index"] = self.convert_tensor(
+                    self.fields()["index"], io.read_volume(path), ctx.at("filename")
+                )
         return properties
 
     def convert_tensor(self, field: Field, value: Any, ctx: Context) -> torch.Tensor:
@@ -78,7 +81,10 @@ class GradientIndexMedium(Medium):
     def convert_static(self, name: str, value: Any, ctx: Context) -> bool | str | int:
         if name == "interpolation" and value in ("trilinear", "linear", "nearest"):
             ctx.error(f"{value!r} has no continuous gradient, which light follows: expected 'cubic' or 'quadratic'")
-        return super().convert_static(name, value, ctx)
+        converted = super().convert_static(name, value, ctx)
+        if name == "max_steps" and not 0 <= int(converted) <= MOST_STEPS:
+            ctx.error(f"expected an integer between 0 and {MOST_STEPS}, got {value!r}")
+        return converted
 
     def check(self, ctx: Context) -> None:
         super().check(ctx)
