@@ -18,7 +18,7 @@ from ..scene.gather import gather
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
 from ..scene.scene import Scene
-from ..surface import Surfaces, dot, inverse_linear, normalize, transform_vector
+from ..surface import SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .field import padded
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 
@@ -59,8 +59,9 @@ def trace(
     """Follow rays through the medium of a shape, whose index of refraction varies.
 
     A ray begins outside, and the first thing it meets is the shape, or inside of it. It is refracted where it goes in
-    (unless the boundary is `null`), bent by the medium, and refracted where it comes out. It ends there, or at the
-    first surface inside. Rays that are totally reflected, at either end, are not valid.
+    (unless the boundary is `null`), bent by the medium, and refracted where it comes out, by the vertex normals of a
+    mesh that has them. It ends there, or at the first surface inside. Rays that are totally reflected, at either end,
+    are not valid.
 
     How two rays become a spot::
 
@@ -107,7 +108,7 @@ def trace(
     x = torch.where(outside, entry.position, o)
     bending = medium.bending(native)
     n, _ = medium.index_at(bending, x)
-    p, through = medium.refracted(d, entry.normal, n, outside)
+    p, through = medium.refracted(d, _refracting(entry), n, outside)
     amount = OFFSET * (1 + x.detach().abs().amax(1, True))
     offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
 
@@ -131,7 +132,7 @@ def trace(
     _warn_of_inaccuracy(v, n, medium.step)
     along = normalize(v)
     leaves, out_normal = hit == row, end.normal
-    direction, free = medium.leaving(along, out_normal, n, leaves[:, None])
+    direction, free = medium.leaving(along, _refracting(end), n, leaves[:, None])
     good = free & ((dot(along.detach(), out_normal.detach()) > 0) | ~leaves)
     length = sums[:, 1] * medium.step
     found = {
@@ -255,6 +256,12 @@ class _Medium:
         possible = (square > 0) | ~leaves[:, 0]
         normal_part = torch.sqrt(torch.where(possible & leaves[:, 0], square, 1.0))[:, None]
         return torch.where(leaves, (tangential + normal * normal_part) / self.ext_ior, d), possible
+
+
+def _refracting(found: SurfacePoints) -> torch.Tensor:
+    """Normals (N, 3) by which surfaces refract: those for shading, on the side of the geometric ones."""
+    other = dot(found.shading_normal.detach(), found.normal.detach()) < 0
+    return torch.where(other[:, None], -found.shading_normal, found.shading_normal)
 
 
 def _row_of(layout: Layout, shape: Any) -> int:
