@@ -8,7 +8,12 @@ an index n(r, z) that falls from the axis outwards can undo much of that. We loo
     n = 1.6 + a r^2 + b r^4 + c r^6 + z (d + e r^2)
 
 and both curvatures, so that parallel light of three field angles comes to three points of a plane: the loss is the
-mean square of the spots' radii. That is least squares with seven unknowns, and L-BFGS needs some dozen steps.
+mean square of the spots' radii. That is least squares with seven unknowns, and L-BFGS needs some dozen steps. Plain
+glass gets the same start and as many steps for its two curvatures.
+
+How much there is to gain depends on the field. Spots of up to 2 degrees, as here, become 11 times sharper than those of
+the best plain glass, since it is spherical aberration and coma that blur them; of up to 4 degrees 3 times, of up to 6
+degrees 1.6 times, as the curved image of a single lens remains.
 
 Coefficients become a grid, and curvatures a closed mesh with normals, by operations of PyTorch, and both reach
 `tr.gradientindex.trace` by `params=`; autograd does the rest. Refraction is by the normals of the vertices, those of
@@ -236,7 +241,7 @@ def run(
     folder.mkdir(parents=True, exist_ok=True)
     lens = Lens(voxels, rings, sectors, rays, step)
     start = torch.tensor(START, dtype=torch.float64)
-    plain, first = optimise(lens, start, [5, 6], max(1, iterations // 3))
+    plain, first = optimise(lens, start, [5, 6], iterations)
     graded, second = optimise(lens, start, list(range(7)), iterations)
     lenses = {"start": start, "plain glass": plain, "varying index": graded}
     with torch.no_grad():

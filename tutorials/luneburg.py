@@ -9,7 +9,9 @@ from 26 sides go through a grid of voxels, and the loss is how far their rays co
 
 `tr.gradientindex.trace` follows the rays, and differentiates what it follows, in memory that does not grow with their
 steps. The problem and the recipe, coarse to fine with Adam, a rate of 1e-2 halved at every level, are those of Teh,
-O'Toole and Gkioulekas, "Adjoint nonlinear ray tracing", SIGGRAPH 2022.
+O'Toole and Gkioulekas, "Adjoint nonlinear ray tracing", SIGGRAPH 2022. Ours are what the index is divided by (below), a
+border of voxels around the ball, and rates that fall to a tenth within a level, along a cosine: without these three
+spots were 2 % of the radius and the index 7 % off.
 
 Rays do not change when n is multiplied by a number, since the border of the ball does not refract. So the index is
 divided by its mean on the surface, and that it is 1 everywhere there is a second term of the loss; both by

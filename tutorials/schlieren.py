@@ -3,16 +3,17 @@
     python tutorials/schlieren.py          # 32^3 voxels, 12 cameras of 48 x 48 vectors
     python tutorials/schlieren.py --full   # 64^3 voxels, 96 x 96 vectors
 
-Hot air is thinner, so that its index of refraction is less: 1.00027 is that of cold air, 1.00017 that of air of 190
-degrees. What lies behind it seems to shift, by some 1e-4 of the distance. In a laboratory cameras photograph a pattern
+Hot air is thinner, so that its index of refraction is less: 1.00027 is that of cold air, 1.00018 that of the hottest
+here. What lies behind it seems to shift, by some 1e-4 of the distance. In a laboratory cameras photograph a pattern
 of dots with and without the plume, and optical flow gives a field of such displacements for each; here they are
 computed from a plume that we make up, on a finer grid and with smaller steps, with 2 % noise.
 
 The unknown is the index in a box, as `index_base` + `index_scale` * voxels with a base of 1.00027 and a scale of 1e-4:
 voxels are numbers of about 1, and differences from the base keep their precision. The border of the box is `null`, and
 the two outer layers of voxels stay 0, cold air. The loss is the squared difference from the displacements in units of
-their noise, and a regulariser, the squared differences of neighbouring voxels (H1). The problem is almost linear, and
-L-BFGS needs some dozen steps. Cf. Atcheson et al., "Time-resolved 3d capture of non-stationary gas flows", SIGGRAPH
+their noise, and a regulariser, the squared differences of neighbouring voxels (H1). With 12 cameras it hardly matters:
+with 32^3 voxels weights from 0 to 1000 leave an error of 6.3 to 5.8 %. The problem is almost linear, and L-BFGS needs
+some dozen steps. Cf. Atcheson et al., "Time-resolved 3d capture of non-stationary gas flows", SIGGRAPH
 Asia 2008, who had 16 cameras.
 """
 
