@@ -24,6 +24,7 @@ BENCHMARKS = {
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
     "visibility": "derivatives by what moves: efficiency and bias of silhouettes, shadows and indirect light",
     "caustics": "one iteration of a refractive height field that throws a picture",
+    "gradient_index": "rays through a medium whose index varies: time, memory, and PyTorch alone beside it",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
     "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",
 }

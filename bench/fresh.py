@@ -112,10 +112,17 @@ def caustics_memory(
     return {"peak": peak, "added": max(0.0, peak - before)}
 
 
+def bent_rays(**settings: Any) -> dict[str, float]:
+    """Seconds and memory of rays through a gradient index, and their adjoint."""
+    from .gradient_index import fresh
+
+    return fresh(**settings)
+
+
 def main() -> None:
     what, settings = sys.argv[1], json.loads(sys.argv[2])
     kinds = {"coldstart": coldstart, "memory": peak_memory, "media_memory": media_memory}
-    kinds["caustics_memory"] = caustics_memory
+    kinds |= {"caustics_memory": caustics_memory, "bent_rays": bent_rays}
     print(json.dumps(kinds[what](**settings)))
 
 

@@ -367,3 +367,56 @@ def test_rays(tmp_path):
     for row in rows:
         assert 0 < row["hits %"] < 100
         assert row["best Mrays/s"] == pytest.approx(1e3 / row[f"{row['best']} ns"]["median"])
+
+
+def test_gradient_index(tmp_path):
+    options = [
+        "--resolution",
+        "8",
+        "--spp",
+        "2",
+        "--rounds",
+        "1",
+        "--warmup",
+        "0",
+        "--threads",
+        "1",
+        "--size",
+        "12",
+        "--quick",
+    ]
+    tables = run(tmp_path, "gradient_index", *options)["tables"]
+    assert [table["part"] for table in tables] == ["step", "iteration", "memory", "autograd", "error"]
+    step, iteration, memory, autograd, error = (table["rows"] for table in tables)
+    for row in step:
+        assert 12 <= row["steps a ray"] < 16  # the index is never less than 1.45, of 1.5625 that steps are made for
+        assert 0 < row["forward, a step and core, ns"]["median"] < row["with adjoint, a step and core, ns"]["median"]
+        assert 0 < row["forward, whole call, s"]["median"] < row["with adjoint, whole calls, s"]["median"] < 10
+    for row in iteration:
+        assert 0 < row["one iteration s"]["median"] < 10 and row["peak above the state before MiB"]["median"] < 100
+    assert memory[1]["steps a ray"] == pytest.approx(10 * memory[0]["steps a ray"], rel=0.02)
+    ours, plain = autograd
+    assert plain["gradient, norm"] == pytest.approx(ours["gradient, norm"], rel=1e-4)
+    assert plain["memory / ours"] > ours["memory / ours"] == ours["time / ours"] == 1
+    for name in ("cubic", "quadratic"):
+        found = [row["position, rms, voxels"] for row in error if row["interpolation"] == name]
+        assert 0 < found[2] < found[1] / 2 < found[0] / 4
+    with pytest.raises(SystemExit, match="--only and --set have no meaning"):
+        main(["gradient_index", "--quick", "--only", "sphere"])
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])
+def test_rays_in_pytorch_are_those_of_the_core(interpolation):
+    import torch
+
+    import torchrender as tr
+    from bench import bent_rays
+
+    index = bent_rays.index_of(12).double()
+    origins, directions = (x.double() for x in bent_rays.beam(4, 2))
+    ours = tr.gradientindex.trace(
+        bent_rays.cube(index, torch.float64, interpolation=interpolation), "cube", origins, directions
+    )
+    position, direction, steps = bent_rays.in_torch(index, origins, directions, interpolation=interpolation)
+    assert bool(ours.valid.all()) and steps == int(ours.steps.max())
+    assert torch.allclose(position, ours.position, atol=1e-8) and torch.allclose(direction, ours.direction, atol=1e-8)

@@ -71,3 +71,23 @@ def test_indices_that_are_none(index, what):
 def test_interpolation_has_a_continuous_gradient():
     with pytest.raises(ValueError, match="'trilinear' has no continuous gradient"):
         glass(1.5, interpolation="trilinear")
+
+
+def test_a_mesh_refracts_by_its_vertex_normals():
+    """A tetrahedron whose vertex normals are all vertical leaves directions as they are, as a slab does."""
+    corners = torch.tensor([[-3.0, -3, 0], [3, -3, 0], [0, 4, 0], [0, 0, -2]], dtype=DOUBLE)
+    faces = torch.tensor([[0, 1, 2], [1, 0, 3], [2, 1, 3], [0, 2, 3]])
+    up = torch.tensor([[0.0, 0, 1]], dtype=DOUBLE)
+    box = tr.Transform.translate([-1, -1, -1]) @ tr.Transform.scale(2)
+    interior = {"type": "gradientindex", "index": 1.5, "ext_ior": 1.0, "to_world": box}
+    direction = torch.tensor([[0.1, 0.2, 1.0]], dtype=DOUBLE)
+    direction /= direction.norm()
+    found = {}
+    for normals in (None, up.expand(4, 3).contiguous()):
+        lens = tr.Mesh(corners, faces, vertex_normals=normals, bsdf={"type": "dielectric"}, interior=interior)
+        scene = tr.load_dict({"type": "scene", "lens": lens}, dtype=DOUBLE)
+        rays = tr.gradientindex.trace(scene, "lens", torch.tensor([[0.3, 0.2, -4.0]], dtype=DOUBLE), direction)
+        assert bool(rays.valid.all())
+        found[normals is None] = rays.direction
+    assert (found[True] - direction).norm() > 0.1  # by its faces it is a prism
+    assert torch.allclose(found[False], direction, atol=1e-12)

@@ -19,7 +19,7 @@ from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
 from ..scene.scene import Scene
-from ..surface import Surfaces, dot, inverse_linear, normalize, transform_vector
+from ..surface import SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 
 OFFSET = 8.9406967e-5  # rays leave surfaces from a point so far off, see offset_amount in core/shape/surface.h
@@ -60,8 +60,8 @@ def trace(
 
     A ray begins outside, and the first thing it meets is the shape; or it begins inside, with nothing but the shape
     straight ahead. It is refracted where it goes in (unless the boundary is `null`), bent by the medium, and refracted
-    where it comes out. It ends there, or at the first surface inside. Rays that are totally reflected, at either end,
-    are not valid.
+    where it comes out, by the vertex normals of a mesh that has them. It ends there, or at the first surface inside.
+    Rays that are totally reflected, at either end, are not valid.
 
     How two rays become a spot::
 
@@ -112,7 +112,7 @@ def trace(
     x = torch.where(outside, entry.position, o)
     bending = medium.bending(native)
     n, _ = medium.index_at(bending, x)
-    p, through = medium.refracted(d, entry.normal, n, outside)
+    p, through = medium.refracted(d, _refracting(entry), n, outside)
     amount = OFFSET * (1 + x.detach().abs().amax(1, True))
     offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
 
@@ -136,7 +136,7 @@ def trace(
     _warn_of_inaccuracy(v, n, medium.step)
     along = normalize(v)
     leaves, out_normal = hit == row, end.normal
-    direction, free = medium.leaving(along, out_normal, n, leaves[:, None])
+    direction, free = medium.leaving(along, _refracting(end), n, leaves[:, None])
     good = free & ((dot(along.detach(), out_normal.detach()) > 0) | ~leaves)
     length = sums[:, 1] * medium.step
     found = {
@@ -239,6 +239,12 @@ class _Medium:
         possible = (square > 0) | ~leaves[:, 0]
         normal_part = torch.sqrt(torch.where(possible & leaves[:, 0], square, 1.0))[:, None]
         return torch.where(leaves, (tangential + normal * normal_part) / self.ext_ior, d), possible
+
+
+def _refracting(found: SurfacePoints) -> torch.Tensor:
+    """Normals (N, 3) by which surfaces refract: those for shading, on the side of the geometric ones."""
+    other = dot(found.shading_normal.detach(), found.normal.detach()) < 0
+    return torch.where(other[:, None], -found.shading_normal, found.shading_normal)
 
 
 def _row_of(layout: Layout, shape: Any) -> int:
