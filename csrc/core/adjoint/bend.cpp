@@ -36,22 +36,22 @@ struct PlaceAdjoint {
     F a[3][3];
     Vec3<F> b{F(0), F(0), F(0)};
 
-    PlaceAdjoint() {
+    TR_HD PlaceAdjoint() {
         for (auto &row : a)
             for (F &number : row) number = F(0);
     }
     // Of a vector A v whose adjoint is y; of A^-1 z it is that of -A (A^-1 z) with the adjoint A^-T y.
-    void add(const Vec3<F> &y, const Vec3<F> &v) {
+    TR_HD void add(const Vec3<F> &y, const Vec3<F> &v) {
         const F row[3] = {y.x, y.y, y.z}, column[3] = {v.x, v.y, v.z};
         for (int i = 0; i < 3; ++i)
             for (int k = 0; k < 3; ++k) a[i][k] = fmadd(row[i], column[k], a[i][k]);
     }
     // Of a point A q + b.
-    void add_point(const Vec3<F> &y, const Vec3<F> &q) { add(y, q), b = b + y; }
+    TR_HD void add_point(const Vec3<F> &y, const Vec3<F> &q) { add(y, q), b = b + y; }
 
     // G = step^2 A^-1 A^-T: -2 A^-T G_bar G, of a symmetric G_bar.
     template <class S>
-    void add_kick(const BendMedium<S> &medium, const F (&kick)[6]) {
+    TR_HD void add_kick(const BendMedium<S> &medium, const F (&kick)[6]) {
         const S *g = medium.field.kick;
         const Vec3<F> columns[3] = {
             {F(g[0]), F(g[3]), F(g[4])}, {F(g[3]), F(g[1]), F(g[5])}, {F(g[4]), F(g[5]), F(g[2])}};
@@ -65,7 +65,7 @@ struct PlaceAdjoint {
 
     // To the parameter, from the unit cube to the world.
     template <class S>
-    void hand_to(const BendMedium<S> &medium, const MaskOf<F> &active, GradientSink<F> &sink) const {
+    TR_HD void hand_to(const BendMedium<S> &medium, const MaskOf<F> &active, GradientSink<F> &sink) const {
         const F offset[3] = {b.x, b.y, b.z};
         for (int i = 0; i < 3; ++i) {
             const IntOf<F> at = IntOf<F>(medium.to_world_offset + 4 * i);

@@ -23,9 +23,9 @@ struct BendField {
     int32_t n[3];                          // X, Y, Z
     S kick[6];                             // G: xx, yy, zz, xy, xz, yz
 
-    int32_t row() const { return n[0] + 2 * Padding; }
-    int32_t slice() const { return row() * (n[1] + 2 * Padding); }
-    size_t size() const { return size_t(slice()) * size_t(n[2] + 2 * Padding); }
+    TR_INLINE int32_t row() const { return n[0] + 2 * Padding; }
+    TR_INLINE int32_t slice() const { return row() * (n[1] + 2 * Padding); }
+    TR_INLINE size_t size() const { return size_t(slice()) * size_t(n[2] + 2 * Padding); }
 };
 
 // ------------------------------------------------------------------------------------------------------ fixed point
