@@ -1,6 +1,7 @@
 #include "bent_rays.h"
 
 #include <algorithm>
+#include <array>
 #include <limits>
 #include <memory>
 
