@@ -72,15 +72,30 @@ TR_INLINE void sample_light(const PathContext<F> &c, const Wavelengths<F> &waves
 }
 
 // Light in a medium that bends it does not come straight from emitters: what is found there counts alone. Likewise
-// along the sampled direction; returns the density that others are weighted against.
+// along the sampled direction, which then is as good as that of a delta lobe.
 template <class F>
-TR_NOINLINE F leave_bending(const SceneOf<F> &scene, const Interaction<F> &si, const IntOf<F> &medium, const Vec3<F> &d,
-                            const F &pdf, const MaskOf<F> &active, Scattering<F> &s) {
+TR_NOINLINE void leave_bending(const SceneOf<F> &scene, const Interaction<F> &si, const IntOf<F> &medium,
+                               const ResolvedBsdf<F> &resolved, const MaskOf<F> &active, Scattering<F> &s) {
+    const Vec3<F> d = si.frame.to_world(resolved.mirror(s.sample.wo));
     const IntOf<F> to_light = medium_behind(scene, si.at.shape, si.ng, s.light.d, medium, active),
                    onwards = medium_behind(scene, si.at.shape, si.ng, d, medium, active);
     s.shadow_ray = s.shadow_ray && !bends<F>(scene, to_light, active);
     s.light_weight = select(s.shadow_ray, s.light_weight, F(0));
-    return select(bends<F>(scene, onwards, active), F(0), pdf);
+    s.sample.delta = s.sample.delta || bends<F>(scene, onwards, active);
+}
+
+// Of the light in media that bend it paths carry L / n^2. Returns the lanes that came bent.
+template <class F>
+TR_NOINLINE MaskOf<F> arrive_bent(const PathContext<F> &c, const LaneSet<F> &lanes, const Vec3<F> &p,
+                                  FoundEmission<F> &e) {
+    using M = MaskOf<F>;
+    const IntOf<F> within = lanes(c.bent->medium);
+    for_each_bend<F>(c.scene, within, lanes.active && mask<F>(e.weight > F(0)),
+                     [&](const auto &inside, const M &there) {
+                         const F n = local_index<F>(inside, p, there).n, factor = select(there, F(1) / (n * n), F(1));
+                         e.weight = e.weight * factor, e.radiance = e.radiance * factor;
+                     });
+    return lanes.active && mask<F>(within >= 0);
 }
 
 template <class F>
@@ -162,15 +177,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     FoundEmission<F> e =
         step.split == 0 ? surface_emission(c, waves, si, cos_i, from, shown, step.depth) : no_emission<F>();
     M bent(false);
-    if (c.bent) {
-        const I within = lanes(c.bent->medium);
-        bent = active && mask<F>(within >= 0);
-        // of the light there paths carry L / n^2
-        for_each_bend<F>(c.scene, within, bent && mask<F>(e.weight > F(0)), [&](const auto &inside, const M &there) {
-            const F n = local_index<F>(inside, si.p, there).n, factor = select(there, F(1) / (n * n), F(1));
-            e.weight = e.weight * factor, e.radiance = e.radiance * factor;
-        });
-    }
+    if (c.bent) bent = arrive_bent(c, lanes, si.p, e);
     if (c.tape) {
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
         if (c.needs->geometry) {
@@ -214,9 +221,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     Random4<F> u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
     Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
     Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, u_light, u_bsdf, may);
-    Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo)));
-    F pdf = select(s.sample.delta, F(0), s.sample.pdf);
-    if (c.bent) pdf = leave_bending(c.scene, si, medium, d, pdf, active, s);
+    if (c.bent) leave_bending(c.scene, si, medium, resolved, active, s);
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
 
     Spectrum<F> weight = s.f * s.inverse_pdf, kept = weight;
@@ -231,12 +236,12 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
                          {s.light.point.emitter, s.light.point.at, s.wo_light, s.light_weight, s.light.distance,
                           s.emitted, s.sample.wo, s.sample.lobe, select(alive, s.inverse_pdf * keep, F(0))});
     if (!any(alive)) return;
-    Vec3<F> o = offset_origin(si.p, si.ng, d);
+    Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo))), o = offset_origin(si.p, si.ng, d);
     PathState<F> next{o,
                       d,
                       F(S(INFINITY)),
                       si.p,
-                      pdf,
+                      select(s.sample.delta, F(0), s.sample.pdf),
                       pull(beta, weight) * keep,
                       eta,
                       survival * keep,
