@@ -31,7 +31,6 @@ from .render_arguments import (
 )
 from .render_call import RenderCall
 from .render_checks import (
-    bending_media,
     check_bending,
     check_light,
     check_media,
@@ -231,7 +230,7 @@ def render(
         warn_of_glass_on_curves(scene)
     if wavefront:
         check_wavefront(packed, names, adaptive_grad)
-    bends = shows_radiance and bool(bending_media(packed))
+    bends = shows_radiance and bool(packed.bending)
     if bends:
         check_bending(packed, traces, not (volumetric or wavefront))
     if light:

@@ -10,8 +10,7 @@ import torch
 from .errors import NotDifferentiableError, warn_once
 from .integrators import Stack, WavefrontPathTracer
 from .scene.boundaries import check_phases, warn_of_open_boundaries
-from .scene.declaration import models
-from .scene.packing import Layout
+from .scene.packing import Layout, bending_boundary, records
 from .scene.scene import Scene
 from .scene.sensor import IrradianceMeter, Sensor
 
@@ -21,48 +20,37 @@ def check_media(scene: Scene, packed: Layout, tensors: list[torch.Tensor], volum
     if volumetric:
         check_phases(packed, tensors)
         warn_of_open_boundaries(scene, packed)
-    elif any(kind != "gradientindex" for kind, _, _ in packed.objects["medium"]):
+    elif _scattering(packed):
         text = "the scene has media, which this integrator leaves out; VolumetricPathTracer ('volpath') renders them"
         warn_once(scene.warned, "media", text)
 
 
-def bending_media(packed: Layout) -> list[tuple[int, str]]:
-    """Numbers and names of the media that light bends in."""
-    return [(i, name) for i, (kind, _, name) in enumerate(packed.objects["medium"]) if kind == "gradientindex"]
+def _scattering(packed: Layout) -> bool:
+    """Whether there are media in which light goes straight on."""
+    return len(packed.objects["medium"]) > len(packed.bending)
 
 
 def check_bending(packed: Layout, integrator: Any, follows: bool) -> None:
     """Light that bends: whether the integrator `follows` it, and what bounds it."""
-    bending = bending_media(packed)
-    if not bending:
-        return
     if not follows:
         raise ValueError(
-            f"render: integrator: {type(integrator).__name__} does not bend light, as {bending[0][1]} (gradientindex) "
-            "does; PathTracer does, and tr.gradientindex.trace follows rays"
+            f"render: integrator: {type(integrator).__name__} does not bend light, as "
+            f"{packed.objects['medium'][packed.bending[0]][2]} (gradientindex) does; PathTracer does, and "
+            "tr.gradientindex.trace follows rays"
         )
-    names = dict(bending)
-    for kind, numbers, camera in packed.objects["sensor"]:
-        field = dict(zip([f.name for f in models()["sensor", kind].fields], numbers, strict=True))
-        if field.get("medium", -1) in names:
-            raise ValueError(f"render: {camera}.medium: a camera cannot be in a gradientindex medium")
-    for kind, numbers, shape in packed.objects["shape"]:
-        field = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
-        if field.get("exterior", -1) in names:
-            raise ValueError(f"render: {shape}.exterior: a gradientindex medium has to be the interior of shapes")
-        if field.get("interior", -1) not in names:
-            continue
-        bsdf = packed.objects["bsdf"][field["bsdf"]][0]
-        if field["bsdf"] in packed.torch_bsdfs or bsdf not in ("null", "dielectric"):
-            raise ValueError(
-                f"render: {shape}.bsdf: expected null or dielectric as the boundary of a gradientindex medium, got "
-                f"{'one written in PyTorch' if field['bsdf'] in packed.torch_bsdfs else bsdf}"
-            )
+    for camera in records(packed, "sensor"):
+        if camera.field.get("medium", -1) in packed.bending:
+            raise ValueError(f"render: {camera.path}.medium: a camera cannot be in a gradientindex medium")
+    for shape in records(packed, "shape"):
+        if shape.field.get("exterior", -1) in packed.bending:
+            raise ValueError(f"render: {shape.path}.exterior: a gradientindex medium has to be the interior of shapes")
+        if shape.field.get("interior", -1) in packed.bending:
+            bending_boundary(packed, shape.field["bsdf"], f"render: {shape.path}.bsdf")
 
 
 def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
     """What light tracing does not have."""
-    if any(kind != "gradientindex" for kind, _, _ in packed.objects["medium"]):
+    if _scattering(packed):
         raise ValueError(
             "render: integrator: ParticleTracer does not trace through media that scatter, which the scene has; "
             "VolumetricPathTracer ('volpath') does"

@@ -14,10 +14,10 @@ import torch
 
 from . import heightfield, sdfgrid
 from .curves import Segments
-from .scene.declaration import models
-from .scene.packing import Layout
+from .scene.packing import Layout, records
 from .scene.scene import Scene
 
+OFFSET = 8.9406967e-5  # how far off a surface rays start, in parts of coordinates
 MESH, SPHERE, DISK, HEIGHT_FIELD, CYLINDER, CURVE, SDF_GRID = 0, 1, 2, 3, 4, 5, 6
 CURVED = {"sphere": SPHERE, "disk": DISK, "heightfield": HEIGHT_FIELD, "cylinder": CYLINDER, "sdfgrid": SDF_GRID}
 CURVES = {"bsplinecurve": CURVE, "linearcurve": CURVE}
@@ -84,8 +84,8 @@ class Surfaces:
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
         faces, positions, normals, texcoords, heights, curves, grids = [], [], [], [], {}, {}, {}
         n_vertices = n_faces = 0
-        for kind, numbers, _ in layout.objects["shape"]:
-            value = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
+        for record in records(layout, "shape"):
+            kind, value = record.type, record.field
             flip, matrix = bool(value.get("flip_normals")), identity
             first_face.append(n_faces)
             first_vertex.append(n_vertices)

@@ -111,7 +111,9 @@ public:
         at_.shape = U(BentTooLong), at_.primitive = U(0u), at_.steps = I(0);
         kick_all(F(S(0.5)), live);
         for (int32_t m = 0; any(live); ++m) {
-            const MaskOf<F> inside = live && in_box(0, 1), gone = live && !inside && !in_box(1, 3);
+            const MaskOf<F> inside = live && in_box(0, 1);
+            MaskOf<F> gone = live && !inside;
+            if (any(gone)) gone = gone && !in_box(1, 3);
             MaskOf<F> near = (live && !inside) || surface_near(medium_, at_.state, bits_, inside) || (live && fast());
             at_.shape = select(mask<U>(gone), U(BentTooFar), at_.shape);
             live = live && !gone;
@@ -235,7 +237,6 @@ void trace_bent(const BendMedium<S> &medium, const Accel &accel, const BentRays<
 template <class S>
 void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints) {
     using F = PacketOf<S>;
-    using I = IntOf<F>;
     Partials<S> partials(adjoints.values, rays.field.size(), rays.threads);
     std::vector<std::array<double, 6>> kicks(size_t(std::max(1, rays.threads)), {0, 0, 0, 0, 0, 0});
     const int bits = position_bits<F>(rays.field);
@@ -244,23 +245,14 @@ void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints) {
         for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int thread) {
             S *values = partials.of(thread);
             const Vec2<F> sums = rows.pair(adjoints.sums);
-            BendAdjoint<F> a{rows.vector(adjoints.last_q), rows.vector(adjoints.last_u), sums.x, sums.y, {}};
+            BendAdjoint<F> a{rows.vector(adjoints.last_q), rows.vector(adjoints.last_u), sums.x, sums.y};
             const F all = max_abs(a.q) + max_abs(a.u) + abs(a.optical) + abs(a.length);
-            MaskOf<F> live = rows.active && !mask<F>(all == F(0));
-            for (F &number : a.kick) number = F(0);
             BendState<F> s = get_state<F>(rays.state, rows);
-            I left = get_steps<F>(rays.steps, rows);
-            while (any(live)) {
-                const MaskOf<F> goes_on = live && mask<F>(left > I(0));
-                kick_back<T, F>(rays.field, rays.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, live,
-                                [&](const auto &at, const auto &first, const F &value, const Vec3<F> &slope) {
-                                    if (values) splat_spline<T>(rays.field, at, first, value, slope, values, live);
-                                });
-                live = goes_on;
-                left = left - 1;
-                a.u = select(live, a.u + a.q, a.u);
-                drift_back(s, bits, live);
-            }
+            fly_back<T, F>(rays.field, rays.constant, s, bits, get_steps<F>(rays.steps, rows), a,
+                           rows.active && !mask<F>(all == F(0)),
+                           [&](const auto &at, const F &value, const Vec3<F> &slope, const MaskOf<F> &lanes) {
+                               if (values) splat_spline(rays.field, at, value, slope, values, lanes);
+                           });
             rows.put(adjoints.q, a.q), rows.put(adjoints.u, a.u);
             for (size_t k = 0; k < 6; ++k) kicks[size_t(thread)][k] += double(lane_sum(a.kick[k]));
         });
@@ -298,7 +290,7 @@ void forward_bent(const BentRays<S> &rays, const BentTangents<S> &tangents) {
 
 namespace {
 
-// Of the points of a packet: visit(rows, thread, weights, first coefficient, value, gradient and second derivatives).
+// Of the points of a packet: visit(rows, thread, the field there).
 template <class S, class Visit>
 void for_points(const BentRays<S> &rays, Visit &&visit) {
     using F = PacketOf<S>;
@@ -308,9 +300,7 @@ void for_points(const BentRays<S> &rays, Visit &&visit) {
         for_packets<F>(rays.n, rays.threads, [&](const PacketRows<F> &rows, int thread) {
             BendState<F> s;
             start_bent(s, rows.vector(rays.q), Vec3<F>{F(0), F(0), F(0)}, bits);
-            const BendCell<F> cell = cell_at<T>(rays.field, s, bits);
-            const SplineAxes<T, F> at(cell);
-            visit(rows, thread, at, cell.first, spline_jet<T>(rays.field, at, cell.first, rows.active));
+            visit(rows, thread, BendPoint<T, F>(rays.field, s, bits, rows.active));
         });
     });
 }
@@ -319,8 +309,8 @@ void for_points(const BentRays<S> &rays, Visit &&visit) {
 
 template <class S>
 void evaluate_field(const BentRays<S> &rays, const FieldValues<S> &out) {
-    for_points(rays, [&](const auto &rows, int, const auto &, const auto &, const auto &jet) {
-        rows.put(out.value, jet.value), rows.put(out.slope, jet.slope);
+    for_points(rays, [&](const auto &rows, int, const auto &at) {
+        rows.put(out.value, at.jet.value), rows.put(out.slope, at.jet.slope);
     });
 }
 
@@ -328,11 +318,11 @@ template <class S>
 void reverse_field(const BentRays<S> &rays, const FieldValues<S> &adjoints, S *q, S *values) {
     using F = PacketOf<S>;
     Partials<S> partials(values, rays.field.size(), rays.threads);
-    for_points(rays, [&](const auto &rows, int thread, const auto &at, const auto &first, const auto &jet) {
+    for_points(rays, [&](const auto &rows, int thread, const auto &at) {
         const F value = rows.number(adjoints.value);
         const Vec3<F> slope = rows.vector(adjoints.slope);
-        rows.put(q, jet.slope * value + symmetric_times<F>(jet.curve, slope));
-        if (S *to = partials.of(thread)) splat_spline(rays.field, at, first, value, slope, to, rows.active);
+        rows.put(q, at.jet.slope * value + symmetric_times<F>(at.jet.curve, slope));
+        if (S *to = partials.of(thread)) splat_spline(rays.field, at, value, slope, to, rows.active);
     });
     partials.add();
 }
@@ -340,12 +330,12 @@ void reverse_field(const BentRays<S> &rays, const FieldValues<S> &adjoints, S *q
 template <class S>
 void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, const FieldValues<S> &out) {
     using F = PacketOf<S>;
-    for_points(rays, [&](const auto &rows, int, const auto &at, const auto &first, const auto &jet) {
+    for_points(rays, [&](const auto &rows, int, const auto &at) {
         const Vec3<F> q = rows.vector(tangents.q);
-        F value = dot(jet.slope, q);
-        Vec3<F> slope = symmetric_times<F>(jet.curve, q);
+        F value = dot(at.jet.slope, q);
+        Vec3<F> slope = symmetric_times<F>(at.jet.curve, q);
         if (tangents.field.values) {
-            const BendJet<F> change = spline_jet(tangents.field, at, first, rows.active);
+            const BendJet<F> change = spline_jet(tangents.field, at.axes, at.cell.first, rows.active);
             value = value + change.value, slope = slope + change.slope;
         }
         rows.put(out.value, value), rows.put(out.slope, slope);

@@ -2,12 +2,13 @@
 // surface only there.
 #pragma once
 
-#include <array>
 #include <vector>
 
 #include "core/medium/bend_medium.h"
 
 namespace tr {
+
+struct Affine;
 
 class BendBlocks {
 public:
@@ -24,16 +25,16 @@ public:
     const int32_t (&n() const)[3] { return n_; }
 
 private:
-    using Point = std::array<double, 3>;
+    using Point = Vec3<double>;
+    struct Box;
     int32_t n_[3];  // blocks
     double reach_;
     std::vector<uint32_t> words_;
 
     template <class Keep>
-    void mark(const Point &low, const Point &high, Keep &&keep);
+    void mark(const Box &box, Keep &&keep);
     void mark_triangle(const Point &a, const Point &b, const Point &c);
-    void mark_box(const Point *corners, size_t n);
-    void mark_sphere(const double (&to_object)[12]);
+    void mark_sphere(const Affine &to_object);
 };
 
 }  // namespace tr

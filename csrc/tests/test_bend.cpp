@@ -72,20 +72,11 @@ void check_way_back(int rays, int most) {
             active = mask<F>(steps > I(m));
         }
         CHECK(!any(equal<F>(s, start)));
-        BendAdjoint<F> adjoint{{F(1), F(2), F(3)}, {F(3), F(2), F(1)}, F(1), F(1), {}};
-        for (F &number : adjoint.kick) number = F(0);
-        I left = steps;
-        active = everywhere;
-        while (any(active)) {
-            const MaskOf<F> goes_on = active && mask<F>(left > I(0));
-            kick_back<T, F>(field, S(1), s, bits, select(goes_on, F(1), F(S(0.5))), adjoint, active,
-                            [&](const auto &at, const auto &first, const F &value, const Vec3<F> &slope) {
-                                splat_spline<T>(field, at, first, value, slope, values_bar.data(), active);
-                            });
-            active = goes_on;
-            left = left - 1;
-            drift_back<F>(s, bits, active);
-        }
+        BendAdjoint<F> adjoint{{F(1), F(2), F(3)}, {F(3), F(2), F(1)}, F(1), F(1)};
+        fly_back<T, F>(field, S(1), s, bits, steps, adjoint, everywhere,
+                       [&](const auto &at, const F &value, const Vec3<F> &slope, const MaskOf<F> &lanes) {
+                           splat_spline(field, at, value, slope, values_bar.data(), lanes);
+                       });
         CHECK(all(equal<F>(s, start)));
     }
 }

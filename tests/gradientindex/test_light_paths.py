@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 import torch
-from gradientindex_scenes import BOX, DOUBLE, T, derivatives, random_index, seen, thrown
+from bent_scenes import BOX, DOUBLE, centers, random_index, square_box
+from gradientindex_scenes import T, beam_and_screen, derivatives, seen, thrown
 
 import torchrender as tr
 
@@ -75,31 +76,14 @@ def test_a_lens_throws_what_the_path_tracer_sees():
 
 def test_a_luneburg_lens_brings_a_beam_to_a_point():
     """n^2 = 2 - r^2: parallel light meets on the far side. All of it within one texel of a meter behind the ball."""
-    n = 48
-    z, y, x = torch.meshgrid(*[((torch.arange(n) + 0.5) / n * 2.2 - 1.1).double()] * 3, indexing="ij")
+    x, y, z = centers(48, 1.1)
     index = torch.clamp(2 - (x * x + y * y + z * z), min=0.2).sqrt()
-    box = T.translate([-1.1] * 3) @ T.scale(2.2)
-    film = {"type": "hdrfilm", "width": 15, "height": 15, "rfilter": {"type": "box"}}
-    described = {
-        "type": "scene",
-        "integrator": {"type": "ptracer", "max_depth": 5},
-        "ball": {
-            "type": "sphere",
-            "interior": {"type": "gradientindex", "index": index, "to_world": box},
-            "bsdf": {"type": "null"},
-        },
-        "lamp": {
-            "type": "rectangle",
-            "to_world": T.translate([0, 0, -2]) @ T.scale(0.5),
-            "emitter": {"type": "directionalarea", "radiance": 1.0},
-        },
-        "screen": {
-            "type": "rectangle",
-            "to_world": T.translate([0, 0, 1.001]) @ T.rotate([0, 1, 0], 180) @ T.scale(0.15),
-            "sensor": {"type": "irradiancemeter", "film": film},
-        },
-    }
-    image = tr.render(tr.load_dict(described, dtype=DOUBLE), spp=64, seed=0)[..., 0]
+    interior = {"type": "gradientindex", "index": index, "to_world": square_box(1.1)}
+    ball = {"type": "sphere", "interior": interior, "bsdf": {"type": "null"}}
+    screen = T.translate([0, 0, 1.001]) @ T.rotate([0, 1, 0], 180) @ T.scale(0.15)
+    film = {"width": 15, "height": 15, "rfilter": {"type": "box"}}
+    scene = tr.load_dict({**beam_and_screen(0.5, -2, screen, film), "ball": ball}, dtype=DOUBLE)
+    image = tr.render(scene, spp=64, seed=0)[..., 0]
     assert float(image[7, 7] / image.sum()) > 0.999
     assert float(image.sum()) * (0.3 / 15) ** 2 == pytest.approx(1.0, rel=1e-6)
 

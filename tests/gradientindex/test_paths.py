@@ -6,7 +6,8 @@ import math
 
 import pytest
 import torch
-from gradientindex_scenes import BOX, DOUBLE, INDEX, T, derivatives, random_index, seen
+from bent_scenes import BOX, DOUBLE, random_index
+from gradientindex_scenes import INDEX, T, derivatives, seen
 
 import torchrender as tr
 

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 import torch
+from bent_scenes import BOX, DOUBLE, difference, in_both_modes
 
 import torchrender as tr
 
-DOUBLE = torch.float64
 T = tr.Transform
-BOX = T.translate([-1, -1, -1]) @ T.scale(2)
 INDEX = "lens.interior_medium.index"
-
-
-def random_index(size: int, amount: float = 0.03, seed: int = 0) -> torch.Tensor:
-    noise = torch.randn(size, size, size, generator=torch.Generator().manual_seed(seed), dtype=DOUBLE)
-    return 1.5 + amount * noise
 
 
 def colours() -> torch.Tensor:
@@ -42,27 +36,32 @@ def seen(index, bsdf: str = "null", shape: str = "sphere", size: int = 12, back:
     return tr.load_dict(described, dtype=DOUBLE)
 
 
-def thrown(index, bsdf: str = "null", size: int = 16, dtype: torch.dtype = DOUBLE, **medium) -> tr.Scene:
-    """A beam through a cube, onto a screen that measures it; its edges stay within both."""
-    interior = {"type": "gradientindex", "index": index, "to_world": T.translate([-0.5] * 3), "ext_ior": 1.0, **medium}
-    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "gaussian"}}
-    described = {
+def beam_and_screen(width: float, lamp: float, screen: object, film: dict) -> dict:
+    """Parallel light along z from a square of this half width at z = `lamp`, and what measures it, in the dark."""
+    return {
         "type": "scene",
         "integrator": {"type": "ptracer", "max_depth": 6},
-        "lens": {"type": "cube", "to_world": T.scale(0.5), "interior": interior, "bsdf": {"type": bsdf}},
         "lamp": {
             "type": "rectangle",
-            "to_world": T.translate([0, 0, -1]) @ T.scale(0.4),
+            "to_world": T.translate([0, 0, lamp]) @ T.scale(width),
             "emitter": {"type": "directionalarea", "radiance": 1.0},
         },
         "screen": {
             "type": "rectangle",
-            "to_world": T.translate([0, 0, 1.0]) @ T.rotate([0, 1, 0], 180),
+            "to_world": screen,
             "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "sensor": {"type": "irradiancemeter", "film": film},
+            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", **film}},
         },
     }
-    return tr.load_dict(described, dtype=dtype)
+
+
+def thrown(index, bsdf: str = "null", size: int = 16, dtype: torch.dtype = DOUBLE, **medium) -> tr.Scene:
+    """A beam through a cube, onto a screen that measures it; its edges stay within both."""
+    interior = {"type": "gradientindex", "index": index, "to_world": T.translate([-0.5] * 3), "ext_ior": 1.0, **medium}
+    screen = T.translate([0, 0, 1.0]) @ T.rotate([0, 1, 0], 180)
+    film = {"width": size, "height": size, "rfilter": {"type": "gaussian"}}
+    lens = {"type": "cube", "to_world": T.scale(0.5), "interior": interior, "bsdf": {"type": bsdf}}
+    return tr.load_dict({**beam_and_screen(0.4, -1, screen, film), "lens": lens}, dtype=dtype)
 
 
 def direction_of(value: torch.Tensor) -> torch.Tensor:
@@ -87,10 +86,6 @@ def derivatives(scene: tr.Scene, name: str, spp: int = 4, **settings) -> tuple[f
             weight.append(torch.rand(image.shape, generator=torch.Generator().manual_seed(5), dtype=DOUBLE))
         return (image * weight[0]).sum()
 
-    leaf = value.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(f(leaf), leaf)
-    _, forward = torch.func.jvp(f, (value,), (along,))
-    step = 1e-6
+    reverse, forward = in_both_modes(f, value, along)
     with torch.no_grad():
-        difference = (f(value + step * along) - f(value - step * along)) / (2 * step)
-    return float((gradient * along).sum()), float(forward), float(difference)
+        return reverse, forward, difference(f, value, along, 1e-6)

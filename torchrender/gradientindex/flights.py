@@ -12,7 +12,7 @@ from typing import Any
 
 import torch
 
-from ..autograd import zero_gradient
+from ..autograd import dense_tangents, zero_gradient
 from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from ..scene.native import NativeScene
 
@@ -49,6 +49,10 @@ class Bending:
     def empty(self, *shape: int) -> torch.Tensor:
         return torch.empty(shape, dtype=self.native.dtype)
 
+    def ends(self, n: int) -> dict[str, torch.Tensor]:
+        """Room for where flights end, or for its tangents."""
+        return {"last_q": self.empty(n, 3), "last_u": self.empty(n, 3), "sums": self.empty(n, 2)}
+
 
 def _dense(*tensors: torch.Tensor) -> list[torch.Tensor]:
     return [t.detach().contiguous() for t in tensors]
@@ -56,10 +60,8 @@ def _dense(*tensors: torch.Tensor) -> list[torch.Tensor]:
 
 def _like(tangents: tuple[torch.Tensor | None, ...], primals: list[torch.Tensor]) -> list[torch.Tensor]:
     """Tangents, zero where there are none."""
-    return [
-        torch.zeros_like(p) if t is None else t.detach().to(p.dtype).expand(p.shape).contiguous()
-        for t, p in zip(tangents, primals, strict=True)
-    ]
+    dense = dense_tangents(primals, tangents, primals[0].dtype)
+    return [torch.zeros_like(p) if t is None else t for t, p in zip(dense, primals, strict=True)]
 
 
 class Flights(UnbatchedFunction):
@@ -74,7 +76,7 @@ class Flights(UnbatchedFunction):
         values, kick, q, u, offset, *params = _dense(*inputs)
         n = len(q)
         state = torch.empty(n, 6, dtype=torch.int64 if q.dtype == torch.float64 else torch.int32)
-        out = {"last_q": bending.empty(n, 3), "last_u": bending.empty(n, 3), "sums": bending.empty(n, 2)}
+        out = bending.ends(n)
         out |= {"state": state, "steps": torch.empty(n, dtype=torch.int32)}
         out |= {
             "shape_id": torch.empty(n, dtype=torch.int32),
@@ -138,10 +140,9 @@ class FlightsForward(DerivativeFunction):
         tangents = tensors[:4]
         values, kick, q, u, _, steps = [t for t in tensors[4:] if t is not None]
         primals = _dense(values, kick, q, u)
-        first = None if tangents[0] is None else _like(tangents[:1], primals[:1])[0]
-        dense = [first, *_like(tangents[1:], primals[1:])]
+        dense = dense_tangents(primals[:1], tangents[:1], values.dtype) + _like(tangents[1:], primals[1:])
         n = len(q)
-        out = {"last_q": bending.empty(n, 3), "last_u": bending.empty(n, 3), "sums": bending.empty(n, 2)}
+        out = bending.ends(n)
         names = ("values", "kick", "q", "u")
         given = dict(zip(names, primals, strict=True))
         given |= {f"{name}_tangent": t for name, t in zip(names, dense, strict=True)}
@@ -201,8 +202,7 @@ class FieldForward(DerivativeFunction):
     def forward(bending: Bending, *tensors: torch.Tensor | None) -> Any:
         values, q = _dense(*[t for t in tensors[2:] if t is not None])
         value, slope = bending.empty(len(q)), bending.empty(len(q), 3)
-        given = {"values": values, "q": q, "value": value, "slope": slope, "q_tangent": _like(tensors[1:2], [q])[0]}
-        if tensors[0] is not None:
-            given["values_tangent"] = _like(tensors[:1], [values])[0]
-        bending.call("field_forward", len(q), given)
+        tangents = {"values_tangent": dense_tangents([values], tensors[:1], values.dtype)[0]}
+        tangents["q_tangent"] = _like(tensors[1:2], [q])[0]
+        bending.call("field_forward", len(q), {"values": values, "q": q, "value": value, "slope": slope, **tangents})
         return value, slope

@@ -17,12 +17,11 @@ from ..queries import _rays, find_hits
 from ..scene.declaration import models
 from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
-from ..scene.packing import Layout
+from ..scene.packing import Layout, Record, bending_boundary, records
 from ..scene.scene import Scene
-from ..surface import SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
+from ..surface import OFFSET, SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 
-OFFSET = 8.9406967e-5  # rays leave surfaces from a point so far off, see offset_amount in core/shape/surface.h
 INACCURATE = 0.01  # |p| / n - 1, which is 0 for exact rays
 
 
@@ -97,7 +96,7 @@ def trace(
     for tensor in (origins, directions, *tensors):
         refuse_batches(tensor)
     row = _row_of(layout, shape)
-    medium = _Medium.of(scene, layout, tensors, row, shape)
+    medium = _Medium.of(layout, tensors, row, shape)
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
     surfaces = Surfaces.of(scene, layout, tensors)
 
@@ -124,7 +123,7 @@ def trace(
     x, v = medium.to_world(last_q), transform_vector(medium.matrix, last_u)
     _warn_of_lost(hit, through)
     usable = ((hit >= 0) & through).nonzero()[:, 0]
-    rows, steps, hit, outside = rows[usable], steps[usable], hit[usable], outside[usable]
+    rows, steps, hit = rows[usable], steps[usable], hit[usable]
     x, v, sums = x[usable], v[usable], sums[usable]
 
     # and out
@@ -135,9 +134,9 @@ def trace(
     sums = sums + rest[:, None] * torch.stack([n * n / 2, n], 1)
     _warn_of_inaccuracy(v, n, medium.step)
     along = normalize(v)
-    leaves, out_normal = hit == row, end.normal
+    leaves = hit == row
     direction, free = medium.leaving(along, _refracting(end), n, leaves[:, None])
-    good = free & ((dot(along.detach(), out_normal.detach()) > 0) | ~leaves)
+    good = free & ((dot(along.detach(), end.normal.detach()) > 0) | ~leaves)
     length = sums[:, 1] * medium.step
     found = {
         "position": end.position,
@@ -149,11 +148,11 @@ def trace(
         "steps": steps,
         "shape_id": hit,
     }
-    rows, keep = rows[good], good
+    rows = rows[good]
     valid = torch.zeros(len(origins), dtype=torch.bool)
     valid[rows] = True
     count = len(origins)
-    spread = {name: x.new_zeros(count, *x.shape[1:]).index_put((rows,), x[keep]) for name, x in found.items()}
+    spread = {name: x.new_zeros(count, *x.shape[1:]).index_put((rows,), x[good]) for name, x in found.items()}
     return BentRays(**spread, valid=valid)
 
 
@@ -178,11 +177,11 @@ class _Medium:
     sigma_t: torch.Tensor
 
     @classmethod
-    def of(cls, scene: Scene, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
-        number, numbers, ext_ior = _numbers_of(layout, tensors, row, shape)
-        value = {name: tensors[n] for name, n in numbers.items() if name not in ("interpolation", "max_steps")}
-        values, to_world = value["index"], value["to_world"]  # as `gather` has them for the core
-        constant = reference_index(value["index_base"]) ** 2 / 2
+    def of(cls, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
+        number, medium, ext_ior = _medium_of(layout, tensors, row)
+        field = medium.field
+        values, to_world = tensors[field["index"]], tensors[field["to_world"]]  # as `gather` has them for the core
+        constant = reference_index(tensors[field["index_base"]]) ** 2 / 2
         largest = float(torch.sqrt(2 * (values.detach().amax() + constant)))
         if not 0 < largest < math.inf:
             raise ValueError(f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}")
@@ -190,13 +189,13 @@ class _Medium:
         matrix = to_world[:3, :3] / to_world.new_tensor(size)
         voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())
         # rounded up, so that steps hardly ever change in an optimisation
-        voxels = float(value["step"])
+        voxels = float(tensors[field["step"]])
         step = voxels * voxel / (math.ceil(largest * 16) / 16)
         inverse = inverse_linear(matrix)
         g = step**2 * (inverse[:, None, :] * inverse[None, :, :]).sum(-1)  # sums keep their precision under autocast
         kick = torch.stack([g[0, 0], g[1, 1], g[2, 2], g[0, 1], g[0, 2], g[1, 2]])
-        quadratic = numbers["interpolation"] == 1
-        sigma_t = value["sigma_t"].reshape(-1)
+        quadratic = field["interpolation"] == 1
+        sigma_t = tensors[field["sigma_t"]].reshape(-1)
         return cls(values, constant, quadratic, matrix, inverse, to_world[:3, 3], kick, step, number, ext_ior, sigma_t)
 
     def bending(self, native: NativeScene) -> Bending:
@@ -221,12 +220,8 @@ class _Medium:
         straight = d * n[:, None]
         if self.ext_ior is None:
             return straight, torch.ones_like(outside[:, 0])
-        # Snell's law: what is tangential stays, of a vector as long as the index
-        tangential = (d - normal * dot(d, normal)[:, None]) * self.ext_ior
-        square = n * n - dot(tangential, tangential)
-        possible = (square > 0) | ~outside[:, 0]
-        normal_part = torch.sqrt(torch.where(possible & outside[:, 0], square, 1.0))[:, None]
-        return torch.where(outside, tangential - normal * normal_part, straight), possible
+        tangential, along, possible = _snell(d, normal, self.ext_ior, n, outside)
+        return torch.where(outside, tangential - normal * along, straight), possible
 
     def leaving(
         self, d: torch.Tensor, normal: torch.Tensor, n: torch.Tensor, leaves: torch.Tensor
@@ -234,11 +229,21 @@ class _Medium:
         """Directions behind the boundary, for those that come to it; which ones are not totally reflected."""
         if self.ext_ior is None:
             return d, torch.ones_like(leaves[:, 0])
-        tangential = (d - normal * dot(d, normal)[:, None]) * n[:, None]
-        square = self.ext_ior**2 - dot(tangential, tangential)
-        possible = (square > 0) | ~leaves[:, 0]
-        normal_part = torch.sqrt(torch.where(possible & leaves[:, 0], square, 1.0))[:, None]
-        return torch.where(leaves, (tangential + normal * normal_part) / self.ext_ior, d), possible
+        tangential, along, possible = _snell(d, normal, n[:, None], self.ext_ior, leaves)
+        return torch.where(leaves, (tangential + normal * along) / self.ext_ior, d), possible
+
+
+def _snell(
+    d: torch.Tensor, normal: torch.Tensor, before: torch.Tensor, behind: torch.Tensor, wanted: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Snell's law: what is tangential (N, 3) stays, of vectors as long as the index.
+
+    Also what is left along the normal (N, 1), and where there is such a vector or none is `wanted` (N, 1).
+    """
+    tangential = (d - normal * dot(d, normal)[:, None]) * before
+    square = behind**2 - dot(tangential, tangential)
+    possible = (square > 0) | ~wanted[:, 0]
+    return tangential, torch.sqrt(torch.where(possible & wanted[:, 0], square, 1.0))[:, None], possible
 
 
 def _refracting(found: SurfacePoints) -> torch.Tensor:
@@ -256,33 +261,25 @@ def _row_of(layout: Layout, shape: Any) -> int:
     return names.index(shape)
 
 
-def _numbers_of(
-    layout: Layout, tensors: list[torch.Tensor], row: int, shape: str
-) -> tuple[int, dict[str, int], torch.Tensor | None]:
-    """Of the medium inside of a shape its number, slots and static numbers by name; the index outside, or None."""
-    kind, numbers, _ = layout.objects["shape"][row]
-    own = dict(zip([f.name for f in models()["shape", kind].fields], numbers, strict=True))
-    where = f"gradientindex.trace: {shape}"
-    inside = own.get("interior", -1)
-    medium = layout.objects["medium"][inside] if inside >= 0 else ("none", [], "")
-    if medium[0] != "gradientindex":
-        raise ValueError(f"{where}: expected a gradientindex medium as its interior, got {medium[0]}")
-    if own["bsdf"] in layout.torch_bsdfs:
-        raise ValueError(f"{where}.bsdf: expected null or dielectric, got one written in PyTorch")
-    bsdf, of_bsdf, _ = layout.objects["bsdf"][own["bsdf"]]
-    if bsdf not in ("null", "dielectric"):
-        raise ValueError(f"{where}.bsdf: expected null or dielectric as the boundary of the medium, got {bsdf}")
-    fields = [f.name for f in models()["medium", "gradientindex"].fields]
-    found = dict(zip(fields, medium[1], strict=True))
-    if bsdf == "null":
-        return inside, found, None
+def _medium_of(layout: Layout, tensors: list[torch.Tensor], row: int) -> tuple[int, Record, torch.Tensor | None]:
+    """The medium inside of a shape and its number; the index outside, None where the boundary is null."""
+    shape = records(layout, "shape")[row]
+    where = f"gradientindex.trace: {shape.path}"
+    inside = shape.field.get("interior", -1)
+    if inside not in layout.bending:
+        found = layout.objects["medium"][inside][0] if inside >= 0 else "none"
+        raise ValueError(f"{where}: expected a gradientindex medium as its interior, got {found}")
+    medium = records(layout, "medium")[inside]
+    boundary = bending_boundary(layout, shape.field["bsdf"], f"{where}.bsdf")
+    if boundary.type == "null":
+        return inside, medium, None
     usual = models()["bsdf", "dielectric"].fields[0].default
-    if usual is None or abs(float(tensors[of_bsdf[0]]) - usual) > 1e-5:
+    if usual is None or abs(float(tensors[boundary.field["eta"]]) - usual) > 1e-5:
         raise ValueError(
             f"{where}.bsdf: the index inside is that of the medium, and the one outside its ext_ior: leave out int_ior "
             "and ext_ior of the dielectric"
         )
-    return inside, found, tensors[found["ext_ior"]]
+    return inside, medium, tensors[medium.field["ext_ior"]]
 
 
 def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:

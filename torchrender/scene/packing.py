@@ -108,9 +108,45 @@ class Layout:
         found = self.by_name.get(name)
         return self.by_name.get(canonical(name)) if found is None else found
 
+    @property
+    def bending(self) -> list[int]:
+        """Numbers of the media that light bends in."""
+        return [i for i, (kind, _, _) in enumerate(self.objects["medium"]) if kind == "gradientindex"]
+
     def camera_slots(self, camera: Plugin) -> dict[str, int]:
         """Slots of the fields of `camera`, which is among the packed sensors."""
         return {a: i for (m, a), i in self.slot_of.items() if m == id(camera)}
+
+
+@dataclass(frozen=True)
+class Record:
+    """An object of a scene: its type, and for each field a slot, an index of another object, or a number."""
+
+    type: str
+    field: dict[str, int]
+    path: str
+
+
+def records(layout: Layout, category: str) -> list[Record]:
+    """All objects of a category; a BSDF that is written in PyTorch has the type ``"torch"``."""
+    found = []
+    for row, (kind, numbers, path) in enumerate(layout.objects[category]):
+        if category == "bsdf" and row in layout.torch_bsdfs:
+            found.append(Record("torch", {"row": row}, path))
+            continue
+        names = [f.name for f in models()[category, kind].fields]
+        found.append(Record(kind, dict(zip(names, numbers, strict=True)), path))
+    return found
+
+
+def bending_boundary(layout: Layout, bsdf: int, where: str) -> Record:
+    """The BSDF of this number; ValueError, naming `where`, unless it may bound a medium that light bends in."""
+    boundary = records(layout, "bsdf")[bsdf]
+    if boundary.type == "torch":
+        raise ValueError(f"{where}: expected null or dielectric, got one written in PyTorch")
+    if boundary.type not in ("null", "dielectric"):
+        raise ValueError(f"{where}: expected null or dielectric as the boundary of the medium, got {boundary.type}")
+    return boundary
 
 
 class _Packer:

@@ -75,8 +75,7 @@ def boundary_of(
     moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]
     lights = any(asked(slots) for k, slots, _ in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
     # of those that the camera sees alone: of rims there are no others, and beside media others have no such term
-    bends = any(kind == "gradientindex" for kind, _, _ in call.layout.objects["medium"])
-    beside_media = (call.config.get("volumetric") or bends) and outputs is None
+    beside_media = (call.config.get("volumetric") or call.layout.bending) and outputs is None
     seen_alone = beside_media or not (any(placed) or lights)
     if seen_alone and not any(moves):
         return None

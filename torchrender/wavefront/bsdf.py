@@ -13,9 +13,10 @@ from typing import ClassVar
 
 import torch
 
+from ..scene.packing import Record
 from ..scene.torch_bsdf import SurfaceInteraction
 from .color import luminance
-from .world import At, Record, World
+from .world import At, World
 
 Color = Callable[[str], torch.Tensor]
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import torch
 
+from ..scene.packing import Record
 from .geometry import Rows
-from .world import Record, World
+from .world import World
 
 
 @dataclass

@@ -7,13 +7,14 @@ import math
 import torch
 
 from .. import warp
+from ..scene.packing import Record
 from ..surface import dot, inverse_linear, normalize, transform_vector
 from . import numbers
 from .emitter import Emitter, Light, endless
 from .envmap import EnvironmentMap
 from .geometry import glue, reattach, root
 from .lights import LIGHT_SHAPES
-from .world import At, Record, World
+from .world import At, World
 
 
 class Area(Emitter):

@@ -6,13 +6,13 @@ import math
 
 import torch
 
+from ..scene.packing import Record
 from ..surface import inverse_linear, normalize, transform_vector
 from . import numbers
 from .color import luminance
 from .emitter import Emitter, Light, endless
 from .geometry import reattach
 from .texels import bilinear
-from .world import Record
 
 
 class EnvironmentMap(Emitter):

@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import torch
 
+from ..scene.packing import Record
 from ..surface import dot, normalize
 from .bsdfs import BSDFS
 from .color import luminance
 from .geometry import Frame, Rows
 from .partials import partials
 from .textures import slopes
-from .world import At, Record, World
+from .world import At, World
 
 LAYERS = ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap")
 CHOICES = ("blendbsdf", "mask")  # of which a random number takes a branch

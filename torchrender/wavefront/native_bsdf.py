@@ -9,8 +9,8 @@ import torch
 from ..bsdfs import NativeBSDF, native_bsdf
 from ..scene.conversion import decode
 from ..scene.declaration import Model
+from ..scene.packing import Record
 from .bsdf import Bsdf, BsdfSample, Color
-from .world import Record
 
 
 class NativeBsdf(Bsdf):

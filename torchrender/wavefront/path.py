@@ -20,14 +20,14 @@ import torch
 from ..queries import Hits
 from ..scene.camera import Rays
 from ..scene.torch_bsdf import SurfaceInteraction
-from ..surface import dot, normalize
+from ..surface import OFFSET, dot, normalize
 from . import layers, numbers
 from .bsdf import Bsdf
 from .bsdfs import BSDFS
 from .emitters import Lights
 from .geometry import Frame, Rows, glue, reattach
 from .layers import BsdfStack
-from .world import OFFSET, At, World
+from .world import At, World
 
 GLUED = ("position", "normal", "shading_normal", "uv")
 # How far before a light rays end, in parts of their length.

@@ -11,7 +11,8 @@ from ..scene import camera_rays
 from ..scene.camera_rays import Rays
 
 if TYPE_CHECKING:
-    from .world import Record, World
+    from ..scene.packing import Record
+    from .world import World
 
 LENS = "to_world x_fov principal_point_offset_x principal_point_offset_y near_clip far_clip pixel_aspect"
 Sensor = Callable[["World", "Record", tuple[int, int], torch.Tensor, torch.Tensor], Rays]

@@ -19,7 +19,8 @@ from .color import luminance
 from .texels import Pair, bilinear, texels, wrap
 
 if TYPE_CHECKING:
-    from .world import At, Record, World
+    from ..scene.packing import Record
+    from .world import At, World
 
 
 def constant(world: World, record: Record, at: At) -> torch.Tensor:

@@ -8,10 +8,11 @@ from typing import Any
 import torch
 
 from ..errors import describe
+from ..scene.packing import Record
 from ..scene.torch_bsdf import SurfaceInteraction, TorchBSDF
 from ..surface import dot
 from .bsdf import Bsdf, BsdfSample, one_lobe
-from .world import At, Record, World
+from .world import At, World
 
 
 class TorchAdapter(Bsdf):

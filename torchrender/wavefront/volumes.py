@@ -11,7 +11,8 @@ from ..surface import inverse_linear
 from .texels import texels, wrap
 
 if TYPE_CHECKING:
-    from .world import Record, World
+    from ..scene.packing import Record
+    from .world import World
 
 
 def constvolume(world: World, record: Record, p: torch.Tensor) -> torch.Tensor:

@@ -13,14 +13,13 @@ from ..queries import Hits, attached, find_hits, occlusion
 from ..scene.camera_rays import Rays
 from ..scene.declaration import models
 from ..scene.native import NativeScene
-from ..scene.packing import Layout
+from ..scene.packing import Layout, Record, records
 from ..scene.scene import Scene
-from ..surface import Surfaces
+from ..surface import OFFSET, Surfaces
 from .geometry import Rows
 from .sensors import SENSORS
 from .textures import TEXTURES
 
-OFFSET = 8.9406967e-5  # how far off a surface rays start, in parts of coordinates
 VALUES = ("spectrum", "float", "point", "tensor")  # kinds of fields that are tensors and place nothing
 
 
@@ -32,27 +31,6 @@ class At(Rows):
     primitive: torch.Tensor
     barycentric: torch.Tensor
     uv: torch.Tensor
-
-
-@dataclass(frozen=True)
-class Record:
-    """An object of a scene: its type, and for each field a slot, an index of another object, or a number."""
-
-    type: str
-    field: dict[str, int]
-    path: str
-
-
-def records(layout: Layout, category: str) -> list[Record]:
-    """All objects of a category; a BSDF that is written in PyTorch has the type ``"torch"``."""
-    found = []
-    for row, (kind, numbers, path) in enumerate(layout.objects[category]):
-        if category == "bsdf" and row in layout.torch_bsdfs:
-            found.append(Record("torch", {"row": row}, path))
-            continue
-        names = [f.name for f in models()[category, kind].fields]
-        found.append(Record(kind, dict(zip(names, numbers, strict=True)), path))
-    return found
 
 
 class World:

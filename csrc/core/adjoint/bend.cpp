@@ -6,28 +6,26 @@ namespace tr {
 
 namespace {
 
+// What the index is at least, squared, where it is divided by.
+template <class S>
+constexpr S LeastSquare = S(1e-12);
+
 // Of a field's values, to where a sink wants it.
 template <int T, class F, class S>
-TR_INLINE void add_values(const BendMedium<S> &medium, const SplineAxes<T, F> &at, const UIntOf<F> &first,
-                          const F &value, const Vec3<F> &slope, const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_INLINE void add_values(const BendMedium<S> &medium, const BendPoint<T, F> &at, const F &value, const Vec3<F> &slope,
+                          const MaskOf<F> &active, GradientSink<F> &sink) {
     if (!sink.forward) {
         S *to = sink.tensors[medium.slot];
         if (to)
-            splat_spline<T>(medium.field, at, first, value, slope, to,
+            splat_spline<T>(medium.field, at, value, slope, to,
                             active && mask<F>(isfinite(value + slope.x + slope.y + slope.z)));
         return;
     }
     BendField<S> tangent = medium.field;
     tangent.values = sink.tangent.tensors[medium.slot].data;
     if (!tangent.values) return;
-    const BendJet<F> change = spline_jet<T>(tangent, at, first, active);
+    const BendJet<F> change = spline_jet<T>(tangent, at.axes, at.cell.first, active);
     sink.number_tangent(value * change.value + dot(slope, change.slope), active);
-}
-
-// m^T v, of a matrix of 3 rows of 4.
-template <class F, class S>
-TR_INLINE Vec3<F> transposed(const S *m, const Vec3<F> &v) {
-    return transform_normal(m, v);
 }
 
 // The adjoint of where a medium is: of its map x = A q + b from voxels. Steps do not depend on it.
@@ -81,12 +79,12 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
                                           const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar,
                                           HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
-    using I = IntOf<F>;
     const BendField<S> &field = medium.field;
     const int bits = position_bits<F>(field);
     const Vec3<F> zero{F(0), F(0), F(0)};
-    auto add = [&](const SplineAxes<T, F> &axes, const UIntOf<F> &first, const F &value, const Vec3<F> &slope,
-                   const MaskOf<F> &lanes) { add_values<T>(medium, axes, first, value, slope, lanes, sink); };
+    auto add = [&](const BendPoint<T, F> &point, const F &value, const Vec3<F> &slope, const MaskOf<F> &lanes) {
+        add_values(medium, point, value, slope, lanes, sink);
+    };
 
     BendState<F> s = state_from_bits(bent.q, bent.u);
     const Vec3<F> u = velocity_of(s), v = transform_vector(medium.to_world, u);
@@ -96,18 +94,17 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     // the kick at the end, of what is left of the last step
     BendState<F> end;
     start_bent(end, transform_point(medium.to_voxels, p), zero, bits);
-    const BendCell<F> cell = cell_at<T>(field, end, bits);
-    const SplineAxes<T, F> axes(cell);
-    const BendJet<F> jet = spline_jet<T>(field, axes, cell.first, active);
-    const Vec3<F> force = symmetric_times<F>(field.kick, jet.slope);
+    const BendPoint<T, F> last(field, end, bits, active);
+    const Vec3<F> force = symmetric_times<F>(field.kick, last.jet.slope);
     const F weight = bent.rest - F(S(0.5));
     const F inverse = F(1) / norm(transform_vector(medium.to_world, u + force * weight));
-    const Vec3<F> end_bar = transposed(medium.to_world, unnormalize(d, d_bar, inverse));
+    const Vec3<F> end_bar = transform_normal(medium.to_world, unnormalize(d, d_bar, inverse));
     const Vec3<F> kick = symmetric_times<F>(field.kick, end_bar) * weight;
-    const F n_end = sqrt(max(F(S(1e-12)), (jet.value + F(medium.constant)) * F(2)));
+    const F n_end = refractive_index(last.jet.value, medium.constant, LeastSquare<S>);
     const F way_bar = length_bar * F(medium.step), value = way_bar * weight / n_end;  // the way is a sum of n
-    add(axes, cell.first, value, kick, active);
-    const Vec3<F> end_p_bar = transposed(medium.to_voxels, symmetric_times<F>(jet.curve, kick) + jet.slope * value);
+    add(last, value, kick, active);
+    const Vec3<F> end_p_bar =
+        transform_normal(medium.to_voxels, symmetric_times<F>(last.jet.curve, kick) + last.jet.slope * value);
     hit.p = hit.p + end_p_bar;
     PlaceAdjoint<F> place;
     place.add_point(-end_p_bar, position_of(end, bits));
@@ -117,43 +114,25 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     const F t_bar = (dot(force, end_bar) + n_end * way_bar) * inverse_speed;
     hit.p = hit.p + straight * t_bar;
     const Arrival<F> in{MaskOf<F>(true), straight, bent.rest * speed, straight, zero, F(0)};
-    const RayAdjoint<F> last = sweep_surface(scene, at, p, in, hit, active, sink);
-    const Vec3<F> o_bar = last.o - straight * t_bar,
-                  v_bar = unnormalize(straight, last.d, inverse_speed) - straight * (t_bar * bent.rest);
+    const RayAdjoint<F> leg = sweep_surface(scene, at, p, in, hit, active, sink);
+    const Vec3<F> o_bar = leg.o - straight * t_bar,
+                  v_bar = unnormalize(straight, leg.d, inverse_speed) - straight * (t_bar * bent.rest);
     place.add_point(o_bar, position_of(s, bits));
     place.add(v_bar, u);
-    BendAdjoint<F> a{
-        transposed(medium.to_world, o_bar), end_bar + transposed(medium.to_world, v_bar), F(0), way_bar, {}};
-    const Vec3<F> &m = end_bar, &g = jet.slope;
-    const F kick_bar[6] = {
-        m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
-    for (int k = 0; k < 6; ++k) a.kick[k] = kick_bar[k] * weight;
-
-    I left = I(bent.steps);
-    MaskOf<F> live = active;
-    while (any(live)) {
-        const MaskOf<F> goes_on = live && mask<F>(left > I(0));
-        kick_back<T, F>(field, medium.constant, s, bits, select(goes_on, F(1), F(S(0.5))), a, live,
-                        [&](const auto &axes_k, const auto &first, const F &value, const Vec3<F> &slope) {
-                            add(axes_k, first, value, slope, live);
-                        });
-        live = goes_on;
-        left = left - 1;
-        a.u = select(live, a.u + a.q, a.u);
-        drift_back(s, bits, live);
-    }
+    BendAdjoint<F> a{transform_normal(medium.to_world, o_bar), end_bar + transform_normal(medium.to_world, v_bar), F(0),
+                     way_bar};
+    a.add_kick(weight, end_bar, last.jet.slope);
+    fly_back<T, F>(field, medium.constant, s, bits, IntOf<F>(bent.steps), a, active, add);
 
     // u = step n d at the beginning
     const Vec3<F> direction = normalize(transform_vector(medium.to_world, velocity_of(s)));
-    const BendCell<F> first_cell = cell_at<T>(field, s, bits);
-    const SplineAxes<T, F> first_axes(first_cell);
-    const BendJet<F> first_jet = spline_jet<T>(field, first_axes, first_cell.first, active);
-    const F n = sqrt(max(F(S(1e-12)), (first_jet.value + F(medium.constant)) * F(2)));
-    const Vec3<F> w = transposed(medium.to_voxels, a.u) * F(medium.step);
+    const BendPoint<T, F> first(field, s, bits, active);
+    const F n = refractive_index(first.jet.value, medium.constant, LeastSquare<S>);
+    const Vec3<F> w = transform_normal(medium.to_voxels, a.u) * F(medium.step);
     const F phi_bar = dot(w, direction) / n;
-    add(first_axes, first_cell.first, phi_bar, zero, active);
-    a.q = a.q + first_jet.slope * phi_bar;
-    const RayAdjoint<F> ray{transposed(medium.to_voxels, a.q), w * n};
+    add(first, phi_bar, zero, active);
+    a.q = a.q + first.jet.slope * phi_bar;
+    const RayAdjoint<F> ray{transform_normal(medium.to_voxels, a.q), w * n};
     place.add_point(-ray.o, position_of(s, bits));
     place.add(-ray.d, transform_vector(medium.to_voxels, direction));
     place.add_kick(medium, a.kick);
@@ -168,13 +147,11 @@ TR_NOINLINE void sweep_index_of(const BendMedium<ScalarOf<F>> &medium, const Vec
     const int bits = position_bits<F>(medium.field);
     BendState<F> s;
     start_bent(s, transform_point(medium.to_voxels, p), {F(0), F(0), F(0)}, bits);
-    const BendCell<F> cell = cell_at<T>(medium.field, s, bits);
-    const SplineAxes<T, F> axes(cell);
-    const BendJet<F> jet = spline_jet<T>(medium.field, axes, cell.first, active);
-    const F n = sqrt(max(F(S(1e-12)), (jet.value + F(medium.constant)) * F(2)));
+    const BendPoint<T, F> at(medium.field, s, bits, active);
+    const F n = refractive_index(at.jet.value, medium.constant, LeastSquare<S>);
     const F phi_bar = select(active, n_bar / n, F(0));
-    add_values<T>(medium, axes, cell.first, phi_bar, {F(0), F(0), F(0)}, active, sink);
-    const Vec3<F> p_bar = transposed(medium.to_voxels, jet.slope * phi_bar);
+    add_values(medium, at, phi_bar, {F(0), F(0), F(0)}, active, sink);
+    const Vec3<F> p_bar = transform_normal(medium.to_voxels, at.jet.slope * phi_bar);
     hit.p = hit.p + p_bar;
     PlaceAdjoint<F> place;
     place.add_point(-p_bar, position_of(s, bits));

@@ -33,9 +33,11 @@ TR_INLINE S fused(S a, S b, S c) {
 // values_bar_i += slope . grad B_i + value B_i. Lanes may add to the same numbers: what those in the same cell add is
 // summed up first, if there are few cells.
 template <int T, class F, class S>
-TR_INLINE void splat_spline(const BendField<S> &field, const SplineAxes<T, F> &at, const UIntOf<F> &first,
-                            const F &value, const Vec3<F> &slope, S *values_bar, const MaskOf<F> &active) {
+TR_INLINE void splat_spline(const BendField<S> &field, const BendPoint<T, F> &point, const F &value,
+                            const Vec3<F> &slope, S *values_bar, const MaskOf<F> &active) {
     constexpr int W = Lanes<F>::Width;
+    const SplineAxes<T, F> &at = point.axes;
+    const UIntOf<F> &first = point.cell.first;
     // a row along x has w[k] a + d[k] b
     alignas(64) S a[T * T][W], b[T * T][W], w[W][T], d[W][T];
     alignas(64) uint32_t from[W];
@@ -86,29 +88,46 @@ TR_INLINE void splat_spline(const BendField<S> &field, const SplineAxes<T, F> &a
 // The adjoint of a ray on its way back.
 template <class F>
 struct BendAdjoint {
-    Vec3<F> q, u;       // lambda, mu
-    F optical, length;  // of the sums of Phi and of n over all kicks
-    F kick[6];          // G_bar
+    Vec3<F> q, u;                                      // lambda, mu
+    F optical, length;                                 // of the sums of Phi and of n over all kicks
+    F kick[6] = {F(0), F(0), F(0), F(0), F(0), F(0)};  // G_bar
+
+    // Of a kick G slope of weight w, whose adjoint is m.
+    TR_INLINE void add_kick(const F &w, const Vec3<F> &m, const Vec3<F> &slope) {
+        const Vec3<F> &g = slope;
+        const F change[6] = {
+            m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
+        for (int k = 0; k < 6; ++k) kick[k] = fmadd(w, change[k], kick[k]);
+    }
 };
 
-// One kick of weight w backwards; the values' part goes to add(axes, first coefficient, value, slope). `constant`: that
-// of Phi.
+// One kick of weight w backwards; the values' part goes to add(point, value, slope, lanes). `constant`: that of Phi.
 template <int T, class F, class S, class Add>
 TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const F &w,
                          BendAdjoint<F> &adjoint, const MaskOf<F> &active, Add &&add) {
-    const BendCell<F> cell = cell_at<T>(field, s, bits);
-    const SplineAxes<T, F> at(cell);
-    const BendJet<F> jet = spline_jet<T>(field, at, cell.first, active);
-    const F weight = select(active, w, F(0));
-    const Vec3<F> p = symmetric_times<F>(field.kick, adjoint.u) * weight, &g = jet.slope, &m = adjoint.u;
-    const F n = sqrt(max(F(0), (jet.value + F(constant)) * F(2)));
+    const BendPoint<T, F> at(field, s, bits, active);
+    const F weight = select(active, w, F(0)), n = refractive_index(at.jet.value, constant);
+    const Vec3<F> p = symmetric_times<F>(field.kick, adjoint.u) * weight, &slope = at.jet.slope;
     const F value = weight * (adjoint.optical + select(mask<F>(n > F(0)), adjoint.length / n, F(0)));
-    add(at, cell.first, value, p);
-    adjoint.q = adjoint.q + symmetric_times<F>(jet.curve, p) + g * value;
-    const F change[6] = {
-        m.x * g.x, m.y * g.y, m.z * g.z, m.x * g.y + m.y * g.x, m.x * g.z + m.z * g.x, m.y * g.z + m.z * g.y};
-    for (int k = 0; k < 6; ++k) adjoint.kick[k] = fmadd(weight, change[k], adjoint.kick[k]);
-    kick<F, true>(s, symmetric_times<F>(field.kick, g) * w, active);
+    add(at, value, p, active);
+    adjoint.q = adjoint.q + symmetric_times<F>(at.jet.curve, p) + slope * value;
+    adjoint.add_kick(weight, adjoint.u, slope);
+    kick<F, true>(s, symmetric_times<F>(field.kick, slope) * w, active);
+}
+
+// The way back from the last kick over as many steps, which are half a kick, a drift, a kick, ..., a kick.
+template <int T, class F, class S, class Add>
+TR_INLINE void fly_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const IntOf<F> &steps,
+                        BendAdjoint<F> &adjoint, MaskOf<F> active, Add &&add) {
+    IntOf<F> left = steps;
+    while (any(active)) {
+        const MaskOf<F> goes_on = active && mask<F>(left > IntOf<F>(0));
+        kick_back<T, F>(field, constant, s, bits, select(goes_on, F(1), F(S(0.5))), adjoint, active, add);
+        active = goes_on;
+        left = left - 1;
+        adjoint.u = select(active, adjoint.u + adjoint.q, adjoint.u);
+        drift_back(s, bits, active);
+    }
 }
 
 // The tangent of a ray on its way.
@@ -122,17 +141,15 @@ struct BendTangent {
 template <int T, class F, class S>
 TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tangent, S constant, BendState<F> &s,
                             int bits, const F &w, BendTangent<F> &d, const MaskOf<F> &active) {
-    const BendCell<F> cell = cell_at<T>(field, s, bits);
-    const SplineAxes<T, F> at(cell);
-    const BendJet<F> jet = spline_jet<T>(field, at, cell.first, active);
+    const BendPoint<T, F> at(field, s, bits, active);
+    const BendJet<F> &jet = at.jet;
     Vec3<F> slope = symmetric_times<F>(jet.curve, d.q);
     F value = dot(jet.slope, d.q);
     if (tangent.values) {
-        const BendJet<F> change = spline_jet<T>(tangent, at, cell.first, active);
+        const BendJet<F> change = spline_jet<T>(tangent, at.axes, at.cell.first, active);
         slope = slope + change.slope, value = value + change.value;
     }
-    const F weight = select(active, w, F(0));
-    const F n = sqrt(max(F(0), (jet.value + F(constant)) * F(2)));
+    const F weight = select(active, w, F(0)), n = refractive_index(jet.value, constant);
     d.u = d.u + (symmetric_times<F>(field.kick, slope) + symmetric_times<F>(tangent.kick, jet.slope)) * weight;
     d.optical = fmadd(weight, value, d.optical);
     d.length = fmadd(weight, select(mask<F>(n > F(0)), value / n, F(0)), d.length);

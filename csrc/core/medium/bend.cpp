@@ -15,7 +15,7 @@ TR_LARGE LocalIndex<F> local_index(const BendMedium<ScalarOf<F>> &medium, const 
     };
     const BendSlope<F> at =
         medium.quadratic ? slope(std::integral_constant<int, 3>{}) : slope(std::integral_constant<int, 4>{});
-    return {sqrt(max(F(0), (at.value + F(medium.constant)) * F(2))), at.slope};
+    return {refractive_index(at.value, medium.constant), at.slope};
 }
 
 template <class F>

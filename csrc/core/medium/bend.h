@@ -340,6 +340,24 @@ TR_INLINE BendJet<F> spline_jet(const BendField<S> &field, const SplineAxes<T, F
     });
 }
 
+// The field where a ray is, with what derivatives by its coefficients need.
+template <int T, class F>
+struct BendPoint {
+    BendCell<F> cell;
+    SplineAxes<T, F> axes;
+    BendJet<F> jet;
+
+    template <class S>
+    TR_INLINE BendPoint(const BendField<S> &field, const BendState<F> &s, int bits, const MaskOf<F> &active)
+        : cell(cell_at<T>(field, s, bits)), axes(cell), jet(spline_jet<T>(field, axes, cell.first, active)) {}
+};
+
+// Of a value of the field and its constant.
+template <class F, class S>
+TR_INLINE F refractive_index(const F &value, S constant, S least_square = S(0)) {
+    return sqrt(max(F(least_square), (value + F(constant)) * F(2)));
+}
+
 // A symmetric matrix, in the order of BendField::kick, times a vector.
 template <class F, class T>
 TR_INLINE Vec3<F> symmetric_times(const T &m, const Vec3<F> &v) {
