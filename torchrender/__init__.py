@@ -23,6 +23,7 @@ from .errors import SubstitutionWarning as SubstitutionWarning
 from .integrators import AOV as AOV
 from .integrators import Depth as Depth
 from .integrators import DirectIllumination as DirectIllumination
+from .integrators import GradientIndexTracer as GradientIndexTracer
 from .integrators import Integrator as Integrator
 from .integrators import Moment as Moment
 from .integrators import ParticleTracer as ParticleTracer

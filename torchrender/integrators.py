@@ -87,6 +87,14 @@ class PathTracer(_Paths):
     kind = "path"
 
 
+class GradientIndexTracer(PathTracer):
+    """`PathTracer`, by the name of what it does to rays in media whose index of refraction varies: it bends them.
+
+    Which media do that the scene says (`GradientIndexMedium`), so that either name renders the same, as does the dict
+    ``{"type": "path"}``. Where light paths begin at lamps, `ParticleTracer` bends them, too.
+    """
+
+
 class VolumetricPathTracer(_Paths):
     """Path tracer through media: free flights by delta tracking, light through media by ratio tracking.
 

@@ -232,7 +232,7 @@ def render(
         check_wavefront(packed, names, adaptive_grad)
     bends = shows_radiance and bool(packed.bending)
     if bends:
-        check_bending(packed, traces, not (volumetric or wavefront))
+        check_bending(packed, tensors, traces, not (volumetric or wavefront))
     if light:
         check_light(packed, names, adaptive_grad)
     elif shows_radiance:

@@ -30,7 +30,7 @@ def _scattering(packed: Layout) -> bool:
     return len(packed.objects["medium"]) > len(packed.bending)
 
 
-def check_bending(packed: Layout, integrator: Any, follows: bool) -> None:
+def check_bending(packed: Layout, tensors: list[torch.Tensor], integrator: Any, follows: bool) -> None:
     """Light that bends: whether the integrator `follows` it, and what bounds it."""
     if not follows:
         raise ValueError(
@@ -45,7 +45,7 @@ def check_bending(packed: Layout, integrator: Any, follows: bool) -> None:
         if shape.field.get("exterior", -1) in packed.bending:
             raise ValueError(f"render: {shape.path}.exterior: a gradientindex medium has to be the interior of shapes")
         if shape.field.get("interior", -1) in packed.bending:
-            bending_boundary(packed, shape.field["bsdf"], f"render: {shape.path}.bsdf")
+            bending_boundary(packed, tensors, shape.field["bsdf"], f"render: {shape.path}.bsdf")
 
 
 def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:

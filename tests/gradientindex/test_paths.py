@@ -69,6 +69,14 @@ def test_a_constant_index_is_a_dielectric():
     assert float(by_outside) == pytest.approx(-1.5 * float(by_eta), rel=1e-9)
 
 
+def test_the_tracer_by_its_other_name():
+    scene = seen(random_index(6))
+    assert torch.equal(
+        tr.render(scene, integrator=tr.GradientIndexTracer(4), spp=2, seed=0),
+        tr.render(scene, integrator=tr.PathTracer(4), spp=2, seed=0),
+    )
+
+
 def test_a_lamp_in_glass_is_seen_with_the_square_of_the_index():
     scene = seen(torch.full((1, 1, 1), 1.4, dtype=DOUBLE), back=GLOWING, size=11)
     image = tr.render(scene, integrator=tr.PathTracer(2, 99), spp=4, seed=0)
@@ -172,6 +180,7 @@ def test_a_dielectric_has_the_derivative_of_differences():
     [
         ({"bsdf": {"type": "roughdielectric"}}, r"lens\.bsdf: expected null or dielectric.*got roughdielectric"),
         ({"bsdf": {"type": "diffuse"}}, r"lens\.bsdf: expected null or dielectric.*got diffuse"),
+        ({"bsdf": {"type": "dielectric", "int_ior": 1.7}}, r"render: lens\.bsdf: .* leave out int_ior and ext_ior"),
     ],
 )
 def test_boundaries_that_are_none(change, what):

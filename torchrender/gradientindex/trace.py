@@ -14,7 +14,6 @@ from ..compiling import opaque
 from ..errors import RangeWarning, describe, nearest
 from ..functions import refuse_batches
 from ..queries import _rays, find_hits
-from ..scene.declaration import models
 from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
 from ..scene.packing import Layout, Record, bending_boundary, records
@@ -270,16 +269,8 @@ def _medium_of(layout: Layout, tensors: list[torch.Tensor], row: int) -> tuple[i
         found = layout.objects["medium"][inside][0] if inside >= 0 else "none"
         raise ValueError(f"{where}: expected a gradientindex medium as its interior, got {found}")
     medium = records(layout, "medium")[inside]
-    boundary = bending_boundary(layout, shape.field["bsdf"], f"{where}.bsdf")
-    if boundary.type == "null":
-        return inside, medium, None
-    usual = models()["bsdf", "dielectric"].fields[0].default
-    if usual is None or abs(float(tensors[boundary.field["eta"]]) - usual) > 1e-5:
-        raise ValueError(
-            f"{where}.bsdf: the index inside is that of the medium, and the one outside its ext_ior: leave out int_ior "
-            "and ext_ior of the dielectric"
-        )
-    return inside, medium, tensors[medium.field["ext_ior"]]
+    refracts = bending_boundary(layout, tensors, shape.field["bsdf"], f"{where}.bsdf")
+    return inside, medium, tensors[medium.field["ext_ior"]] if refracts else None
 
 
 def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:

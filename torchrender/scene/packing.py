@@ -139,14 +139,22 @@ def records(layout: Layout, category: str) -> list[Record]:
     return found
 
 
-def bending_boundary(layout: Layout, bsdf: int, where: str) -> Record:
-    """The BSDF of this number; ValueError, naming `where`, unless it may bound a medium that light bends in."""
+def bending_boundary(layout: Layout, tensors: list[torch.Tensor], bsdf: int, where: str) -> bool:
+    """Whether this BSDF refracts; ValueError, naming `where`, unless it may bound a medium that light bends in."""
     boundary = records(layout, "bsdf")[bsdf]
     if boundary.type == "torch":
         raise ValueError(f"{where}: expected null or dielectric, got one written in PyTorch")
     if boundary.type not in ("null", "dielectric"):
         raise ValueError(f"{where}: expected null or dielectric as the boundary of the medium, got {boundary.type}")
-    return boundary
+    if boundary.type == "null":
+        return False
+    usual = models()["bsdf", "dielectric"].fields[0].default
+    if usual is None or abs(float(tensors[boundary.field["eta"]]) - usual) > 1e-5:
+        raise ValueError(
+            f"{where}: the index inside is that of the medium, and the one outside its ext_ior: leave out int_ior and "
+            "ext_ior of the dielectric"
+        )
+    return True
 
 
 class _Packer:
