@@ -100,6 +100,7 @@ inline py::dict to_dict(const RenderStats &s) {
     d["shadow_rays"] = s.shadow_rays;
     d["collisions"] = s.collisions;
     d["majorants_exceeded"] = s.majorants_exceeded;
+    d["bent_rays"] = s.bent_rays;
     d["bent_rays_lost"] = s.bent_rays_lost;
     d["seconds"] = s.seconds;
     d["seconds_trace"] = s.seconds_trace;

@@ -18,7 +18,7 @@ class Bender {
 
 public:
     BentColumns<S> columns;  // by entry of the queue that was bent last
-    uint64_t lost = 0;       // rays that were given up: they bring nothing
+    uint64_t n = 0, lost = 0;  // rays since these numbers were taken; of them given up: they bring nothing
 
     Bender(const SceneView<S> &scene, const Accel &accel, size_t capacity) : scene_(scene), accel_(accel) {
         arena_.declare([&](Arena &arena) {
@@ -30,15 +30,21 @@ public:
     // Straight: rays that begin at a camera outside.
     void begin(PathQueue<S> &queue) { std::fill_n(queue.medium.at, queue.n, -1); }
 
+    // Rays that bend meet nothing straight on.
+    void hold(PathQueue<S> &queue) {
+        for (uint32_t i = 0; i < queue.n; ++i)
+            if (queue.medium[i] >= 0 && scene_.media[queue.medium[i]].flags & Bends) queue.length[i] = -1;
+    }
+
     void run(const PathQueue<S> &queue, const HitColumns<S> &hits) {
         std::fill_n(columns.medium.at, queue.n + W, -1);
         for (int32_t m = 0; m < scene_.n_media; ++m) {
             if (!(scene_.media[m].flags & Bends)) continue;
-            uint32_t n = 0;
+            uint32_t found = 0;
             for (uint32_t i = 0; i < queue.n; ++i)
-                if (queue.medium[i] == m) order_[n++] = i;
-            for (uint32_t k = 0; k < n; k += W) {
-                LaneSet<F> lanes(order_ + k, n - k);
+                if (queue.medium[i] == m) order_[found++] = i;
+            for (uint32_t k = 0; k < found; k += W) {
+                LaneSet<F> lanes(order_ + k, found - k);
                 U entry = U(order_[k]);
                 entry = select(mask<U>(lanes.active), load_uint<F>(order_ + k), entry);
                 bend(scene_.bends[m], m, queue, hits, lanes, entry);
@@ -57,11 +63,11 @@ private:
         const M active = lanes.active;
         // surfaces count from where a straight ray would begin, which is a little off the one that it leaves
         const Vec3<F> from = lanes(queue.from), offset = lanes(queue.o) - from;
-        const F n = local_index<F>(medium, from, active).n;
-        const Vec3<F> u = transform_vector(medium.to_voxels, lanes(queue.d)) * (n * F(medium.step));
+        const F index = local_index<F>(medium, from, active).n;
+        const Vec3<F> u = transform_vector(medium.to_voxels, lanes(queue.d)) * (index * F(medium.step));
         FlightEnd<F> end = fly<F>(medium, accel_, transform_point(medium.to_voxels, from), u, offset, active);
         const M hit = active && !mask<F>(end.shape == U(BentTooLong)) && !mask<F>(end.shape == U(BentTooFar));
-        lost += uint64_t(count(active) - count(hit));
+        n += uint64_t(count(active)), lost += uint64_t(count(active) - count(hit));
 
         const int bits = position_bits<F>(medium.field);
         const Vec3<F> o = transform_point(medium.to_world, position_of(end.state, bits)),

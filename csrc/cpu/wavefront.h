@@ -114,6 +114,7 @@ public:
     // have hit.
     void trace(PathQueue<S> &queue, bool again = false) {
         Stopwatch watch(stats.seconds_trace);
+        if (bender) bender->hold(queue);
         RayBatch rays = queries.batch(rays_of(queue), queue.n);
         HitBatch hits = queries.hit_batch();
         const bool coherent = &queue == &queues[0];
@@ -129,7 +130,7 @@ public:
         queries.widen(queue.n);
         if (bender) {
             bender->run(queue, queries.hits);
-            stats.bent_rays_lost += std::exchange(bender->lost, 0);
+            stats.bent_rays += std::exchange(bender->n, 0), stats.bent_rays_lost += std::exchange(bender->lost, 0);
         }
         if (call_.ray_record && !replay.on()) {
             size_t found = queue.n - size_t(std::count(hits.shape, hits.shape + queue.n, NoHit));
