@@ -15,6 +15,7 @@ import torchrender as tr
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 LUNEBURG = {"levels": 2, "iterations": 40, "rays": 60}
+CUBE = {"size": 40, "resolution": 32, "iterations": 60, "smoothness": 0.5, "verification_spp": 64}
 SCHLIEREN = {"size": 20, "resolution": 20, "views": 12, "iterations": 4}
 
 
@@ -41,6 +42,29 @@ def test_luneburg(tutorial, tmp_path, capsys):
     parts = goes_on_after_a_kill(luneburg, tmp_path / "whole", result, LUNEBURG, capsys, save_every=10, total=80)
     with pytest.raises(ValueError, match=r"a run with rays 60 \(now 61\); --restart begins anew"):
         luneburg.run(parts, **{**LUNEBURG, "rays": 61})
+
+
+def test_grin_cube(tutorial, tmp_path, capsys):
+    cube = tutorial("grin_cube")
+    result = cube.run(tmp_path / "whole", **CUBE)
+    curves = checkpoint_in(tmp_path / "whole")["curves"]
+    # about 2 of an even light
+    assert min(c[0] for c in curves.values()) > 1.5 and max(result.values()) < 0.15
+    assert "distance from the targets with 64 samples a pixel: sun" in capsys.readouterr().out
+    assert drawn(tmp_path / "whole", "loss", "index")
+    assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (40, 40, 40, 1)
+    assert tr.io.read_image(tmp_path / "whole" / "result.exr").shape == (32, 64, 3)
+    goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=25, total=60)
+
+
+def test_pictures_of_a_cube_have_equal_light_and_no_rim(tutorial):
+    cube = tutorial("grin_cube")
+    for inside in (cube.sun, cube.moon):
+        picture = cube.draw(inside, 48)
+        assert picture.shape == (48, 48, 1) and float(picture.mean()) == pytest.approx(1, abs=1e-5)
+        edge = torch.cat([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
+        assert torch.allclose(edge, torch.tensor(cube.FLOOR)) and float(picture.max()) > 3
+    assert cube.sizes_of(160) == [20, 40, 80, 160] and cube.sizes_of(33) == [33]
 
 
 def test_the_true_lens_has_sharp_spots(tutorial):
@@ -130,10 +154,13 @@ def test_a_plume_is_cold_at_its_border(tutorial):
 
 def test_sizes(tutorial, monkeypatch, tmp_path):
     found = {}
-    for name in ("luneburg", "schlieren", "grin_lens"):
+    for name in ("luneburg", "schlieren", "grin_lens", "grin_cube"):
         monkeypatch.setattr(tutorial(name), "run", lambda folder, name=name, **settings: found.update({name: settings}))
         tutorial(name).main(["--output", str(tmp_path), "--iterations", "3"])
     assert found["luneburg"] == {"restart": False, "iterations": 3} and found["grin_lens"] == {"iterations": 3}
     assert found["schlieren"] == {"restart": False, "size": 32, "resolution": 48, "iterations": 3}
+    assert found["grin_cube"] == {"restart": False, "size": 40, "resolution": 64, "iterations": 3, "cubic": False}
     tutorial("schlieren").main(["--output", str(tmp_path), "--full"])
     assert found["schlieren"] == {"restart": False}
+    tutorial("grin_cube").main(["--output", str(tmp_path), "--full", "--cubic"])
+    assert found["grin_cube"] == {"restart": False, "cubic": True}
