@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import torch
 
 import torchrender as tr
+from scenes import make_grin
 from torchrender.gradientindex import flights
 
 INDEX = "cube.interior_medium.index"
@@ -41,6 +43,25 @@ def beam(resolution: int, spp: int, view: int = 0) -> tuple[torch.Tensor, torch.
     origins = torch.nn.functional.pad(place, (0, 1), value=-3.0).roll(view, 1)
     directions = torch.tensor([0.0, 0.0, 1.0]).roll(view).expand_as(origins).contiguous()
     return origins, directions
+
+
+def pictures(index: torch.Tensor, resolution: int, interpolation: str) -> list[tr.Scene]:
+    """Two scenes: the cube throws a picture along z, and along x."""
+    turns = (tr.Transform(), tr.Transform.rotate([0, 1, 0], 90))
+    return [tr.load_dict(make_grin.grin_cube(turn, index, resolution, interpolation)) for turn in turns]
+
+
+def light(scenes: list[tr.Scene], leaf: torch.Tensor, spp: int) -> float:
+    """Renders the pictures and the derivative of their squared sum, with half as many samples; 0: of no use."""
+    leaf.grad = None
+    for scene in scenes:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", tr.MissingTermWarning)
+            image = tr.render(
+                scene, spp=spp, spp_grad=max(1, spp // 2), sampler="stratified", seed=0, params={INDEX: leaf}
+            )
+            image.square().mean().backward()
+    return 0.0
 
 
 @contextmanager

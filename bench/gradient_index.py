@@ -6,6 +6,8 @@ step       nanoseconds a ray, step and core of the calls of the core alone, forw
 iteration  seconds and memory of 128^3 voxels, two views of 128x128 pixels, 10 samples, rays and adjoint: the example of
            the slides of Teh, O'Toole and Gkioulekas, "Adjoint nonlinear ray tracing", SIGGRAPH 2022, which give 5 s and
            12 GB for automatic differentiation on a GPU
+light      seconds of two pictures that the cube throws by light tracing (`scenes/make_grin.py`), `--resolution` squared
+           pixels with `--spp` samples, and of the derivative with half as many, and memory that this adds
 memory     at 100 and 10 000 steps a ray
 autograd   the same rays by PyTorch alone, which keeps every step, with 32^3 voxels and 64x64 pixels
 error      of where rays come out, at several lengths of a step, against an eighth of a voxel, beside the time
@@ -22,12 +24,12 @@ import torch
 import torchrender as tr
 
 from .arguments import positive
-from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, loss_of
+from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, light, loss_of, pictures
 from .fresh import measure
 from .measured import Measured, rounds
 from .report import Result, Table
 
-PARTS = ("step", "iteration", "memory", "autograd", "error")
+PARTS = ("step", "iteration", "light", "memory", "autograd", "error")
 INTERPOLATIONS = ("cubic", "quadratic")
 
 
@@ -90,6 +92,23 @@ def iteration_table(options: argparse.Namespace) -> Table:
     return Table(title, ["interpolation"], rows, notes, part="iteration")
 
 
+def light_table(options: argparse.Namespace) -> Table:
+    rows: list[dict[str, Any]] = []
+    for name in INTERPOLATIONS:
+        settings: dict[str, Any] = {"size": options.size, "resolution": options.resolution, "spp": options.spp}
+        settings |= {"threads": options.threads, "views": 2, "interpolation": name, "program": "light"}
+        runs = [measure("bent_rays", **settings) for _ in range(_processes(options))]
+        row: dict[str, Any] = {"interpolation": name, "one iteration s": Measured.of(r["seconds"] for r in runs)}
+        row["peak above the state before MiB"] = Measured.of(r["peak"] for r in runs)
+        row["of that, the gradient MiB"] = runs[0]["gradient"]
+        rows.append(row | {"gradient, norm": runs[0]["norm"]})
+    samples = f"{options.spp} + {max(1, options.spp // 2)} samples"
+    views = f"2 views of {options.resolution}x{options.resolution}, {samples}"
+    title = f"Light tracing and its derivative, {options.size}^3 voxels, {views}, {options.threads} threads"
+    notes = ["In fresh processes; seconds are of the second iteration, memory that of both at its peak."]
+    return Table(title, ["interpolation"], rows, notes, part="light")
+
+
 def memory_table(options: argparse.Namespace) -> Table:
     rows: list[dict[str, Any]] = []
     counts = (100, 1000) if options.quick else (100, 10_000)
@@ -115,7 +134,7 @@ def autograd_table(options: argparse.Namespace) -> Table:
     rows: list[dict[str, Any]] = []
     for size, resolution in [(16, 16)] if options.quick else [(32, 64), (64, 128)]:
         settings: dict[str, Any] = {"size": size, "resolution": resolution, "spp": 1, "threads": options.threads}
-        ours, plain = (measure("bent_rays", **settings, views=1, plain=by) for by in (False, True))
+        ours, plain = (measure("bent_rays", **settings, views=1, program=by) for by in ("rays", "plain"))
         for who, found in (("ours", ours), ("PyTorch alone", plain)):
             row: dict[str, Any] = {"case": f"{size}^3, {resolution}^2 rays", "program": who}
             row |= {"one iteration s": found["seconds"], "peak above the state before MiB": found["peak"]}
@@ -170,12 +189,13 @@ def fresh(
     views: int,
     interpolation: str = "cubic",
     step: float = 1.0,
-    plain: bool = False,
+    program: str = "rays",
     across: int | None = None,
 ) -> dict[str, float]:
     """In a process of its own: seconds of an iteration, the first one not counted, and MiB that iterations add.
 
-    `plain`: by PyTorch alone; `across`: voxels along x and y, if not `size`.
+    `program`: "rays", "light" (pictures by light tracing), or "plain" (rays by PyTorch alone); `across`: voxels along x
+    and y, if not `size`.
     """
     from .serving import memory, settled_memory
 
@@ -183,20 +203,25 @@ def fresh(
     torch.ones(3, requires_grad=True).square().sum().backward()
     index = index_of(size)[:, :across, :across].contiguous()
     scene, leaf = cube(index, interpolation=interpolation, step=step), index.clone().requires_grad_()
-    beams = [beam(resolution, spp, view) for view in range(views)]
+    beams = [beam(resolution, spp, view) for view in range(views)] if program != "light" else []
+    lit = pictures(index, resolution, interpolation)[:views] if program == "light" else []
 
     def run() -> float:
-        if not plain:
+        if program == "rays":
             return iteration(scene, leaf, beams)["steps"]
+        if program == "light":
+            return light(lit, leaf, spp)
         leaf.grad = None
         position, direction, steps = in_torch(leaf, *beams[0], step, interpolation)
         loss_of(position, direction).backward()
         return float(steps * len(position))
 
     with torch.no_grad():  # what is made once: the scene in the core, threads, code that PyTorch loads
-        few = tuple(x[:16] for x in beams[0])
+        few = tuple(x[:16] for x in beam(4, 1))
         tr.gradientindex.trace(scene, "cube", few[0], few[1], params={INDEX: leaf})
         in_torch(index_of(4), few[0], few[1])
+        for other in lit:
+            tr.render(other, spp=1, seed=0)
     before = settled_memory()
     seconds, steps = [], 0.0
     for _ in range(4 if resolution <= 64 and step == 1.0 else 2):
@@ -220,6 +245,7 @@ def run(options: argparse.Namespace) -> Result:
     tables = {
         "step": step_table,
         "iteration": iteration_table,
+        "light": light_table,
         "memory": memory_table,
         "autograd": autograd_table,
         "error": error_table,

@@ -25,7 +25,7 @@ import torch
 import torchrender as tr
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))  # the scenes are no part of the package
-from scenes import make_caustics, make_materials, make_media
+from scenes import make_caustics, make_materials, make_media, make_mirage
 from scenes.make_materials import rgb
 
 PASS = 64  # samples of one pass
@@ -41,6 +41,7 @@ class Picture:
         objects: replace objects of the scene of that name, or are added; None takes one away.
         scene: makes another scene from the size in pixels; nothing of the above applies to it.
         exposure: in stops.
+        dtype: precision of the scene.
     """
 
     caption: str
@@ -48,6 +49,7 @@ class Picture:
     objects: dict[str, Any] = field(default_factory=dict)
     scene: Callable[[int], dict[str, Any]] | None = None
     exposure: float = 0.0
+    dtype: torch.dtype = torch.float32
 
     @property
     def name(self) -> str:
@@ -128,6 +130,16 @@ def smoke() -> dict[str, Any]:
         },
         "foot": None,
     }
+
+
+def luneburg(voxels: int = 48) -> dict[str, Any]:
+    """Objects of a ball that gathers parallel light in a point of its surface: n^2 = 2 - r^2."""
+    axis = ((torch.arange(voxels) + 0.5) / voxels * 2 - 1) * 1.1
+    z, y, x = torch.meshgrid(axis, axis, axis, indexing="ij")
+    index = torch.sqrt((2 - x * x - y * y - z * z).clamp(min=0.2))
+    grid = tr.Transform.translate([-1.1, -0.1, -1.1]).scale(2.2)
+    medium = {"type": "gradientindex", "index": index, "to_world": grid}
+    return {**filled(medium, {"type": "null"}), "integrator": {"type": "path", "max_depth": 8}}
 
 
 def painted(size: int = 256) -> torch.Tensor:
@@ -350,12 +362,14 @@ GALLERY = [
         ),
     ),
     Picture("ptracer: caustics of a plate", scene=caustics),
+    Picture("gradientindex: Luneburg ball", objects=luneburg()),
+    Picture("gradientindex: mirage", scene=lambda size: make_mirage.mirage(size, size), dtype=torch.float64),
 ]
 
 
 def render(picture: Picture, size: int, spp: int) -> torch.Tensor:
     """A picture (size, size, 3), tone mapped."""
-    scene = tr.load_dict(stage(picture, size))
+    scene = tr.load_dict(stage(picture, size), dtype=picture.dtype)
     with torch.no_grad():
         image = tr.render(scene, spp=min(spp, PASS), passes=math.ceil(spp / PASS), seed=0)
     return tr.tonemap(image, picture.exposure)

@@ -137,6 +137,13 @@ class RenderCall:
                 "the grid than it is long; they are black. Is the shape around the medium closed?"
             )
             warnings.warn(text, RuntimeWarning, stacklevel=depth_outside())
+        met = int(total.get("bent_rays_met", 0))
+        if met:
+            text = (
+                f"{met} of {bent} rays in gradientindex media met the boundary of another one: media that touch, "
+                "overlap or are nested are not rendered; behind that boundary light goes astray"
+            )
+            warnings.warn(text, RuntimeWarning, stacklevel=depth_outside())
 
     def store_hits(self, limit: int) -> torch.Tensor:
         """Begin to keep hits, `limit` bytes at most; they live as long as the memory of the tensor that comes back."""

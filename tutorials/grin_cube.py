@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import warnings
 from pathlib import Path
 from typing import Any
@@ -38,10 +39,10 @@ from shadow_art import star
 
 import torchrender as tr
 
-INDEX = "cube.interior_medium.index"
-LEAST, MOST = 1.45, 1.55  # indices of refraction
-LIT = 0.44  # half of a beam's width; the cube is 1 wide
-BEHIND = 1.0  # from the cube to a screen
+SCENES = Path(__file__).resolve().parent.parent / "scenes"
+sys.path.append(str(SCENES))  # the script that makes the scene is not a part of the package
+from make_grin import INDEX, LEAST, MOST, grin_cube  # noqa: E402
+
 COARSEST = 20  # voxels along a side at the beginning, about
 SLOWER_AT = 0.8  # part of the run after which there are twice the samples
 FLOOR = 0.2  # of a picture's mean: no place is wholly dark
@@ -67,45 +68,6 @@ def draw(inside: Any, resolution: int, detail: int = 8) -> torch.Tensor:
     y, x = torch.meshgrid(-axis, axis, indexing="ij")
     share = torch.nn.functional.avg_pool2d(inside(x, y).float()[None], detail)[0]
     return (FLOOR + (1 - FLOOR) * share / share.mean())[..., None]
-
-
-def make_scene(turn: tr.Transform, size: int, resolution: int, cubic: bool) -> tr.Scene:
-    """The cube between a lamp and a screen along z, both of which `turn` moves."""
-    T = tr.Transform
-    film = {
-        "type": "hdrfilm",
-        "width": resolution,
-        "height": resolution,
-        "pixel_format": "luminance",
-        "rfilter": {"type": "gaussian"},  # where light arrives has a derivative by its slope
-    }
-    scene = {
-        "type": "scene",
-        "integrator": {"type": "ptracer", "max_depth": 6},
-        "cube": {
-            "type": "cube",
-            "to_world": T.scale(0.5),
-            "interior": {
-                "type": "gradientindex",
-                "index": torch.full((size,) * 3, (LEAST + MOST) / 2),
-                "to_world": T.translate([-0.5] * 3),
-                "interpolation": "cubic" if cubic else "quadratic",
-            },
-            "bsdf": {"type": "dielectric"},
-        },
-        "lamp": {
-            "type": "rectangle",
-            "to_world": turn @ T.translate([0, 0, -1]) @ T.scale(LIT),
-            "emitter": {"type": "directionalarea", "radiance": 1.0},
-        },
-        "screen": {
-            "type": "rectangle",
-            "to_world": turn @ T.translate([0, 0, 0.5 + BEHIND]) @ T.rotate([0, 1, 0], 180) @ T.scale(0.5),
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "sensor": {"type": "irradiancemeter", "film": film},
-        },
-    }
-    return tr.load_dict(scene)
 
 
 def distance(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
@@ -143,7 +105,7 @@ def run(
     spp_grad: int = 8,
     iterations: int = 500,
     rate: float = 0.4,
-    smoothness: float = 1.0,
+    smoothness: float = 0.1,
     verification_spp: int = 512,
     save_every: int = 25,
     restart: bool = False,
@@ -180,7 +142,8 @@ def run(
 
     sizes = sizes_of(size)
     turns = {"sun": tr.Transform(), "moon": tr.Transform.rotate([0, 1, 0], 90)}
-    scenes = {name: make_scene(turn, sizes[0], resolution, cubic) for name, turn in turns.items()}
+    interpolation = "cubic" if cubic else "quadratic"
+    scenes = {name: tr.load_dict(grin_cube(turn, sizes[0], resolution, interpolation)) for name, turn in turns.items()}
     # The renderer warns that the term from edges seen through the medium is missing: what jumps where light comes to
     # another face. Hardly any light comes to an edge of the cube.
     warnings.filterwarnings("ignore", category=tr.MissingTermWarning)

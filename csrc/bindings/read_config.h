@@ -102,6 +102,7 @@ inline py::dict to_dict(const RenderStats &s) {
     d["majorants_exceeded"] = s.majorants_exceeded;
     d["bent_rays"] = s.bent_rays;
     d["bent_rays_lost"] = s.bent_rays_lost;
+    d["bent_rays_met"] = s.bent_rays_met;
     d["seconds"] = s.seconds;
     d["seconds_trace"] = s.seconds_trace;
     d["lanes"] = s.lane_slots ? double(s.lanes) / double(s.lane_slots) : 0.0;

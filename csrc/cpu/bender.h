@@ -18,7 +18,8 @@ class Bender {
 
 public:
     BentColumns<S> columns;  // by entry of the queue that was bent last
-    uint64_t n = 0, lost = 0;  // rays since these numbers were taken; of them given up: they bring nothing
+    // rays since these numbers were taken; of them given up: they bring nothing; that met another such medium
+    uint64_t n = 0, lost = 0, met = 0;
 
     Bender(const SceneView<S> &scene, const Accel &accel, size_t capacity) : scene_(scene), accel_(accel) {
         arena_.declare([&](Arena &arena) {
@@ -75,6 +76,8 @@ private:
         const F speed = norm(v), inverse = F(1) / select(mask<F>(speed > F(0)), speed, F(1));
         SurfacePoint<F> at{select(mask<U>(hit), end.shape, U(0u)), select(mask<U>(hit), end.primitive, U(0u)), end.b1,
                            end.b2};
+        const I behind = inner_medium<F>(scene_, at, hit);
+        met += uint64_t(count(bends<F>(scene_, behind, hit) && !mask<F>(behind == I(number))));
         const Interaction<F> si = make_interaction(scene_, Ray<F>{o, v * inverse}, at, end.t * speed, hit);
         const F rest = si.t * inverse;
         const LocalIndex<F> at_end = local_index<F>(medium, si.p, hit);

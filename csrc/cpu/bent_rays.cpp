@@ -102,7 +102,7 @@ public:
           field_(medium.field),
           accel_(accel),
           bits_(position_bits<F>(medium.field)),
-          reach_(to_fixed<S>(std::min(medium.reach, S(4)), BendNumber<F>::Velocity)) {}
+          reach_(to_fixed<S>(medium.reach, BendNumber<F>::Velocity)) {}
 
     FlightEnd<F> run(const Vec3<F> &q, const Vec3<F> &u, const Vec3<F> &offset, const MaskOf<F> &active) {
         start_bent(at_.state, q, u, bits_);

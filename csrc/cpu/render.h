@@ -74,7 +74,8 @@ struct DerivativeCall {
 struct RenderStats {
     uint64_t non_finite = 0, closest_rays = 0, shadow_rays = 0, lanes = 0, lane_slots = 0;
     uint64_t collisions = 0, majorants_exceeded = 0;  // tentative collisions in gridded media
-    uint64_t bent_rays = 0, bent_rays_lost = 0;       // in media where they bend; that were given up
+    // in media where they bend; that were given up; that met another such medium from within one
+    uint64_t bent_rays = 0, bent_rays_lost = 0, bent_rays_met = 0;
     std::string non_finite_where;
     double seconds = 0, seconds_trace = 0;
     bool interrupted = false;
@@ -89,6 +90,7 @@ struct RenderStats {
         lanes += other.lanes, lane_slots += other.lane_slots;
         collisions += other.collisions, majorants_exceeded += other.majorants_exceeded;
         bent_rays += other.bent_rays, bent_rays_lost += other.bent_rays_lost;
+        bent_rays_met += other.bent_rays_met;
         seconds_trace += other.seconds_trace;
     }
 };

@@ -131,6 +131,7 @@ public:
         if (bender) {
             bender->run(queue, queries.hits);
             stats.bent_rays += std::exchange(bender->n, 0), stats.bent_rays_lost += std::exchange(bender->lost, 0);
+            stats.bent_rays_met += std::exchange(bender->met, 0);
         }
         if (call_.ray_record && !replay.on()) {
             size_t found = queue.n - size_t(std::count(hits.shape, hits.shape + queue.n, NoHit));

@@ -40,10 +40,11 @@ void SceneData<S>::update_bends() {
 
         Affine placed;
         std::copy_n(&constants_[size_t(field[ToWorld])], 12, placed.m);
-        double voxel = INFINITY;
+        double voxel = INFINITY, edges = 0;
         for (int k = 0; k < 3; ++k) {
+            edges += placed.column_norm(k);
             for (int i = 0; i < 3; ++i) placed.m[4 * i + k] /= b.field.n[k];
-            voxel = std::min(voxel, std::hypot(double(placed.m[k]), double(placed.m[4 + k]), double(placed.m[8 + k])));
+            voxel = std::min(voxel, placed.column_norm(k));
         }
         const Affine inverse = placed.inverse(where("to_world"));
         const bool same =
@@ -62,10 +63,9 @@ void SceneData<S>::update_bends() {
         }
         b.ext_ior = S(constant(ExtIor)), b.ext_ior_offset = field[ExtIor];
         b.to_world_offset = field[ToWorld], b.sigma_t_offset = field[SigmaT];
-        const S reach = S(1.5 * voxels);
+        const S reach = S(std::min(1.5 * voxels, 4.0));
         const int given = field[MaxSteps];
-        b.max_steps =
-            given > 0 ? given : int32_t(std::ceil(8 * double(b.field.n[0] + b.field.n[1] + b.field.n[2]) / voxels));
+        b.max_steps = given > 0 ? given : int32_t(std::min(std::ceil(8 * edges / (voxel * voxels)), 1e9));
         if (!same || reach != b.reach || blocks_[m]->version != geometry_version_) {
             blocks_[m] = std::make_unique<BendBlocks>(view_, b.field.n, b.to_world, double(reach));
             blocks_[m]->version = geometry_version_;

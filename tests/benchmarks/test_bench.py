@@ -386,14 +386,15 @@ def test_gradient_index(tmp_path):
         "--quick",
     ]
     tables = run(tmp_path, "gradient_index", *options)["tables"]
-    assert [table["part"] for table in tables] == ["step", "iteration", "memory", "autograd", "error"]
-    step, iteration, memory, autograd, error = (table["rows"] for table in tables)
+    assert [table["part"] for table in tables] == ["step", "iteration", "light", "memory", "autograd", "error"]
+    step, iteration, light, memory, autograd, error = (table["rows"] for table in tables)
     for row in step:
         assert 12 <= row["steps a ray"] < 16  # the index is never less than 1.45, of 1.5625 that steps are made for
         assert 0 < row["forward, a step and core, ns"]["median"] < row["with adjoint, a step and core, ns"]["median"]
         assert 0 < row["forward, whole call, s"]["median"] < row["with adjoint, whole calls, s"]["median"] < 10
-    for row in iteration:
+    for row in iteration + light:
         assert 0 < row["one iteration s"]["median"] < 10 and row["peak above the state before MiB"]["median"] < 100
+    assert light[0]["gradient, norm"] == pytest.approx(light[1]["gradient, norm"], rel=0.3)
     assert memory[1]["steps a ray"] == pytest.approx(10 * memory[0]["steps a ray"], rel=0.02)
     ours, plain = autograd
     assert plain["gradient, norm"] == pytest.approx(ours["gradient, norm"], rel=1e-4)

@@ -191,3 +191,60 @@ def test_edges_end_no_ray_in_a_loop():
             rays = tr.gradientindex.trace(glass(random_index(12), "dielectric", dtype), "lens", o, at - o)
         assert all(bool(torch.isfinite(found).all()) for found in rays[:6])
         assert int(rays.valid.sum()) > 0.2 * n  # others are totally reflected
+
+
+def above_a_road(step: float, dtype: torch.dtype = DOUBLE, **medium: object) -> tuple[tr.Scene, torch.Tensor]:
+    """Layers of 2 cm of hot air, 400 m long: voxels of 5 m along z."""
+    heights = (torch.arange(32, dtype=DOUBLE) + 0.5) * 0.02
+    values = -2.3 * torch.exp(-heights / 0.1)
+    index = values[None, :, None].expand(80, 32, 4).contiguous()
+    place = tr.Transform.translate([-10, 0, 0]) @ tr.Transform.scale([20, 0.64, 400])
+    box = {"type": "cube", "to_world": place @ tr.Transform.scale(0.5) @ tr.Transform.translate([1, 1, 1])}
+    medium = {"index_base": 1.00027, "index_scale": 1e-5, "to_world": place, "step": step, **medium}
+    return glass(index, "null", dtype, box, **medium), index
+
+
+def flat_rays(n: int = 20) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rays that come down at 4 to 6 mrad; the mirage is below 6.8."""
+    angle = torch.linspace(-4e-3, -6e-3, n, dtype=DOUBLE)
+    o = torch.tensor([0.0, 0.6, -1.0], dtype=DOUBLE).expand(n, 3)
+    return o, torch.stack([torch.zeros_like(angle), torch.sin(angle), torch.cos(angle)], 1)
+
+
+@pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])
+def test_long_steps_through_long_voxels(interpolation):
+    """A mirage: in layers p stays along them, rays come out as flat as they came in, and long steps find the same."""
+    o, d = flat_rays()
+    found = {}
+    for step in (10.0, 100.0):
+        scene, _ = above_a_road(step, interpolation=interpolation)
+        rays = tr.gradientindex.trace(scene, "lens", o, d)
+        assert bool(rays.valid.all()) and float(rays.steps.double().mean()) < 500 / (0.02 * step)
+        assert torch.allclose(rays.index * rays.direction[:, 2], 1.00027 * d[:, 2], rtol=0, atol=1e-7)
+        found[step] = rays
+    up = found[10.0].direction[:, 1]
+    assert torch.allclose(up, -d[:, 1], rtol=2e-3)  # less by what is left of the heat at the top
+    assert torch.allclose(found[100.0].direction, found[10.0].direction, rtol=0, atol=1e-6)
+    assert torch.allclose(found[100.0].position, found[10.0].position, rtol=0, atol=0.03)  # of 300 m
+
+
+def test_derivatives_by_the_heat_of_a_road():
+    o, d = flat_rays()
+    scene, index = above_a_road(100.0)
+    weight = torch.linspace(0.5, 1.5, len(o), dtype=DOUBLE)
+
+    def f(values):
+        rays = tr.gradientindex.trace(scene, "lens", o, d, params={"lens.interior.index": values})
+        return (weight * (rays.direction[:, 1] * 1e3 + rays.position[:, 1])).sum()
+
+    along = direction_like(index[0, :, 0])[None, :, None].expand_as(index).contiguous()
+    reverse, forward = in_both_modes(f, index, along)
+    assert abs(reverse) > 0.1
+    assert forward == pytest.approx(reverse, rel=1e-9)
+    assert difference(f, index, along, 1e-6) == pytest.approx(reverse, rel=1e-5)
+
+
+@pytest.mark.parametrize(("step", "dtype", "most"), [(5.0, torch.float32, "4"), (257.0, DOUBLE, "256")])
+def test_steps_that_are_too_long_for_a_precision(step, dtype, most):
+    with pytest.raises(ValueError, match=rf"step: .*range.*{most}"):
+        above_a_road(step, dtype)

@@ -152,14 +152,25 @@ def test_a_plume_is_cold_at_its_border(tutorial):
     assert float(outer.abs().max()) < 0.01 and math.isfinite(float(plume.sum()))
 
 
+def test_mirage(tutorial, tmp_path, capsys):
+    result = tutorial("mirage").run(tmp_path, resolution=48, spp=2, iterations=16)
+    assert result["end"] < 0.6 * result["start"] < 3
+    assert "temperature between 0 and 0.5 m" in capsys.readouterr().out
+    assert drawn(tmp_path, "loss", "temperature")
+    photograph, counted = (tr.io.read_image(tmp_path / f"{name}.exr") for name in ("photograph", "what counts"))
+    part = float((counted == photograph).all(-1).float().mean())
+    assert 0.6 < part < 0.95 and counted.shape == (48, 72, 3)
+
+
 def test_sizes(tutorial, monkeypatch, tmp_path):
     found = {}
-    for name in ("luneburg", "schlieren", "grin_lens", "grin_cube"):
+    for name in ("luneburg", "schlieren", "grin_lens", "grin_cube", "mirage"):
         monkeypatch.setattr(tutorial(name), "run", lambda folder, name=name, **settings: found.update({name: settings}))
         tutorial(name).main(["--output", str(tmp_path), "--iterations", "3"])
     assert found["luneburg"] == {"restart": False, "iterations": 3} and found["grin_lens"] == {"iterations": 3}
     assert found["schlieren"] == {"restart": False, "size": 32, "resolution": 48, "iterations": 3}
     assert found["grin_cube"] == {"restart": False, "size": 40, "resolution": 64, "iterations": 3, "cubic": False}
+    assert found["mirage"] == {"iterations": 3, "large": False}
     tutorial("schlieren").main(["--output", str(tmp_path), "--full"])
     assert found["schlieren"] == {"restart": False}
     tutorial("grin_cube").main(["--output", str(tmp_path), "--full", "--cubic"])

@@ -17,6 +17,7 @@ from .volumes import invertible
 
 MOST_VOXELS = 1000  # a side: positions of rays are fixed-point numbers
 MOST_STEPS = 10**9
+LONGEST_STEP = {torch.float32: 4, torch.float64: 256}  # voxels: velocities of rays are fixed-point numbers, too
 
 
 @register
@@ -38,8 +39,10 @@ class GradientIndexMedium(Medium):
         ext_ior: index of refraction outside of dielectric boundaries; default 1.000277, that of air.
         sigma_t: absorption per unit length, not negative (a number or a colour); default 0.
         interpolation: ``"cubic"`` or ``"quadratic"``, 1.7 times faster, with a gradient that has kinks.
-        step: the length of a step in voxels at most, up to 2; default 1.
-        max_steps: after which a ray is given up; 0, the default: 8 (X + Y + Z) / step.
+        step: the length of a step at most, in units of a voxel's shortest side; default 1. Up to twice the longest
+            side, which may be long along axes where the index does not vary, as in air above a road; in single
+            precision up to 4, in double precision up to 256.
+        max_steps: after which a ray is given up; 0, the default: as many as are 8 times the grid's three edges long.
     """
 
     type = "gradientindex"
@@ -90,7 +93,14 @@ class GradientIndexMedium(Medium):
         super().check(ctx)
         if self._parameters.get("index") is None:
             return
-        invertible(self.to_world, ctx.at("to_world"))
+        matrix = invertible(self.to_world, ctx.at("to_world"))
+        sides = torch.linalg.vector_norm(matrix.detach()[:3, :3], dim=0) / matrix.new_tensor(self.index.shape[::-1])
+        most = min(2 * float(sides.max() / sides.min()), LONGEST_STEP[self.index.dtype]) * (1 + 1e-6)
+        if not float(self.step) <= most:
+            ctx.at("step").error(
+                f"{float(self.step):g} is outside the range up to {most:g}: in units of a voxel's shortest side twice "
+                f"the longest one, and at most {LONGEST_STEP[self.index.dtype]} in this precision"
+            )
         n = (self.index_base + self.index_scale * self.index).detach()
         low, high = (float(x) for x in torch.aminmax(n))
         if not 0 < low <= high < float("inf"):

@@ -48,9 +48,10 @@ struct GradientIndexMedium {
          "index of refraction outside of dielectric boundaries"},
         {"sigma_t", Kind::Spectrum, 0, 0, INFINITY, "interior", "absorption per unit length"},
         {"interpolation", Kind::Int, 0, 0, 1, "", "B-splines of squared indices", Splines},
-        {"step", Kind::Float, 1, 1e-3, 2, "none: a setting of the numerical solution",
-         "length of steps in voxels, at most"},
-        {"max_steps", Kind::Int, 0, 0, 1e9, "", "after which a ray is given up; 0: 8 (X + Y + Z) / step"},
+        {"step", Kind::Float, 1, 1e-3, 256, "none: a setting of the numerical solution",
+         "length of steps in shortest sides of a voxel, at most"},
+        {"max_steps", Kind::Int, 0, 0, 1e9, "",
+         "after which a ray is given up; 0: the steps along 8 times three edges of the grid"},
     };
     static constexpr Model model = {
         "medium", "gradientindex",      "A medium whose index of refraction varies: light in it bends.", fields, 9,
