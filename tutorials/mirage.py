@@ -34,7 +34,7 @@ KNOTS = (0.0, 0.03, 0.07, 0.12, 0.2, 0.3, 0.45, TOP)  # metres, at which the tem
 
 
 def between(y: torch.Tensor, log_heat: torch.Tensor) -> torch.Tensor:
-    """The same from logarithms of numbers at the knots, whose logarithm is linear between two of them."""
+    """How much hotter than 30 °C the air is at heights, from logarithms at the knots, linear between two of them."""
     knots = torch.tensor(KNOTS, dtype=y.dtype)
     right = torch.searchsorted(knots, y).clamp(1, len(knots) - 1)
     part = (y - knots[right - 1]) / (knots[right] - knots[right - 1])
