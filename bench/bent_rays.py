@@ -51,17 +51,19 @@ def pictures(index: torch.Tensor, resolution: int, interpolation: str) -> list[t
     return [tr.load_dict(make_grin.grin_cube(turn, index, resolution, interpolation)) for turn in turns]
 
 
-def light(scenes: list[tr.Scene], leaf: torch.Tensor, spp: int) -> float:
-    """Renders the pictures and the derivative of their squared sum, with half as many samples; 0: of no use."""
+def samples_of_derivative(spp: int) -> int:
+    return max(1, spp // 2)
+
+
+def light(scenes: list[tr.Scene], leaf: torch.Tensor, spp: int) -> None:
+    """Renders the pictures and the derivative of their mean square."""
     leaf.grad = None
     for scene in scenes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", tr.MissingTermWarning)
-            image = tr.render(
-                scene, spp=spp, spp_grad=max(1, spp // 2), sampler="stratified", seed=0, params={INDEX: leaf}
-            )
+            samples = {"spp": spp, "spp_grad": samples_of_derivative(spp), "sampler": "stratified"}
+            image = tr.render(scene, seed=0, params={INDEX: leaf}, **samples)
             image.square().mean().backward()
-    return 0.0
 
 
 @contextmanager

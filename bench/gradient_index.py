@@ -24,7 +24,7 @@ import torch
 import torchrender as tr
 
 from .arguments import positive
-from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, light, loss_of, pictures
+from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, light, loss_of, pictures, samples_of_derivative
 from .fresh import measure
 from .measured import Measured, rounds
 from .report import Result, Table
@@ -77,36 +77,33 @@ def _processes(options: argparse.Namespace) -> int:
 
 def iteration_table(options: argparse.Namespace) -> Table:
     size, resolution, spp = (32, 16, 2) if options.quick else (128, 128, 10)
-    rows: list[dict[str, Any]] = []
-    for name in INTERPOLATIONS:
-        settings: dict[str, Any] = {"size": size, "resolution": resolution, "spp": spp, "threads": options.threads}
-        settings |= {"views": 2, "interpolation": name}
-        runs = [measure("bent_rays", **settings) for _ in range(_processes(options))]
-        row: dict[str, Any] = {"interpolation": name, "one iteration s": Measured.of(r["seconds"] for r in runs)}
-        row["peak above the state before MiB"] = Measured.of(r["peak"] for r in runs)
-        row["of that, the gradient MiB"] = runs[0]["gradient"]
-        rows.append(row)
-    views = f"2 views of {resolution}x{resolution}, {spp} samples"
-    title = f"Rays and adjoint, {size}^3 voxels, {views}, {options.threads} threads"
-    notes = ["In fresh processes; seconds are of the second iteration, memory that of both at its peak."]
-    return Table(title, ["interpolation"], rows, notes, part="iteration")
+    title = f"Rays and adjoint, {size}^3 voxels, 2 views of {resolution}x{resolution}, {spp} samples"
+    return _two_views(options, title, "iteration", size, resolution, spp, "rays")
 
 
 def light_table(options: argparse.Namespace) -> Table:
+    size, resolution, spp = options.size, options.resolution, options.spp
+    title = (
+        f"Light tracing and its derivative, {size}^3 voxels, 2 views of {resolution}x{resolution}, {spp} + "
+        f"{samples_of_derivative(spp)} samples"
+    )
+    return _two_views(options, title, "light", size, resolution, spp, "light")
+
+
+def _two_views(
+    options: argparse.Namespace, title: str, part: str, size: int, resolution: int, spp: int, program: str
+) -> Table:
     rows: list[dict[str, Any]] = []
     for name in INTERPOLATIONS:
-        settings: dict[str, Any] = {"size": options.size, "resolution": options.resolution, "spp": options.spp}
-        settings |= {"threads": options.threads, "views": 2, "interpolation": name, "program": "light"}
+        settings: dict[str, Any] = {"size": size, "resolution": resolution, "spp": spp, "threads": options.threads}
+        settings |= {"views": 2, "interpolation": name, "program": program}
         runs = [measure("bent_rays", **settings) for _ in range(_processes(options))]
         row: dict[str, Any] = {"interpolation": name, "one iteration s": Measured.of(r["seconds"] for r in runs)}
         row["peak above the state before MiB"] = Measured.of(r["peak"] for r in runs)
         row["of that, the gradient MiB"] = runs[0]["gradient"]
         rows.append(row | {"gradient, norm": runs[0]["norm"]})
-    samples = f"{options.spp} + {max(1, options.spp // 2)} samples"
-    views = f"2 views of {options.resolution}x{options.resolution}, {samples}"
-    title = f"Light tracing and its derivative, {options.size}^3 voxels, {views}, {options.threads} threads"
     notes = ["In fresh processes; seconds are of the second iteration, memory that of both at its peak."]
-    return Table(title, ["interpolation"], rows, notes, part="light")
+    return Table(f"{title}, {options.threads} threads", ["interpolation"], rows, notes, part=part)
 
 
 def memory_table(options: argparse.Namespace) -> Table:
@@ -210,7 +207,8 @@ def fresh(
         if program == "rays":
             return iteration(scene, leaf, beams)["steps"]
         if program == "light":
-            return light(lit, leaf, spp)
+            light(lit, leaf, spp)
+            return 0.0
         leaf.grad = None
         position, direction, steps = in_torch(leaf, *beams[0], step, interpolation)
         loss_of(position, direction).backward()

@@ -14,6 +14,28 @@ LIT = 0.44  # half of the beam's width; the cube is 1 wide
 BEHIND = 1.0  # from the cube to the screen
 
 
+def beam_and_screen(
+    width: float, lamp: float, screen: tr.Transform, film: dict[str, Any], turn: tr.Transform | None = None
+) -> dict[str, Any]:
+    """Parallel light along z from a square of this half width at z = `lamp`, and what measures it, in the dark."""
+    turn = tr.Transform() if turn is None else turn
+    return {
+        "type": "scene",
+        "integrator": {"type": "ptracer", "max_depth": 6},
+        "lamp": {
+            "type": "rectangle",
+            "to_world": turn @ tr.Transform.translate([0, 0, lamp]) @ tr.Transform.scale(width),
+            "emitter": {"type": "directionalarea", "radiance": 1.0},
+        },
+        "screen": {
+            "type": "rectangle",
+            "to_world": turn @ screen,
+            "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", **film}},
+        },
+    }
+
+
 def grin_cube(
     turn: tr.Transform, index: torch.Tensor | int, resolution: int, interpolation: str = "quadratic"
 ) -> dict[str, Any]:
@@ -25,7 +47,7 @@ def grin_cube(
         resolution: pixels along a side of the picture.
         interpolation: of the index, "quadratic" or "cubic".
     """
-    place, scale = tr.Transform.translate, tr.Transform.scale
+    place = tr.Transform.translate
     if isinstance(index, int):
         index = torch.full((index,) * 3, (LEAST + MOST) / 2)
     medium = {
@@ -34,25 +56,8 @@ def grin_cube(
         "to_world": place([-0.5] * 3),
         "interpolation": interpolation,
     }
-    film = {
-        "type": "hdrfilm",
-        "width": resolution,
-        "height": resolution,
-        "rfilter": {"type": "gaussian"},  # where light arrives has a derivative by its slope
-    }
-    return {
-        "type": "scene",
-        "integrator": {"type": "ptracer", "max_depth": 6},
-        "cube": {"type": "cube", "to_world": scale(0.5), "interior": medium, "bsdf": {"type": "dielectric"}},
-        "lamp": {
-            "type": "rectangle",
-            "to_world": turn @ place([0, 0, -1]) @ scale(LIT),
-            "emitter": {"type": "directionalarea", "radiance": 1.0},
-        },
-        "screen": {
-            "type": "rectangle",
-            "to_world": turn @ place([0, 0, 0.5 + BEHIND]) @ tr.Transform.rotate([0, 1, 0], 180) @ scale(0.5),
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "sensor": {"type": "irradiancemeter", "film": film},
-        },
-    }
+    film = {"width": resolution, "height": resolution}
+    film["rfilter"] = {"type": "gaussian"}  # where light arrives has a derivative by its slope
+    screen = place([0, 0, 0.5 + BEHIND]) @ tr.Transform.rotate([0, 1, 0], 180) @ tr.Transform.scale(0.5)
+    cube = {"type": "cube", "to_world": tr.Transform.scale(0.5), "interior": medium, "bsdf": {"type": "dielectric"}}
+    return {**beam_and_screen(LIT, -1, screen, film, turn), "cube": cube}

@@ -16,7 +16,7 @@ from .scene.context import Context
 from .scene.derivatives import moves_rays
 from .scene.gather import check_device, has_derivative
 from .scene.mesh import Mesh
-from .scene.packing import Layout, records
+from .scene.packing import Layout, record
 from .scene.scene import Scene
 from .scene.values import floating
 from .transform import on_cpu
@@ -160,7 +160,7 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
     for number, tensor in given.items():
         rows = (hits.shape_id == number).nonzero()[:, 0]
         if tensor.ndim == 2:
-            faces = layout.index_tensors[records(layout, "shape")[number].field["faces"]].long()
+            faces = layout.index_tensors[record(layout, "shape", number).field["faces"]].long()
             b = hits.barycentric[rows]
             weight = torch.cat([1 - b.sum(1, keepdim=True), b], dim=1)[..., None]
             corners = faces[hits.prim_id[rows]]  # whose derivative is added up in one order, by `index_select`

@@ -49,10 +49,10 @@ def distance(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
     return (image / image.detach().mean() - target / target.mean()).square().mean()
 
 
-def sizes_of(size: int) -> list[int]:
+def sizes_of(size: int, coarsest: int = COARSEST) -> list[int]:
     """The sizes of the grids, from the coarsest one on, each twice the one before."""
     sizes = [size]
-    while sizes[0] % 2 == 0 and sizes[0] // 2 >= COARSEST:
+    while sizes[0] % 2 == 0 and sizes[0] // 2 >= coarsest:
         sizes.insert(0, sizes[0] // 2)
     return sizes
 
@@ -61,6 +61,22 @@ def size_at(iteration: int, iterations: int, sizes: list[int]) -> int:
     """The grid of an iteration: number k of n begins after a part (k / n)^2 of the run, the finest one at last."""
     n = len(sizes)
     return sizes[sum(iteration >= round(iterations * (k / n) ** 2) for k in range(1, n))]
+
+
+def grown(
+    u: torch.nn.Parameter,
+    size: int,
+    optimiser: torch.optim.Optimizer,
+    smoothing: tr.optim.GridSmoothing,
+    finer: tr.optim.GridSmoothing,
+) -> torch.nn.Parameter:
+    """What is optimised on a grid of this size, as far as large steps have come, with the optimiser's state."""
+    shape = (size,) * smoothing.dims
+    with torch.no_grad():
+        values = tr.optim.resample(smoothing.from_differential(u), shape, "clamp")
+    u = tr.optim.upsample_tensor(u, shape, optimiser, wrap_mode="clamp")
+    u.data.copy_(finer.to_differential(values))
+    return u
 
 
 def picture_of(heights: torch.Tensor) -> torch.Tensor:
@@ -138,20 +154,14 @@ def run(
     curves: dict[str, list[float]] = {"loss": []}
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first = state["curves"], state["iteration"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser, generator)
 
     bar = tr.progress(range(first, iterations), desc="caustics", initial=first, total=iterations)
     for iteration in bar:
         finer = size_at(iteration, iterations, sizes)
         if finer > len(u):
-            with torch.no_grad():
-                heights = tr.optim.resample(smoothing.from_differential(u), (finer, finer), "clamp")
-            u = tr.optim.upsample_tensor(u, (finer, finer), optimiser, wrap_mode="clamp")
-            smoothing = tr.optim.GridSmoothing(smoothness * finer / resolution)
-            u.data.copy_(smoothing.to_differential(heights))
+            before, smoothing = smoothing, tr.optim.GridSmoothing(smoothness * finer / resolution)
+            u = grown(u, finer, optimiser, before, smoothing)
         slower = sum(iteration >= round(part * iterations) for part in SLOWER_AT)
         for group in optimiser.param_groups:
             group["lr"] = rate / 2**slower

@@ -37,6 +37,20 @@ class Checkpoint:
             raise ValueError(f"{self.path} is a checkpoint of a run with {told}; --restart begins anew")
         return stored
 
+    def restore(
+        self,
+        state: dict[str, Any],
+        iterations: int,
+        optimiser: torch.optim.Optimizer,
+        generator: torch.Generator | None = None,
+    ) -> tuple[dict[str, list[float]], int]:
+        """Give the optimiser and all chance back what they had; returns the curves and the iteration that is next."""
+        optimiser.load_state_dict(state["optimiser"])
+        if generator is not None:
+            generator.set_state(state["random"])
+        print(f"going on from iteration {state['iteration']} of {iterations} ({self.path})")
+        return state["curves"], state["iteration"]
+
     def save(self, **state: Any) -> None:
         """Write tensors, numbers and state dicts.
 

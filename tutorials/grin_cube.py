@@ -32,6 +32,7 @@ from typing import Any
 
 import torch
 from bent_rays import save_slices
+from caustics import distance, grown, sizes_of
 from checkpoints import Checkpoint
 from command_line import at_least_one, given, reported
 from pictures import save, save_curves
@@ -68,19 +69,6 @@ def draw(inside: Any, resolution: int, detail: int = 8) -> torch.Tensor:
     y, x = torch.meshgrid(-axis, axis, indexing="ij")
     share = torch.nn.functional.avg_pool2d(inside(x, y).float()[None], detail)[0]
     return (FLOOR + (1 - FLOOR) * share / share.mean())[..., None]
-
-
-def distance(image: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """The mean squared difference from a picture of mean 1, in units of the mean: how bright lamps are is all one."""
-    return (image / image.detach().mean() - target).square().mean()
-
-
-def sizes_of(size: int) -> list[int]:
-    """Voxels along a side of the grids, from the coarsest one on, each twice as fine as the one before."""
-    sizes = [size]
-    while sizes[0] % 2 == 0 and sizes[0] // 2 >= COARSEST:
-        sizes.insert(0, sizes[0] // 2)
-    return sizes
 
 
 def save_pictures(images: list[torch.Tensor], folder: Path, name: str) -> None:
@@ -140,7 +128,7 @@ def run(
     targets = {"sun": draw(sun, resolution), "moon": draw(moon, resolution)}
     save_pictures(list(targets.values()), folder, "target")
 
-    sizes = sizes_of(size)
+    sizes = sizes_of(size, COARSEST)
     turns = {"sun": tr.Transform(), "moon": tr.Transform.rotate([0, 1, 0], 90)}
     interpolation = "cubic" if cubic else "quadratic"
     scenes = {name: tr.load_dict(grin_cube(turn, sizes[0], resolution, interpolation)) for name, turn in turns.items()}
@@ -155,16 +143,13 @@ def run(
     curves: dict[str, list[float]] = {name: [] for name in scenes}
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first = state["curves"], state["iteration"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser, generator)
 
-    def smoothing() -> tr.optim.GridSmoothing:
-        return tr.optim.GridSmoothing(smoothness * (len(u) / sizes[0]) ** 2, dims=3)
+    def smoothing_of(size: int) -> tr.optim.GridSmoothing:
+        return tr.optim.GridSmoothing(smoothness * (size / sizes[0]) ** 2, dims=3)
 
     def index() -> torch.Tensor:
-        return between(smoothing().from_differential(u))[..., 0]
+        return between(smoothing_of(len(u)).from_differential(u))[..., 0]
 
     def render(name: str, n: torch.Tensor, **settings: Any) -> torch.Tensor:
         """The picture (H, W, 1) of a grey light."""
@@ -174,10 +159,7 @@ def run(
     for iteration in bar:
         finer = sizes[iteration * len(sizes) // iterations]  # each grid has as many
         if finer > len(u):
-            with torch.no_grad():
-                x = tr.optim.resample(smoothing().from_differential(u), (finer,) * 3, "clamp")
-            u = tr.optim.upsample_tensor(u, (finer,) * 3, optimiser, wrap_mode="clamp")
-            u.data.copy_(smoothing().to_differential(x))
+            u = grown(u, finer, optimiser, smoothing_of(len(u)), smoothing_of(finer))
         for group in optimiser.param_groups:
             group["lr"] = rate / (finer / sizes[0]) ** 2
         times = 2 if iteration >= SLOWER_AT * iterations else 1

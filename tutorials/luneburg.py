@@ -157,10 +157,7 @@ def run(
     curves: dict[str, list[float]] = {"mean squared distance": []}
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first = state["curves"], state["iteration"]
-        print(f"going on from iteration {first} of {levels * iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, levels * iterations, optimiser, generator)
 
     total = levels * iterations
     bar = tr.progress(range(first, total), desc="luneburg", initial=first, total=total)

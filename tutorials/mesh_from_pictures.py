@@ -149,9 +149,7 @@ def run(
     optimiser = tr.optim.UniformAdam([u], lr=rate)
     total = iterations + finer_iterations
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        print(f"going on from iteration {first} of {total} ({checkpoint.path})")
+        checkpoint.restore(state, total, optimiser, generator)
     scene = make_scene(vertices, faces)
     renderer = tr.Renderer(scene, spp=spp, **settings_of_all)
 

@@ -138,10 +138,8 @@ def run(
     last: list[torch.Tensor] = []  # the last fifth of the iterates
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first, last = state["curves"], state["iteration"], state["last"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser, generator)
+        last = state["last"]
 
     bar = tr.progress(range(first, iterations), desc=f"pose from {part}", initial=first, total=iterations)
     for iteration in bar:

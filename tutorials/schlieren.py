@@ -147,9 +147,7 @@ def run(
     curves: dict[str, list[float]] = {"loss": []}
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        curves, first = state["curves"], state["iteration"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser)
 
     def voxels() -> torch.Tensor:
         return torch.nn.functional.pad(unknown, (HELD,) * 6)

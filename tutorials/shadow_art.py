@@ -164,10 +164,7 @@ def run(
     curves: dict[str, list[float]] = {"loss": []}
     first = 0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first = state["curves"], state["iteration"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser, generator)
 
     bar = tr.progress(range(first, iterations), desc="shadow art", initial=first, total=iterations)
     for iteration in bar:

@@ -100,10 +100,8 @@ def run(
     curves: dict[str, list[float]] = {"loss": []}
     first, start_psnr = 0, 0.0
     if state is not None:
-        optimiser.load_state_dict(state["optimiser"])
-        generator.set_state(state["random"])
-        curves, first, start_psnr = state["curves"], state["iteration"], state["start_psnr"]
-        print(f"going on from iteration {first} of {iterations} ({checkpoint.path})")
+        curves, first = checkpoint.restore(state, iterations, optimiser, generator)
+        start_psnr = state["start_psnr"]
 
     def picture(seed: int) -> torch.Tensor:
         with torch.no_grad():

@@ -146,7 +146,7 @@ private:
         const BendSlope<F> at = spline_slope<T, F>(field_, cell_at<T>(field_, at_.state, bits_), active);
         const F value = at.value + F(medium_.constant), weight = select(active, w, F(0));
         at_.optical = fmadd(weight, value, at_.optical);
-        at_.length = fmadd(weight, sqrt(max(F(0), value * F(2))), at_.length);
+        at_.length = fmadd(weight, refractive_index(at.value, medium_.constant), at_.length);
         kick<F, false>(at_.state, symmetric_times<F>(field_.kick, at.slope) * w, active);
     }
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 import torch
 from bent_scenes import BOX, DOUBLE, centers, random_index, square_box
-from gradientindex_scenes import T, beam_and_screen, derivatives, seen, thrown
+from gradientindex_scenes import T, derivatives, seen, thrown
 
 import torchrender as tr
+from scenes.make_grin import beam_and_screen
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
 

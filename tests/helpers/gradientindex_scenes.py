@@ -6,6 +6,7 @@ import torch
 from bent_scenes import BOX, DOUBLE, difference, in_both_modes
 
 import torchrender as tr
+from scenes.make_grin import beam_and_screen
 
 T = tr.Transform
 INDEX = "lens.interior_medium.index"
@@ -34,25 +35,6 @@ def seen(index, bsdf: str = "null", shape: str = "sphere", size: int = 12, back:
         **(back or {"sky": {"type": "envmap", "bitmap": colours()}}),
     }
     return tr.load_dict(described, dtype=DOUBLE)
-
-
-def beam_and_screen(width: float, lamp: float, screen: object, film: dict) -> dict:
-    """Parallel light along z from a square of this half width at z = `lamp`, and what measures it, in the dark."""
-    return {
-        "type": "scene",
-        "integrator": {"type": "ptracer", "max_depth": 6},
-        "lamp": {
-            "type": "rectangle",
-            "to_world": T.translate([0, 0, lamp]) @ T.scale(width),
-            "emitter": {"type": "directionalarea", "radiance": 1.0},
-        },
-        "screen": {
-            "type": "rectangle",
-            "to_world": screen,
-            "bsdf": {"type": "diffuse", "reflectance": 0.0},
-            "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", **film}},
-        },
-    }
 
 
 def thrown(index, bsdf: str = "null", size: int = 16, dtype: torch.dtype = DOUBLE, **medium) -> tr.Scene:

@@ -64,7 +64,7 @@ def test_pictures_of_a_cube_have_equal_light_and_no_rim(tutorial):
         assert picture.shape == (48, 48, 1) and float(picture.mean()) == pytest.approx(1, abs=1e-5)
         edge = torch.cat([picture[0], picture[-1], picture[:, 0], picture[:, -1]])
         assert torch.allclose(edge, torch.tensor(cube.FLOOR)) and float(picture.max()) > 3
-    assert cube.sizes_of(160) == [20, 40, 80, 160] and cube.sizes_of(33) == [33]
+    assert cube.sizes_of(160, cube.COARSEST) == [20, 40, 80, 160] and cube.sizes_of(33, cube.COARSEST) == [33]
 
 
 def test_the_true_lens_has_sharp_spots(tutorial):

@@ -16,7 +16,7 @@ from ..functions import refuse_batches
 from ..queries import _rays, find_hits
 from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
-from ..scene.packing import Layout, Record, bending_boundary, records
+from ..scene.packing import Layout, Record, bending_boundary, record
 from ..scene.scene import Scene
 from ..surface import OFFSET, SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
@@ -262,13 +262,13 @@ def _row_of(layout: Layout, shape: Any) -> int:
 
 def _medium_of(layout: Layout, tensors: list[torch.Tensor], row: int) -> tuple[int, Record, torch.Tensor | None]:
     """The medium inside of a shape and its number; the index outside, None where the boundary is null."""
-    shape = records(layout, "shape")[row]
+    shape = record(layout, "shape", row)
     where = f"gradientindex.trace: {shape.path}"
     inside = shape.field.get("interior", -1)
     if inside not in layout.bending:
         found = layout.objects["medium"][inside][0] if inside >= 0 else "none"
         raise ValueError(f"{where}: expected a gradientindex medium as its interior, got {found}")
-    medium = records(layout, "medium")[inside]
+    medium = record(layout, "medium", inside)
     refracts = bending_boundary(layout, tensors, shape.field["bsdf"], f"{where}.bsdf")
     return inside, medium, tensors[medium.field["ext_ior"]] if refracts else None
 

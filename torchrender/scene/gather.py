@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from ..errors import describe, nearest
-from .packing import Layout, records
+from .packing import Layout, record
 from .plugin import Plugin
 from .scene import Scene
 from .values import has_tangent
@@ -66,8 +66,7 @@ def gather(
         if has_derivative(tensors[normals]):  # asked for by itself: a change on top of what follows from the positions
             computed = computed + (tensors[normals] - tensors[normals].detach())
         tensors[normals] = _dense(scene, "normals", computed)
-    media = records(layout, "medium") if layout.bending else []
-    for field in (media[number].field for number in layout.bending):
+    for field in (record(layout, "medium", number).field for number in layout.bending):
         index = field["index"]
         tensors[index] = bending_field(tensors[index], tensors[field["index_base"]], tensors[field["index_scale"]])
     return tensors

@@ -127,21 +127,23 @@ class Record:
     path: str
 
 
+def record(layout: Layout, category: str, row: int) -> Record:
+    """An object of a category by its number; a BSDF that is written in PyTorch has the type ``"torch"``."""
+    kind, numbers, path = layout.objects[category][row]
+    if category == "bsdf" and row in layout.torch_bsdfs:
+        return Record("torch", {"row": row}, path)
+    names = [f.name for f in models()[category, kind].fields]
+    return Record(kind, dict(zip(names, numbers, strict=True)), path)
+
+
 def records(layout: Layout, category: str) -> list[Record]:
-    """All objects of a category; a BSDF that is written in PyTorch has the type ``"torch"``."""
-    found = []
-    for row, (kind, numbers, path) in enumerate(layout.objects[category]):
-        if category == "bsdf" and row in layout.torch_bsdfs:
-            found.append(Record("torch", {"row": row}, path))
-            continue
-        names = [f.name for f in models()[category, kind].fields]
-        found.append(Record(kind, dict(zip(names, numbers, strict=True)), path))
-    return found
+    """All objects of a category."""
+    return [record(layout, category, row) for row in range(len(layout.objects[category]))]
 
 
 def bending_boundary(layout: Layout, tensors: list[torch.Tensor], bsdf: int, where: str) -> bool:
     """Whether this BSDF refracts; ValueError, naming `where`, unless it may bound a medium that light bends in."""
-    boundary = records(layout, "bsdf")[bsdf]
+    boundary = record(layout, "bsdf", bsdf)
     if boundary.type == "torch":
         raise ValueError(f"{where}: expected null or dielectric, got one written in PyTorch")
     if boundary.type not in ("null", "dielectric"):

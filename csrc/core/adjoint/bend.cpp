@@ -92,8 +92,7 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     const Vec3<F> straight = v * inverse_speed;
 
     // the kick at the end, of what is left of the last step
-    BendState<F> end;
-    start_bent(end, transform_point(medium.to_voxels, p), zero, bits);
+    const BendState<F> end = state_at(medium, p);
     const BendPoint<T, F> last(field, end, bits, active);
     const Vec3<F> force = symmetric_times<F>(field.kick, last.jet.slope);
     const F weight = bent.rest - F(S(0.5));
@@ -145,8 +144,7 @@ TR_NOINLINE void sweep_index_of(const BendMedium<ScalarOf<F>> &medium, const Vec
                                 const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     const int bits = position_bits<F>(medium.field);
-    BendState<F> s;
-    start_bent(s, transform_point(medium.to_voxels, p), {F(0), F(0), F(0)}, bits);
+    const BendState<F> s = state_at(medium, p);
     const BendPoint<T, F> at(medium.field, s, bits, active);
     const F n = refractive_index(at.jet.value, medium.constant, LeastSquare<S>);
     const F phi_bar = select(active, n_bar / n, F(0));

@@ -7,8 +7,7 @@ namespace tr {
 template <class F>
 TR_LARGE LocalIndex<F> local_index(const BendMedium<ScalarOf<F>> &medium, const Vec3<F> &p, const MaskOf<F> &active) {
     const int bits = position_bits<F>(medium.field);
-    BendState<F> s;
-    start_bent(s, transform_point(medium.to_voxels, p), {F(0), F(0), F(0)}, bits);
+    const BendState<F> s = state_at(medium, p);
     auto slope = [&](auto taps) {
         constexpr int T = decltype(taps)::value;
         return spline_slope<T, F>(medium.field, cell_at<T>(medium.field, s, bits), active);

@@ -26,6 +26,14 @@ struct BendMedium {
     int32_t n_blocks[3];
 };
 
+// At rest at a point of the world.
+template <class F, class S>
+TR_INLINE BendState<F> state_at(const BendMedium<S> &medium, const Vec3<F> &p) {
+    BendState<F> s;
+    start_bent(s, transform_point(medium.to_voxels, p), {F(0), F(0), F(0)}, position_bits<F>(medium.field));
+    return s;
+}
+
 template <class F, class S>
 TR_INLINE MaskOf<F> surface_near(const BendMedium<S> &medium, const BendState<F> &s, int bits,
                                  const MaskOf<F> &active) {
