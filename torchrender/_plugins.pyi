@@ -28,6 +28,7 @@ from .scene.materials import AnisotropicConductor as AnisotropicConductor
 from .scene.materials import AnisotropicDielectric as AnisotropicDielectric
 from .scene.materials import Conductor as Conductor
 from .scene.materials import Dielectric as Dielectric
+from .scene.materials import DispersiveDielectric as DispersiveDielectric
 from .scene.materials import Hair as Hair
 from .scene.materials import PPlastic as PPlastic
 from .scene.materials import Plastic as Plastic

@@ -203,10 +203,10 @@ class BsdfDirection(_Function):
             return (None,) * len(ctx.needs_input_grad)
         needed = ctx.needs_input_grad[4:]
         by_wi, *by_numbers = BsdfDirectionDerivatives.apply(ctx.functions, *ctx.saved_tensors)
-        found = [(adjoint[..., None] * by_wi).sum(1)]
-        numbers = iter(by_numbers)
-        for p in ctx.saved_tensors[3:]:
-            found.append((adjoint * next(numbers)).sum(1) if p.ndim == 1 else torch.zeros_like(p))
+        params = ctx.saved_tensors[3:]
+        found = [(adjoint[..., None] * by_wi).sum(1), *(torch.zeros_like(p) for p in params)]
+        for i, by in zip(_turning(ctx.functions, params), by_numbers, strict=True):
+            _first(found[1 + i]).copy_((adjoint * by).sum(1))
         return (None, None, None, None, *(f if n else None for f, n in zip(found, needed, strict=True)))
 
     @staticmethod
@@ -214,22 +214,32 @@ class BsdfDirection(_Function):
         by_wi, *by_numbers = BsdfDirectionDerivatives.apply(ctx.functions, *ctx.saved_tensors)
         wi, *of_params = tangents
         total = torch.zeros_like(by_wi[..., 0]) if wi is None else (by_wi * wi[:, None]).sum(2)
-        numbers = iter(by_numbers)
-        for p, tangent in zip(ctx.saved_tensors[3:], of_params, strict=True):
-            by = next(numbers) if p.ndim == 1 else None
-            if by is not None and tangent is not None:
-                total = total + by * tangent[:, None]
+        for i, by in zip(_turning(ctx.functions, ctx.saved_tensors[3:]), by_numbers, strict=True):
+            tangent = of_params[i]
+            if tangent is not None:
+                total = total + by * _first(tangent)[:, None]
         return total
 
 
+def _turning(functions: Any, params: Sequence[torch.Tensor]) -> list[int]:
+    """Which parameters turn delta lobes: the numbers (N,), or of one colour (N, C) the first component."""
+    if functions.turned_by >= 0:
+        return [functions.turned_by]
+    return [i for i, p in enumerate(params) if p.ndim == 1]
+
+
+def _first(values: torch.Tensor) -> torch.Tensor:
+    return values if values.ndim == 1 else values[:, 0]
+
+
 class BsdfDirectionDerivatives(_Derivatives):
-    """Derivatives of the directions of delta lobes by wi (N, 3, 3), and by each number (N, 3); elsewhere 0."""
+    """Derivatives of the directions of delta lobes by wi (N, 3, 3), and by what turns them (N, 3); elsewhere 0."""
 
     @staticmethod
     def forward(
         functions: Any, lobe: torch.Tensor, delta: torch.Tensor, wi: torch.Tensor, *params: torch.Tensor
     ) -> Any:
-        n, numbers = len(wi), sum(p.ndim == 1 for p in params)
+        n, numbers = len(wi), len(_turning(functions, params))
         arrays = {"lobe": lobe, "wi": wi, "by_wi": wi.new_empty(n, 3, 3), "by_number": wi.new_empty(n, 3, numbers)}
         call(functions, "direction_derivative", params, arrays)
         turned = (delta != 0)[:, None]

@@ -14,6 +14,7 @@ from .scene.gather import gather, has_derivative
 from .scene.native import NativeScene
 from .scene.packing import Layout
 from .scene.scene import Scene
+from .scene.spectral.core_values import for_core
 from .surface import Surfaces
 
 
@@ -79,7 +80,7 @@ def ray_intersect(
     """
     scene, origins, directions, limits = _rays("ray_intersect", scene, origins, directions, tmax)
     layout = scene.layout()
-    tensors = gather(scene, layout, params, "ray_intersect")
+    tensors = for_core(scene, layout, gather(scene, layout, params, "ray_intersect"))
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
     hits = find_hits(native, tensors, origins, directions, limits)
     geometry = [tensors[i] for i in _geometry(layout)]
@@ -104,7 +105,7 @@ def ray_occluded(
     """
     scene, origins, directions, limits = _rays("ray_occluded", scene, origins, directions, tmax)
     layout = scene.layout()
-    tensors = gather(scene, layout, params, "ray_occluded")
+    tensors = for_core(scene, layout, gather(scene, layout, params, "ray_occluded"))
     return _Occluded.apply(scene, layout, *_detached([origins, directions, limits, *tensors]))
 
 

@@ -60,6 +60,8 @@ from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
 from .scene.sensor import IrradianceMeter, default_sampler
+from .scene.spectral.core_values import for_core
+from .scene.spectral.wavelengths import wavelength_config
 from .seeds import seeds
 
 if TYPE_CHECKING:
@@ -223,6 +225,13 @@ def render(
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
     tensors = gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params))
     check_ranges(scene, packed, tensors, range)
+    held: tuple[torch.Tensor, ...] = ()
+    if packed.spectral:
+        if wavefront:
+            raise ValueError("render: integrator: WavefrontPathTracer has no wavelengths; PathTracer has them")
+        tensors = for_core(scene, packed, tensors)
+        wavelengths, held = wavelength_config(scene, packed, tensors)
+        integrator_config = {**integrator_config, "spectral": wavelengths}
     if shows_radiance and not packed.lights_seen:
         from .black_pictures import warn_of_missing_light  # when it is needed: importing the package is to be quick
 
@@ -302,6 +311,7 @@ def render(
             spp_visibility=spp_outlines,
             adaptive_grad=adaptive_grad,
             progress=progress,
+            held=held,
         )
         call.keep_hits = (
             correlated

@@ -51,6 +51,7 @@ class RenderCall:
     spp_visibility: tuple[int, int] | None = None  # see `render`
     adaptive_grad: bool = False
     progress: bool | None = None  # whether a bar is shown; None: where somebody is watching
+    held: tuple[torch.Tensor, ...] = ()  # whose memory `config` points to, besides
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
     kept: torch.Tensor | None = None  # keeps it alive until autograd does

@@ -98,7 +98,7 @@ public:
 
     void direction_derivative(size_t n, const Addresses &params, const Arrays &arrays) const override {
         if (!kernels_.direction_vjp) throw std::invalid_argument("BsdfFunctions: the model has no delta lobes");
-        const size_t numbers = size_t(kernels_.n_numbers);
+        const size_t numbers = kernels_.turned_by >= 0 ? 1 : size_t(kernels_.n_numbers);
         const S *wi = in(arrays, "wi");
         for_points(n, params, [&](const Rows &rows, const BsdfParameters<F> &at) {
             for (int k = 0; k < 3; ++k) {
@@ -151,6 +151,7 @@ private:
     void load(const Rows &rows, const Addresses &params, BsdfParameters<F> &to) const {
         F *color = to.number, *number = to.number + SpectrumSize * kernels_.n_colors;
         F *luminance_to = number + kernels_.n_numbers;
+        to.refraction = IntOf<F>(RefractsAll);
         for (int i = 0; i < kernels_.n_continuous; ++i) {
             const S *from = reinterpret_cast<const S *>(params[size_t(i)]);
             if (kernels_.use[i] != BsdfInfo::Color) {

@@ -30,6 +30,7 @@ inline void declare_bsdf_functions(py::module_ &m) {
                                })
         .def_property_readonly("channels", &BsdfFunctions::channels)
         .def_property_readonly("tabulated", [](const BsdfFunctions &self) { return self.info().tabulated; })
+        .def_property_readonly("turned_by", [](const BsdfFunctions &self) { return self.info().turned_by; })
         .def("eval", &BsdfFunctions::eval, py::call_guard<py::gil_scoped_release>())
         .def("pdf", &BsdfFunctions::pdf, py::call_guard<py::gil_scoped_release>())
         .def("sample", &BsdfFunctions::sample, py::call_guard<py::gil_scoped_release>())

@@ -90,6 +90,7 @@ py::list models() {
             py::dict d;
             d["name"] = f.name;
             d["kind"] = kind_name(f.kind);
+            d["scalar"] = f.kind == Kind::Scalar;
             d["default"] = number(f.fallback);
             d["min"] = number(f.minimum);
             d["max"] = number(f.maximum);
@@ -114,7 +115,7 @@ py::list models() {
 
 py::list variants() {
     py::list all;
-    for (const char *color : {"mono", "rgb"}) {
+    for (const char *color : {"mono", "rgb", "spectral"}) {
         for (const char *dtype : {"float32", "float64"}) {
             if (TR_HAS_PACKETS && std::string(dtype) == "float64") continue;
             py::dict d;

@@ -34,18 +34,18 @@ struct RayBuffer {
 template <class S>
 class NativeSceneOf final : public NativeScene {
 public:
-    // `channels` of colours: 1 or 3
-    explicit NativeSceneOf(int channels) : channels_(channels) {}
+    // `channels` of colours: 1 or 3; `spectral`: which are spectra while rendering
+    NativeSceneOf(int channels, bool spectral) : channels_(channels), spectral_(spectral) {}
 
     void build(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
                const std::vector<IndexArray> &arrays, NativeScene *previous) override {
         auto *other = dynamic_cast<NativeSceneOf *>(previous);
         if (!other || other == this) {
             std::lock_guard<std::mutex> lock(mutex_);
-            return data_.build(objects, shapes, arrays, channels_);
+            return data_.build(objects, shapes, arrays, channels_, nullptr, spectral_);
         }
         std::scoped_lock lock(mutex_, other->mutex_);
-        data_.build(objects, shapes, arrays, channels_, &other->data_);
+        data_.build(objects, shapes, arrays, channels_, &other->data_, spectral_);
     }
 
     std::map<std::string, uint64_t> counters() override {
@@ -271,6 +271,7 @@ public:
 
 private:
     const int channels_;
+    const bool spectral_;
     SceneData<S> data_;
     std::mutex mutex_;
     std::shared_ptr<RayRecord> ray_record_;
@@ -291,6 +292,8 @@ private:
         RenderCall<S> call{};
         call.scene = &data_.view();
         call.accel = &data_.accel();
+        if ((c.path.spectral.positions != nullptr) != spectral_)
+            throw std::invalid_argument("spectral: wavelengths are given to spectral scenes, and to these alone");
         call.config = c.path;
         call.filter = c.filter;
         call.film_height = c.height, call.film_width = c.width;
@@ -388,12 +391,13 @@ private:
 }  // namespace
 
 std::unique_ptr<NativeScene> make_scene(const std::string &color, const std::string &dtype) {
-    if (color != "mono" && color != "rgb")
-        throw std::invalid_argument("Scene: color: expected mono or rgb, got " + color);
+    if (color != "mono" && color != "rgb" && color != "spectral")
+        throw std::invalid_argument("Scene: color: expected mono, rgb or spectral, got " + color);
     const int channels = color == "mono" ? 1 : 3;
-    if (dtype == "float32") return std::make_unique<NativeSceneOf<float>>(channels);
+    const bool spectral = color == "spectral";
+    if (dtype == "float32") return std::make_unique<NativeSceneOf<float>>(channels, spectral);
 #if !TR_HAS_PACKETS
-    if (dtype == "float64") return std::make_unique<NativeSceneOf<double>>(channels);
+    if (dtype == "float64") return std::make_unique<NativeSceneOf<double>>(channels, spectral);
 #endif
     throw std::invalid_argument("Scene: dtype: this module does not compute in " + dtype);
 }

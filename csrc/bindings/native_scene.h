@@ -83,7 +83,7 @@ public:
                                           int rounds) = 0;
 };
 
-// color: mono or rgb; dtype: float32, or float64 where this module computes in it.
+// color: mono, rgb or spectral; dtype: float32, or float64 where this module computes in it.
 std::unique_ptr<NativeScene> make_scene(const std::string &color, const std::string &dtype);
 
 }  // namespace tr

@@ -74,6 +74,11 @@ inline Config read_config(const py::dict &d) {
         d.contains("pattern") ? d["pattern"].cast<std::pair<int64_t, int64_t>>() : std::pair(c.sample_offset, c.spp);
     c.path.sampler = make_sampler(sampler_kind(d["sampler"].cast<std::string>()), pattern.first, pattern.second);
     c.path.volumetric = d.contains("volumetric") && d["volumetric"].cast<bool>();
+    if (d.contains("spectral")) {  // addresses of numbers in the scene's precision, see SpectralConfig
+        auto [positions, intervals, weights] = d["spectral"].cast<std::tuple<uintptr_t, int32_t, uintptr_t>>();
+        c.path.spectral = {reinterpret_cast<const void *>(positions), intervals,
+                           reinterpret_cast<const void *>(weights)};
+    }
     c.light = d["integrator"].cast<std::string>() == "ptracer";
     c.glued = d.contains("glued") && d["glued"].cast<bool>();
     if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();

@@ -23,23 +23,24 @@
 #include "texture/texture.h"
 
 // Those that scatter; each is a file in bsdf/.
-#define TR_BSDFS(X)         \
-    X(Diffuse)              \
-    X(NullBsdf)             \
-    X(Dielectric)           \
-    X(Conductor)            \
-    X(RoughDielectric)      \
-    X(RoughConductor)       \
-    X(Plastic)              \
-    X(ThinDielectric)       \
-    X(Principled)           \
-    X(RoughPlastic)         \
-    X(PolarimetricPlastic)  \
-    X(PrincipledThin)       \
-    X(RednerMaterial)       \
-    X(Hair)                 \
-    X(AnisotropicConductor) \
-    X(AnisotropicDielectric)
+#define TR_BSDFS(X)          \
+    X(Diffuse)               \
+    X(NullBsdf)              \
+    X(Dielectric)            \
+    X(Conductor)             \
+    X(RoughDielectric)       \
+    X(RoughConductor)        \
+    X(Plastic)               \
+    X(ThinDielectric)        \
+    X(Principled)            \
+    X(RoughPlastic)          \
+    X(PolarimetricPlastic)   \
+    X(PrincipledThin)        \
+    X(RednerMaterial)        \
+    X(Hair)                  \
+    X(AnisotropicConductor)  \
+    X(AnisotropicDielectric) \
+    X(DispersiveDielectric)
 
 namespace tr {
 

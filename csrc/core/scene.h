@@ -2,8 +2,7 @@
 // device copy is a copy. Filled by csrc/host.
 #pragma once
 
-#include "color/spectrum.h"
-#include "math/rows.h"
+#include "color/spectral.h"
 #include "model.h"
 
 namespace tr {
@@ -13,12 +12,13 @@ template <class S>
 struct TensorView {
     const S *data;
     int32_t shape[4];
+    const S *base;  // of a tangent: the values themselves, where look-ups are not linear in them; else null
 };
 
 // Parameter values. The tangent of a forward-mode derivative has the same layout.
 template <class S>
 struct Values {
-    const S *constants;            // the small parameters, colours expanded to SpectrumSize numbers
+    const S *constants;            // the small parameters, colours expanded to SpectrumSize numbers, or to tables
     const TensorView<S> *tensors;  // by slot in the flat parameter list
 };
 
@@ -155,8 +155,9 @@ struct ShapeLanes {
 
 // A colour in the block of small parameters.
 template <class F, class S>
-TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &, const IntOf<F> &offset,
+TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &waves, const IntOf<F> &offset,
                                         const MaskOf<F> &active) {
+    if (waves.spectral) return table_spectrum(values.constants, waves, UIntOf<F>(offset), active);
     Spectrum<F> r;
     gather_few_rows<F>(values.constants, UIntOf<F>(offset), active, r.c);
     return r;
@@ -164,7 +165,8 @@ TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengt
 
 // The same of one colour for all lanes.
 template <class F, class S>
-TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &, int32_t offset) {
+TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &waves, int32_t offset) {
+    if (waves.spectral) return table_spectrum(values.constants, waves, UIntOf<F>(uint32_t(offset)), MaskOf<F>(true));
     Spectrum<F> r;
     for (int c = 0; c < SpectrumSize; ++c) r[c] = F(values.constants[offset + c]);
     return r;

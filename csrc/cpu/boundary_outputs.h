@@ -81,7 +81,7 @@ private:
                          first.load(),
                          center.load(),
                          {},
-                         wavelengths_of<F>(call_.config, load_uint<F>(pixel), load_uint<F>(sample))};
+                         {call_.config, load_uint<F>(pixel), load_uint<F>(sample)}};
         const SurfacePoint<F> at{load_uint<F>(shape), load_uint<F>(primitive), number(b1), number(b2)};
         seen.si = make_interaction<F>(scene_, seen.ray, at, number(t), active);
         F v[MaxAovChannels];

@@ -331,6 +331,7 @@ protected:
             hits.at.b1[k] = at.b1, hits.at.b2[k] = at.b2, hits.t[k] = rays[k].t;
         }
         light_.run(false, stop, depth, traced, boundary_.glued && depth == 0);
+        light_.to_channels();
     }
 
     // ------------------------------------------------------------------------------------------------------- sums

@@ -99,6 +99,7 @@ struct ForwardCall {
     ForwardCall(const SceneData<S> &data, const PathConfig &path, bool light, const Addresses &tangents)
         : call(derivative_call(data, path, light, tangents)) {
         data.fill_values(read_only<S>(tangents), arrays.constants, tensors);
+        for (size_t i = 0; i < tensors.size(); ++i) tensors[i].base = data.view().values.tensors[i].data;
         if (call.needs.geometry) data.fill_geometry(read_only<S>(tangents), call.geometry_sizes, arrays);
         call.tangent = {arrays.constants.data(), tensors.data()};
         const std::vector<S> *vertices[VertexArrays] = {&arrays.positions, &arrays.normals, &arrays.texcoords};

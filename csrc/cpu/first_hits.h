@@ -115,12 +115,9 @@ private:
             at.primitive = select(mask<U>(active), at.primitive, U(0u));
             FirstRay<F> r;
             read(rays_, from, r);
-            FirstHit<F> hit{{from(samples.film_x), from(samples.film_y), r.lens.x, r.lens.y},
-                            {r.o, r.d},
-                            r.first,
-                            r.center,
-                            {},
-                            wavelengths_of<F>(call_.config, from(samples.pixel), from(samples.sample))};
+            FirstHit<F> hit{
+                {from(samples.film_x), from(samples.film_y), r.lens.x, r.lens.y}, {r.o, r.d}, r.first, r.center, {},
+                {call_.config, from(samples.pixel), from(samples.sample)}};
             hit.si = make_interaction<F>(context_.scene, hit.ray, at, from(queries.hits.t), active);
             visit(i, active, hit);
         }

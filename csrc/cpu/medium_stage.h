@@ -19,7 +19,7 @@ public:
     MediumContext<F> media;
 
     MediumStage(Wavefront<F> &wavefront, size_t capacity, bool differentiates)
-        : w_(wavefront), scene_(wavefront.scene()), tracker_(scene_) {
+        : w_(wavefront), scene_(wavefront.scene()), tracker_(scene_, wavefront.call().config, wavefront.slots) {
         for (int m = 0; m < scene_.n_media; ++m) {
             media.chromatic |= (scene_.media[m].flags & IsChromatic) != 0;
             media.emissive |= scene_.media[m].emission >= 0;
@@ -45,7 +45,7 @@ public:
         media.level = level;
         PathContext<F> c = w_.context(false);
         for (uint32_t i = 0; i < queue.n; i += W) begin_flight(c, media, queue, w_.queries.hits, i);
-        const TrackedQueue<S> rays{queue.o, queue.d, queue.ray_offset};
+        const TrackedQueue<S> rays{queue.o, queue.d, queue.ray_offset, queue.slot};
         for (int32_t m = 0; m < scene_.n_media; ++m) {
             size_t n = 0;
             uint32_t *order = w_.scratch();
@@ -79,7 +79,8 @@ public:
                     if (shadows.medium[pending_[j]] == m && w_.queries.hits.at.shape[j] != MediumHit)
                         met_[waiting] = j, queue_[waiting++] = pending_[j];
                 if (waiting == 0) continue;
-                tracker_.transmit(m, {shadows.o, shadows.d, shadows.ray_offset}, transmittance_, queue_, waiting);
+                tracker_.transmit(m, {shadows.o, shadows.d, shadows.ray_offset, shadows.slot}, transmittance_, queue_,
+                                  waiting);
                 if (recording && media.differential) choose_points(waiting, m, moves);
             }
             n = cross_boundaries(n, moves);

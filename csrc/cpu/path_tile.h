@@ -96,6 +96,19 @@ public:
         return scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
     }
 
+    // In the spectral variant: the slots' radiances become channels of the film, and adjoints of channels those of
+    // radiances.
+    void to_channels() {
+        for_channels([&](const FilmWeights<F> &weights, uint32_t i) {
+            write(slots.radiance, i, weights.channels(Entries<F>(i)(slots.radiance)));
+        });
+    }
+    void pull_adjoints() {
+        for_channels([&](const FilmWeights<F> &weights, uint32_t i) {
+            write(slots.delta, i, weights.pull(Entries<F>(i)(slots.delta)));
+        });
+    }
+
     // Runs over the tape from its end. `unit_adjoint`: the radiance itself is differentiated, in all components.
     void sweep(GradientSink<F> &sink, bool unit_adjoint) {
         Tape<S> &tape = wavefront.tape;
@@ -109,6 +122,17 @@ public:
     }
 
 private:
+    template <class Visit>
+    void for_channels(Visit &&visit) {
+        if (!config_.spectral.positions) return;
+        for (uint32_t i = 0; i < n_slots_; i += W) {
+            Entries<F> from(i);
+            visit(
+                FilmWeights<F>(config_.spectral, chosen_wavelengths<F>(config_, from(slots.pixel), from(slots.sample))),
+                i);
+        }
+    }
+
     // ------------------------------------------------------------------------------------------------------- tracing
     template <class Stop>
     void run_volumetric(bool recording, Stop &stop) {

@@ -1,6 +1,7 @@
 // Light paths, and their derivatives: as render_paths.cpp, but what a path brings may be anywhere on the film. The
 // items of the schedule are divided into groups, as many whatever the number of threads; a group has a film of its own,
 // and films are added, in double precision, in the order of their groups.
+#include <array>
 #include <optional>
 
 #include "light_tile.h"
@@ -82,6 +83,55 @@ private:
     size_t next_ = 0;
 };
 
+// In the spectral variant: what connections bring becomes channels of the film.
+template <class F>
+class ConnectionChannels {
+    using S = ScalarOf<F>;
+    using U = UIntOf<F>;
+    static constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+
+public:
+    ConnectionChannels(const RenderCall<S> &call, const SlotColumns<S> &slots) : config_(call.config), slots_(slots) {}
+    bool on() const { return config_.spectral.positions != nullptr; }
+
+    // Of n entries that belong to these slots: value[c] becomes what map(weights, spectrum) makes of it, where `at`
+    // says, or entry by entry without.
+    template <class Map>
+    void each(const uint32_t *slot, size_t n, const std::array<S *, SpectrumSize> &value, const uint32_t *at,
+              Map &&map) const {
+        if (!on()) return;
+        for (size_t k = 0; k < n; k += W) {
+            const LaneSet<F> lanes(slot + k, uint32_t(n - k));
+            const auto m = lanes.active;
+            alignas(64) uint32_t own[W], place[W];
+            for (uint32_t i = 0; i < W; ++i) {
+                const size_t j = std::min(k + i, n - 1);
+                own[i] = slot[j], place[i] = at ? at[j] : uint32_t(j);
+            }
+            Gathered<F> path(load_uint<F>(own), m), entry(load_uint<F>(place), m);
+            const FilmWeights<F> weights(config_.spectral,
+                                         chosen_wavelengths<F>(config_, path(slots_.pixel), path(slots_.sample)));
+            Spectrum<F> spectrum;
+            for (int c = 0; c < SpectrumSize; ++c) spectrum[c] = entry.get(value[size_t(c)]);
+            spectrum = map(weights, spectrum);
+            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(value[size_t(c)], entry.index, spectrum[c], m);
+        }
+    }
+    void to_channels(const uint32_t *slot, size_t n, const std::array<S *, SpectrumSize> &value) const {
+        each(slot, n, value, nullptr,
+             [](const FilmWeights<F> &weights, const Spectrum<F> &x) { return weights.channels(x); });
+    }
+    void to_channels(const ShadowQueue<S> &free) const { to_channels(free.slot.at, free.n, arrays(free.contribution)); }
+    template <class Column>
+    static std::array<S *, SpectrumSize> arrays(const Column &column) {
+        return {column[0], column[1], column[2]};
+    }
+
+private:
+    const PathConfig &config_;
+    const SlotColumns<S> &slots_;
+};
+
 template <class F>
 void splat_connections(const Filter &filter, const ShadowQueue<ScalarOf<F>> &free, SplatFilm<ScalarOf<F>> &film,
                        SplatAxes<F> &axes) {
@@ -112,7 +162,7 @@ public:
         for (int c = 0; c < SpectrumSize; ++c) copy(kept.value[c], free.contribution[c]);
     }
 
-    void sweep(LightTile<F> &tile, size_t n, SplatFilm<S> &film) {
+    void sweep(LightTile<F> &tile, size_t n, const ConnectionChannels<F> &channels, SplatFilm<S> &film) {
         GradientSink<F> sink = derivative_.template forward_sink<F>();
         const bool moves = derivative_.needs.geometry;
         for (size_t level = 0; level < levels_.size(); ++level) {
@@ -145,6 +195,7 @@ public:
                 sweep_for(All, 0, d, call_.values);
             }
             set_adjoints(Nothing);  // they count no more
+            channels.to_channels(kept.slot.data(), kept.slot.size(), {d[0].data(), d[1].data(), d[2].data()});
             splat(kept, d, moves, film);
             kept.slot.clear();
         }
@@ -180,10 +231,11 @@ struct SplattingTile {
     LightTile<F> paths;
     SplatAxes<F> axes;
     std::optional<LightTangents<F>> tangents;
+    ConnectionChannels<F> channels;
     RenderStats take_stats() { return paths.take_stats(); }
 
     SplattingTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
-        : paths(call, capacity, derivative) {
+        : paths(call, capacity, derivative), channels(call, paths.slots) {
         if (derivative) tangents.emplace(call, *derivative);
     }
 };
@@ -212,6 +264,7 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
             auto film = std::make_unique<SplatFilm<S>>(call.crop);
             const size_t end = schedule.n_items() * (group + 1) / groups;
             auto visit = [&](int level, const ShadowQueue<S> &free) {
+                tile.channels.to_channels(free);
                 if (derivative)
                     tile.tangents->keep(level, free);
                 else
@@ -221,7 +274,7 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
                             [&](size_t n, const std::vector<Span> &) {
                                 tile.paths.run(n, derivative != nullptr, stop, visit);
-                                if (derivative) tile.tangents->sweep(tile.paths, n, *film);
+                                if (derivative) tile.tangents->sweep(tile.paths, n, tile.channels, *film);
                             });
             films.push(group, std::move(film));
         });
@@ -269,6 +322,7 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                 SplatAxes<F> &axes = tile.axes;
                 auto collect = [&](int number, const ShadowQueue<S> &free) {
                     const TapeColumns<S> &level = tile.paths.wavefront.tape[number].columns;
+                    tile.channels.to_channels(free);
                     axes.for_places(call.filter, free.film_x.at, free.film_y.at, free.n, true, [&](size_t k, int lane) {
                         typename AdjointFilm::Vector sum, by_x, by_y;
                         adjoint.collect(axes.x, axes.y, lane, sum, by_x, by_y);
@@ -280,6 +334,9 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                         }
                         level.connection.x_bar[at] = x_bar, level.connection.y_bar[at] = y_bar;
                     });
+                    tile.channels.each(
+                        free.slot.at, free.n, tile.channels.arrays(level.outgoing.emitted), free.position.at,
+                        [](const FilmWeights<F> &weights, const Spectrum<F> &x) { return weights.pull(x); });
                 };
                 for_batches(tile.paths.slots, call, schedule, item, capacity, stop,
                             [&](size_t n, const std::vector<Span> &) {

@@ -39,6 +39,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                         GradientSink<F> sink = derivative->template forward_sink<F>();
                         tile.sweep(sink, true);
                     }
+                    tile.to_channels();
                     S *columns[SpectrumSize + 1];
                     for (int c = 0; c < pixel; ++c) columns[c] = slots.radiance[c];
                     columns[pixel] = slots.alpha.at;
@@ -123,6 +124,8 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                 for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
                     collect_adjoints(call, blocks, spans, slots);
+                    tile.begin(n);
+                    tile.pull_adjoints();
                     tile.start(n, true);
                     tile.wavefront.replay.begin(call.kept_hits, item, done, n, size_t(tile.splits(call.config)));
                     done += n;

@@ -11,13 +11,30 @@ void Tracker<F>::for_packets(const uint32_t *order, size_t n, Visit &&visit) {
     }
 }
 
+// Where there are wavelengths, each ray has its own extinction.
+template <class F>
+template <class Visit>
+void Tracker<F>::for_constant(const MediumInfo &medium, const TrackedQueue<S> &rays, const uint32_t *order, size_t n,
+                              Visit &&visit) const {
+    const bool spectral = config_.spectral.positions != nullptr;
+    Spectrum<F> sigma;
+    if (!spectral) sigma = constant_extinction<F>(scene_, {}, medium);
+    for_packets(order, n, [&](const LaneSet<F> &lanes, const U &entry) {
+        if (spectral) {
+            Gathered<F> path(select(mask<U>(lanes.active), lanes(rays.slot), U(0u)), lanes.active);
+            const auto waves = wavelengths_of<F>(config_, path(slots_.pixel), path(slots_.sample));
+            sigma = constant_extinction<F>(scene_, waves, medium);
+        }
+        visit(sigma, lanes, entry);
+    });
+}
+
 template <class F>
 void Tracker<F>::fly(int32_t medium, const TrackedQueue<S> &rays, const FlightColumns<S> &at, const uint32_t *order,
                      size_t n, bool points) {
     const MediumInfo &m = scene_.media[medium];
     if (m.flags & IsGrid) return walk(m, rays, at, order, n, FlightEstimator<F>{at, points});
-    const Spectrum<F> sigma = constant_extinction<F>(scene_, {}, m);
-    for_packets(order, n, [&](const LaneSet<F> &lanes, const U &entry) {
+    for_constant(m, rays, order, n, [&](const Spectrum<F> &sigma, const LaneSet<F> &lanes, const U &entry) {
         fly_constant(sigma, rays.ray_offset, at, (m.flags & IsChromatic) != 0, points, lanes, entry);
     });
 }
@@ -27,8 +44,7 @@ void Tracker<F>::transmit(int32_t medium, const TrackedQueue<S> &rays, const Tra
                           const uint32_t *order, size_t n) {
     const MediumInfo &m = scene_.media[medium];
     if (m.flags & IsGrid) return walk(m, rays, at, order, n, TransmittanceEstimator<F>{at});
-    const Spectrum<F> sigma = constant_extinction<F>(scene_, {}, m);
-    for_packets(order, n, [&](const LaneSet<F> &lanes, const U &entry) {
+    for_constant(m, rays, order, n, [&](const Spectrum<F> &sigma, const LaneSet<F> &lanes, const U &entry) {
         transmit_constant(sigma, rays.ray_offset, at, lanes, entry);
     });
 }

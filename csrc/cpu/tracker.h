@@ -2,6 +2,7 @@
 // wait in a queue; a packet works on as many as it has lanes, and a lane whose ray is done takes the next one.
 #pragma once
 
+#include "core/integrator/config.h"
 #include "core/medium/estimators.h"
 
 namespace tr {
@@ -14,7 +15,8 @@ class Tracker {
     static constexpr int W = Lanes<F>::Width;
 
 public:
-    explicit Tracker(const SceneView<S> &scene) : scene_(scene) {}
+    Tracker(const SceneView<S> &scene, const PathConfig &config, const SlotColumns<S> &slots)
+        : scene_(scene), config_(config), slots_(slots) {}
 
     // The entries `order`[0 .. n), ascending, are in the medium. `points`: see FlightEstimator.
     void fly(int32_t medium, const TrackedQueue<S> &rays, const FlightColumns<S> &at, const uint32_t *order, size_t n,
@@ -27,6 +29,13 @@ public:
 
 private:
     const SceneView<S> &scene_;
+    const PathConfig &config_;
+    const SlotColumns<S> &slots_;
+
+    // Calls visit(extinction, lanes, entries) for packets of the order.
+    template <class Visit>
+    void for_constant(const MediumInfo &medium, const TrackedQueue<S> &rays, const uint32_t *order, size_t n,
+                      Visit &&visit) const;
 
     template <class Columns, class Estimator>
     void walk(const MediumInfo &medium, const TrackedQueue<S> &rays, const Columns &at, const uint32_t *order, size_t n,

@@ -13,9 +13,24 @@ namespace tr {
 template <class S>
 double build_cdf(const double *weights, size_t n, S *cdf);
 
-// Of a colour of one or three channels.
+// The luminance of what value(wavelength in nm above FirstWavelength) is, under daylight.
+template <class Value>
+double luminance_under_daylight(Value &&value) {
+    double sum = 0;
+    for (int third = 0; third < LuminanceNodes / SpectrumSize; ++third) {
+        const Wavelengths<double> waves = luminance_wavelengths<double>(third);
+        for (double at : waves.at) sum += value(at);
+    }
+    return sum / LuminanceNodes;
+}
+
+// Of a colour of one or three channels, or with SigmoidChannels.
 template <class S>
 double luminance_of(const S *c, int channels) {
+    if (channels == SigmoidChannels) {
+        const double row[SigmoidChannels] = {double(c[0]), double(c[1]), double(c[2]), double(c[3])};
+        return row[3] * luminance_under_daylight([&](double at) { return Sigmoid<double>(at, row).value; });
+    }
     return channels == 3 ? luminance(Spectrum<double>{{double(c[0]), double(c[1]), double(c[2])}}) : double(c[0]);
 }
 

@@ -93,7 +93,7 @@ bool GradientRequirements::motion(size_t sensor) const {
         if (needs_grad_[size_t(index)] || any_number("medium", m, {Kind::Float, Kind::Transform})) return true;
     }
     // maps of texture coordinates and factors of attributes; places of volumes; the environment's rotation; what turns
-    // delta lobes
+    // delta lobes and shading normals
     if (any("texture", {Kind::Transform2, Kind::Float}) || any("volume", {Kind::Transform}) ||
         any("emitter", {Kind::Transform}))
         return true;
@@ -101,7 +101,7 @@ bool GradientRequirements::motion(size_t sensor) const {
     for (size_t i = 0; i < bsdfs.size(); ++i) {
         const Model &model = model_of("bsdf", bsdfs[i]);
         if ((model.is(HasDeltaLobes) && any_number("bsdf", i, {Kind::Float})) ||
-            (model.is(PerturbsNormals) && values("bsdf", i)))  // shading normals
+            ((model.is(PerturbsNormals) || model.is(Disperses)) && values("bsdf", i)))
             return true;
     }
     return false;

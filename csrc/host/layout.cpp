@@ -150,7 +150,7 @@ int32_t LayoutBuilder::default_constant(const char *category, const std::string 
     record.kind = find_model(category, type)->kind;
     record.field[ConstantTexture::Value] = int32_t(out_.constants.size());
     record.field[Record::Extra] = 1;
-    out_.constants.insert(out_.constants.end(), size_t(SpectrumSize), f.fallback);
+    out_.constants.insert(out_.constants.end(), size_t(out_.stored_spectrum()), f.fallback);
     out_.records[category].push_back(record);
     return int32_t(out_.records[category].size()) - 1;
 }
@@ -163,8 +163,8 @@ int32_t LayoutBuilder::default_phase() {
 }
 
 int32_t LayoutBuilder::constant(const Field &f, int64_t given, const std::string &at) {
-    const int channels = out_.channels;
-    int stored = f.kind == Kind::Spectrum    ? SpectrumSize
+    const int channels = out_.spectral ? SpectrumSamples : out_.channels;
+    int stored = f.kind == Kind::Spectrum    ? out_.stored_spectrum()
                  : f.kind == Kind::Float     ? 1
                  : f.kind == Kind::Point     ? 3
                  : f.kind == Kind::Transform ? 12
@@ -201,8 +201,8 @@ int32_t LayoutBuilder::constant(const Field &f, int64_t given, const std::string
 }
 
 SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-                    const std::vector<IndexArray> &index_arrays, int channels) {
-    return LayoutBuilder(objects, param_shapes, index_arrays, channels).run();
+                    const std::vector<IndexArray> &index_arrays, int channels, bool spectral) {
+    return LayoutBuilder(objects, param_shapes, index_arrays, channels, spectral).run();
 }
 
 }  // namespace tr

@@ -25,7 +25,8 @@ struct IndexArray {
 };
 
 // A small parameter in the block of constants. `count` numbers of the parameter are stored as `stored` numbers at
-// `offset`: a colour of shape () as a number a channel, a (4, 4) matrix as its first 3 rows, others as they are.
+// `offset`: a colour of shape () as a number a channel or a wavelength, a (4, 4) matrix as its first 3 rows, others as
+// they are.
 struct ConstantEntry {
     int slot, offset, stored, count;
 };
@@ -46,7 +47,10 @@ struct MeshSource {
 };
 
 struct SceneLayout {
-    int channels = 3;
+    int channels = 3;       // of colours
+    bool spectral = false;  // colours are spectra: tables, and texels with SigmoidChannels
+    int stored_spectrum() const { return spectral ? SpectrumSamples : SpectrumSize; }
+    int texel_channels() const { return spectral ? SigmoidChannels : channels; }
     std::map<std::string, std::vector<Record>> records;
     std::map<std::string, std::vector<std::string>> paths;
 
@@ -71,7 +75,7 @@ struct SceneLayout {
 
 // std::invalid_argument: "scene.path: field 'x': expected ..., got ...".
 SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-                    const std::vector<IndexArray> &index_arrays, int channels);
+                    const std::vector<IndexArray> &index_arrays, int channels, bool spectral);
 
 // Of that, the phase functions: checks, and where their tables lie. The rest is there.
 void lay_out_phases(SceneLayout &layout, const std::vector<std::vector<int64_t>> &param_shapes);

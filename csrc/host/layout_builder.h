@@ -14,9 +14,10 @@ namespace tr {
 class LayoutBuilder {
 public:
     LayoutBuilder(const SceneObjects &objects, const std::vector<std::vector<int64_t>> &shapes,
-                  const std::vector<IndexArray> &arrays, int channels)
+                  const std::vector<IndexArray> &arrays, int channels, bool spectral)
         : objects_(objects), shapes_(shapes), arrays_(arrays) {
         out_.channels = channels;
+        out_.spectral = spectral;
     }
 
     SceneLayout run();
@@ -32,6 +33,9 @@ private:
         throw std::invalid_argument(where + ": expected " + expected + ", got " + got);
     }
     static std::string text(const std::vector<int64_t> &shape);  // for messages
+    std::string channel_choices() const {
+        return out_.channels == 1 ? "1" : "1 or " + std::to_string(out_.texel_channels());
+    }
 
     const std::vector<SceneObject> &list(const std::string &category) const {
         static const std::vector<SceneObject> none;

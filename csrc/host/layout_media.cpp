@@ -12,10 +12,8 @@ void LayoutBuilder::connect_media() {
     for (int i = 0; i < int(list("volume").size()); ++i) {
         if (volumes[size_t(i)].kind != grid) continue;
         const auto &s = shapes_[size_t(value("volume", i, GridVolume::Data))];
-        if (s.size() != 4 || (s[3] != 1 && s[3] != out_.channels))
-            fail(where("volume", i, "data"),
-                 out_.channels == 1 ? "a tensor of shape (Z, Y, X, 1)" : "a tensor of shape (Z, Y, X, 1 or 3)",
-                 text(s));
+        if (s.size() != 4 || (s[3] != 1 && s[3] != out_.texel_channels()))
+            fail(where("volume", i, "data"), "a tensor of shape (Z, Y, X, " + channel_choices() + ")", text(s));
     }
     for (int i = 0; i < int(list("medium").size()); ++i) {
         const int32_t *field = out_.records["medium"][size_t(i)].field;
@@ -38,6 +36,9 @@ void LayoutBuilder::connect_media() {
             if (list("medium")[size_t(i)].type == HomogeneousMedium::model.type)
                 fail(where("medium", i, "sigma_t"), "a constant", "a grid, which a heterogeneous medium may have");
             const auto &shape = out_.tensor_shapes[size_t(extinction.field[GridVolume::Data])];
+            if (out_.spectral && shape[2] > 1)
+                fail(where("medium", i, "sigma_t"), "one channel: an extinction on a grid has no spectrum",
+                     text({shape[2]}));
             const int n[3] = {shape[1], shape[0], shape[3]};
             info.flags = IsGrid | (shape[2] > 1 ? IsChromatic : 0);
             info.cell = majorant_cell(n);

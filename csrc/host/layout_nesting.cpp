@@ -29,10 +29,9 @@ void LayoutBuilder::texture_depth(int index, int depth) {
 void LayoutBuilder::check_image(const std::string &category, int index, int f) {
     const auto &s = shapes_[size_t(value(category, index, f))];
     bool normals = category == "texture" && normals_.count(index) > 0;
-    if (s.size() != 3 || (s[2] != 1 && s[2] != out_.channels && !(s[2] == 3 && normals)))
+    if (s.size() != 3 || (s[2] != 1 && s[2] != out_.texel_channels() && !(s[2] == 3 && normals)))
         fail(where(category, index, field(category, index, f).name),
-             out_.channels == 1 ? "a tensor of shape (rows, columns, 1)" : "a tensor of shape (rows, columns, 1 or 3)",
-             text(s));
+             "a tensor of shape (rows, columns, " + channel_choices() + ")", text(s));
 }
 
 // Without colours a normal map alone has three channels.

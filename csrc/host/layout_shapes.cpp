@@ -200,9 +200,9 @@ void LayoutBuilder::connect_attributes() {
         ShapeInfo &info = out_.shapes[size_t(shape)];
         int64_t rows = per_face ? info.n_faces : shapes_[size_t(value("shape", shape, MeshModel::Vertices))][0];
         const auto &s = shapes_[size_t(slot)];
-        if (s.size() > 2 || s[0] != rows || (s.size() == 2 && s[1] != 1 && s[1] != out_.channels))
+        if (s.size() > 2 || s[0] != rows || (s.size() == 2 && s[1] != 1 && s[1] != out_.texel_channels()))
             fail(where("attribute", i, "data"),
-                 "a tensor of shape (" + std::to_string(rows) + ", 1" + (out_.channels == 3 ? " or 3)" : ")"), text(s));
+                 "a tensor of shape (" + std::to_string(rows) + ", " + channel_choices() + ")", text(s));
         out_.attributes.push_back({name, slot, per_face, info.first_attribute});
         info.first_attribute = i;
     }

@@ -11,8 +11,9 @@ namespace tr {
 
 template <class S>
 void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-                         const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous) {
-    SceneLayout layout = lay_out(objects, param_shapes, index_arrays, channels);
+                         const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous,
+                         bool spectral) {
+    SceneLayout layout = lay_out(objects, param_shapes, index_arrays, channels, spectral);
     std::unique_ptr<Accel> accel = std::make_unique<Accel>();
     accel_ = std::move(accel);
     layout_ = std::move(layout);
@@ -20,7 +21,7 @@ void SceneData<S>::build(const Objects &objects, const std::vector<std::vector<i
     environment_ = {};
     tensors_.resize(layout_.slot_sizes.size());
     for (size_t i = 0; i < tensors_.size(); ++i) {
-        tensors_[i].data = nullptr;
+        tensors_[i].data = tensors_[i].base = nullptr;
         std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors_[i].shape);
     }
     constants_.assign(layout_.constants.begin(), layout_.constants.end());
@@ -199,7 +200,7 @@ void SceneData<S>::fill_values(const std::vector<const S *> &tangents, std::vect
     }
     tensors.resize(layout_.slot_sizes.size());
     for (size_t i = 0; i < tensors.size(); ++i) {
-        tensors[i].data = tangents[i];
+        tensors[i].data = tangents[i], tensors[i].base = nullptr;
         std::copy(layout_.tensor_shapes[i].begin(), layout_.tensor_shapes[i].end(), tensors[i].shape);
     }
 }

@@ -35,7 +35,8 @@ public:
     // it: geometry with its acceleration structure, the tables of the environment. It makes its own again when it is
     // used again. The first update then goes by `dirty`, which is relative to the previous scene's last one.
     void build(const Objects &objects, const std::vector<std::vector<int64_t>> &param_shapes,
-               const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous = nullptr);
+               const std::vector<IndexArray> &index_arrays, int channels, SceneData *previous = nullptr,
+               bool spectral = false);
 
     // Values: `params` has an address for every parameter (they stay in use until the next call), dirty[i] != 0 says
     // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,

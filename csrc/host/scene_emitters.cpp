@@ -87,8 +87,11 @@ double SceneData<S>::mean_of_texture(int32_t texture, int32_t shape) {
 
 template <class S>
 double SceneData<S>::mean_color(int32_t offset) const {
+    const S *from = &constants_[size_t(offset)];
+    if (layout_.spectral)
+        return std::abs(luminance_under_daylight([&](double at) { return double(from[size_t(at + 0.5)]); }));
     double c[3] = {0, 0, 0};
-    for (int k = 0; k < layout_.channels; ++k) c[k] = double(constants_[size_t(offset + k)]);
+    for (int k = 0; k < layout_.channels; ++k) c[k] = double(from[k]);
     return std::abs(luminance_of(c, layout_.channels));
 }
 
@@ -99,10 +102,14 @@ double SceneData<S>::mean_of_tensor(int32_t slot) {
     if (found != mean_texels_.end()) return found->second;
     const TensorView<S> &tensor = tensors_[size_t(slot)];
     const size_t channels = size_t(tensor.shape[2]), n = size_t(layout_.slot_sizes[size_t(slot)]);
-    double sum[3] = {0, 0, 0};
-    for (size_t i = 0; i < n; ++i) sum[i % channels] += std::abs(double(tensor.data[i]));
-    double mean = luminance_of(sum, int(channels)) * double(channels) / double(n);
-    return mean_texels_[slot] = mean;
+    double sum[3] = {0, 0, 0}, total = 0;
+    if (channels == SigmoidChannels) {
+        for (size_t i = 0; i < n; i += channels) total += std::abs(luminance_of(tensor.data + i, int(channels)));
+    } else {
+        for (size_t i = 0; i < n; ++i) sum[i % channels] += std::abs(double(tensor.data[i]));
+        total = luminance_of(sum, int(channels));
+    }
+    return mean_texels_[slot] = total * double(channels) / double(n);
 }
 
 // Over the sphere: rows near the poles are short.
@@ -117,9 +124,9 @@ double SceneData<S>::mean_of_environment(int32_t slot) {
         double weight = std::sin(double(i) / double(std::max<size_t>(rows - 1, 1)) * Pi);
         for (size_t j = 0; j < columns; ++j) {
             const S *texel = tensor.data + (i * columns + j) * channels;
-            double c[3] = {0, 0, 0};
-            for (size_t k = 0; k < channels; ++k) c[k] = std::abs(double(texel[k]));
-            sum += weight * luminance_of(c, int(channels));
+            double c[SigmoidChannels] = {};
+            for (size_t k = 0; k < channels; ++k) c[k] = channels == 3 ? std::abs(double(texel[k])) : double(texel[k]);
+            sum += weight * std::abs(luminance_of(c, int(channels)));
         }
         total += weight * double(columns);
     }

@@ -55,15 +55,17 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
         const MediumInfo &info = layout_.media[m];
         if (info.flags & Bends) continue;
         auto where = [&](const char *field) { return path("medium", int(m)) + ": field '" + field + "'"; };
+        const int n_constant = layout_.spectral ? SpectrumSamples : layout_.channels;
         auto check = [&](int32_t volume, S largest, const char *field, const char *expected) {
             if (volume < 0) return;
             const Record &record = volumes[size_t(volume)];
             if (!is_grid(volume)) {
-                require_range(&constants_[size_t(record.field[ConstantVolume::Value])], layout_.channels, largest,
+                require_range(&constants_[size_t(record.field[ConstantVolume::Value])], n_constant, largest,
                               where(field), expected);
                 return;
             }
             size_t slot = size_t(record.field[GridVolume::Data]);
+            if (tensors_[slot].shape[2] == SigmoidChannels) return;  // Python has looked at the colours
             if (dirty[slot])
                 require_range(tensors_[slot].data, layout_.slot_sizes[slot], largest, where(field), expected);
         };
@@ -76,7 +78,7 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
         const double scale = double(constants_[size_t(info.scale)]);
         if (!(info.flags & IsGrid)) {
             const S *value = &constants_[size_t(volumes[size_t(info.extinction)].field[ConstantVolume::Value])];
-            if (!(double(*std::max_element(value, value + layout_.channels)) * scale <= double(unlimited)))
+            if (!(double(*std::max_element(value, value + n_constant)) * scale <= double(unlimited)))
                 bad_value(where("sigma_t"), "a finite product with scale", "infinity");
             continue;
         }

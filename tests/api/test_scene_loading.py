@@ -9,7 +9,7 @@ import pytest
 import torch
 
 import torchrender as tr
-from torchrender.scene.materials import REFRACTIVE_INDICES
+from torchrender.scene.indices import REFRACTIVE_INDICES
 
 LUMINANCE = [0.2126, 0.7152, 0.0722]
 

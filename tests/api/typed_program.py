@@ -83,7 +83,7 @@ def mistakes(scene: tr.Scene) -> None:
     tr.render(scene, layout="whc")  # pyright: ignore[reportArgumentType]
     tr.Renderer(scene, spp="many")  # pyright: ignore[reportArgumentType]
     tr.load_file("scene.xml", unsupported="ignore")  # pyright: ignore[reportArgumentType]
-    tr.load_file("scene.xml", variant="spectral")  # pyright: ignore[reportArgumentType]
+    tr.load_file("scene.xml", variant="spektral")  # pyright: ignore[reportArgumentType]
     tr.load_dict({"type": "scene"}, variant="polarized")  # pyright: ignore[reportCallIssue, reportArgumentType]
     tr.render(scene, on_interrupt="keep")  # pyright: ignore[reportArgumentType]
     tr.Renderer(scene, params={})  # pyright: ignore[reportCallIssue]

@@ -21,7 +21,7 @@ def glass() -> dict:
         lens=hills(
             47,
             to_world=r.translate(-0.4, 0.9, 0.3) @ r.rotate("x", 20) @ r.scale(0.6, 0.5, 0.4),
-            bsdf={"type": "dielectric", "int_ior": 1.2},
+            bsdf={"type": "dispersivedielectric", "eta": 1.2},
         ),
         metal={
             "type": "sphere",

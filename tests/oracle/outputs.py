@@ -18,7 +18,7 @@ from .world import World
 ALBEDO = {
     "diffuse": "reflectance",
     **dict.fromkeys(("conductor", "roughconductor", "anisotropicconductor"), "specular_reflectance"),
-    **dict.fromkeys(("dielectric", "thindielectric"), "specular_transmittance"),
+    **dict.fromkeys(("dielectric", "dispersivedielectric", "thindielectric"), "specular_transmittance"),
     **dict.fromkeys(("roughdielectric", "anisotropicdielectric"), "specular_transmittance"),
     **dict.fromkeys(("principled", "principledthin"), "base_color"),
     **dict.fromkeys(("plastic", "roughplastic", "pplastic", "redner"), "diffuse_reflectance"),

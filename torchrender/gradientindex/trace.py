@@ -18,6 +18,7 @@ from ..scene.gather import gather, reference_index
 from ..scene.native import NativeScene
 from ..scene.packing import Layout, Record, bending_boundary, record
 from ..scene.scene import Scene
+from ..scene.spectral.core_values import for_core
 from ..surface import OFFSET, SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 
@@ -91,7 +92,7 @@ def trace(
     """
     scene, origins, directions, limits = _rays("gradientindex.trace", scene, origins, directions, None)
     layout = scene.layout()
-    tensors = gather(scene, layout, params, "gradientindex.trace")
+    tensors = for_core(scene, layout, gather(scene, layout, params, "gradientindex.trace"))
     for tensor in (origins, directions, *tensors):
         refuse_batches(tensor)
     row = _row_of(layout, shape)

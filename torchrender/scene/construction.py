@@ -93,11 +93,14 @@ def check_required(plugin: Plugin, ctx: Context) -> None:
 # ------------------------------------------------------------------------------------------------------ fields
 def install(plugin: Plugin, name: str, field: Field, value: Any, ctx: Context) -> None:
     """Convert `value` and make it that of the field."""
-    ctx = _quantity(plugin, name, field, ctx)
+    ctx = quantity(plugin, name, field, ctx)
     if field.kind == "int":
         plugin.__dict__[name] = plugin.convert_static(name, value, ctx)
     elif plugin._holds(field):
         install_tensor(plugin, name, value, plugin._convert(field, value, ctx))
+        plugin._described.pop(name, None)
+        if ctx.color is None and isinstance(value, Mapping):
+            plugin._described[name] = (dict(value), ctx)  # for a scene in which it is no rgb colour
     elif field.kind == "indices":
         plugin.register_buffer(name, value)
     else:
@@ -116,7 +119,7 @@ def _category(field: Field) -> str:
     return "texture" if field.kind in ("texture", "spectrum") else field.kind
 
 
-def _quantity(plugin: Plugin, name: str, field: Field, ctx: Context) -> Context:
+def quantity(plugin: Plugin, name: str, field: Field, ctx: Context) -> Context:
     """`ctx` with what spectra in this field stand for."""
     if plugin.category == "volume" or (plugin.category, plugin.type) == ("texture", "constant"):
         return ctx

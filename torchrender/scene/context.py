@@ -12,6 +12,8 @@ import torch
 
 # Rec. 709 luminance, with the digits of csrc/core/color/spectrum.h: what makes one channel out of red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
+SAMPLES = 471  # numbers of a spectrum that is a table: one a nanometre, from 360 to 830 nm
+SODIUM = 589.3  # nm, where the usual tables have indices of refraction
 
 
 @dataclass(frozen=True)
@@ -19,12 +21,13 @@ class Context:
     """Settings for building scene objects.
 
     Attributes:
-        color: ``"rgb"`` or ``"mono"``, None for an object built by itself, which takes what it is given.
+        color: ``"rgb"``, ``"mono"`` or ``"spectral"``, None for an object built by itself, which takes what it is given.
         dtype: of every parameter; None keeps the dtype of tensors and arrays, else torch's default dtype.
         path: where in the scene, outermost first.
         folder: relative file names start here.
         emission: a spectrum here is light, else a factor such as a reflectance.
         bounded: the channels of a colour here are at most 1.
+        index: a spectrum here is an index of refraction, outside spectral scenes the one number at `SODIUM`.
     """
 
     color: str | None = None
@@ -34,6 +37,7 @@ class Context:
     folder: Path | None = None
     emission: bool = False
     bounded: bool = False
+    index: bool = False
 
     @property
     def channels(self) -> int:

@@ -28,6 +28,7 @@ class Field:
     doc: str
     choices: tuple[str, ...] | None = None  # of an "int": words for its values, from 0 on
     optional: bool = False  # absent unless given: the default applies natively
+    scalar: bool = False  # of a "texture": its luminance counts
     traits: frozenset[str] = frozenset()  # flags of the model that hold only where this field is given
 
     @property
@@ -72,6 +73,7 @@ def models() -> dict[tuple[str, str], Model]:
                 doc=f.get("doc", ""),
                 choices=f["choices"],
                 optional=f["optional"],
+                scalar=f["scalar"],
                 traits=frozenset(f["traits"]),
             )
             for f in entry["fields"]

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
 from torch import nn
 
 from ..errors import nearest
-from . import values
+from . import construction, spectra, values
 from .construction import check_inert
-from .context import Context, Reference
+from .context import SAMPLES, Context, Reference
 from .declaration import Field
 from .structure import structure_changed
 
@@ -123,6 +124,9 @@ def adapt(plugin: Plugin, ctx: Context) -> None:
     recolor = plugin._color != ctx.color and ctx.color == "mono"
 
     def adapted(name: str, tensor: torch.Tensor) -> torch.Tensor:
+        field = plugin.fields().get(name)
+        if field is not None and field.kind == "spectrum" and plugin._color != ctx.color:
+            tensor = _as_described(plugin, name, tensor, ctx)
         if recolor and name in ("value", "data") and tensor.ndim in (1, 3, 4) and tensor.shape[-1] == 3:
             tensor = values.luminance(tensor)
         return tensor.to(dtype=ctx.dtype, device=ctx.device)
@@ -138,4 +142,20 @@ def adapt(plugin: Plugin, ctx: Context) -> None:
     for name in plugin._modules:
         child = plugin._child(name)
         if child is not None:
-            child.adapt(plugin.context_of(name, ctx))
+            field = plugin.fields().get(name)
+            inner = plugin.context_of(name, ctx)
+            child.adapt(inner if field is None else construction.quantity(plugin, name, field, inner))
+
+
+def _as_described(plugin: Plugin, name: str, tensor: torch.Tensor, ctx: Context) -> torch.Tensor:
+    """A colour in another colour mode: by the spectrum that it was described with, if it still is its colour."""
+    if tensor.shape == (SAMPLES,):
+        return spectra.from_table(tensor, ctx)
+    described = plugin._described.get(name)
+    if ctx.color != "spectral" or described is None or tensor.requires_grad:
+        return tensor
+    value, before = described
+    before = replace(before, dtype=tensor.dtype, device=tensor.device)
+    if not torch.equal(spectra.from_dict(value, before), tensor):
+        return tensor
+    return spectra.from_dict(value, replace(before, color=ctx.color))

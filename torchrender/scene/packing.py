@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import nn
 
+from .context import SAMPLES
 from .declaration import TENSOR_KINDS, models
 from .derivatives import COMPLETE, Limits
 from .media import Medium, ScatteringMedium
@@ -53,7 +54,8 @@ class Slot:
         channels = 1 if self.module._color == "mono" else 3  # a map of normals has three in any scene
         fixed = {"float": [()], "point": [(3,)], "vector": [(3,)], "transform": [(4, 4)], "transform2": [(3, 3)]}
         if self.kind == "spectrum":
-            fixed["spectrum"] = [(), (channels,)]
+            tables = [(SAMPLES,)] if self.module._color == "spectral" else []
+            fixed["spectrum"] = [(), (channels,), *tables]
         if self.kind in fixed:
             if shape not in fixed[self.kind]:
                 expected = " or ".join(str(s) for s in fixed[self.kind])
@@ -97,6 +99,8 @@ class Layout:
     torch_bsdfs: dict[int, TorchBSDF] = field(default_factory=dict)  # those written in PyTorch, by row
     torch_names: dict[str, TorchBSDF] = field(default_factory=dict)  # the same by each of their paths
     outlines: list[int] | None = None  # slots of what moves them, once that was asked
+    spectral: bool = False  # colours are spectra for the core
+    roles: list[str | None] | None = None  # of slots, once that was asked, see spectral/roles.py
     edges: Any = None  # the core's outlines, and the index arrays they were found with, see visibility/outlines.py
 
     def index_key(self) -> list[tuple[int, int, int]]:
@@ -307,6 +311,7 @@ def pack(scene: Scene, placeholders: Iterable[Sensor]) -> Layout:
     for name, plugin in lights:
         packer.alias(plugin, name, COMPLETE)
     layout = packer.layout
+    layout.spectral = scene.variant == "spectral"
     layout.own_sensors = len(layout.sensors)
     for camera in placeholders:
         packer.add(camera, "camera")

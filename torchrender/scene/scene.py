@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from ..render_types import OutputNames, Outputs, RenderSettings
 
 Operation = TypeVar("Operation", bound=Callable[..., Any])
-VARIANTS = ("mono", "rgb")
+VARIANTS = ("mono", "rgb", "spectral")
 
 _operations: dict[str, Callable[..., Any]] = {}
 
@@ -92,7 +92,7 @@ class Scene(Container):
     # -------------------------------------------------------------------------------------------------- settings
     @property
     def variant(self) -> str:
-        """Colour mode: ``"rgb"`` or ``"mono"``."""
+        """Colour mode: ``"rgb"``, ``"mono"`` or ``"spectral"``."""
         return self._variant
 
     @property
@@ -106,7 +106,7 @@ class Scene(Container):
 
     @property
     def channels(self) -> int:
-        """Number of colour channels: 3 in rgb, 1 in mono."""
+        """Number of colour channels of an image: 3, but 1 in mono."""
         return 1 if self._variant == "mono" else 3
 
     @property

@@ -1,8 +1,8 @@
-"""Colours: numbers, rgb triples, and dicts that describe one, tabulated spectra among them, which become rgb.
+"""Colours: numbers, rgb triples, and dicts that describe one, tabulated spectra among them.
 
-A spectrum becomes the colour that the standard observer sees (`cie`), as in Mitsuba's rgb variants: light as it is, so
-that a spectrum of ones is not white but the slightly red (1.2048, 0.9483, 0.9089); factors such as reflectances in
-daylight, so that ones are white.
+In a spectral scene a tabulated spectrum stays one, a number a nanometre. Else it becomes the colour that the standard
+observer sees (`cie`), as in Mitsuba's rgb variants: light as it is, so that a spectrum of ones is not white but the
+slightly red (1.2048, 0.9483, 0.9089); factors such as reflectances in daylight, so that ones are white.
 """
 
 from __future__ import annotations
@@ -10,17 +10,23 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 
+from .. import spectrum as tables
 from ..errors import describe, nearest
 from . import cie, values
-from .context import Context
+from .conductors import CONDUCTORS, conductor_spectra
+from .context import SAMPLES, SODIUM, Context
+from .indices import is_index_spectrum, refractive_index
 
 _LARGEST_FILE = 1 << 24
+_GRID = np.linspace(cie.FIRST, cie.LAST, SAMPLES)
+_Reader: TypeAlias = Callable[[Mapping[str, Any], Context], torch.Tensor]
 
 
 def is_spectrum(value: Any) -> bool:
@@ -29,12 +35,17 @@ def is_spectrum(value: Any) -> bool:
 
 
 def spectrum(value: Any, ctx: Context) -> torch.Tensor:
-    """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel."""
+    """A colour: shape (3,) in rgb, (1,) in mono, or () for a plain number, the same in every channel.
+
+    In a spectral scene it may be a table (471,), too. Tables of numbers become colours elsewhere.
+    """
     if isinstance(value, Mapping):
         return from_dict(value, ctx)
     tensor = values.floating(value, ctx)
     if tensor.ndim == 0:
         return tensor
+    if tensor.shape == (SAMPLES,):
+        return from_table(tensor, ctx)
     if tensor.ndim != 1 or tensor.shape[0] not in (1, 3):
         ctx.error(f"expected a number or a colour of three numbers, got {describe(value)}")
     if tensor.shape[0] == 3:
@@ -54,11 +65,29 @@ def from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     return reader(value, ctx)
 
 
+def from_table(table: torch.Tensor, ctx: Context) -> torch.Tensor:
+    """A spectrum (471,) as this context has it: itself, or its colour, which keeps the gradient."""
+    if ctx.color in (None, "spectral"):
+        return table
+    if ctx.index:
+        return _at_sodium(table)
+    return values.to_channels(tables.to_rgb(table, None if ctx.emission else tables.d65(table)), ctx)
+
+
+def _at_sodium(index: torch.Tensor) -> torch.Tensor:
+    below = int(SODIUM - cie.FIRST)
+    return torch.lerp(index[below], index[below + 1], SODIUM - cie.FIRST - below)
+
+
 def _need(value: Mapping[str, Any], name: str, ctx: Context) -> Any:
+    content = _present(value, name, ctx)
+    return values.numbers(content, ctx.at(name)) if isinstance(content, str) else content
+
+
+def _present(value: Mapping[str, Any], name: str, ctx: Context) -> Any:
     if name not in value:
         ctx.error(f"{value['type']}: {name!r} is missing")
-    content = value[name]
-    return values.numbers(content, ctx.at(name)) if isinstance(content, str) else content
+    return value[name]
 
 
 def _rgb(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -75,10 +104,14 @@ def _rgb(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
 
 def _uniform(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     """A number for all channels, as in Mitsuba's rgb variants, whatever range of visible wavelengths is given."""
-    for name in ("wavelength_min", "wavelength_max"):
-        if name in value:
-            values.number(value[name], ctx.at(name))
-    return values.number(_need(value, "value", ctx) if "value" in value else 1.0, ctx)
+    limits = [
+        float(values.number(value.get(name, end), ctx.at(name)))
+        for name, end in (("wavelength_min", cie.FIRST), ("wavelength_max", cie.LAST))
+    ]
+    number = values.number(_need(value, "value", ctx) if "value" in value else 1.0, ctx)
+    if ctx.color != "spectral" or not (ctx.emission or limits != [cie.FIRST, cie.LAST]):
+        return number
+    return _color(np.array(limits), float(number) * np.ones(2), ctx)
 
 
 def _rawconstant(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -90,7 +123,10 @@ def _d65(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     scale = values.number(value.get("scale", 1.0), ctx.at("scale"))
     if "color" not in value:
         return scale
-    return scale * spectrum(value["color"], ctx.at("color"))
+    if ctx.color != "spectral":
+        return scale * spectrum(value["color"], ctx.at("color"))
+    color = scale * spectrum(value["color"], replace(ctx.at("color"), emission=False))
+    return color * tables.d65(color) if ctx.emission and color.shape == (SAMPLES,) else color
 
 
 def _spectrum(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
@@ -109,6 +145,8 @@ def _spectrum(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     number = values.number(_need(value, "value", ctx), ctx)
     if not ctx.emission or ctx.color == "mono":
         return number
+    if ctx.color == "spectral":
+        return number.expand(SAMPLES).clone()
     white = cie.XYZ_TO_RGB.sum(1)  # of X = Y = Z = 1
     return number * number.new_tensor(white)
 
@@ -136,17 +174,89 @@ def _blackbody(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     return _color(*cie.blackbody(temperature, low, high), ctx)
 
 
+def _metal(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    """Part of a metal's index of refraction."""
+    name, part = _present(value, "name", ctx), _present(value, "part", ctx)
+    if part not in ("eta", "k"):
+        ctx.at("part").error(f"expected eta or k, got {describe(part)}")
+    if not isinstance(name, str) or name not in CONDUCTORS:
+        ctx.at("name").error(f"unknown metal {name!r}; {nearest(str(name), CONDUCTORS)}")
+    if ctx.color == "spectral":
+        return values.floating(conductor_spectra(name)[part == "k"], ctx)
+    return values.to_channels(values.floating(CONDUCTORS[name][part == "k"], ctx), ctx)
+
+
+def _sigmoid(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    """The spectra that colours stand for, by their three coefficients, times a factor."""
+    coefficients = values.double_array(_need(value, "coefficients", ctx), ctx.at("coefficients"))
+    scale = float(values.number(value.get("scale", 1.0), ctx.at("scale")))
+    if coefficients.shape != (3,):
+        ctx.at("coefficients").error(f"expected three numbers, got {describe(value['coefficients'])}")
+    return _color(_GRID, scale * tables.sigmoid(torch.from_numpy(coefficients)).numpy(), ctx)
+
+
+def _index(read: Callable[[Mapping[str, Any], Context], torch.Tensor]) -> _Reader:
+    """A reader of an index of refraction by wavelength; elsewhere it is that at the sodium line."""
+
+    def reader(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+        with ctx.located():
+            table = read(value, ctx)
+        return values.floating(table if ctx.color == "spectral" else _at_sodium(table), ctx)
+
+    return reader
+
+
+def _numbers(value: Mapping[str, Any], name: str, count: int, ctx: Context) -> torch.Tensor:
+    found = torch.from_numpy(values.double_array(_need(value, name, ctx), ctx.at(name)))
+    if found.numel() != count:
+        ctx.at(name).error(f"expected {count} number{'s' * (count > 1)}, got {describe(value[name])}")
+    return found.reshape(() if count == 1 else (count,))
+
+
+def _cauchy(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    return tables.cauchy(_numbers(value, "A", 1, ctx), _numbers(value, "B", 1, ctx))
+
+
+def _sellmeier(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    return tables.sellmeier(_numbers(value, "B", 3, ctx), _numbers(value, "C", 3, ctx))
+
+
+def _abbe(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    return tables.abbe(_numbers(value, "n_d", 1, ctx), _numbers(value, "V_d", 1, ctx))
+
+
+def _relative_index(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    """The index inside over that outside, each a number, a name or a spectrum."""
+
+    def index(name: str) -> torch.Tensor:
+        given, at = _present(value, name, ctx), replace(ctx.at(name), dtype=torch.float64, index=True)
+        return spectrum(given, at) if is_index_spectrum(given) else refractive_index(given, at)
+
+    return values.floating(index("int_ior") / index("ext_ior"), ctx)
+
+
+def _glass(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
+    return tables.glass(_present(value, "name", ctx))
+
+
 def _color(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.Tensor:
-    """The colour of a tabulated spectrum, brought into the range that it may have here."""
+    """The colour of a tabulated spectrum, or in a spectral scene its table, in the range that it may have here."""
     fault = _fault(wavelengths, samples)
     if fault:
         ctx.error(fault)
-    rgb = cie.rgb_of_spectrum(wavelengths, samples, ctx.emission)
-    clipped = rgb.clip(0.0, 1.0 if ctx.bounded else math.inf)
-    if np.abs(clipped - rgb).max() > 1e-3 * max(1.0, np.abs(rgb).max()):
-        text = ", ".join(f"{v:.4g}" for v in rgb)
-        warnings.warn(f"{ctx.where}: the spectrum's colour ({text}) is out of range and was clipped", stacklevel=2)
-    return values.to_channels(values.floating(clipped, ctx), ctx)
+    spectral = ctx.color == "spectral"
+    if spectral:
+        with ctx.located():
+            found = tables.irregular(torch.from_numpy(wavelengths), torch.from_numpy(samples)).numpy()
+    else:
+        found = cie.rgb_of_spectrum(wavelengths, samples, ctx.emission)
+    clipped = found.clip(0.0, 1.0 if ctx.bounded else math.inf)
+    if np.abs(clipped - found).max() > 1e-3 * max(1.0, np.abs(found).max()):
+        shown = ", ".join(f"{v:.4g}" for v in found[:: len(found) // 2 if spectral else 1])
+        what = f"the spectrum ({shown} at its ends and middle)" if spectral else f"the spectrum's colour ({shown})"
+        warnings.warn(f"{ctx.where}: {what} is out of range and was clipped", stacklevel=2)
+    made = values.floating(clipped, ctx)
+    return made if spectral else values.to_channels(made, ctx)
 
 
 def _fault(wavelengths: np.ndarray, samples: np.ndarray) -> str:
@@ -186,7 +296,7 @@ def read_spectrum(path: Path) -> np.ndarray:
 
 
 # type -> (reader, accepted names)
-TYPES: dict[str, tuple[Callable[[Mapping[str, Any], Context], torch.Tensor], tuple[str, ...]]] = {
+TYPES: dict[str, tuple[_Reader, tuple[str, ...]]] = {
     "rgb": (_rgb, ("value",)),
     "srgb": (_rgb, ("color", "value")),
     "spectrum": (_spectrum, ("value", "filename")),
@@ -196,4 +306,11 @@ TYPES: dict[str, tuple[Callable[[Mapping[str, Any], Context], torch.Tensor], tup
     "regular": (_regular, ("wavelength_min", "wavelength_max", "values")),
     "irregular": (_irregular, ("wavelengths", "values")),
     "blackbody": (_blackbody, ("temperature", "wavelength_min", "wavelength_max")),
+    "metal": (_metal, ("name", "part")),
+    "sigmoid": (_sigmoid, ("coefficients", "scale")),
+    "cauchy": (_index(_cauchy), ("A", "B")),
+    "sellmeier": (_index(_sellmeier), ("B", "C")),
+    "abbe": (_index(_abbe), ("n_d", "V_d")),
+    "glass": (_index(_glass), ("name",)),
+    "relative_index": (_relative_index, ("int_ior", "ext_ior")),
 }

@@ -74,9 +74,10 @@ def boundary_of(
     placed = [camera or asked(placing) for _, placing, _ in shapes]
     moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]
     lights = any(asked(slots) for k, slots, _ in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
-    # of those that the camera sees alone: of rims there are no others, and beside media others have no such term
-    beside_media = (call.config.get("volumetric") or call.layout.bending) and outputs is None
-    seen_alone = beside_media or not (any(placed) or lights)
+    # of those that the camera sees alone: of rims there are no others; beside media, and where there are wavelengths,
+    # others have no such term
+    limited = call.config.get("volumetric") or call.layout.bending or call.layout.spectral
+    seen_alone = (bool(limited) and outputs is None) or not (any(placed) or lights)
     if seen_alone and not any(moves):
         return None
     usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long

@@ -81,6 +81,19 @@ TR_LARGE void GradientSink<F>::scalar_texture(const Scene &scene, const I &id, c
 }
 
 template <class F>
+TR_LARGE void GradientSink<F>::daylight_luminance(const Scene &scene, const I &id, const TexturedPoint<F> &at,
+                                                  const Spectrum<F> &g, const M &active) {
+    if (forward) return add_derivative(g * tr::daylight_luminance(scene, tangent, id, at, active), active);
+    const Wavelengths<F> own = waves;
+    const Spectrum<F> share = uniform_spectrum(component_sum(g) * F(ScalarOf<F>(1.0 / LuminanceNodes)));
+    for (int third = 0; third < LuminanceNodes / SpectrumSize; ++third) {
+        waves = luminance_wavelengths<F>(third);
+        texture(scene, id, at, share, active);
+    }
+    waves = own;
+}
+
+template <class F>
 TR_LARGE void GradientSink<F>::vector_texture(const Scene &scene, const I &id, const TexturedPoint<F> &at,
                                               const Vec3<F> &g, const M &active) {
     Spectrum<F> channels{{g.x, g.y, g.z}};
@@ -93,6 +106,7 @@ template <class F>
 TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g, const M &active) {
     if (forward) return add_derivative(g * constant_spectrum<F>(tangent, waves, offset, active), active);
     auto usable = count_finite(active && is_finite(g), active);
+    if (waves.spectral) return add_to_tables(offset, g, usable);
     if constexpr (Lanes<F>::Width > 1) {
         if (!any(usable)) return;
         int32_t first = first_lane(offset, usable);
@@ -106,6 +120,21 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
             for (int c = 0; c < SpectrumSize; ++c) accumulate(&to[lane(offset, i) + c], double(lane(g[c], i)));
+}
+
+template <class F>
+TR_NOINLINE void GradientSink<F>::add_to_tables(const I &offset, const Spectrum<F> &g, const M &active) {
+    double *const to = constants;
+    for (int c = 0; c < SpectrumSize; ++c) {
+        const TablePlace<F> place(waves.at[c]);
+        const U index = U(offset) + place.index;
+        const F upper = g[c] * place.fraction, lower = g[c] - upper;
+        for (int i = 0; i < Lanes<F>::Width; ++i) {
+            if (!lane_is_set(active, i)) continue;
+            accumulate(&to[lane(index, i)], double(lane(lower, i)));
+            accumulate(&to[lane(index, i) + 1], double(lane(upper, i)));
+        }
+    }
 }
 
 template <class F>
@@ -126,13 +155,15 @@ TR_NOINLINE void GradientSink<F>::footprint(const Scene &scene, int32_t slot, co
                                             const M &active) {
     if (forward) {
         const TensorView<S> &to = tangent.tensors[slot];
-        if (to.data) add_derivative(g * gather_taps(to, at.texel, at.weight, at.n, active), active);
+        if (to.data) add_derivative(g * gather_taps(to, waves, at.texel, at.weight, at.n, active), active);
         return;
     }
     S *gradient = tensors[slot];
     if (!gradient) return;
     auto usable = count_finite(active && is_finite(g), active);
-    const int channels = scene.values.tensors[slot].shape[2];
+    const TensorView<S> &tensor = scene.values.tensors[slot];
+    const int channels = tensor.shape[2];
+    if (waves.spectral && channels == SigmoidChannels) return add_sigmoid_texels(tensor, gradient, at, g, usable);
     for (int i = 0; i < Lanes<F>::Width; ++i) {
         if (!lane_is_set(usable, i)) continue;
         for (int k = 0; k < at.n; ++k) {
@@ -144,6 +175,18 @@ TR_NOINLINE void GradientSink<F>::footprint(const Scene &scene, int32_t slot, co
 }
 
 template <class F>
+TR_NOINLINE void GradientSink<F>::add_sigmoid_texels(const TensorView<S> &tensor, S *gradient, const Taps<F> &at,
+                                                     const Spectrum<F> &g, const M &active) {
+    sweep_sigmoid_texels(tensor.data, waves, at.texel, at.weight, at.n, g, active, [&](int k, const auto &bar) {
+        for (int i = 0; i < Lanes<F>::Width; ++i) {
+            if (!lane_is_set(active, i)) continue;
+            S *texel = gradient + size_t(lane(at.texel[k], i)) * SigmoidChannels;
+            for (int c = 0; c < SigmoidChannels; ++c) accumulate(&texel[c], lane(bar[c], i));
+        }
+    });
+}
+
+template <class F>
 TR_LARGE void GradientSink<F>::luminance_footprint(const Scene &scene, int32_t slot, const Taps<F> &at,
                                                    const M &active) {
     if (!forward) {
@@ -152,7 +195,7 @@ TR_LARGE void GradientSink<F>::luminance_footprint(const Scene &scene, int32_t s
         return footprint(scene, slot, at, luminance_adjoint(one), active);
     }
     const TensorView<S> &to = tangent.tensors[slot];
-    if (to.data) add_derivative(luminance(gather_taps(to, at.texel, at.weight, at.n, active)), active);
+    if (to.data) add_derivative(luminance(gather_taps(to, waves, at.texel, at.weight, at.n, active)), active);
 }
 
 template <class F>

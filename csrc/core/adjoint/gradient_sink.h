@@ -68,6 +68,9 @@ public:
     TR_LARGE void texture(const Scene &, const I &id, const SurfacePoint<F> &at, const Spectrum<F> &g, const M &active);
     TR_LARGE void scalar_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g,
                                  const M &active);
+    // Of the function of this name, in the spectral variant.
+    TR_LARGE void daylight_luminance(const Scene &, const I &id, const TexturedPoint<F> &at, const Spectrum<F> &g,
+                                     const M &active);
     TR_LARGE void vector_texture(const Scene &, const I &id, const TexturedPoint<F> &at, const Vec3<F> &g,
                                  const M &active);
     // Of a colour in the block of small parameters, a number that is the same for all components, and a number whose
@@ -102,6 +105,10 @@ private:
     TR_HD void add(double *to, const U &index, const F &g, const M &active);
     TR_HD void add_derivative(const Spectrum<F> &d, const M &active);
     TR_HD void add_derivative(const F &d, const M &active);
+    // of the spectral variant
+    TR_HD void add_to_tables(const I &offset, const Spectrum<F> &g, const M &active);
+    TR_HD void add_sigmoid_texels(const TensorView<S> &, S *gradient, const Taps<F> &at, const Spectrum<F> &g,
+                                  const M &active);
 
     struct Scatter;
 };

@@ -70,7 +70,7 @@ TR_LARGE void BsdfAdjoint<F>::sweep_continuation(const SceneOf<F> &scene, const 
         if (bsdf.bent)
             sweep_boundary(scene, v.at, v.p, number_bar[0], active, hit, sink);
         else
-            sweep_numbers(scene, bsdf, v.bsdf, number_bar, active, sink);
+            sweep_numbers(scene, bsdf, v.bsdf, v.at, number_bar, active, sink);
     }
 }
 

@@ -11,6 +11,10 @@ namespace tr {
 
 enum class Transport { Radiance, Importance };  // of importance wi is where light comes from
 
+// Lobes of a model that disperses, beside lobe 0, which reflects: of three wavelengths the first goes on, for all of
+// them; the one that is left; or all, where components are no wavelengths.
+constexpr int32_t RefractsFirst = 1, RefractsSingle = 2, RefractsAll = 3;
+
 template <class F>
 struct BsdfSample {
     Vec3<F> wo;
@@ -30,6 +34,7 @@ struct BsdfParameters {
     IntOf<F> choice[MaxChoices];
     const ScalarOf<F> *table;
     IntOf<F> row;
+    IntOf<F> refraction;  // of a model that disperses: the lobe by which this path is refracted
 };
 
 // A model's declaration as the loops over its fields need it. Variables of derivatives are the continuous fields that
@@ -41,6 +46,7 @@ struct BsdfInfo : ModelInfo {
     int n_continuous, n_differentiable, n_variables, n_colors, n_numbers, n_choices;
     int luminance_of;  // the field whose luminance is a further number, -1: none
     bool tabulated;
+    int turned_by;                    // the field of a model that disperses, a colour, whose components refract, or -1
     bool bent;                        // the number is not the record's, see medium/bend_medium.h
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
     int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always
@@ -78,8 +84,8 @@ struct BsdfKernels : BsdfInfo {
                    BsdfSample<F> &, Spectrum<F> &f);
     void (*vjp)(const Parameters &, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe, Transport,
                 const Spectrum<F> &a, const Spectrum<F> &R, BsdfNeeds, BsdfDerivative<F> &);
-    // Where a delta lobe sends wi is a function of wi and the numbers: adds to the adjoint of wi and gives those of the
-    // numbers. Null without delta lobes.
+    // Where a delta lobe sends wi is a function of wi and the numbers, or of the first component of the colour
+    // `turned_by`: adds to the adjoint of wi and gives those of the numbers. Null without delta lobes.
     void (*direction_vjp)(const Parameters &, const Vec3<F> &wi, const IntOf<F> &lobe, const Vec3<F> &wo_bar,
                           Vec3<F> &wi_bar, F *number_bar);
 };

@@ -6,6 +6,7 @@
 //   and
 //                                             a variable of its own, since all components depend on it
 //   static constexpr bool Tabulated = true;   (optional) the host makes a table for its records
+//   static constexpr int TurnedBy = i;        (optional) this colour's first component refracts, in place of a number
 //   static constexpr bool Bent = true;        (optional) its number is the index of a medium at the point
 //   eval(params, wi, wo, lobe)    f |cos| of a smooth lobe, or of a delta lobe its weight times the probability with
 //                                 which `sample` chooses it; takes the Transport last if the model IsAsymmetric.
@@ -49,6 +50,11 @@ template <class M>
 struct IsBent<M, std::enable_if_t<M::Bent>> : std::true_type {};
 
 template <class M, class = void>
+struct TurnedBy : std::integral_constant<int, -1> {};
+template <class M>
+struct TurnedBy<M, std::enable_if_t<(M::TurnedBy >= 0)>> : std::integral_constant<int, M::TurnedBy> {};
+
+template <class M, class = void>
 struct IsJoint : std::false_type {};
 template <class M>
 struct IsJoint<M, std::enable_if_t<M::Joint>> : std::true_type {};
@@ -72,6 +78,7 @@ constexpr BsdfInfo bsdf_info() {
     r.luminance_of = LuminanceOf<M>::value;
     r.n_variables = r.n_differentiable + (r.luminance_of >= 0);
     r.tabulated = IsTabulated<M>::value;
+    r.turned_by = TurnedBy<M>::value;
     r.bent = IsBent<M>::value;
     r.albedo = M::Albedo;
     r.specular = field_named(model, "specular_reflectance");
@@ -79,6 +86,13 @@ constexpr BsdfInfo bsdf_info() {
     r.tangent_of = -1;
     for (int i = 0; i < model.n_fields; ++i)
         if (model.fields[i].traits & FollowsTangent) r.tangent_of = i;
+    return r;
+}
+
+// The position of a field among colours.
+constexpr int color_of(const BsdfInfo &info, int field) {
+    int r = 0;
+    for (int i = 0; i < field; ++i) r += info.use[i] == BsdfInfo::Color;
     return r;
 }
 
@@ -116,17 +130,23 @@ struct TableOf {
 };
 template <class T>
 struct TableOf<T, false> {};
+template <class T, bool Disperses>
+struct RefractionOf {
+    IntOf<T> refraction;
+};
+template <class T>
+struct RefractionOf<T, false> {};
 
 // A model's parameters for a scalar type T: a Float or a dual number.
-template <class T, int NColors, int NNumbers, int NChoices = 0, bool Tabulated = false>
-struct Params : ChoicesOf<T, NChoices>, TableOf<T, Tabulated> {
+template <class T, int NColors, int NNumbers, int NChoices = 0, bool Tabulated = false, bool Disperses = false>
+struct Params : ChoicesOf<T, NChoices>, TableOf<T, Tabulated>, RefractionOf<T, Disperses> {
     Spectrum<T> color[NColors > 0 ? NColors : 1];
     T number[NNumbers > 0 ? NNumbers : 1];
 };
 
 template <class M, class T>
 using ParamsOf = Params<T, bsdf_info<M>().n_colors, bsdf_info<M>().n_numbers + (bsdf_info<M>().luminance_of >= 0),
-                        bsdf_info<M>().n_choices, bsdf_info<M>().tabulated>;
+                        bsdf_info<M>().n_choices, bsdf_info<M>().tabulated, (TurnedBy<M>::value >= 0)>;
 
 template <class M, class F, class T>
 TR_INLINE void copy_constants(const BsdfParameters<F> &from, ParamsOf<M, T> &to) {
@@ -134,6 +154,7 @@ TR_INLINE void copy_constants(const BsdfParameters<F> &from, ParamsOf<M, T> &to)
     if constexpr (info.n_choices > 0)
         for (int i = 0; i < info.n_choices; ++i) to.choice[i] = from.choice[i];
     if constexpr (info.tabulated) to.table = from.table, to.row = from.row;
+    if constexpr (info.turned_by >= 0) to.refraction = from.refraction;
 }
 
 template <class M, class F>
@@ -256,14 +277,17 @@ struct KernelsOf {
         if constexpr (Delta) {
             constexpr BsdfInfo info = bsdf_info<M>();
             static_assert(count_fields(M::model, Kind::Scalar) == 0, "delta lobes are turned by numbers, not textures");
-            using D = Dual<F, 3 + info.n_numbers>;
-            Params<D, 0, info.n_numbers> numbers;
-            for (int i = 0; i < info.n_numbers; ++i)
-                numbers.number[i] = D(at.number[SpectrumSize * info.n_colors + i], 3 + i);
+            // (that colour's first component stands for the number that other models have)
+            constexpr bool by_color = info.turned_by >= 0;
+            constexpr int N = by_color ? 1 : info.n_numbers,
+                          First = SpectrumSize * (by_color ? color_of(info, info.turned_by) : info.n_colors);
+            using D = Dual<F, 3 + N>;
+            Params<D, 0, N> numbers;
+            for (int i = 0; i < N; ++i) numbers.number[i] = D(at.number[First + i], 3 + i);
             Vec3<D> to = M::direction(numbers, Vec3<D>{D(wi.x, 0), D(wi.y, 1), D(wi.z, 2)}, lobe);
             auto chain = [&](int i) { return to.x.d[i] * wo_bar.x + to.y.d[i] * wo_bar.y + to.z.d[i] * wo_bar.z; };
             wi_bar = wi_bar + Vec3<F>{chain(0), chain(1), chain(2)};
-            for (int i = 0; i < info.n_numbers; ++i) number_bar[i] = chain(3 + i);
+            for (int i = 0; i < N; ++i) number_bar[i] = chain(3 + i);
         }
     }
 

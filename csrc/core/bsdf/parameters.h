@@ -23,7 +23,7 @@ TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, c
 
 // The same of the numbers by which delta lobes are turned: `g[i]` is the adjoint of the i-th number.
 template <class F>
-TR_LARGE void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf, const F *g,
-                            const MaskOf<F> &active, GradientSink<F> &sink);
+TR_LARGE void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf,
+                            const TexturedPoint<F> &at, const F *g, const MaskOf<F> &active, GradientSink<F> &sink);
 
 }  // namespace tr

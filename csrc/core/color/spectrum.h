@@ -3,7 +3,7 @@
 //
 // Three things are not the same although rgb gives each of them three numbers: the channels of a tensor (one, or those
 // of the scene's colours: a run-time number, see TensorView), the spectrum along a path, and the numbers of a pixel
-// (a run-time number, see RenderCall::values).
+// (a run-time number, see RenderCall::values). In the spectral variant a path has three wavelengths, see spectral.h.
 #pragma once
 
 #include "../math/vector.h"
@@ -20,10 +20,13 @@ struct Spectrum {
     TR_INLINE const F &operator[](int i) const { return c[i]; }
 };
 
-// The wavelengths that a packet's spectra are at, which every look-up of a colour receives. Colours in rgb are the same
-// at all of them, so there is nothing to know yet.
+// The wavelengths that a packet's spectra are at, which every look-up of a colour receives. In rgb there are none, and
+// a spectrum's components are the channels.
 template <class F>
-struct Wavelengths {};
+struct Wavelengths {
+    bool spectral = false;
+    F at[SpectrumSize];  // in nm above FirstWavelength
+};
 
 template <int N = SpectrumSize, class F>
 TR_INLINE Spectrum<F, N> uniform_spectrum(const F &x) {

@@ -45,7 +45,8 @@ TR_LARGE void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const Ma
     auto number = [&](int kind, int k, const F &x) { value[layout.offset[kind] + k] = x; };
     auto vector = [&](int kind, const Vec3<F> &v) { number(kind, 0, v.x), number(kind, 1, v.y), number(kind, 2, v.z); };
     auto color = [&](int kind, const Spectrum<F> &v) {
-        for (int k = 0; k < layout.count(kind); ++k) number(kind, k, v[k]);
+        const Spectrum<F> shown = kind == AovRoughness ? v : hit.colors.channels(v);
+        for (int k = 0; k < layout.count(kind); ++k) number(kind, k, shown[k]);
     };
     auto axis = [&](int k) { return widen<F>(c.camera.axis[k]); };
     auto turned = [&](const Vec3<F> &v) { return Vec3<F>{dot(v, axis(0)), dot(v, axis(1)), dot(v, axis(2))}; };
@@ -70,14 +71,14 @@ TR_LARGE void eval_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const Ma
     }
     for (int kind = FirstBsdfAov; kind <= LastBsdfAov; ++kind)
         if (wants(kind))
-            color(kind, eval_bsdf_aov(c.scene, hit.waves, bsdf_aov(kind), si.shape.bsdf, met_from_behind(hit), si.at,
-                                      active));
+            color(kind, eval_bsdf_aov(c.scene, hit.colors.waves(), bsdf_aov(kind), si.shape.bsdf, met_from_behind(hit),
+                                      si.at, active));
     for (int k = 0; k < AovAttributes; ++k) {
         if (!wants(AovAttribute + k)) continue;
         Spectrum<F> found = uniform_spectrum(F(0));
         each_attribute(c, k, hit, active, [&](const AttributeInfo &info, const Footprint<F, 3> &at, const auto &lanes) {
             const auto &tensor = c.scene.values.tensors[info.tensor];
-            found = select(lanes, gather_footprint(tensor, hit.waves, at, lanes), found);
+            found = select(lanes, gather_footprint(tensor, hit.colors.waves(), at, lanes), found);
         });
         color(AovAttribute + k, found);
     }
@@ -95,11 +96,14 @@ TR_INLINE void sweep_values(const AovContext<F> &c, const FirstHit<F> &hit, cons
         Spectrum<F> g = uniform_spectrum(F(1));
         if (!sink.forward)
             for (int k = 0; k < SpectrumSize; ++k) g[k] = k < channels ? to[k] : F(0);
+        const bool colored = kind != AovRoughness;
+        if (!sink.forward && colored) g = hit.colors.pull(g);
         sink.component = 0;
-        sink.begin(hit.waves);
+        sink.begin(hit.colors.waves());
         give(g);
-        if (sink.forward)
-            for (int k = 0; k < channels; ++k) to[k] = sink.derivative[k];
+        if (!sink.forward) return;
+        const Spectrum<F> shown = colored ? hit.colors.channels(sink.derivative) : sink.derivative;
+        for (int k = 0; k < channels; ++k) to[k] = shown[k];
     };
     for (int kind = FirstBsdfAov; kind <= LastBsdfAov; ++kind) {
         if (!c.layout.wants(kind) || !needs.bsdf) continue;
@@ -130,7 +134,7 @@ TR_INLINE void sweep_motion(const AovContext<F> &c, const FirstHit<F> &hit, cons
     auto color = [&](int kind) {
         Spectrum<F> r = uniform_spectrum(F(0));
         for (int k = 0; k < layout.count(kind); ++k) r[k] = number(kind, k);
-        return r;
+        return kind == AovRoughness ? r : hit.colors.pull(r);
     };
     OutputAdjoint<F> g;
     g.depth = number(AovDepth, 0);
@@ -152,10 +156,10 @@ TR_INLINE void sweep_motion(const AovContext<F> &c, const FirstHit<F> &hit, cons
                            true, active, g.at, sink);
     for (int k = 0; k < AovAttributes; ++k) {
         if (!layout.wants(AovAttribute + k)) continue;
-        each_attribute(c, k, hit, active,
-                       [&](const AttributeInfo &info, const Footprint<F, 3> &at, const MaskOf<F> &lanes) {
-                           sweep_attribute(c.scene, hit.waves, info, at, F(1), color(AovAttribute + k), lanes, g.at);
-                       });
+        each_attribute(
+            c, k, hit, active, [&](const AttributeInfo &info, const Footprint<F, 3> &at, const MaskOf<F> &lanes) {
+                sweep_attribute(c.scene, hit.colors.waves(), info, at, F(1), color(AovAttribute + k), lanes, g.at);
+            });
     }
     sweep_outputs(c.scene, c.sensor, c.camera, hit.sample, c.width, c.height, hit.center, hit.ray.d, si, g,
                   needs.camera, layout.wants(AovPartialU) || layout.wants(AovPartialV), active, sink);
@@ -172,7 +176,7 @@ TR_LARGE void sweep_aovs(const AovContext<F> &c, const FirstHit<F> &hit, const G
     if (!sink.forward) return sweep_motion(c, hit, needs, active, sink, [&](int channel) { return value[channel]; });
     sink.component = 0;  // one number after the other, whatever it is
     for (int k = 0; k < c.layout.n; ++k) {
-        sink.begin(hit.waves);
+        sink.begin(hit.colors.waves());
         sweep_motion(c, hit, needs, active, sink, [&](int channel) { return F(channel == k ? S(1) : S(0)); });
         value[k] = value[k] + sink.derivative[0];
     }

@@ -102,7 +102,7 @@ struct FirstHit {
     Ray<F> ray;
     Vec3<F> first, center;
     Interaction<F> si;
-    Wavelengths<F> waves;
+    SampleColors<F> colors;
 };
 
 // The values of all channels of the layout.

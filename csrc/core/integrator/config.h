@@ -1,7 +1,7 @@
 // What a path tracer is told, and the random numbers of its paths.
 #pragma once
 
-#include "../color/spectrum.h"
+#include "../color/spectral.h"
 #include "../sampler/sobol.h"
 #include "../sampler/stratified.h"
 
@@ -17,6 +17,7 @@ struct PathConfig {
     uint32_t sensor;
     SamplerConfig sampler;
     bool volumetric;  // through media
+    SpectralConfig spectral{};
 };
 
 // Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths
@@ -50,9 +51,32 @@ TR_INLINE Random4<F> draw4(const PathConfig &config, const UIntOf<F> &pixel, con
 
 // The wavelengths of a sample. Of colours in rgb there is nothing to choose.
 template <class F>
-TR_INLINE Wavelengths<F> wavelengths_of(const PathConfig &, const UIntOf<F> & /* pixel */,
-                                        const UIntOf<F> & /* sample */) {
-    return {};
+TR_INLINE ChosenWavelengths<F> chosen_wavelengths(const PathConfig &config, const UIntOf<F> &pixel,
+                                                  const UIntOf<F> &sample) {
+    return choose_wavelengths<F>(config.spectral, config.seed, config.sensor, pixel, sample);
+}
+// The same with how colours at them become the film's channels; in rgb they are these.
+template <class F>
+struct SampleColors {
+    ChosenWavelengths<F> chosen;
+    SpectralConfig config;
+
+    TR_INLINE SampleColors(const PathConfig &of, const UIntOf<F> &pixel, const UIntOf<F> &sample)
+        : config(of.spectral) {
+        if (config.positions) chosen = chosen_wavelengths<F>(of, pixel, sample);
+    }
+    TR_INLINE const Wavelengths<F> &waves() const { return chosen.waves; }
+    TR_INLINE Spectrum<F> channels(const Spectrum<F> &x) const {
+        return config.positions ? FilmWeights<F>(config, chosen).channels(x) : x;
+    }
+    TR_INLINE Spectrum<F> pull(const Spectrum<F> &g) const {
+        return config.positions ? FilmWeights<F>(config, chosen).pull(g) : g;
+    }
+};
+
+template <class F>
+TR_INLINE Wavelengths<F> wavelengths_of(const PathConfig &config, const UIntOf<F> &pixel, const UIntOf<F> &sample) {
+    return config.spectral.positions ? chosen_wavelengths<F>(config, pixel, sample).waves : Wavelengths<F>{};
 }
 
 }  // namespace tr

@@ -70,6 +70,21 @@ TR_INLINE void mark_seen(const PathContext<F> &c, const UIntOf<F> &slot, const U
     if (any(first)) scatter_lanes<F>(c.slots.alpha.at, slot, F(1), first);
 }
 
+// Of a model that disperses: how paths go through it, and what they are afterwards.
+template <class F>
+TR_INLINE void follow_waves(const BsdfInfo &model, const UIntOf<F> &seen, BsdfParameters<F> &params) {
+    if (model.turned_by < 0) return;
+    using I = IntOf<F>;
+    params.refraction = select(mask<I>((seen & SingleWave) != 0u), I(RefractsSingle), params.refraction);
+}
+// After scattering by this lobe.
+template <class F>
+TR_INLINE UIntOf<F> seen_after(const BsdfInfo &model, const IntOf<F> &lobe, const UIntOf<F> &seen) {
+    using U = UIntOf<F>;
+    if (model.turned_by < 0) return seen | SeenSomething;
+    return seen | select(mask<U>(lobe == RefractsFirst), U(SeenSomething | SingleWave), U(SeenSomething));
+}
+
 // Russian roulette: paths of little throughput end, the others count for them. Returns the factor of those that go on.
 // `counted`: lanes in which it is played; u: a number of each.
 template <class F>

@@ -133,19 +133,21 @@ TR_NOINLINE void scatter_through_stack(const SceneOf<F> &scene, const Interactio
 template <class F>
 TR_INLINE LightScattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
                                      const Interaction<F> &si, const Vec3<F> &d, const Vec3<F> &wi,
-                                     const ResolvedBsdf<F> &resolved, const Connection<F> &camera, const Random4<F> &u,
-                                     bool goes_on, const MaskOf<F> &active) {
+                                     const ResolvedBsdf<F> &resolved, const Connection<F> &camera,
+                                     const UIntOf<F> &seen, const Random4<F> &u, bool goes_on,
+                                     const MaskOf<F> &active) {
     BsdfParameters<F> params;
     load_parameters(c.scene, waves, bsdf, resolved.bsdf, si.at, active, params);
+    follow_waves(bsdf, seen, params);
     auto interpolated = has_shading_normal(si.shape, resolved.stack, active);
     LightScattering<F> r;
-    auto seen = active && camera.seen;
-    if (bsdf.is(HasSmoothLobes) && any(seen)) {
+    auto looks = active && camera.seen;
+    if (bsdf.is(HasSmoothLobes) && any(looks)) {
         r.wo_camera = resolved.mirror(si.frame.to_local(camera.d));
         BsdfValue<F> value;
         bsdf.eval_pdf(params, wi, r.wo_camera, Transport::Importance, value);
         r.f_camera = value.f * shading_correction(-d, camera.d, si.frame.n, si.ng, interpolated);
-        r.connected = seen && mask<F>(value.pdf > F(0));  // black surfaces have derivatives, too
+        r.connected = looks && mask<F>(value.pdf > F(0));  // black surfaces have derivatives, too
     }
     Vec3<F> out = si.frame.n;
     if (goes_on) {
@@ -204,7 +206,7 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
     if (bsdf.is(HasSmoothLobes) && sensor.meter < 0) to = connect(sensor.camera, si.p, M(false), active);
     if (config.hide_emitters) to.seen = to.seen && mask<F>(si.shape.emitter < 0);
     LightScattering<F> s =
-        scatter(c, samples.wavelengths(config), bsdf, si, ray.d, wi, resolved, to, u, goes_on, active);
+        scatter(c, samples.wavelengths(config), bsdf, si, ray.d, wi, resolved, to, lanes(in.seen), u, goes_on, active);
     if (sensor.meter >= 0) {
         to = IrradianceMeter::measure(c.scene, sensor.meter, si, ray.d, sensor.camera.width, sensor.camera.height,
                                       active);
@@ -240,11 +242,11 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
         medium = medium_behind(c.scene, si.at.shape, si.ng, d, lanes(in.medium), alive);
         pdf = select(bends<F>(c.scene, medium, alive), F(0), pdf);  // what comes bent is not glued to its surface
     }
-    uint32_t at =
-        append(out,
-               PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p, pdf, pull(beta, weight) * keep,
-                            F(1), survival * keep, slot, U(i) + lane_index<F>(), U(1u)},
-               alive);
+    uint32_t at = append(
+        out,
+        PathState<F>{offset_origin(si.p, si.ng, d), d, F(S(INFINITY)), si.p, pdf, pull(beta, weight) * keep, F(1),
+                     survival * keep, slot, U(i) + lane_index<F>(), seen_after<F>(bsdf, s.sample.lobe, lanes(in.seen))},
+        alive);
     if (c.bent) append_lanes(out, at, PathMedium<F>{medium, U(0u), uniform_spectrum(F(1)), F(0)}, alive);
 }
 

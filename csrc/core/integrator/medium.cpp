@@ -256,7 +256,7 @@ TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const 
                       survival * keep,
                       slot,
                       U(i) + lane_index<F>(),
-                      U(1u)};
+                      lanes(in.seen) | SeenSomething};
     uint32_t at = append(out, next, alive);
     append_lanes(out, at, PathMedium<F>{medium, path_depth + 1u, lanes(in.channel), F(0)}, alive);
 }

@@ -101,11 +101,12 @@ TR_NOINLINE MaskOf<F> arrive_bent(const PathContext<F> &c, const LaneSet<F> &lan
 template <class F>
 TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
                                 const Interaction<F> &si, const Vec3<F> &wi, const ResolvedBsdf<F> &resolved,
-                                const PathStep &step, const Random4<F> &u_light, const Random4<F> &u_bsdf,
-                                const MaskOf<F> &active) {
+                                const PathStep &step, const UIntOf<F> &seen, const Random4<F> &u_light,
+                                const Random4<F> &u_bsdf, const MaskOf<F> &active) {
     using S = ScalarOf<F>;
     BsdfParameters<F> params;
     load_parameters(c.scene, waves, bsdf, resolved.bsdf, si.at, active, params);
+    follow_waves(bsdf, seen, params);
     const bool first = step.depth == 0;
     F n_light(S(first ? c.config.emitter_samples : 1)), n_bsdf(S(first ? c.config.bsdf_samples : 1));
     Scattering<F> r;
@@ -220,7 +221,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     const uint32_t block = BlocksPerScattering * step.scattering();
     Random4<F> u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
     Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
-    Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, u_light, u_bsdf, may);
+    Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, seen, u_light, u_bsdf, may);
     if (c.bent) leave_bending(c.scene, si, medium, resolved, active, s);
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
 
@@ -247,7 +248,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
                       survival * keep,
                       slot,
                       U(i) + lane_index<F>(),
-                      invisible ? seen : U(1u)};
+                      invisible ? seen : seen_after<F>(bsdf, s.sample.lobe, seen)};
     uint32_t at = append(out, next, alive);
     if (volumetric)
         append_lanes(out, at,

@@ -15,6 +15,7 @@ template <class S>
 struct TrackedQueue {
     VectorColumn<S> o, d;
     NumberColumn<S> ray_offset;  // they begin before their origins
+    IndexColumn<S> slot;         // of their paths
 };
 
 // A ray in a grid: N components of the extinction matter, 1 or those of the spectrum.

@@ -30,7 +30,7 @@ struct SlotColumns {
 // ------------------------------------------------------------------------------------------------------------- paths
 // The ray; what the weight of emission at its end needs (PreviousVertex); throughput, index of refraction relative to
 // where the path began, and the throughput that roulette looks at; the sample, the entry of the level before, and
-// whether something was seen already.
+// what was seen already (below).
 // clang-format off
 #define TR_PATH_COLUMNS(X) \
     X(Vector, o) X(Vector, d) X(Number, length) X(Vector, from) X(Number, pdf) X(Spectrum, beta) X(Number, eta) \
@@ -40,6 +40,9 @@ struct SlotColumns {
 // extinction is coloured, and how far the ray's origin is ahead of the surface it leaves: the medium begins there.
 #define TR_PATH_MEDIUM_COLUMNS(X) X(Integer, medium) X(Index, depth) X(Spectrum, channel) X(Number, ray_offset)
 #define TR_PATH_QUEUE_COLUMNS(X) TR_PATH_COLUMNS(X) TR_PATH_MEDIUM_COLUMNS(X)
+
+// Something that is not invisible; dispersion has left the first of the wavelengths alone.
+constexpr uint32_t SeenSomething = 1, SingleWave = 2;
 
 template <class S>
 struct PathQueue {

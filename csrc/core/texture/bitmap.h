@@ -86,12 +86,15 @@ struct Bitmap {
     }
 };
 
-// The weighted sum of n rows of a tensor's channels, of which there are one or as many as a spectrum has.
+// The weighted sum of n rows of a tensor's channels, of which there are one, or as many as a spectrum has, or those of
+// a spectrum's coefficients.
 template <class F, class S>
-TR_INLINE Spectrum<F> gather_taps(const TensorView<S> &tensor, const UIntOf<F> *texel, const F *weight, int n,
-                                  const MaskOf<F> &active) {
-    Spectrum<F> r = uniform_spectrum(F(0));
+TR_INLINE Spectrum<F> gather_taps(const TensorView<S> &tensor, const Wavelengths<F> &waves, const UIntOf<F> *texel,
+                                  const F *weight, int n, const MaskOf<F> &active) {
     const int channels = tensor.shape[2];
+    if (waves.spectral && channels == SigmoidChannels)
+        return sigmoid_texels(tensor.data, tensor.base, waves, texel, weight, n, active);
+    Spectrum<F> r = uniform_spectrum(F(0));
     for (int i = 0; i < n; ++i) {
         F row[SpectrumSize];
         if (channels == SpectrumSize) {
@@ -107,9 +110,9 @@ TR_INLINE Spectrum<F> gather_taps(const TensorView<S> &tensor, const UIntOf<F> *
 
 // A colour, looked up.
 template <class F, class S, int N>
-TR_INLINE Spectrum<F> gather_footprint(const TensorView<S> &tensor, const Wavelengths<F> &, const Footprint<F, N> &at,
-                                       const MaskOf<F> &active) {
-    return gather_taps(tensor, at.texel, at.weight, N, active);
+TR_INLINE Spectrum<F> gather_footprint(const TensorView<S> &tensor, const Wavelengths<F> &waves,
+                                       const Footprint<F, N> &at, const MaskOf<F> &active) {
+    return gather_taps(tensor, waves, at.texel, at.weight, N, active);
 }
 
 }  // namespace tr

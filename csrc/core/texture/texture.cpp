@@ -55,10 +55,21 @@ TR_LARGE TextureSlopes<F> texture_slopes(const SceneView<S> &scene, const Wavele
     return visitor.result;
 }
 
+template <class F, class S>
+TR_LARGE F daylight_luminance(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
+                              const TexturedPoint<F> &at, const MaskOf<F> &active) {
+    F sum(0);
+    for (int third = 0; third < LuminanceNodes / SpectrumSize; ++third)
+        sum = sum + component_sum(eval_texture(scene, values, luminance_wavelengths<F>(third), id, at, active));
+    return sum * F(S(1.0 / LuminanceNodes));
+}
+
 #define TR_INSTANTIATE(S)                                                                                              \
     template Spectrum<PacketOf<S>> lookup_texture(const SceneView<S> &, const Values<S> &,                             \
                                                   const Wavelengths<PacketOf<S>> &, const IntOf<PacketOf<S>> &,        \
                                                   const TexturedPoint<PacketOf<S>> &, const MaskOf<PacketOf<S>> &);    \
+    template PacketOf<S> daylight_luminance(const SceneView<S> &, const Values<S> &, const IntOf<PacketOf<S>> &,       \
+                                            const TexturedPoint<PacketOf<S>> &, const MaskOf<PacketOf<S>> &);          \
     template TextureSlopes<PacketOf<S>> texture_slopes(const SceneView<S> &, const Wavelengths<PacketOf<S>> &,         \
                                                        const IntOf<PacketOf<S>> &, const TexturedPoint<PacketOf<S>> &, \
                                                        const MaskOf<PacketOf<S>> &);

@@ -111,4 +111,9 @@ TR_INLINE Spectrum<F> eval_texture(const SceneView<S> &scene, const Wavelengths<
     return eval_texture(scene, scene.values, waves, id, at, active);
 }
 
+// In the spectral variant: the luminance of a texture in daylight, which does not depend on a path's wavelengths.
+template <class F, class S>
+TR_LARGE F daylight_luminance(const SceneView<S> &scene, const Values<S> &values, const IntOf<F> &id,
+                              const TexturedPoint<F> &at, const MaskOf<F> &active);
+
 }  // namespace tr

@@ -45,12 +45,8 @@ template <class F, class S>
 TR_INLINE Spectrum<F> eval_volume(const SceneView<S> &scene, const Values<S> &values, const Wavelengths<F> &waves,
                                   int32_t volume, const Vec3<F> &p, const MaskOf<F> &active) {
     const Record &record = scene.volumes[volume];
-    Spectrum<F> r;
-    if (record.kind == int32_t(VolumeKind::Constant)) {
-        const S *value = values.constants + record.field[ConstantVolume::Value];
-        for (int c = 0; c < SpectrumSize; ++c) r[c] = F(value[c]);
-        return r;
-    }
+    if (record.kind == int32_t(VolumeKind::Constant))
+        return constant_spectrum<F>(values, waves, record.field[ConstantVolume::Value]);
     return eval_grid(values, waves, record, to_volume(scene, volume, p), active);
 }
 

@@ -16,7 +16,7 @@ from .hair import Hair
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
-from .smooth import Conductor, Dielectric, Diffuse, Null, ThinDielectric
+from .smooth import Conductor, Dielectric, Diffuse, DispersiveDielectric, Null, ThinDielectric
 
 MODELS: dict[str, type[Bsdf]] = {
     "diffuse": Diffuse,
@@ -24,6 +24,7 @@ MODELS: dict[str, type[Bsdf]] = {
     "roughconductor": RoughConductor,
     "anisotropicconductor": AnisotropicConductor,
     "dielectric": Dielectric,
+    "dispersivedielectric": DispersiveDielectric,
     "roughdielectric": RoughDielectric,
     "anisotropicdielectric": AnisotropicDielectric,
     "thindielectric": ThinDielectric,

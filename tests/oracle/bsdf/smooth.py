@@ -68,6 +68,29 @@ class Dielectric(Delta):
         )
 
 
+class DispersiveDielectric(Delta):
+    """Lobe 0 reflects, each component by its own index; lobe 3 refracts all of them as the first."""
+
+    def read(self, color: Color, number: Color) -> None:
+        self.eta = color("eta").expand(-1, self.channels)
+        self.reflectance, self.transmittance = color("specular_reflectance"), color("specular_transmittance")
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        r, _, _, eta_ti = fresnel_dielectric(wi[:, 2:].expand_as(self.eta), self.eta)
+        return torch.where((lobe == 0)[:, None], self.reflectance * r, self.transmittance * (1 - r) * eta_ti**2)
+
+    def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
+        r, cos_t, eta_it, eta_ti = fresnel_dielectric(wi[:, 2], self.eta[:, 0])
+        reflects = u[:, 0] < r.detach()
+        refracted = torch.stack([-eta_ti * wi[:, 0], -eta_ti * wi[:, 1], cos_t], 1)
+        return BsdfSample(
+            torch.where(reflects[:, None], mirrored(wi), refracted),
+            torch.where(reflects, r, 1 - r).detach(),
+            torch.where(reflects, 1.0, eta_it).detach(),
+            torch.where(reflects, 0, 3),
+        )
+
+
 class ThinDielectric(Dielectric):
     """Lobe 0 reflects, lobe 1 goes straight on."""
 

@@ -1,0 +1,79 @@
+"""At which wavelengths a spectral scene is looked at, and what they add to the film.
+
+Wavelengths have half of their density from what the film responds to, and half from that times the scene's light, so
+that narrow lines of lamps are found; a little is everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+
+from ... import spectrum
+from ..context import SAMPLES
+from ..packing import Layout
+from .roles import LIGHT, roles_of
+
+if TYPE_CHECKING:
+    from ..scene import Scene
+
+INTERVALS = 512  # of the inverse distribution, for each of the three thirds
+EVERYWHERE = 0.02  # the share of wavelengths that are spread evenly
+
+
+def wavelength_config(
+    scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]
+) -> tuple[tuple[int, int, int], tuple[torch.Tensor, ...]]:
+    """What the core's settings say of wavelengths, addresses, and the tensors at these addresses.
+
+    `tensors` are those for the core. Of lights that change there are new densities.
+    """
+    lights = [
+        (i, tensors[i])
+        for i, role in enumerate(roles_of(layout))
+        if role == LIGHT and tensors[i].ndim == 1 and tensors[i].shape[0] == SAMPLES
+    ]
+    key = [(i, t.data_ptr(), -1 if t.is_inference() else t._version) for i, t in lights]
+    old: Any = scene.__dict__.get("_wavelengths")
+    if old is None or old[0] != key or old[1].dtype != scene.dtype or any(v < 0 for _, _, v in key):
+        tables = [t.detach() for _, t in lights]
+        # the tensors are kept, too: equal addresses then mean equal contents
+        old = (key, positions(tables).to(scene.dtype), film_weights().to(scene.dtype).contiguous(), tables)
+        scene.__dict__["_wavelengths"] = old
+    config = (old[1].data_ptr(), INTERVALS, old[2].data_ptr())
+    return config, (old[1], old[2])
+
+
+def film_weights() -> torch.Tensor:
+    """(471, 3): red, green and blue of light that is relative to daylight, a nanometre at a time; float64."""
+    d65 = spectrum.d65(torch.zeros((), dtype=torch.float64))
+    weights = spectrum.responses(torch.float64) * d65[:, None]
+    weights[[0, -1]] *= 2  # the ends have half a nanometre
+    return weights
+
+
+def positions(lights: Sequence[torch.Tensor]) -> torch.Tensor:
+    """The inverse of the wavelengths' distribution: nm above 360 at 3 * INTERVALS + 1 equally spaced numbers, float64.
+
+    Args:
+        lights: tables (471,) relative to daylight.
+    """
+    response = film_weights().abs().sum(1).numpy()
+    shares = [response / response.sum()]
+    light = np.zeros(SAMPLES)
+    for table in lights:
+        seen = response * table.double().abs().numpy()
+        if 0 < seen.sum() < np.inf:
+            light += seen / seen.sum()
+    if light.sum() > 0:
+        shares.append(light / light.sum())
+    density = EVERYWHERE / SAMPLES + (1 - EVERYWHERE) * sum(shares) / len(shares)
+    # of the piecewise linear density, on a finer grid
+    fine = np.linspace(0, SAMPLES - 1, 20 * (SAMPLES - 1) + 1)
+    values = np.interp(fine, np.arange(SAMPLES), density)
+    cumulative = np.concatenate([[0.0], np.cumsum((values[1:] + values[:-1]) / 2)])
+    numbers = np.linspace(0, 1, 3 * INTERVALS + 1)
+    return torch.from_numpy(np.interp(numbers, cumulative / cumulative[-1], fine))
