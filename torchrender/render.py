@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, cast, overload
 
 import numpy as np
@@ -53,15 +54,16 @@ from .render_types import (
     SamplerName,
     SensorLike,
 )
+from .scene.bands import check_bands, groups, joined
 from .scene.boundaries import warn_of_glass_on_curves
 from .scene.gather import gather, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
-from .scene.sensor import IrradianceMeter, default_sampler
+from .scene.sensor import IrradianceMeter, Sensor, default_sampler
 from .scene.spectral.core_values import for_core
-from .scene.spectral.wavelengths import wavelength_config
+from .scene.spectral.wavelengths import sensor_weights, wavelength_config
 from .seeds import seeds
 
 if TYPE_CHECKING:
@@ -225,13 +227,10 @@ def render(
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
     tensors = gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params))
     check_ranges(scene, packed, tensors, range)
-    held: tuple[torch.Tensor, ...] = ()
     if packed.spectral:
         if wavefront:
             raise ValueError("render: integrator: WavefrontPathTracer has no wavelengths; PathTracer has them")
         tensors = for_core(scene, packed, tensors)
-        wavelengths, held = wavelength_config(scene, packed, tensors)
-        integrator_config = {**integrator_config, "spectral": wavelengths}
     if shows_radiance and not packed.lights_seen:
         from .black_pictures import warn_of_missing_light  # when it is needed: importing the package is to be quick
 
@@ -256,6 +255,7 @@ def render(
     for index, camera in steps(cameras, "views", progress):
         film, own = film_of_size(camera.film, size), default_sampler(camera)
         check_sensor(camera, light, names, stack, tensors, packed)
+        check_bands(film, camera.srf, packed.spectral)
         samples = own.sample_count if spp is None else count("spp", spp)
         window, shape, config = film_config(film, crop)
         if pixels is not None:
@@ -270,6 +270,9 @@ def render(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
                 )
         native = scene.native(packed, [tuple(t.shape) for t in used])
+        seen, held = {}, ()
+        if packed.spectral:
+            seen["spectral"], held = wavelength_config(scene, packed, tensors, sensor_weights(None, camera.srf))
         alpha = "alpha" in names or (stack is not None and not light and stack.wants_alpha(film))
         outlined = outlines and not isinstance(camera, IrradianceMeter)
         call = RenderCall(
@@ -281,6 +284,7 @@ def render(
                 "crop": window,
                 "sampler": own.type if sampler is None else sampler,
                 "sample_offset": 0,
+                **seen,
             },
             size=shape,
             spp=samples,
@@ -325,15 +329,12 @@ def render(
             and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
+        trace: Callable[[RenderCall, list[torch.Tensor]], Any] = _native
         if wavefront:
             from .wavefront.function import wavefront_call
 
-            traced = wavefront_call(scene, call, integrator_config, of_torch)
-            radiance: Callable[[], Any] = functools.partial(traced.apply, used)
-        else:
-            radiance = functools.partial(RenderFunction.apply, call, *used)
-        if outlined:
-            radiance = functools.partial(_with_outlines, call, used, radiance)
+            trace = functools.partial(_traced, wavefront_call(scene, call, integrator_config, of_torch))
+        radiance = functools.partial(_radiance, scene, call, used, camera, trace, outlined)
         views.append(_view(scene, call, names, stack, used, radiance))
         if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
@@ -398,13 +399,39 @@ def _view(
     return found
 
 
-def _with_outlines(
+def _native(call: RenderCall, tensors: list[torch.Tensor]) -> Any:
+    return RenderFunction.apply(call, *tensors)
+
+
+def _traced(traced: Any, _: RenderCall, tensors: list[torch.Tensor]) -> Any:
+    return traced.apply(tensors)
+
+
+def _radiance(
+    scene: Scene,
     call: RenderCall,
     tensors: list[torch.Tensor],
-    radiance: Callable[[], torch.Tensor | tuple[torch.Tensor, ...]],
+    camera: Sensor,
+    trace: Callable[[RenderCall, list[torch.Tensor]], Any],
+    outlined: bool,
+) -> Any:
+    """What paths are traced for: one time, or for each group of the film's bands."""
+    parts = []
+    for weights in groups(call.film):
+        part = call
+        if weights is not None:
+            own = sensor_weights(weights, camera.srf)
+            wavelengths, held = wavelength_config(scene, call.layout, tensors, own)
+            part = replace(call, config={**call.config, "spectral": wavelengths}, held=held)
+        found = trace(part, tensors)
+        parts.append(_with_outlines(part, tensors, found) if outlined else found)
+    return joined(parts, call.film)
+
+
+def _with_outlines(
+    call: RenderCall, tensors: list[torch.Tensor], result: torch.Tensor | tuple[torch.Tensor, ...]
 ) -> torch.Tensor | tuple[torch.Tensor, ...]:
-    """`radiance` with the derivative of outlines that the camera sees, where something that moves them may have one."""
-    result = radiance()
+    """`result` with the derivative of outlines that the camera sees, where something that moves them may have one."""
     if not call.may_move_outlines(tensors):
         return result
     from .visibility.boundary import outline_terms  # when it is needed

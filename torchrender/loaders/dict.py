@@ -125,7 +125,7 @@ def load_dict(
     ctx = Context(variant, dtype, made_device, (str(kind),), _folder)
     if kind in TYPES:
         return from_dict(dict(description), str(kind))
-    if kind == "hdrfilm":
+    if kind in ("hdrfilm", "specfilm"):
         return film_from(description, ctx)
     return registry.build(description, ctx)
 

@@ -49,7 +49,6 @@ class Camera(Sensor):
     """What all cameras share: a film, a matrix, and rays through positions on the film."""
 
     inert: ClassVar[dict[str, tuple[Any, ...]]] = {"shutter_open": (), "shutter_close": ()}  # nothing moves
-    unsupported: ClassVar[tuple[str, ...]] = ("srf",)
     rigid: ClassVar[bool] = True  # its matrix neither scales nor shears
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:

@@ -9,8 +9,10 @@ from typing import Any, ClassVar
 
 from ..errors import SubstitutionWarning, depth_outside, describe, nearest
 from . import values
+from .bands import bands as read_bands
 from .context import Context
 from .registry import ADVICE, DOCUMENTED
+from .spectra import is_spectrum
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
 FILTER_PARAMETERS: dict[str, tuple[str, ...]] = {
@@ -99,6 +101,9 @@ class Film(Settings):
         sample_border: draw samples also outside of the crop window, so that its edge pixels see whole filters.
         filter: the reconstruction filter.
         formats: what the dict said about file formats; kept, but rendering does not depend on it.
+        bands: responses by name, in a spectral scene: the image is (H, W, J) with the integrals of the radiance times
+            each, over wavelengths in nm. Each is a table (471,) of numbers from 360 to 830 nm, a spectrum's dict, or a
+            number. None is the standard observer's red, green and blue. Three bands at a time are rendered.
     """
 
     width: int = 768
@@ -107,6 +112,7 @@ class Film(Settings):
     sample_border: bool = False
     filter: ReconstructionFilter = field(default_factory=ReconstructionFilter)
     formats: dict[str, str] = field(default_factory=dict)
+    bands: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
         self.check(Context(path=("Film",)))
@@ -119,6 +125,13 @@ class Film(Settings):
             ctx.error(f"a film has at most 65536 rows and columns, got {self.height} x {self.width}")
         if self.crop is not None:
             check_crop(self.crop, (self.height, self.width), ctx)
+
+        self.bands = read_bands(self.bands, ctx.at("bands"))
+
+    @property
+    def channels(self) -> tuple[str, ...] | None:
+        """Names of the bands, in the order of the image's channels; None for those of the scene's colours."""
+        return None if self.bands is None else tuple(self.bands)
 
     @property
     def window(self) -> tuple[int, int, int, int]:
@@ -221,13 +234,14 @@ _FORMATS = {
 
 
 def film_from(value: Any, ctx: Context) -> Film:
-    """A film from its dict (`hdrfilm`) or an object."""
+    """A film from its dict (`hdrfilm`, or with bands `specfilm`) or an object."""
     if isinstance(value, Film):
         return value
     if not isinstance(value, Mapping):
         ctx.error(f"expected a film, got {describe(value)}")
-    _checked(value, "film", ("hdrfilm",), ctx)
+    kind = _checked(value, "film", ("hdrfilm", "specfilm"), ctx)
     film = Film()
+    bands: dict[str, Any] = {}
     crop: dict[str, int] = {}
     for name, content in value.items():
         if name in ("type", "id"):
@@ -244,13 +258,21 @@ def film_from(value: Any, ctx: Context) -> Film:
         elif name in _FORMATS:
             values.choice(content, _FORMATS[name], at)
             film.formats[name] = content
+        elif kind == "specfilm" and is_spectrum(content):
+            bands[str(name)] = content
         elif isinstance(content, (Mapping, ReconstructionFilter)):
             film.filter = filter_from(content, at)
         else:
-            ctx.error(f"hdrfilm has no parameter {name!r}; {nearest(str(name), _FILM_NAMES)}")
+            ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), _FILM_NAMES)}")
     if crop:
         x, y = crop.get("crop_offset_x", 0), crop.get("crop_offset_y", 0)
         film.crop = (y, x, crop.get("crop_height", film.height), crop.get("crop_width", film.width))
+    if kind == "specfilm":
+        if ctx.color not in (None, "spectral"):
+            ctx.error(f"specfilm: bands need wavelengths: a scene of the variant 'spectral', not {ctx.color!r}")
+        if not bands:
+            ctx.error("specfilm: expected bands: spectra by name, such as 'red': {'type': 'regular', ...}")
+        film.bands = read_bands(bands, ctx)
     film.check(ctx)
     if film.crop == (0, 0, film.height, film.width):
         film.crop = None

@@ -59,7 +59,6 @@ ADVICE = {
     "ellipsoidsmesh": "a mesh with the shells' vertices and faces takes its place",
     "timed_sunsky": "there are no averages over days and hours; sunsky is the light of one time",
     "volumelight": "light from a volume is the parameter 'emission' of a medium",
-    "specfilm": "it belongs to spectral variants; hdrfilm has the variant's channels",
     "sggx": "hg with a g near 0 comes nearest; unsupported='substitute' takes isotropic",
 }
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar, cast
 
+import torch
 from torch.utils.data._utils.collate import default_collate_fn_map
 
+from .bands import response
 from .context import Context
 from .film import SAMPLERS, Film, Sampler, film_from, sampler_from
 from .plugin import Plugin
@@ -29,10 +31,11 @@ class Sensor(Plugin):
 
     film: Film
     sampler: Sampler | None
+    srf: torch.Tensor | None  # by what the film's responses are multiplied, a table (471,)
 
     @classmethod
     def parameter_names(cls) -> list[str]:
-        return ["film", "sampler", *super().parameter_names()]
+        return ["film", "sampler", "srf", *super().parameter_names()]
 
     def take_film(self, properties: dict[str, Any], ctx: Context) -> None:
         """Take film and sampler, by whichever name they go, out of `properties`."""
@@ -45,8 +48,12 @@ class Sensor(Plugin):
                 film = film_from(properties.pop(name), ctx.at(name))
             elif name == "sampler" or isinstance(value, Sampler) or kind in (*SAMPLERS, *DOCUMENTED["sampler"]):
                 sampler = sampler_from(properties.pop(name), ctx.at(name))
+        srf = properties.pop("srf", None)
+        if srf is not None and ctx.color not in (None, "spectral"):
+            ctx.at("srf").error(f"needs wavelengths: a scene of the variant 'spectral', not {ctx.color!r}")
         self.__dict__["film"] = film
         self.__dict__["sampler"] = sampler
+        self.__dict__["srf"] = None if srf is None else response(srf, ctx.at("srf"))
 
     def hint(self, name: str) -> str:
         if name in Film.__dataclass_fields__:
@@ -54,8 +61,8 @@ class Sensor(Plugin):
         return super().hint(name)
 
     def __setattr__(self, name: str, value: Any) -> None:
-        convert = {"film": film_from, "sampler": sampler_from}.get(name)
-        if convert is not None and not (name == "sampler" and value is None):
+        convert = {"film": film_from, "sampler": sampler_from, "srf": response}.get(name)
+        if convert is not None and not (name != "film" and value is None):
             value = convert(value, Context(path=(type(self).__name__, name)))
         super().__setattr__(name, value)
 

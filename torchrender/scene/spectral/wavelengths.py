@@ -25,11 +25,12 @@ EVERYWHERE = 0.02  # the share of wavelengths that are spread evenly
 
 
 def wavelength_config(
-    scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]
+    scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor], weights: torch.Tensor | None = None
 ) -> tuple[tuple[int, int, int], tuple[torch.Tensor, ...]]:
     """What the core's settings say of wavelengths, addresses, and the tensors at these addresses.
 
-    `tensors` are those for the core. Of lights that change there are new densities.
+    `tensors` are those for the core. Of lights that change there are new densities. `weights` (471, 3) are the film's,
+    see `film_weights`, which None means.
     """
     lights = [
         (i, tensors[i])
@@ -38,11 +39,16 @@ def wavelength_config(
     ]
     key = [(i, t.data_ptr(), -1 if t.is_inference() else t._version) for i, t in lights]
     old: Any = scene.__dict__.get("_wavelengths")
-    if old is None or old[0] != key or old[1].dtype != scene.dtype or any(v < 0 for _, _, v in key):
-        tables = [t.detach() for _, t in lights]
+    changed = old is None or old[0] != key or old[1].dtype != scene.dtype or any(v < 0 for _, _, v in key)
+    if changed or weights is not None:
+        tables, of_film = [t.detach() for _, t in lights], film_weights() if weights is None else weights
+        seen = of_film.abs()
+        if weights is not None:  # each band counts alike
+            seen = seen / seen.sum(0).clamp(min=torch.finfo(seen.dtype).tiny)
         # the tensors are kept, too: equal addresses then mean equal contents
-        old = (key, positions(tables).to(scene.dtype), film_weights().to(scene.dtype).contiguous(), tables)
-        scene.__dict__["_wavelengths"] = old
+        old = (key, positions(tables, seen.sum(1)).to(scene.dtype), of_film.to(scene.dtype).contiguous(), tables)
+        if weights is None:
+            scene.__dict__["_wavelengths"] = old
     config = (old[1].data_ptr(), INTERVALS, old[2].data_ptr())
     return config, (old[1], old[2])
 
@@ -55,14 +61,24 @@ def film_weights() -> torch.Tensor:
     return weights
 
 
-def positions(lights: Sequence[torch.Tensor]) -> torch.Tensor:
+def sensor_weights(responses: torch.Tensor | None, srf: torch.Tensor | None) -> torch.Tensor | None:
+    """The same of up to three `responses` (471, 3), None for the standard observer, and a sensor's response (471,)."""
+    if responses is None:
+        return None if srf is None else film_weights() * srf[:, None]
+    if srf is not None:
+        responses = responses * srf[:, None]
+    return responses * spectrum.d65(responses)[:, None]
+
+
+def positions(lights: Sequence[torch.Tensor], seen: torch.Tensor) -> torch.Tensor:
     """The inverse of the wavelengths' distribution: nm above 360 at 3 * INTERVALS + 1 equally spaced numbers, float64.
 
     Args:
         lights: tables (471,) relative to daylight.
+        seen: (471,) how much the film responds to them.
     """
-    response = film_weights().abs().sum(1).numpy()
-    shares = [response / response.sum()]
+    response = seen.double().numpy()
+    shares = [response / response.sum()] if response.any() else [np.full(SAMPLES, 1 / SAMPLES)]
     light = np.zeros(SAMPLES)
     for table in lights:
         seen = response * table.double().abs().numpy()
