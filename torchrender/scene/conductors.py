@@ -1,10 +1,32 @@
-"""Metals and their like by name: their complex indices of refraction, as colours and as spectra."""
+"""Metals and their like by name: their complex indices of refraction, as colours and as spectra.
+
+The measurements are those that Mitsuba 3.9.1 has as tables (`bench/make_conductor_spectra.py` reads them), which name
+the database luxpop as their source. Where luxpop has them from, by what the tables say:
+
+* "Handbook of Optical Constants of Solids", ed. E. D. Palik, 1985: Ni_palik.
+* "Handbook of Optical Constants of Solids II", ed. E. D. Palik, 1991: AlAs, AlSb, HgTe, K, Li, Na_palik, Se, SnTe, Te,
+  ThF4, V_palik.
+* Palik, either volume, and at wavelengths too short to be seen others: Be, Cr, CsI, Cu2O, CuO, d-C, Hg, Ir, MgO, Mo,
+  Nb, Rh, SiC, Ta, TiC, TiN, TiO2, VC, VN, W; a-C likewise, and D. Windt, 1988.
+* Nothing is said of Ag, Al, Au and Cu. Their wavelengths are steps of 0.05 eV, as in the database of SOPRA, from which
+  they are presumably.
+
+Se and Te are ordinary rays. TiO2 says that it is one, but its numbers (2.91 at 589 nm) are those of rutile's
+extraordinary ray. CsI, d-C, MgO and ThF4 are transparent: k is 0, or nearly. Of SnTe, which is not, k is missing, too.
+"""
 
 from __future__ import annotations
 
-# Real and imaginary part of the index of refraction, as red, green and blue of the spectra that Mitsuba 3.9.1 has (read
-# back from its `conductor`): measurements collected by Palik, "Handbook of Optical Constants of Solids", 1985, and in
-# the databases of SOPRA and luxpop.
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import nearest
+from . import cie
+
+# Real and imaginary part of the index of refraction, as red, green and blue of the spectra as they are, without an
+# illuminant, read back from the rgb variant of Mitsuba's `conductor`: where nothing was measured they count as 0.
 CONDUCTORS = {
     "a-C": ((2.94405, 2.22714, 1.96816), (0.887465, 0.799299, 0.81529)),
     "Ag": ((0.155276, 0.116728, 0.138388), (4.82835, 3.12222, 2.1469)),
@@ -45,6 +67,42 @@ CONDUCTORS = {
     "W": ((4.37082, 3.30025, 2.99841), (3.50064, 2.60487, 2.27323)),
 }
 
+_FILE = Path(__file__).with_name("conductors.npz")
+_NODES = np.linspace(cie.FIRST, cie.LAST, 95)  # nm
 
-def conductor_spectra(name):
-    raise NotImplementedError
+
+def conductor_spectra(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Index of refraction (eta, k) of a metal of `CONDUCTORS`, each float64 (471,): at every nm from 360 to 830.
+
+    Straight lines between multiples of 5 nm. Beyond `conductor_range` the outermost measurement is held, and the eta of
+    AlAs between 387 and 443 nm, which is missing, lies on a straight line.
+
+    Raises:
+        KeyError: there is no such metal.
+    """
+    row = _row(name)
+    grid = np.arange(cie.FIRST, cie.LAST + 1.0)
+    return np.interp(grid, _NODES, _tables()["eta"][row]), np.interp(grid, _NODES, _tables()["k"][row])
+
+
+def conductor_range(name: str) -> tuple[float, float]:
+    """The first and last wavelength between 360 and 830 nm that the measurements of a metal cover.
+
+    Raises:
+        KeyError: there is no such metal.
+    """
+    low, high = _tables()["range"][_row(name)]
+    return float(low), float(high)
+
+
+def _row(name: str) -> int:
+    if name not in CONDUCTORS:
+        raise KeyError(f"unknown metal {name!r}; {nearest(str(name), CONDUCTORS)}")
+    return list(_tables()["names"]).index(name)
+
+
+@cache
+def _tables() -> dict[str, np.ndarray]:
+    """By name `names` (37,), `eta` and `k` (37, 95) at `_NODES` and `range` (37, 2)."""
+    with np.load(_FILE) as file:
+        return {name: file[name].astype(np.float64) if name != "names" else file[name] for name in file.files}
