@@ -51,8 +51,8 @@ def _wall(place, reflectance) -> dict:
 
 
 def _room(lamp: dict, white, left, right, tall, low) -> dict:
-    """The Cornell box's arrangement, an opening towards the camera."""
-    place = translate(0, 0.99, 0) @ rotate("x", 90) @ scale(0.35)
+    """The Cornell box's arrangement with a larger lamp, an opening towards the camera."""
+    place = translate(0, 0.99, 0) @ rotate("x", 90) @ scale(0.7)
     return {
         "floor": _wall(translate(0, -1, 0) @ rotate("x", -90), white),
         "ceiling": _wall(translate(0, 1, 0) @ rotate("x", 90), white),
@@ -77,7 +77,7 @@ WHITE, RED, GREEN = _rgb(0.73, 0.73, 0.73), _rgb(0.63, 0.065, 0.05), _rgb(0.14, 
 
 
 def _cornell_box() -> dict:
-    room = _room(_rgb(18.4, 15.6, 8.0), WHITE, RED, GREEN, WHITE, WHITE)
+    room = _room(_rgb(16.0, 15.0, 12.0), WHITE, RED, GREEN, WHITE, WHITE)
     return _scene(PATH, _view((0, 0, 3.9), fov=39), **room)
 
 
@@ -134,8 +134,8 @@ def _daylight() -> dict:
 
 def _lines() -> dict:
     """The same shapes in lamps that are spectra: a narrow line of 589 nm and a broad one."""
-    line = _measured("360 586 587 588 590 591 592 830", "0 0 100 600 600 100 0 0")
-    broad = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0 1.5 0.5 0.2 0"}
+    line = _measured("360 586 587 588 590 591 592 830", "0 0 40 200 200 40 0 0")
+    broad = {"type": "regular", "wavelength_min": 400.0, "wavelength_max": 700.0, "values": "0 1.0 0.6 0.8 0.4"}
     return _scene(
         PATH,
         _view(),
