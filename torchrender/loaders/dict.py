@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -13,7 +14,7 @@ from .. import backends
 from ..errors import describe, nearest
 from ..integrators import TYPES, from_dict
 from ..scene import registry
-from ..scene.context import Context
+from ..scene.context import LONGEST, SHORTEST, Context
 from ..scene.film import film_from
 from ..scene.scene import VARIANTS, Scene, operation
 from ..typing import SceneDict, Unsupported, VariantName
@@ -34,7 +35,7 @@ def variants() -> list[str]:
     return [v for v in POSSIBLE_VARIANTS if v in found]
 
 
-def _settings(function: str, variant: Any, dtype: Any, device: Any) -> torch.device:
+def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: Any) -> torch.device:
     if variant not in VARIANTS:
         if variant in POSSIBLE_VARIANTS:
             raise ValueError(
@@ -49,6 +50,13 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any) -> torch.dev
         raise ValueError(f"{function}: device: expected 'cpu', got {describe(device)}") from None
     if made.type != "cpu":
         raise ValueError(f"{function}: device: this build renders on the CPU, got {str(made)!r}")
+    if wavelength is not None:
+        if variant != "mono":
+            raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
+        if isinstance(wavelength, bool) or not isinstance(wavelength, Real) or not SHORTEST <= wavelength <= LONGEST:
+            raise ValueError(
+                f"{function}: wavelength: expected a number from {SHORTEST:g} to {LONGEST:g} nm, got {describe(wavelength)}"
+            )
     return made
 
 
@@ -65,6 +73,7 @@ def load_dict(
     variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    wavelength: float | None = None,
     unsupported: Unsupported = "error",
 ) -> Scene: ...
 
@@ -76,6 +85,7 @@ def load_dict(
     variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    wavelength: float | None = None,
     unsupported: Unsupported = "error",
     _folder: Path | None = None,
 ) -> Scene | Any: ...
@@ -87,6 +97,7 @@ def load_dict(
     variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    wavelength: float | None = None,
     unsupported: Unsupported = "error",
     _folder: Path | None = None,
 ) -> Scene | Any:
@@ -98,20 +109,22 @@ def load_dict(
         variant: colour mode, one of `variants()`.
         dtype: `torch.float32` or `torch.float64`, of all parameters and of the rendering.
         device: ``"cpu"``.
+        wavelength: for ``variant="mono"``: in nm, from 360 to 830, where spectra, metals and glasses are taken. Numbers
+            stay what they are; of colours and images it is the luminance, as it is of everything without `wavelength`.
         unsupported: ``"error"``, or ``"substitute"``: what this version does not have is replaced by the nearest thing
             that it has or, where there is none, left out; one `SubstitutionWarning` each says what and where.
 
     Raises:
         ValueError: naming the place in the scene, the word that is wrong, and the nearest known ones.
     """
-    made_device = _settings("load_dict", variant, dtype, device)
+    made_device = _settings("load_dict", variant, dtype, device, wavelength)
     if not isinstance(description, Mapping):
         hint = "; tr.load_file reads files" if isinstance(description, (str, os.PathLike)) else ""
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}{hint}")
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
+    ctx = Context(variant, dtype, made_device, (), _folder, wavelength=wavelength)
     if description["type"] == "scene":
-        ctx = Context(variant, dtype, made_device, (), _folder)
         description = expand_compounds(description, ctx)
     if _substituting("load_dict", unsupported):
         from .fallbacks import with_fallbacks
@@ -120,9 +133,9 @@ def load_dict(
     kind = description["type"]
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}
-        objects = expand_instances(objects, Context(variant, dtype, made_device, (), _folder))
-        return Scene(objects, variant, dtype, made_device, _folder)
-    ctx = Context(variant, dtype, made_device, (str(kind),), _folder)
+        objects = expand_instances(objects, ctx)
+        return Scene(objects, variant, dtype, made_device, _folder, wavelength)
+    ctx = ctx.at(str(kind))
     if kind in TYPES:
         return from_dict(dict(description), str(kind))
     if kind in ("hdrfilm", "specfilm"):
@@ -136,6 +149,7 @@ def load_file(
     variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    wavelength: float | None = None,
     unsupported: Unsupported = "error",
     trusted: bool = False,
     **parameters: str | float | os.PathLike[str],
@@ -144,7 +158,7 @@ def load_file(
 
     Args:
         path: the file.
-        variant, dtype, device, unsupported: as for `load_dict`.
+        variant, dtype, device, wavelength, unsupported: as for `load_dict`.
         trusted: the file may use files outside of its own folder, such as textures in ``../textures``. By default that
             is refused: a scene from elsewhere should not choose which files are read.
         parameters: values for the ``$parameters`` of an XML file.
@@ -153,7 +167,7 @@ def load_file(
         FileNotFoundError: if there is no such file, or one that it names is missing.
         TypeError, ValueError: naming the file, the line or the place in the scene, and what was expected.
     """
-    _settings("load_file", variant, dtype, device)
+    _settings("load_file", variant, dtype, device, wavelength)
     _substituting("load_file", unsupported)
     if not isinstance(path, (str, os.PathLike)):
         hint = "; tr.load_dict takes dicts" if isinstance(path, Mapping) else ""
@@ -173,7 +187,7 @@ def load_file(
         from . import geometry
 
         description = geometry.load_scene(file, trusted)
-    settings = {"variant": variant, "dtype": dtype, "device": device, "unsupported": unsupported}
+    settings = {"variant": variant, "dtype": dtype, "device": device, "wavelength": wavelength, "unsupported": unsupported}
     try:
         return load_dict(description, **settings, _folder=file.resolve().parent)
     except (ValueError, TypeError) as error:
@@ -188,12 +202,13 @@ def from_trimesh(
     variant: VariantName = "rgb",
     dtype: torch.dtype = torch.float32,
     device: str | torch.device = "cpu",
+    wavelength: float | None = None,
 ) -> Scene:
     """A scene from a `trimesh.Trimesh` or `trimesh.Scene`: meshes with their materials, a camera and a light.
 
     Args:
         geometry: what to load. A camera that sees all of it, and a constant light, are added where it has none.
-        variant, dtype, device: as for `load_dict`.
+        variant, dtype, device, wavelength: as for `load_dict`.
 
     Raises:
         TypeError: if it is neither.
@@ -201,8 +216,8 @@ def from_trimesh(
     """
     from . import geometry as loader
 
-    _settings("from_trimesh", variant, dtype, device)
-    return load_dict(loader.from_trimesh(geometry), variant=variant, dtype=dtype, device=device)
+    _settings("from_trimesh", variant, dtype, device, wavelength)
+    return load_dict(loader.from_trimesh(geometry), variant=variant, dtype=dtype, device=device, wavelength=wavelength)
 
 
 @operation("save")

@@ -13,6 +13,7 @@ import torch
 # Rec. 709 luminance, with the digits of csrc/core/color/spectrum.h: what makes one channel out of red, green and blue.
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 SAMPLES = 471  # numbers of a spectrum that is a table: one a nanometre, from 360 to 830 nm
+SHORTEST, LONGEST = 360.0, 830.0  # nm
 SODIUM = 589.3  # nm, where the usual tables have indices of refraction
 
 
@@ -27,6 +28,7 @@ class Context:
         folder: relative file names start here.
         emission: a spectrum here is light, else a factor such as a reflectance.
         bounded: the channels of a colour here are at most 1.
+        wavelength: in nm, at which a mono scene has its spectra; None is for their luminance.
         index: a spectrum here is an index of refraction, outside spectral scenes the one number at `SODIUM`.
     """
 
@@ -38,6 +40,7 @@ class Context:
     emission: bool = False
     bounded: bool = False
     index: bool = False
+    wavelength: float | None = None
 
     @property
     def channels(self) -> int:

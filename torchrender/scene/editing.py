@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
     """``plugin.name = value``, converted and checked as when the object was built; an error leaves it as it was."""
-    ctx = Context(plugin._color, plugin._dtype(), path=(type(plugin).__name__, name))
+    ctx = plugin._own_context(name)
     if value is None:
         if plugin._holds(field) and not field.optional:
             ctx.error("None removes a parameter, but this one is required")
@@ -54,7 +54,7 @@ def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
 
 def assign_word(plugin: Plugin, name: str, value: Any) -> None:
     """``plugin.name = value`` for what is no field: a word of scene dicts that stands for fields, else an error."""
-    ctx = Context(plugin._color, plugin._dtype(), path=(type(plugin).__name__, name))
+    ctx = plugin._own_context(name)
     if name in plugin.inert:
         check_inert(plugin, name, value, ctx)
     elif name in plugin.words:
@@ -139,6 +139,7 @@ def adapt(plugin: Plugin, ctx: Context) -> None:
         if isinstance(tensor, torch.Tensor):  # part of a graph, which this extends
             plugin.__dict__[name] = adapted(name, tensor)
     plugin.__dict__["_color"] = ctx.color
+    plugin.__dict__["_wavelength"] = ctx.wavelength
     for name in plugin._modules:
         child = plugin._child(name)
         if child is not None:
@@ -152,10 +153,10 @@ def _as_described(plugin: Plugin, name: str, tensor: torch.Tensor, ctx: Context)
     if tensor.shape == (SAMPLES,):
         return spectra.from_table(tensor, ctx)
     described = plugin._described.get(name)
-    if ctx.color != "spectral" or described is None or tensor.requires_grad:
+    if not (ctx.color == "spectral" or ctx.wavelength) or described is None or tensor.requires_grad:
         return tensor
     value, before = described
     before = replace(before, dtype=tensor.dtype, device=tensor.device)
     if not torch.equal(spectra.from_dict(value, before), tensor):
         return tensor
-    return spectra.from_dict(value, replace(before, color=ctx.color))
+    return spectra.from_dict(value, replace(before, color=ctx.color, wavelength=ctx.wavelength))

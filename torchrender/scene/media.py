@@ -58,7 +58,7 @@ class ScatteringMedium(Medium):
     def __setattr__(self, name: str, value: Any) -> None:
         super().__setattr__(name, value)
         if value is None and self.__dict__.get("_built", False) and self.aliases.get(name, name) in self.fields():
-            self._fill(Context(self._color, self._dtype(), path=(type(self).__name__,)))  # the default is back
+            self._fill(self._own_context())  # the default is back
 
     def extra_repr(self) -> str:
         return ""

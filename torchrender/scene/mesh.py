@@ -132,7 +132,7 @@ class Mesh(Shape):
 
     def add_attribute(self, name: str, data: Any) -> None:
         """Give the mesh colours: `data` (V, C) for a name beginning with ``vertex_``, (F, C) for ``face_``."""
-        self._add_attribute(name, data, Context(self._color, self._dtype(), path=(type(self).__name__, name)))
+        self._add_attribute(name, data, self._own_context(name))
         structure_changed()
 
     def _add_attribute(self, name: str, data: Any, ctx: Context) -> None:

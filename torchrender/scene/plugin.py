@@ -47,6 +47,7 @@ class Plugin(nn.Module):
     _references: list[tuple[str | None, Reference]]
     _described: dict[str, tuple[dict[str, Any], Context]]
     _color: str | None
+    _wavelength: float | None
 
     def __init__(self, *unnamed: Any, **properties: Any) -> None:
         if unnamed:
@@ -56,6 +57,7 @@ class Plugin(nn.Module):
         self.__dict__["_described"] = {}  # spectra that were given before there was a scene, and with what they were read
         self.__dict__["_references"] = []  # of children that are still to be looked up, with the names of their fields
         self.__dict__["_color"] = context.color
+        self.__dict__["_wavelength"] = context.wavelength
         self.__dict__["_built"] = False
         with context.device:  # whatever torch's default is
             construction.construct(self, properties, context)
@@ -90,6 +92,10 @@ class Plugin(nn.Module):
     def context_of(self, name: str, ctx: Context) -> Context:
         """What the value of this name is built with."""
         return ctx
+
+    def _own_context(self, *names: str) -> Context:
+        """What a value that is assigned is converted with."""
+        return Context(self._color, self._dtype(), path=(type(self).__name__, *names), wavelength=self._wavelength)
 
     def adopt(self, child: Plugin, ctx: Context) -> None:
         """Put `child` into the first free field of its category."""

@@ -70,9 +70,11 @@ class Scene(Container):
         dtype: torch.dtype = torch.float32,
         device: str | torch.device = "cpu",
         folder: Path | None = None,
+        wavelength: float | None = None,
     ) -> None:
         super().__init__()
         self._variant = variant
+        self._wavelength = wavelength
         self._dtype = dtype
         self._device = torch.device(device)
         self._native: NativeScene | None = None
@@ -94,6 +96,11 @@ class Scene(Container):
     def variant(self) -> str:
         """Colour mode: ``"rgb"``, ``"mono"`` or ``"spectral"``."""
         return self._variant
+
+    @property
+    def wavelength(self) -> float | None:
+        """Of a mono scene: where it has its spectra, in nm; None if it has their luminance."""
+        return self._wavelength
 
     @property
     def dtype(self) -> torch.dtype:
@@ -126,7 +133,7 @@ class Scene(Container):
         return sensors[0].film if sensors else None
 
     def _context(self, folder: Path | None = None) -> Context:
-        return Context(self._variant, self._dtype, self._device, (), folder)
+        return Context(self._variant, self._dtype, self._device, (), folder, wavelength=self._wavelength)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Mitsuba 3 XML file, and ``meshes/*.ply``, ``textures/*.exr`` and ``volumes/*.vol`` beside it.

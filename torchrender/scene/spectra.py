@@ -62,21 +62,26 @@ def from_dict(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
     for name in value:
         if name not in (*accepted, "type", "id"):
             ctx.error(f"{kind} has no parameter {name!r}; {nearest(str(name), accepted)}")
-    return reader(value, ctx)
+    if ctx.color != "mono" or ctx.wavelength is None:
+        return reader(value, ctx)
+    found = reader(value, replace(ctx, color="spectral"))
+    return from_table(found, ctx) if found.shape == (SAMPLES,) else values.to_channels(found, ctx)
 
 
 def from_table(table: torch.Tensor, ctx: Context) -> torch.Tensor:
     """A spectrum (471,) as this context has it: itself, or its colour, which keeps the gradient."""
     if ctx.color in (None, "spectral"):
         return table
+    if ctx.wavelength is not None:
+        return _at(table, ctx.wavelength).reshape(() if ctx.index else (1,))
     if ctx.index:
-        return _at_sodium(table)
+        return _at(table, SODIUM)
     return values.to_channels(tables.to_rgb(table, None if ctx.emission else tables.d65(table)), ctx)
 
 
-def _at_sodium(index: torch.Tensor) -> torch.Tensor:
-    below = int(SODIUM - cie.FIRST)
-    return torch.lerp(index[below], index[below + 1], SODIUM - cie.FIRST - below)
+def _at(table: torch.Tensor, wavelength: float) -> torch.Tensor:
+    below = min(int(wavelength - cie.FIRST), SAMPLES - 2)
+    return torch.lerp(table[below], table[below + 1], wavelength - cie.FIRST - below)
 
 
 def _need(value: Mapping[str, Any], name: str, ctx: Context) -> Any:
@@ -201,7 +206,7 @@ def _index(read: Callable[[Mapping[str, Any], Context], torch.Tensor]) -> _Reade
     def reader(value: Mapping[str, Any], ctx: Context) -> torch.Tensor:
         with ctx.located():
             table = read(value, ctx)
-        return values.floating(table if ctx.color == "spectral" else _at_sodium(table), ctx)
+        return values.floating(table if ctx.color == "spectral" else _at(table, SODIUM), ctx)
 
     return reader
 
