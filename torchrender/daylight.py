@@ -20,8 +20,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from .scene import cie, values
+from .scene import values
 from .scene.context import Context
+from .spectrum import cie
 
 TURBIDITY = (2.0, 10.0)  # the paper's simulations are for 2 to 6; at 11 the zenith is black at sunset
 SUN_ANGLE = 0.5338  # degrees, the sun's diameter as seen from the earth

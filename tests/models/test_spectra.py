@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import torchrender as tr
-from torchrender.scene import cie
+from torchrender.spectrum import cie
 
 pytestmark = pytest.mark.once  # what scenes are made of
 
@@ -38,9 +38,9 @@ def test_matching_functions_against_their_analytic_fit():
     x -= 0.065 * lobe(w, 501.1, 0.0490, 0.0382)
     y = 0.821 * lobe(w, 568.8, 0.0213, 0.0247) + 0.286 * lobe(w, 530.9, 0.0613, 0.0322)
     z = 1.217 * lobe(w, 437.0, 0.0845, 0.0278) + 0.681 * lobe(w, 459.0, 0.0385, 0.0725)
-    for fit, table in ((x, cie._X), (y, cie._Y), (z, cie._Z)):
-        assert np.abs(fit - cie._table(table)).max() < 0.06
-    assert len(cie._table(cie._D65)) == 95 and cie._table(cie._D65)[40] == 100  # its definition: 100 at 560 nm
+    for fit, table in ((x, cie.X), (y, cie.Y), (z, cie.Z)):
+        assert np.abs(fit - cie.numbers(table)).max() < 0.06
+    assert len(cie.numbers(cie.D65)) == 95 and cie.numbers(cie.D65)[40] == 100  # its definition: 100 at 560 nm
 
 
 @pytest.mark.parametrize("value", [0.5, [(360, 0.5), (830, 0.5)], [(300, 0.5), (500, 0.5), (900, 0.5)]])

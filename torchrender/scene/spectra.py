@@ -19,7 +19,8 @@ import torch
 
 from .. import spectrum as tables
 from ..errors import describe, nearest
-from . import cie, values
+from ..spectrum import cie
+from . import values
 from .conductors import CONDUCTORS, conductor_spectra
 from .context import SAMPLES, SODIUM, Context
 from .indices import is_index_spectrum, refractive_index

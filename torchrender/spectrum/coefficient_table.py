@@ -1,0 +1,113 @@
+"""A table of the sigmoids of all colours, and its interpolation, which is fast enough for images.
+
+By the largest channel, its value, and the ratios of the other two to it, as Jakob and Hanika have it. Both the value
+and the ratios are denser at their ends, where coefficients vary most.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import torch
+
+from .sigmoids import nodes
+from .solving import levenberg, newton, reachable
+
+FINE, COARSE = 64, 16  # nodes an axis: for images, and to begin the search for a constant's coefficients
+BLACK = 1e-6  # what is not brighter than this is black
+_END = 5e-4  # how near colours of the table come to the ends of ratios and values, but for dark ones
+_PART = 2048  # colours at a time, so that they stay in the cache
+
+
+def lookup(rgb: torch.Tensor, size: int) -> torch.Tensor:
+    """Coefficients (..., 3) of colours (..., 3) from 0 to 1, trilinear in a table of `size` nodes an axis.
+
+    Differentiable as what it is. The derivative at black is that of grey.
+    """
+    table, value_nodes, ratio_nodes = (t.to(rgb.device) for t in _table(size))
+    top, channel = rgb.max(-1, keepdim=True)
+    others = rgb.gather(-1, (torch.cat([channel + 1, channel + 2], -1)) % 3)
+    lit = top > BLACK
+    value = torch.where(lit, top, rgb.mean(-1, keepdim=True))
+    ratios = torch.where(lit, others / torch.where(lit, top, 1.0), 1.0)
+    cell, z = _place(value, value_nodes, 2)
+    ratio_cells, xy = _place(ratios, ratio_nodes, 1)
+    first = ((channel * size + cell) * size + ratio_cells[..., 1:]) * size + ratio_cells[..., :1]
+    x, y = xy[..., :1], xy[..., 1:]
+    plane, row = size * size, size
+
+    def mixed(start: torch.Tensor, t: torch.Tensor, step: int) -> torch.Tensor:
+        low, high = table[start[..., 0]], table[start[..., 0] + step]
+        return torch.lerp(low.to(rgb.dtype), high.to(rgb.dtype), t.expand(*t.shape[:-1], 3))
+
+    def bilinear(start: torch.Tensor) -> torch.Tensor:
+        return torch.lerp(mixed(start, x, 1), mixed(start + row, x, 1), y)
+
+    return torch.lerp(bilinear(first), bilinear(first + plane), z)
+
+
+def _place(numbers: torch.Tensor, at: torch.Tensor, times: int) -> tuple[torch.Tensor, torch.Tensor]:
+    """The cell of each number, and how far it is through it, which alone has a derivative."""
+    at = at.to(numbers.dtype)
+    t = numbers.detach().clamp(0, 1)
+    for _ in range(times):  # the inverse of the smooth step
+        t = 0.5 - torch.sin(torch.asin(1 - 2 * t) / 3)
+    cell = (t * (len(at) - 1)).long().clamp(0, len(at) - 2)
+    low = at[cell]
+    return cell, (numbers - low) / (at[cell + 1] - low)
+
+
+@functools.lru_cache(maxsize=2)
+def _table(size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Coefficients (3 size^3, 3), float32, by channel, value, second and first ratio; values and ratios (size,)."""
+    with torch.no_grad(), torch.inference_mode(False):
+        t = torch.linspace(0, 1, size, dtype=torch.float64)
+        ratio_nodes = _smooth_step(t)
+        value_nodes = _smooth_step(ratio_nodes)
+        colours = _colours(value_nodes, ratio_nodes)
+        table = _march(colours.float())
+        _correct(table, colours)
+    return table.reshape(size, 3, -1, 3).transpose(0, 1).reshape(-1, 3), value_nodes, ratio_nodes
+
+
+def _smooth_step(t: torch.Tensor) -> torch.Tensor:
+    return t * t * (3 - 2 * t)
+
+
+def _colours(values: torch.Tensor, ratios: torch.Tensor) -> torch.Tensor:
+    """(size, 3 size^2, 3): value, then channel and ratios."""
+    second, first = torch.meshgrid(ratios.clamp(min=_END), ratios.clamp(min=_END), indexing="ij")
+    shades = torch.stack([torch.ones_like(first), first, second], -1).reshape(-1, 3)
+    shades = torch.cat([shades.roll(channel, 1) for channel in range(3)])
+    return reachable(values.clamp(BLACK, 1 - _END)[:, None, None] * shades)
+
+
+def _march(colours: torch.Tensor) -> torch.Tensor:
+    """Two of Newton's steps from each value to the next, from the middle to both ends; at 48 nodes."""
+    rule, middle = nodes(10, torch.float32), len(colours) // 2
+    result = torch.empty_like(colours)
+    target = colours[middle]
+    grey = target.mean(-1, keepdim=True)
+    current = torch.zeros_like(target)
+    for step in range(1, 9):
+        current = newton(current, grey + (target - grey) * step / 8, rule, 2)
+    result[middle] = newton(current, target, rule, 3)
+    for numbers, back in ((range(middle - 1, -1, -1), 1), (range(middle + 1, len(colours)), -1)):
+        for i in numbers:
+            for part in range(0, colours.shape[1], _PART):
+                rows = slice(part, part + _PART)
+                result[i, rows] = newton(result[i + back, rows], colours[i, rows], rule, 2)
+    return result
+
+
+def _correct(table: torch.Tensor, colours: torch.Tensor) -> None:
+    """What Newton's steps have missed, and steep spectra, for which they had too few nodes."""
+    rule, found = nodes(10, torch.float32), table.view(-1, 3)
+    wanted = colours.view(-1, 3)
+    errors = [
+        (rule.colours(part)[0] - target).abs().amax(-1)
+        for part, target in zip(found.split(_PART), wanted.float().split(_PART))
+    ]
+    wrong = (~(torch.cat(errors) < 2e-4)).nonzero()[:, 0]
+    start = found[wrong].double().nan_to_num(0.0)
+    found[wrong] = levenberg(start, wanted[wrong], nodes(1, torch.float64), 30, 1e-5).float()
