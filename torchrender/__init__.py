@@ -57,6 +57,7 @@ if TYPE_CHECKING:  # what __getattr__ below finds
     from . import optim as optim
     from . import rotation as rotation
     from . import sdfgrid as sdfgrid
+    from . import spectrum as spectrum
     from . import testing as testing
     from . import typing as typing
     from ._plugins import *  # noqa: F403
@@ -82,6 +83,7 @@ _LAZY_MODULES = (
     "optim",
     "rotation",
     "sdfgrid",
+    "spectrum",
     "testing",
     "typing",
 )

@@ -1,6 +1,7 @@
-"""Images and volumes from and to files."""
+"""Images, volumes and spectra from and to files."""
 
 from .image import read_channels, read_image, read_parts, write_image, write_parts
+from .spectrum import write_spectrum
 from .video import write_video
 from .volume import read_volume, read_volume_bounds, write_volume
 
@@ -12,6 +13,7 @@ __all__ = [
     "read_volume_bounds",
     "write_image",
     "write_parts",
+    "write_spectrum",
     "write_video",
     "write_volume",
 ]

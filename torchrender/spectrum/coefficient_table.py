@@ -24,31 +24,33 @@ def lookup(rgb: torch.Tensor, size: int) -> torch.Tensor:
 
     Differentiable as what it is. The derivative at black is that of grey.
     """
-    table, value_nodes, ratio_nodes = (t.to(rgb.device) for t in _table(size))
-    top, channel = rgb.max(-1, keepdim=True)
-    others = rgb.gather(-1, (torch.cat([channel + 1, channel + 2], -1)) % 3)
+    columns, value_nodes, ratio_nodes = _table(size, rgb.dtype)
+    top, channel = rgb.max(-1)
     lit = top > BLACK
-    value = torch.where(lit, top, rgb.mean(-1, keepdim=True))
-    ratios = torch.where(lit, others / torch.where(lit, top, 1.0), 1.0)
+    value = torch.where(lit, top, rgb.mean(-1))
     cell, z = _place(value, value_nodes, 2)
-    ratio_cells, xy = _place(ratios, ratio_nodes, 1)
-    first = ((channel * size + cell) * size + ratio_cells[..., 1:]) * size + ratio_cells[..., :1]
-    x, y = xy[..., :1], xy[..., 1:]
-    plane, row = size * size, size
-
-    def mixed(start: torch.Tensor, t: torch.Tensor, step: int) -> torch.Tensor:
-        low, high = table[start[..., 0]], table[start[..., 0] + step]
-        return torch.lerp(low.to(rgb.dtype), high.to(rgb.dtype), t.expand(*t.shape[:-1], 3))
-
-    def bilinear(start: torch.Tensor) -> torch.Tensor:
-        return torch.lerp(mixed(start, x, 1), mixed(start + row, x, 1), y)
-
-    return torch.lerp(bilinear(first), bilinear(first + plane), z)
+    first, corner = (channel * size + cell) * size * size, []
+    for axis in (1, 2):
+        place = channel + axis
+        other = rgb.gather(-1, (place - 3 * (place > 2))[..., None])[..., 0]
+        ratio = torch.where(lit, other / torch.where(lit, top, 1.0), 1.0)
+        cell, t = _place(ratio, ratio_nodes, 1)
+        first = first + cell * size ** (axis - 1)
+        corner.append(t)
+    # number by number, which is several times faster than by rows of three
+    places = [first.reshape(-1) + (i * size + j) * size + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
+    found = []
+    for column in columns:
+        ends = [column.to(rgb.device).index_select(0, place).reshape(top.shape) for place in places]
+        for t in (*corner, z):
+            ends = [torch.lerp(low, high, t) for low, high in zip(ends[::2], ends[1::2])]
+        found.append(ends[0])
+    return torch.stack(found, -1)
 
 
 def _place(numbers: torch.Tensor, at: torch.Tensor, times: int) -> tuple[torch.Tensor, torch.Tensor]:
     """The cell of each number, and how far it is through it, which alone has a derivative."""
-    at = at.to(numbers.dtype)
+    at = at.to(numbers.device)
     t = numbers.detach().clamp(0, 1)
     for _ in range(times):  # the inverse of the smooth step
         t = 0.5 - torch.sin(torch.asin(1 - 2 * t) / 3)
@@ -57,16 +59,24 @@ def _place(numbers: torch.Tensor, at: torch.Tensor, times: int) -> tuple[torch.T
     return cell, (numbers - low) / (at[cell + 1] - low)
 
 
+@functools.lru_cache(maxsize=4)
+def _table(size: int, dtype: torch.dtype) -> tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor]:
+    """Three coefficients (3 size^3,), by channel, value, second and first ratio; values and ratios (size,)."""
+    table, value_nodes, ratio_nodes = _made(size)
+    columns = tuple(column.to(dtype, copy=True) for column in table.unbind(-1))
+    return columns, value_nodes.to(dtype), ratio_nodes.to(dtype)
+
+
 @functools.lru_cache(maxsize=2)
-def _table(size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Coefficients (3 size^3, 3), float32, by channel, value, second and first ratio; values and ratios (size,)."""
+def _made(size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     with torch.no_grad(), torch.inference_mode(False):
         t = torch.linspace(0, 1, size, dtype=torch.float64)
         ratio_nodes = _smooth_step(t)
         value_nodes = _smooth_step(ratio_nodes)
         colours = _colours(value_nodes, ratio_nodes)
-        table = _march(colours.float())
-        _correct(table, colours)
+        table = _march(colours.float(), 2 if size == FINE else 4)
+        if size == FINE:
+            _correct(table, colours)
     return table.reshape(size, 3, -1, 3).transpose(0, 1).reshape(-1, 3), value_nodes, ratio_nodes
 
 
@@ -82,8 +92,8 @@ def _colours(values: torch.Tensor, ratios: torch.Tensor) -> torch.Tensor:
     return reachable(values.clamp(BLACK, 1 - _END)[:, None, None] * shades)
 
 
-def _march(colours: torch.Tensor) -> torch.Tensor:
-    """Two of Newton's steps from each value to the next, from the middle to both ends; at 48 nodes."""
+def _march(colours: torch.Tensor, steps: int) -> torch.Tensor:
+    """Some of Newton's steps from each value to the next, from the middle to both ends; at 48 nodes."""
     rule, middle = nodes(10, torch.float32), len(colours) // 2
     result = torch.empty_like(colours)
     target = colours[middle]
@@ -91,13 +101,13 @@ def _march(colours: torch.Tensor) -> torch.Tensor:
     current = torch.zeros_like(target)
     for step in range(1, 9):
         current = newton(current, grey + (target - grey) * step / 8, rule, 2)
-    result[middle] = newton(current, target, rule, 3)
+    result[middle] = newton(current, target, rule, 4)
     for numbers, back in ((range(middle - 1, -1, -1), 1), (range(middle + 1, len(colours)), -1)):
         for i in numbers:
             for part in range(0, colours.shape[1], _PART):
                 rows = slice(part, part + _PART)
-                result[i, rows] = newton(result[i + back, rows], colours[i, rows], rule, 2)
-    return result
+                result[i, rows] = newton(result[i + back, rows], colours[i, rows], rule, steps)
+    return result.nan_to_num(0.0)
 
 
 def _correct(table: torch.Tensor, colours: torch.Tensor) -> None:
@@ -108,6 +118,6 @@ def _correct(table: torch.Tensor, colours: torch.Tensor) -> None:
         (rule.colours(part)[0] - target).abs().amax(-1)
         for part, target in zip(found.split(_PART), wanted.float().split(_PART))
     ]
-    wrong = (~(torch.cat(errors) < 2e-4)).nonzero()[:, 0]
-    start = found[wrong].double().nan_to_num(0.0)
+    wrong = (torch.cat(errors) > 2e-4).nonzero()[:, 0]
+    start = found[wrong].double()
     found[wrong] = levenberg(start, wanted[wrong], nodes(1, torch.float64), 30, 1e-5).float()

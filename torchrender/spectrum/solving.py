@@ -8,7 +8,7 @@ from .sigmoids import Nodes
 
 # Colours are moved into these limits, at which coefficients stay below a thousand: no channel is nearer to 0 or 1, and
 # no colour nearer to white, of which spectra below 1 fall short by 1e-4.
-DARKEST, WHITEST = 5e-7, 3e-4
+DARKEST, WHITEST = 5e-7, 5e-4
 
 
 def reachable(rgb: torch.Tensor) -> torch.Tensor:
@@ -40,7 +40,7 @@ def levenberg(
     error = (found - rgb).square().sum(-1)
     damping = torch.full_like(error, 1e-12)
     for _ in range(steps):
-        if not bool((error > tolerance**2).any()):
+        if not bool(((error > tolerance**2) & (damping < 1e2)).any()):
             break
         step = (slopes.mT @ torch.linalg.solve(_gram(slopes, damping), (found - rgb)[..., None]))[..., 0]
         tried = coefficients - _limited(step, coefficients, 0.5)
