@@ -6,10 +6,9 @@ and the ratios are denser at their ends, where coefficients vary most.
 
 from __future__ import annotations
 
-import functools
-
 import torch
 
+from .cached import made_once
 from .sigmoids import nodes
 from .solving import levenberg, newton, reachable
 
@@ -55,11 +54,11 @@ def _place(numbers: torch.Tensor, at: torch.Tensor, times: int) -> tuple[torch.T
     for _ in range(times):  # the inverse of the smooth step
         t = 0.5 - torch.sin(torch.asin(1 - 2 * t) / 3)
     cell = (t * (len(at) - 1)).long().clamp(0, len(at) - 2)
-    low = at[cell]
-    return cell, (numbers - low) / (at[cell + 1] - low)
+    low, high = (at.index_select(0, end.reshape(-1)).reshape(cell.shape) for end in (cell, cell + 1))
+    return cell, (numbers - low) / (high - low)
 
 
-@functools.lru_cache(maxsize=4)
+@made_once
 def _table(size: int, dtype: torch.dtype) -> tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor]:
     """Three coefficients (3 size^3,), by channel, value, second and first ratio; values and ratios (size,)."""
     table, value_nodes, ratio_nodes = _made(size)
@@ -67,16 +66,16 @@ def _table(size: int, dtype: torch.dtype) -> tuple[tuple[torch.Tensor, ...], tor
     return columns, value_nodes.to(dtype), ratio_nodes.to(dtype)
 
 
-@functools.lru_cache(maxsize=2)
+@made_once
 def _made(size: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    with torch.no_grad(), torch.inference_mode(False):
-        t = torch.linspace(0, 1, size, dtype=torch.float64)
-        ratio_nodes = _smooth_step(t)
-        value_nodes = _smooth_step(ratio_nodes)
-        colours = _colours(value_nodes, ratio_nodes)
-        table = _march(colours.float(), 2 if size == FINE else 4)
-        if size == FINE:
-            _correct(table, colours)
+    """The table (3 size^3, 3), float32, and the values and ratios (size,) of its nodes."""
+    t = torch.linspace(0, 1, size, dtype=torch.float64)
+    ratio_nodes = _smooth_step(t)
+    value_nodes = _smooth_step(ratio_nodes)
+    colours = _colours(value_nodes, ratio_nodes)
+    table = _march(colours.float(), 2 if size == FINE else 4)
+    if size == FINE:
+        _correct(table, colours)
     return table.reshape(size, 3, -1, 3).transpose(0, 1).reshape(-1, 3), value_nodes, ratio_nodes
 
 

@@ -32,7 +32,7 @@ def to_rgb(table: torch.Tensor, illuminant: torch.Tensor | None = None) -> torch
     Args:
         table: light, or with an `illuminant` a factor such as a reflectance.
         illuminant: (..., 471), the light that a factor is seen in, such as `d65()`, in which ones are white:
-            (1.0001, 1.0000, 0.9999). Without one, ones as light are (1.2048, 0.9483, 0.9089).
+            (1.0001, 1.0000, 0.9999). Without one, ones as light are (1.2049, 0.9482, 0.9092).
 
     Raises:
         TypeError, ValueError: naming the argument, what was expected and what came.
@@ -46,11 +46,11 @@ def to_rgb(table: torch.Tensor, illuminant: torch.Tensor | None = None) -> torch
 
 @functools.lru_cache(maxsize=1)
 def matching() -> np.ndarray:
-    """X, Y and Z (471, 3) of each nanometre's light, each with the sum 1: colour-matching functions as weights."""
+    """X, Y and Z (471, 3) of each nanometre's light: colour-matching functions as weights, those of Y with the sum 1."""
     known = np.arange(cie.FIRST, cie.LAST + 1, cie.STEP)
     weights = np.stack([np.interp(NANOMETRES, known, cie.numbers(t)) for t in (cie.X, cie.Y, cie.Z)], axis=1)
     weights[[0, -1]] /= 2  # trapezoids
-    return weights / weights.sum(0)
+    return weights / weights[:, 1].sum()
 
 
 @functools.lru_cache(maxsize=1)

@@ -34,6 +34,8 @@ def from_refractiveindex(path: str | os.PathLike[str]) -> tuple[torch.Tensor, to
         ValueError: naming the file, what was expected and what it has: it is no such file, has no n, or nothing
             between 360 and 830 nm.
     """
+    from ..io._files import existing_file  # `tr.io` is imported when it is first used
+
     file = existing_file(path)
     if file.stat().st_size > _LARGEST:
         raise ValueError(

@@ -6,12 +6,12 @@ S(c0 x^2 + c1 x + c2) with S(q) = 1/2 + q / (2 sqrt(1 + q^2)) and x from 0 at 36
 
 from __future__ import annotations
 
-import functools
 from typing import NamedTuple
 
 import torch
 
 from . import checks
+from .cached import made_once
 from .lights import d65
 from .observer import responses
 
@@ -44,7 +44,7 @@ class Nodes(NamedTuple):
         return rgb, slopes.unflatten(-1, (3, 3))
 
 
-@functools.lru_cache(maxsize=8)
+@made_once
 def nodes(step: int, dtype: torch.dtype) -> Nodes:
     """Every `step`-th of the 471 wavelengths, a divisor of 470; sums are those of the cubics through neighbours."""
     weights = responses() * d65()[:, None]

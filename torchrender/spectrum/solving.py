@@ -56,8 +56,8 @@ def levenberg(
 
 
 def inverse(slopes: torch.Tensor) -> torch.Tensor:
-    """The inverses (..., 3, 3) of slopes of colours, damped where these are singular to 1e-7, as near white."""
-    damping = torch.full_like(slopes[..., 0, 0], 1e-14)
+    """The inverses (..., 3, 3) of slopes of colours, damped where these are singular to 1e-6, as near white."""
+    damping = torch.full_like(slopes[..., 0, 0], 1e-12)
     return slopes.mT @ torch.linalg.inv(_gram(slopes, damping))
 
 

@@ -40,9 +40,7 @@ def for_core(scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> l
             continue
         version = -1 if given.is_inference() else given._version
         old = kept.get(i)
-        same = (
-            old is not None and version >= 0 and old[0].data_ptr() == given.data_ptr() and old[1:3] == (version, role)
-        )
+        same = old is not None and version >= 0 and old[0].data_ptr() == given.data_ptr() and old[1:3] == (version, role)
         if old is None or not same or old[0].shape != given.shape or old[0].dtype != given.dtype:
             # the alias holds the memory, so that an equal address means the same
             kept[i] = old = (given.detach(), version, role, convert(given.detach(), role))
