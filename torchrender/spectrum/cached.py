@@ -16,7 +16,7 @@ def made_once(function: Callable[..., _T]) -> Callable[..., _T]:
 
     @functools.lru_cache(maxsize=8)
     def make(*arguments: Any) -> _T:
-        plain = torch._C._DisableFuncTorch()  # pyright: ignore[reportAttributeAccessIssue] (torch has no types for it)
+        plain = torch._C._DisableFuncTorch()
         with plain, torch.inference_mode(False), torch.no_grad():
             return function(*arguments)
 

@@ -46,7 +46,7 @@ def to_rgb(table: torch.Tensor, illuminant: torch.Tensor | None = None) -> torch
 
 @functools.lru_cache(maxsize=1)
 def matching() -> np.ndarray:
-    """X, Y and Z (471, 3) of each nanometre's light: colour-matching functions as weights, those of Y with the sum 1."""
+    """X, Y and Z (471, 3) of each nanometre's light: the colour-matching functions, with Y = 1 for ones."""
     known = np.arange(cie.FIRST, cie.LAST + 1, cie.STEP)
     weights = np.stack([np.interp(NANOMETRES, known, cie.numbers(t)) for t in (cie.X, cie.Y, cie.Z)], axis=1)
     weights[[0, -1]] /= 2  # trapezoids

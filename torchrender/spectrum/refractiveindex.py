@@ -100,9 +100,11 @@ def _evaluated(file: Path, entry: dict[str, str]) -> dict[str, np.ndarray]:
         if not 1 <= len(coefficients) <= most or len(limits) != 2:
             got = f"{len(coefficients)} and {len(limits)}"
             raise ValueError(f"{file}: expected 1 to {most} coefficients and two limits for {kind}, got {got} numbers")
-        _check_range(file, *limits)
+        _check_range(file, limits[0], limits[1])
         with np.errstate(all="ignore"):
-            found = {"n": formula(np.array(coefficients), np.clip(NANOMETRES / 1000, *limits)) + 0 * NANOMETRES}
+            found = {
+                "n": formula(np.array(coefficients), np.clip(NANOMETRES / 1000, limits[0], limits[1])) + 0 * NANOMETRES
+            }
     else:
         expected = "formula 1 to 9, or tabulated n, k or nk"
         raise ValueError(f"{file}: expected data of type {expected}, got {kind!r}")

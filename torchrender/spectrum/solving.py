@@ -46,7 +46,7 @@ def levenberg(
         tried = coefficients - _limited(step, coefficients, 0.5)
         tried_rgb, tried_slopes = nodes.colours(tried)
         tried_error = (tried_rgb - rgb).square().sum(-1)
-        better = tried_error < error
+        better = (tried_error < error) & (error > tolerance**2)
         coefficients = torch.where(better[:, None], tried, coefficients)
         found = torch.where(better[:, None], tried_rgb, found)
         slopes = torch.where(better[:, None, None], tried_slopes, slopes)
@@ -56,8 +56,8 @@ def levenberg(
 
 
 def inverse(slopes: torch.Tensor) -> torch.Tensor:
-    """The inverses (..., 3, 3) of slopes of colours, damped where these are singular to 1e-6, as near white."""
-    damping = torch.full_like(slopes[..., 0, 0], 1e-12)
+    """The inverses (..., 3, 3) of slopes of colours, damped where these are nearly singular, as at white."""
+    damping = torch.full_like(slopes[..., 0, 0], 1e-13)
     return slopes.mT @ torch.linalg.inv(_gram(slopes, damping))
 
 
