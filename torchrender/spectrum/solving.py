@@ -20,8 +20,8 @@ def reachable(rgb: torch.Tensor) -> torch.Tensor:
 def newton(coefficients: torch.Tensor, rgb: torch.Tensor, nodes: Nodes, steps: int) -> torch.Tensor:
     """A fixed number of steps from coefficients (N, 3) near to those of colours (N, 3), limited in their length."""
     for _ in range(steps):
-        found, (first, second, third) = _unbound(nodes, coefficients)
-        missing = found - rgb
+        found, slopes = nodes.colours(coefficients)
+        missing, (first, second, third) = found - rgb, slopes.unbind(-2)
         # by cross products, which are much faster than a solver for many systems of three
         a, b, c = (torch.linalg.cross(*pair) for pair in ((second, third), (third, first), (first, second)))
         det = (first * a).sum(-1, keepdim=True)
@@ -70,8 +70,3 @@ def _gram(slopes: torch.Tensor, damping: torch.Tensor) -> torch.Tensor:
 def _limited(step: torch.Tensor, coefficients: torch.Tensor, share: float) -> torch.Tensor:
     limit = 2 + share * coefficients.abs().amax(-1, keepdim=True)
     return step * (limit / step.abs().amax(-1, keepdim=True).clamp(min=1e-30)).clamp(max=1)
-
-
-def _unbound(nodes: Nodes, coefficients: torch.Tensor) -> tuple[torch.Tensor, tuple[torch.Tensor, ...]]:
-    found, slopes = nodes.colours(coefficients)
-    return found, slopes.unbind(-2)
