@@ -211,7 +211,7 @@ def test_points_of_one_number(tmp_path):
         ({"type": "ellipsoids"}, "'ellipsoids' is not supported .*: a mesh for each"),
         ({"type": "timed_sunsky"}, "'timed_sunsky' is not supported .*: .*sunsky is the light of one time"),
         ({"type": "stokes"}, "'stokes' is not supported .*: light is rendered without polarisation"),
-        ({**CAMERA, "film": {"type": "specfilm"}}, "'specfilm' is not supported .*: it belongs to spectral variants"),
+        ({**CAMERA, "film": {"type": "specfilm"}}, "specfilm: bands need wavelengths: a scene of the variant 'spectral'"),
     ],
     ids=lambda v: v["type"] if isinstance(v, dict) else "",
 )

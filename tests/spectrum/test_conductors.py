@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from reference_parts import DATA
 
-from torchrender.scene import cie
+from torchrender.spectrum import cie
 from torchrender.scene.conductors import CONDUCTORS, conductor_range, conductor_spectra
 
 GRID = np.arange(360.0, 831.0)

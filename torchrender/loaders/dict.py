@@ -129,7 +129,7 @@ def load_dict(
     if _substituting("load_dict", unsupported):
         from .fallbacks import with_fallbacks
 
-        description = with_fallbacks(description)
+        description = with_fallbacks(description, variant)
     kind = description["type"]
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}

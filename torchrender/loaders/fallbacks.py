@@ -51,7 +51,8 @@ _MAX_DEPTH = 20
 class _Walker:
     """One pass over a description. `left_out` collects the ids of objects without a fallback."""
 
-    def __init__(self) -> None:
+    def __init__(self, spectral: bool) -> None:
+        self.films = ("hdrfilm", "specfilm") if spectral else ("hdrfilm",)
         self.left_out: set[str] = set()
         self.by_id: dict[str, Mapping[str, Any]] = {}
         self.types = registry.scene_types()
@@ -96,7 +97,7 @@ class _Walker:
             return value
         if kind == "scene":
             return self.scene(value)
-        supported = kind in self.types or kind in (*INTEGRATORS, *SAMPLERS, *FILTERS, "hdrfilm")
+        supported = kind in self.types or kind in (*INTEGRATORS, *SAMPLERS, *FILTERS, *self.films)
         if not supported:
             rule = _RULES.get(_category(kind))
             if rule is None:
@@ -143,7 +144,9 @@ class _Walker:
                 reason = "is not supported"
             elif kind in self.types and (self.types[kind], kind) in models():
                 reason = _unusable(kind, self.types[kind], name, content)
-            elif kind == "hdrfilm" and name in _FORMATS and content not in _FORMATS[name]:
+                if name == "srf" and "specfilm" not in self.films:
+                    reason = "is not supported"
+            elif kind in self.films and name in _FORMATS and content not in _FORMATS[name]:
                 reason = "has no such value here"
             if reason is not None:
                 del result[name]
@@ -163,9 +166,9 @@ class _Walker:
         return result
 
 
-def with_fallbacks(description: Mapping[str, Any]) -> dict[str, Any]:
+def with_fallbacks(description: Mapping[str, Any], variant: str = "rgb") -> dict[str, Any]:
     """`description` with fallbacks for all that is not supported; one `SubstitutionWarning` for each."""
-    walker = _Walker()
+    walker = _Walker(variant == "spectral")
     walker.collect(description, None)
     made = walker.value(description, "scene")
     if made is None:
@@ -300,7 +303,7 @@ def _accepted(kind: str) -> tuple[str, ...]:
         return ("sample_count", "seed", "jitter") if kind == "stratified" else ("sample_count", "seed")
     if kind in FILTERS:
         return FILTER_PARAMETERS[kind]
-    if kind == "hdrfilm":
+    if kind in ("hdrfilm", "specfilm"):
         return tuple(_FILM_NAMES)
     return registry.accepted_names(kind)
 

@@ -15,6 +15,7 @@ from ..integrators import TYPES, Integrator
 from ..io._files import as_path
 from ..io.curves import write_curves
 from ..scene.curves import Curve
+from ..scene.context import SAMPLES, SHORTEST
 from ..scene.declaration import CHILD_KINDS
 from ..scene.film import FILTER_PARAMETERS, Film
 from ..scene.mesh import Mesh
@@ -233,6 +234,8 @@ class _Writer:
     def colour(self, depth: int, name: str, value: torch.Tensor) -> None:
         if value.numel() == 1:
             self.line(depth, "float", name=name, value=number(value.reshape(())))
+        elif value.numel() == SAMPLES:
+            self.line(depth, "spectrum", name=name, value=_pairs(value))
         else:
             self.line(depth, "rgb", name=name, value=", ".join(number(v) for v in value))
 
@@ -303,6 +306,8 @@ class _Writer:
         film = sensor.__dict__.get("film")
         if film is not None:
             self.film(film, depth)
+        if sensor.__dict__.get("srf") is not None:
+            self.line(depth, "spectrum", name="srf", value=_pairs(sensor.srf))
         sampler = sensor.__dict__.get("sampler")
         if sampler is not None:
             self.line(depth, "sampler", close=False, type=sampler.type)
@@ -311,7 +316,8 @@ class _Writer:
         return done
 
     def film(self, film: Film, depth: int) -> None:
-        self.line(depth, "film", close=False, type="hdrfilm")
+        kind = "hdrfilm" if film.bands is None else "specfilm"
+        self.line(depth, "film", close=False, type=kind)
         settings: dict[str, Any] = {"width": film.width, "height": film.height, **film.formats}
         if film.crop is not None:
             names = ("crop_offset_y", "crop_offset_x", "crop_height", "crop_width")
@@ -324,6 +330,8 @@ class _Writer:
         for parameter in FILTER_PARAMETERS[film.filter.type]:
             self.value(depth + 2, parameter, getattr(film.filter, parameter))
         self.end(depth + 1, "rfilter")
+        for name, table in (film.bands or {}).items():
+            self.line(depth + 1, "spectrum", name=name, value=_pairs(table))
         self.end(depth, "film")
 
     def integrator(self, integrator: Integrator, depth: int, **attributes: str) -> None:
@@ -336,6 +344,11 @@ class _Writer:
             if isinstance(child, Integrator):
                 self.integrator(child, depth + 1, name=name)
         self.end(depth, "integrator")
+
+
+def _pairs(table: torch.Tensor) -> str:
+    """A table as wavelengths in nm and values."""
+    return ", ".join(f"{SHORTEST + i:g}:{number(value)}" for i, value in enumerate(table))
 
 
 def _inline(module: Any) -> bool:

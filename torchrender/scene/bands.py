@@ -20,7 +20,7 @@ COMPONENTS = 3  # bands that are rendered together, as many as a path has wavele
 
 def response(value: Any, ctx: Context) -> torch.Tensor:
     """A response by wavelength as a table (471,) in float64, from a number, a spectrum's dict or a table."""
-    ctx = replace(ctx, color="spectral", dtype=torch.float64, emission=False, bounded=False)
+    ctx = replace(ctx, color="spectral", dtype=torch.float64, emission=True, bounded=False)
     table = spectra.spectrum(value, ctx).detach()
     if table.shape not in ((), (SAMPLES,)):
         ctx.error(f"expected a spectrum or a table of {SAMPLES} numbers, got {describe(value)}")

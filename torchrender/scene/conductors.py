@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import nearest
-from . import cie
+from ..spectrum import cie
 
 # Real and imaginary part of the index of refraction, as red, green and blue of the spectra as they are, without an
 # illuminant, read back from the rgb variant of Mitsuba's `conductor`: where nothing was measured they count as 0.

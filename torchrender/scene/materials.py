@@ -69,7 +69,7 @@ class DispersiveDielectric(Dielectric):
         specular_reflectance, specular_transmittance: factors for tinting (texture); 1 is physical.
     """
 
-    native = "dispersivedielectric"
+    type = "dispersivedielectric"
 
     def context_of(self, name: str, ctx: Context) -> Context:
         return replace(ctx, index=name == "eta")

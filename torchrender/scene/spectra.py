@@ -253,7 +253,9 @@ def _color(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.
     spectral = ctx.color == "spectral"
     if spectral:
         with ctx.located():
-            found = tables.irregular(torch.from_numpy(wavelengths), torch.from_numpy(samples)).numpy()
+            found = tables.irregular(
+                torch.from_numpy(wavelengths), torch.from_numpy(samples), integral=ctx.emission
+            ).numpy()
     else:
         found = cie.rgb_of_spectrum(wavelengths, samples, ctx.emission)
     clipped = found.clip(0.0, 1.0 if ctx.bounded else math.inf)

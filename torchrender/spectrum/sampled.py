@@ -29,7 +29,7 @@ def regular(values: torch.Tensor, low: float, high: float) -> torch.Tensor:
     return irregular(torch.linspace(low, high, values.shape[-1], dtype=torch.float64), values)
 
 
-def irregular(wavelengths: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
+def irregular(wavelengths: torch.Tensor, values: torch.Tensor, *, integral: bool = False) -> torch.Tensor:
     """The table of values at any wavelengths, linear in between and 0 outside; differentiable in the values.
 
     Where neighbours are less than 1 nm apart, entries are means over their nanometre, so that narrow lines keep their
@@ -38,6 +38,8 @@ def irregular(wavelengths: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     Args:
         wavelengths: (N,) in nm, increasing, N >= 2; no derivative.
         values: (..., N) at these.
+        integral: the first and the last entry are means over their nanometre, too, with the 0 outside, so that bands
+            and light keep their integrals.
 
     Returns:
         (..., 471), of the dtype of `values`.
@@ -52,8 +54,9 @@ def irregular(wavelengths: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
     if values.shape[-1] != len(at):
         raise ValueError(f"values: expected shape (..., {len(at)}), one a wavelength, got {tuple(values.shape)}")
     known = at.numpy()
-    entries = _means if _fine(known).any() else _points
-    return entries(known, values.double()).to(values.dtype)
+    if integral or _fine(known).any():
+        return _means(known, values.double(), integral).to(values.dtype)
+    return _points(known, values.double()).to(values.dtype)
 
 
 def _points(at: np.ndarray, values: torch.Tensor) -> torch.Tensor:
@@ -62,8 +65,8 @@ def _points(at: np.ndarray, values: torch.Tensor) -> torch.Tensor:
     return torch.where(inside, low + share * (high - low), 0.0)
 
 
-def _means(at: np.ndarray, values: torch.Tensor) -> torch.Tensor:
-    """The means where values are less than 1 nm apart, by differences of the integral up to the cells' borders."""
+def _means(at: np.ndarray, values: torch.Tensor, ends: bool) -> torch.Tensor:
+    """The means where values are less than 1 nm apart, and perhaps at both ends, by differences of the integral up to the cells' borders."""
     # the first and last cell are halves, as the weights of the observer have them
     edges = np.clip(np.concatenate([NANOMETRES - 0.5, NANOMETRES[-1:] + 0.5]), NANOMETRES[0], NANOMETRES[-1])
     steps = torch.from_numpy(np.diff(at)).to(values.device)
@@ -78,8 +81,10 @@ def _means(at: np.ndarray, values: torch.Tensor) -> torch.Tensor:
     marks = np.zeros(len(edges), np.int64)
     np.add.at(marks, np.clip(np.searchsorted(edges, at[near], "right") - 1, 0, len(edges) - 1), 1)
     np.add.at(marks, np.clip(np.searchsorted(edges, at[near + 1], "left"), 0, len(edges) - 1), -1)
-    fine = torch.from_numpy(np.cumsum(marks)[:-1] > 0).to(values.device)
-    return torch.where(fine, means, _points(at, values))
+    fine = np.cumsum(marks)[:-1] > 0
+    for end in (at[0], at[-1]) if ends else ():
+        fine |= (edges[:-1] < end) & (end < edges[1:]) & (edges[0] < end) & (end < edges[-1])
+    return torch.where(torch.from_numpy(fine).to(values.device), means, _points(at, values))
 
 
 def _fine(at: np.ndarray) -> np.ndarray:
