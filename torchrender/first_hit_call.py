@@ -12,6 +12,8 @@ from .render_call import RenderCall
 
 # What the path tracer itself gives: numbers a pixel, -1 for those of a colour, 0 for a plain number.
 PATH_OUTPUTS = {"rgb": -1, "alpha": 0, "variance": -1, "second_moment": -1}
+# Of polarised light, functions of the first one: see polarization.py.
+STOKES_OUTPUTS = {"stokes": -4, "dolp": -1, "aolp": -1, "docp": -1}
 FIRST_HIT_OUTPUTS = {
     "depth": 0,
     "distance": 0,
@@ -33,7 +35,7 @@ FIRST_HIT_OUTPUTS = {
 }
 # Found in PyTorch, see footprints.py and features.py.
 FOOTPRINTS = {"duv_dx": 2, "duv_dy": 2}
-OUTPUTS = {**PATH_OUTPUTS, **FIRST_HIT_OUTPUTS, **FOOTPRINTS}
+OUTPUTS = {**PATH_OUTPUTS, **STOKES_OUTPUTS, **FIRST_HIT_OUTPUTS, **FOOTPRINTS}
 FEATURES = "features"  # needs the argument of this name
 IDENTIFIERS = ("shape_id", "prim_id", "material_id")
 ATTRIBUTES = ("vertex_", "face_")
@@ -44,7 +46,7 @@ CHANNELS = {"depth": 0, "distance": 0, "ray_length": 0, **FIRST_HIT_OUTPUTS}
 
 
 def channels_of(name: str) -> int:
-    """Numbers a pixel, -1 for those of a colour, 0 for a plain number."""
+    """Numbers a pixel, -1 for those of a colour, -4 for four a colour, 0 for a plain number."""
     return {**OUTPUTS, **CHANNELS}.get(name, -1)
 
 

@@ -13,7 +13,7 @@ import torch
 from .autograd import RenderFunction
 from .compiling import opaque
 from .errors import describe
-from .first_hit_call import PATH_OUTPUTS, channels_of
+from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
 from .integrators import Stack, WavefrontPathTracer
 from .interruption import interruption_of
@@ -31,6 +31,7 @@ from .render_arguments import (
     pixels_inside,
 )
 from .render_call import RenderCall
+from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_checks import (
     check_bending,
     check_light,
@@ -217,11 +218,15 @@ def render(
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
-    shows_radiance = stack.integrator is not None if stack is not None else any(n in PATH_OUTPUTS for n in names)
+    of_paths = (*PATH_OUTPUTS, *STOKES_OUTPUTS)
+    shows_radiance = stack.integrator is not None if stack is not None else any(n in of_paths for n in names)
     volumetric = shows_radiance and bool(integrator_config.get("volumetric"))
     light = shows_radiance and integrator_config["integrator"] == "ptracer"
     traces = chosen_integrator if stack is None else stack.integrator
     wavefront = shows_radiance and isinstance(traces, WavefrontPathTracer)
+    polarized = any(n in STOKES_OUTPUTS for n in names)
+    if polarized:
+        check_polarized(traces, packed, adaptive_grad)
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
@@ -274,7 +279,7 @@ def render(
         if packed.spectral:
             seen["spectral"], held = wavelength_config(scene, packed, tensors, sensor_weights(None, camera.srf))
         alpha = "alpha" in names or (stack is not None and not light and stack.wants_alpha(film))
-        outlined = outlines and not isinstance(camera, IrradianceMeter)
+        outlined = outlines and not polarized and not isinstance(camera, IrradianceMeter)
         call = RenderCall(
             native=native,
             config={
@@ -335,16 +340,24 @@ def render(
 
             trace = functools.partial(_traced, wavefront_call(scene, call, integrator_config, of_torch))
         radiance = functools.partial(_radiance, scene, call, used, camera, trace, outlined)
-        views.append(_view(scene, call, names, stack, used, radiance))
-        if shows_radiance and crop is None and pixels is None and "black" not in scene.warned:
+        if polarized:
+            parts = _parts(scene, polarized_call(call), used, camera, trace, outlined=False)
+            stokes = stokes_image(parts, len(film.channels or "rgb"[: native.channels]))
+            views.append(stokes_outputs(stokes, names))
+            rest = [n for n in names if n not in views[-1]]
+            if rest:
+                views[-1].update(_view(scene, call, rest, stack, used, radiance))
+        else:
+            views.append(_view(scene, call, names, stack, used, radiance))
+        if "rgb" in views[-1] and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
 
             warn_of_black_picture(scene, packed, native, used, camera, views[-1]["rgb"])
     if interruption is not on_interrupt:
         interruption.warn()
     if stack is not None:
-        return _arrange([stack.stacked(v) for v in views], batched, layout, channels=True)
-    found = [_arrange([v[n] for v in views], batched, layout, channels=channels_of(n) != 0) for n in names]
+        return _arrange([stack.stacked(v) for v in views], batched, layout, -1)
+    found = [_arrange([v[n] for v in views], batched, layout, channels_of(n)) for n in names]
     return found[0] if outputs is None else collect(names, found)
 
 
@@ -407,14 +420,19 @@ def _traced(traced: Any, _: RenderCall, tensors: list[torch.Tensor]) -> Any:
     return traced.apply(tensors)
 
 
-def _radiance(
+def _radiance(scene: Scene, call: RenderCall, *others: Any) -> Any:
+    """What paths are traced for, see `_parts`."""
+    return joined(_parts(scene, call, *others), call.film)
+
+
+def _parts(
     scene: Scene,
     call: RenderCall,
     tensors: list[torch.Tensor],
     camera: Sensor,
     trace: Callable[[RenderCall, list[torch.Tensor]], Any],
     outlined: bool,
-) -> Any:
+) -> list[Any]:
     """What paths are traced for: one time, or for each group of the film's bands."""
     parts = []
     for weights in groups(call.film):
@@ -425,7 +443,7 @@ def _radiance(
             part = replace(call, config={**call.config, "spectral": wavelengths}, held=held)
         found = trace(part, tensors)
         parts.append(_with_outlines(part, tensors, found) if outlined else found)
-    return joined(parts, call.film)
+    return parts
 
 
 def _with_outlines(
@@ -445,12 +463,14 @@ def _with_outlines(
     return *(value + term for value, term in zip(result[:count], terms, strict=True)), *result[count:]
 
 
-def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: bool) -> torch.Tensor:
+def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: int) -> torch.Tensor:
+    """`channels`: see `channels_of`."""
     want_batch = batched or layout.startswith("b")
     image = torch.stack(images) if want_batch else images[0]
-    if channels and layout.endswith("chw"):
-        image = image.movedim(-1, 1 if want_batch else 0)
-    return image
+    if not channels or not layout.endswith("chw"):
+        return image
+    first = 1 if want_batch else 0
+    return image.movedim(-1, first) if channels != -4 else image.movedim((-1, -2), (first, first + 1))
 
 
 def _check_derivatives(call: RenderCall, tensors: list[torch.Tensor]) -> None:

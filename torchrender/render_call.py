@@ -51,6 +51,7 @@ class RenderCall:
     spp_visibility: tuple[int, int] | None = None  # see `render`
     adaptive_grad: bool = False
     progress: bool | None = None  # whether a bar is shown; None: where somebody is watching
+    stokes: bool = False  # the image has the four components of a colour one after the other, (H, W, 4 C)
     held: tuple[torch.Tensor, ...] = ()  # whose memory `config` points to, besides
     keep_hits: bool = False  # the derivative has the image's samples, and may be asked for
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
@@ -158,7 +159,7 @@ class RenderCall:
         return configs if store is None else [{**c, "hits": (store, i)} for i, c in enumerate(configs)]
 
     def shape(self) -> tuple[int, ...]:
-        return (*self.size, self.native.channels)
+        return (*self.size, (4 if self.stokes else 1) * self.native.channels)
 
 
 @dataclass

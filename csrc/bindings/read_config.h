@@ -79,6 +79,7 @@ inline Config read_config(const py::dict &d) {
         c.path.spectral = {reinterpret_cast<const void *>(positions), intervals,
                            reinterpret_cast<const void *>(weights)};
     }
+    c.path.stokes = d.contains("stokes") && d["stokes"].cast<bool>();
     c.light = d["integrator"].cast<std::string>() == "ptracer";
     c.glued = d.contains("glued") && d["glued"].cast<bool>();
     if (d.contains("attributes")) c.attributes = d["attributes"].cast<std::vector<int32_t>>();

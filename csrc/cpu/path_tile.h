@@ -100,17 +100,29 @@ public:
     // radiances.
     void to_channels() {
         for_channels([&](const FilmWeights<F> &weights, uint32_t i) {
-            write(slots.radiance, i, weights.channels(Entries<F>(i)(slots.radiance)));
+            for (const auto &column : of_stokes(slots.radiance, slots.q, slots.u, slots.v))
+                write(column, i, weights.channels(Entries<F>(i)(column)));
         });
     }
     void pull_adjoints() {
         for_channels([&](const FilmWeights<F> &weights, uint32_t i) {
-            write(slots.delta, i, weights.pull(Entries<F>(i)(slots.delta)));
+            for (const auto &column : of_stokes(slots.delta, slots.delta_q, slots.delta_u, slots.delta_v))
+                write(column, i, weights.pull(Entries<F>(i)(column)));
+        });
+    }
+
+    // Of polarised light: the columns, which bring the slots' Stokes vectors.
+    void sweep_columns() {
+        const SweepContext<F> c = sweep_context(slots, false);
+        for_vertices(true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
+                               const M &active) {
+            hand_column(c, level.columns, parents, kind, level.scatters, i, active);
         });
     }
 
     // Runs over the tape from its end. `unit_adjoint`: the radiance itself is differentiated, in all components.
     void sweep(GradientSink<F> &sink, bool unit_adjoint) {
+        if (config_.stokes) return sweep_polarized(sink, unit_adjoint);
         Tape<S> &tape = wavefront.tape;
         size_t block = media_ && tape.checkpoints.size() ? tape.checkpoints.size() - 1 : 0;
         sweep_tape(sink, unit_adjoint, block);
@@ -266,8 +278,7 @@ private:
         if (block + 1 < tape.checkpoints.size()) boundary.hand_to(tape.last());
         const TapeColumns<S> *before = nullptr;
         if (block > 0) before = &boundary.open(Wavefront<F>::entries(capacity_), tape.groups());
-        SweepContext<F> c{wavefront.scene(),    config_, slots,       wavefront.needs(), S(call_.film_width),
-                          S(call_.film_height), nullptr, unit_adjoint};
+        SweepContext<F> c = sweep_context(slots, unit_adjoint);
         if (media_ && media_->media.differential) c.branches = &media_->media.branch;
         for (int l = tape.size() - 1; l >= 0; --l) {
             TapeLevel<S> &level = tape[l];
@@ -280,6 +291,69 @@ private:
                                  i, active, sink);
                 }
         }
+    }
+
+    SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
+        return {wavefront.scene(),    config_, of, wavefront.needs(), S(call_.film_width), S(call_.film_height),
+                nullptr,              unit_adjoint};
+    }
+
+    // ----------------------------------------------------------------------------------------------- polarised light
+    // Those of Q, U and V only where they are rendered.
+    std::vector<SpectrumColumn<S>> of_stokes(const SpectrumColumn<S> &i, const SpectrumColumn<S> &q,
+                                             const SpectrumColumn<S> &u, const SpectrumColumn<S> &v) const {
+        if (!config_.stokes) return {i};
+        return {i, q, u, v};
+    }
+
+    // Packets of the tape's vertices, from its end or from its beginning.
+    template <class Visit>
+    void for_vertices(bool backwards, Visit &&visit) {
+        Tape<S> &tape = wavefront.tape;
+        for (int k = 0; k < tape.size(); ++k) {
+            TapeLevel<S> &level = tape[backwards ? tape.size() - 1 - k : k];
+            const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
+            for (const KindRange &range : level.ranges)
+                for (uint32_t i = range.begin; i < range.begin + range.count; i += W)
+                    visit(level, parents, range.kind, i, mask<F>(lane_index<F>() < U(range.begin + range.count - i)));
+        }
+    }
+
+    // In forward mode each component of the Stokes vector has rows of its own.
+    void sweep_polarized(GradientSink<F> &sink, bool unit_adjoint) {
+        sweep_columns();
+        if (!unit_adjoint) {
+            sweep_rows(slots, sink);
+        } else {
+            const auto deltas = of_stokes(slots.delta, slots.delta_q, slots.delta_u, slots.delta_v),
+                       values = of_stokes(slots.radiance, slots.q, slots.u, slots.v);
+            const bool apart = wavefront.needs().numbers();
+            for (size_t p = 0; p < values.size(); ++p) {
+                SlotColumns<S> of = slots;
+                of.radiance = values[p];
+                for (int c = 0; c < SpectrumSize; ++c) std::fill_n(values[p][c], n_slots_, S(0));
+                for (int component = 0; component < (apart ? call_.values : 1); ++component) {
+                    for (size_t q = 0; q < deltas.size(); ++q)
+                        for (int c = 0; c < SpectrumSize; ++c)
+                            std::fill_n(deltas[q][c], n_slots_, S(p == q && (!apart || c == component) ? 1 : 0));
+                    sink.component = component;
+                    sweep_rows(of, sink);
+                }
+            }
+        }
+        wavefront.count_non_finite(sink);
+    }
+
+    void sweep_rows(const SlotColumns<S> &of, GradientSink<F> &sink) {
+        const SweepContext<F> c = sweep_context(of, false);
+        for_vertices(false, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
+                                const M &active) {
+            hand_row(c, level.columns, parents, kind, level.scatters, i, active);
+        });
+        for_vertices(true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
+                               const M &active) {
+            sweep_polarized_vertex(c, level.columns, parents, kind, level.scatters, i, active, sink);
+        });
     }
 
     const RenderCall<S> &call_;

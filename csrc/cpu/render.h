@@ -27,7 +27,8 @@ struct RenderCall {
     Rect crop;                                   // the pixels that are wanted
     const std::vector<Pixel> *pixels = nullptr;  // not null: these are wanted, in this order, in place of the crop
     Rect samples;                                // samples are drawn nowhere else
-    int values;  // numbers of a pixel: red, green and blue, or the first component of the spectrum
+    int values;  // colours of a pixel: red, green and blue, or the first component of the spectrum
+    int numbers() const { return config.stokes ? 4 * values : values; }  // of a pixel of the image
     int64_t spp, sample_offset;
     int threads;
     RayRecord *ray_record = nullptr;          // not null: keeps the rays that are queried
@@ -95,7 +96,7 @@ struct RenderStats {
     }
 };
 
-// Results for every wanted pixel, in rows or in the order of the list: `image` (n, values) and, if not null, `alpha`
+// Results for every wanted pixel, in rows or in the order of the list: `image` (n, numbers) and, if not null, `alpha`
 // (n), `variance` (n, values), that of the image's values, and `second_moment` (n, values), the mean of squared
 // samples. `sums`, if not null, are those of earlier samples of the same pixels: the call adds its own, and the results
 // are those of all. A call that is interrupted changes nothing.

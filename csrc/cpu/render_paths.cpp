@@ -17,11 +17,12 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     {
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = make_schedule(call);
-        const int pixel = call.values, values = pixel + 1;  // radiance, alpha
+        const int pixel = call.numbers(), values = pixel + 1;  // radiance, alpha
+        const bool recorded = derivative || call.config.stokes;
         const int moments = out.variance || out.second_moment ? pixel : 0;
         Film film(schedule, FilmBlock::channels(values, moments));
         OrderedMerge merge(schedule, film, call.threads);
-        const size_t capacity = derivative ? 512 : 1024;
+        const size_t capacity = recorded ? 512 : 1024;
         StoredHits *record = derivative ? nullptr : call.keep_hits;
         if (record) record->prepare(schedule.n_items(), capacity);
         auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
@@ -33,15 +34,18 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                     tile.start(n, false);
                     HitRecorder &recorder = tile.wavefront.recorder;
                     if (record && record->wants_more()) recorder.begin(n, size_t(tile.splits(call.config)));
-                    tile.run(derivative != nullptr, stop);
+                    tile.run(recorded, stop);
                     if (record) record->keep(item, recorder.finish());
                     if (derivative) {
                         GradientSink<F> sink = derivative->template forward_sink<F>();
                         tile.sweep(sink, true);
+                    } else if (recorded) {
+                        tile.sweep_columns();
                     }
                     tile.to_channels();
-                    S *columns[SpectrumSize + 1];
-                    for (int c = 0; c < pixel; ++c) columns[c] = slots.radiance[c];
+                    S *columns[4 * SpectrumSize + 1];
+                    const SpectrumColumn<S> parts[] = {slots.radiance, slots.q, slots.u, slots.v};
+                    for (int c = 0; c < pixel; ++c) columns[c] = parts[c / call.values][c % call.values];
                     columns[pixel] = slots.alpha.at;
                     for (const Span &span : spans)
                         splat_span(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
@@ -73,16 +77,21 @@ template <class S>
 void collect_adjoints(const RenderCall<S> &call, const std::vector<FilmBlock> &blocks, const std::vector<Span> &spans,
                       const SlotColumns<S> &slots) {
     const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
+    const SpectrumColumn<S> parts[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
+    const int n_parts = call.config.stokes ? 4 : 1;
     for (const Span &span : spans)
         for (size_t k = span.begin; k < span.end; ++k) {
             if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
-                for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][k] = slots.delta[c][k - 1];
+                for (int p = 0; p < n_parts; ++p)
+                    for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
                 continue;
             }
-            double d[SpectrumSize] = {};
+            double d[4 * SpectrumSize] = {};
             blocks[span.unit].collect(call.filter, int32_t(slots.row[k]), int32_t(slots.column[k]),
                                       double(slots.film_y[k]), double(slots.film_x[k]), d);
-            for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][k] = S(d[c] * span.weight);
+            for (int p = 0; p < n_parts; ++p)
+                for (int c = 0; c < SpectrumSize; ++c)
+                    parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
         }
 }
 
@@ -94,7 +103,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     {
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = make_schedule(call);
-        const int values = call.values;
+        const int values = call.numbers();
         if (derivative.adaptive) allocate(schedule, call.filter, derivative.adjoint, values);
         const size_t capacity = 512;
         // d loss / d (sum of weighted radiances) of every wanted pixel

@@ -19,7 +19,7 @@ struct KindRange {
 
 // Groups of columns besides those that all tapes have.
 struct TapeGroups {
-    bool stack, tangent, segment, motion, connection, bent = false;
+    bool stack, tangent, segment, motion, connection, bent = false, stokes = false;
 };
 
 template <class S>
@@ -42,6 +42,7 @@ struct TapeLevel {
             add(columns.stack, groups.stack), add(columns.tangent, groups.tangent);
             add(columns.segment, groups.segment), add(columns.motion, groups.motion);
             add(columns.connection, groups.connection), add(columns.bent, groups.bent);
+            add(columns.stokes, groups.stokes);
         });
     }
 

@@ -78,7 +78,7 @@ public:
         : queries(*call.accel, entries(shadow_capacity(call, capacity))),
           tape({call.scene->has_stacks, call.scene->follows_tangent, call.config.volumetric,
                 call.config.volumetric && derivative && derivative->gradient_needs().geometry, of_light,
-                call.scene->bends && derivative}),
+                call.scene->bends && derivative, call.config.stokes}),
           call_(call),
           scene_(*call.scene) {
         if (derivative) needs_ = derivative->gradient_needs();

@@ -140,7 +140,7 @@ void splat_span(FilmBlock &block, const Filter &filter, const Columns &at, size_
             block.splat_pixel(row, column, begin, k, value);
             continue;
         }
-        double v[SpectrumSize + 1];
+        double v[4 * SpectrumSize + 1];
         for (int c = 0; c < values; ++c) v[c] = double(value[c][k]);
         block.splat(filter, row, column, double(at.film_y[k]), double(at.film_x[k]), v);
         ++k;

@@ -184,6 +184,75 @@ TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active)
     return select(mask<UIntOf<F>>(active), index, UIntOf<F>(0u));
 }
 
+// What the polarised passes read of a vertex.
+template <class F>
+struct PolarizedEntry {
+    bool surface;
+    UIntOf<F> slot, parent;
+    VertexRecord<F> v;
+    Wavelengths<F> waves;
+
+    TR_INLINE PolarizedEntry(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, int kind, bool scatters,
+                             uint32_t i, const MaskOf<F> &active)
+        : surface(kind < MissKind && scatters), v(read_vertex<F>(tape, i)) {
+        Entries<F> from(i);
+        slot = active_only<F>(from(tape.vertex.slot), active);
+        parent = active_only<F>(from(tape.vertex.parent), active);
+        if (surface) read_scattering(tape, i, v);
+        LaneSet<F> lanes(slot, active);
+        waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
+    }
+    TR_INLINE PolarizedVertex<F> vertex(const SweepContext<F> &c, int kind, const MaskOf<F> &active) const {
+        return PolarizedVertex<F>(c.scene, waves, kind, v, active);
+    }
+    // Of what arrives from behind.
+    TR_INLINE Stokes<F> column(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) const {
+        Entries<F> from(i);
+        const auto &s = tape.stokes;
+        return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
+    }
+    // For what leaves, towards `wi` in the world: from the vertex before, or the film's.
+    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents, const Vec3<F> &wi,
+                            const MaskOf<F> &active) const {
+        if (parents) {
+            Gathered<F> from(parent, active);
+            const auto &s = parents->stokes;
+            return {{from(s.row_i), from(s.row_q), from(s.row_u), from(s.row_v)}, from(s.row_axis)};
+        }
+        LaneSet<F> from(slot, active);
+        const auto &s = c.slots;
+        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, wi)};
+    }
+    // The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
+    TR_INLINE static Vec3<F> film_axis(const SweepContext<F> &c, const Vec3<F> &k) {
+        return axis_between(camera_up(c), k);
+    }
+    TR_INLINE static Vec3<F> camera_up(const SweepContext<F> &c) {
+        const ScalarOf<F> *m = c.scene.values.constants + c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
+        return {F(m[1]), F(m[5]), F(m[9])};
+    }
+    TR_INLINE Vec3<F> leaving(const SweepContext<F> &c) const {
+        Frame<F> frame = vertex_frame(c.scene, v);
+        frame.n = frame.n * v.mirror;
+        return frame.to_world(v.wi);
+    }
+};
+
+// The film's axis turns with the camera, and with the direction from which light comes.
+template <class F>
+TR_INLINE void sweep_film_axis(const SweepContext<F> &c, const Vec3<F> &leaving, const Stokes<F> &row,
+                               const Stokes<F> &column, const MaskOf<F> &active, Vec3<F> &d_bar,
+                               GradientSink<F> &sink) {
+    const Vec3<F> up = PolarizedEntry<F>::camera_up(c);
+    Vec3<F> up_bar{F(0), F(0), F(0)}, leaving_bar = up_bar;
+    sweep_axis(up, leaving, leaving, by_angle(row, turned_column(column, row.axis, leaving)), up_bar, leaving_bar);
+    d_bar = d_bar - leaving_bar;
+    if (!c.needs.camera) return;
+    const int32_t to_world = c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
+    const F by_row[3] = {up_bar.x, up_bar.y, up_bar.z};
+    for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + 1), by_row[i], active);
+}
+
 }  // namespace
 
 template <class F>
@@ -251,6 +320,86 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     }
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
     return r;
+}
+
+template <class F>
+TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                          const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
+                          const MaskOf<F> &active) {
+    const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
+    Stokes<F> s = no_stokes<F>();
+    if (entry.surface) {
+        s = entry.vertex(c, kind, active).column(entry.column(tape, i));
+        if (!parents) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
+    }
+    s.at[0] = s.at[0] + entry.v.emission_radiance;
+    if (parents) {
+        const auto &to = parents->stokes;
+        hand_radiance(*parents, entry.parent, s.at[0], active);
+        const SpectrumColumn<ScalarOf<F>> columns[] = {to.column_q, to.column_u, to.column_v};
+        for (int k = 0; k < 3; ++k)
+            for (int j = 0; j < SpectrumSize; ++j)
+                scatter_lanes<F>(columns[k][j], entry.parent, s.at[k + 1][j], active);
+        scatter_lanes<F>(to.column_axis.x, entry.parent, s.axis.x, active);
+        scatter_lanes<F>(to.column_axis.y, entry.parent, s.axis.y, active);
+        scatter_lanes<F>(to.column_axis.z, entry.parent, s.axis.z, active);
+        return;
+    }
+    const SpectrumColumn<ScalarOf<F>> columns[] = {c.slots.radiance, c.slots.q, c.slots.u, c.slots.v};
+    for (int k = 0; k < 4; ++k) add_to_entries<F>(columns[k], entry.slot, s.at[k], active);
+}
+
+template <class F>
+TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                       const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
+                       const MaskOf<F> &active) {
+    const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
+    if (!entry.surface) return;
+    const Stokes<F> row = entry.vertex(c, kind, active).row(entry.row(c, parents, entry.leaving(c), active));
+    const auto &to = tape.stokes;
+    write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
+    write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
+    write(to.row_axis, i, row.axis);
+}
+
+template <class F>
+TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                     const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
+                                     const MaskOf<F> &active, GradientSink<F> &sink) {
+    const GradientNeeds &needs = c.needs;
+    PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
+    VertexRecord<F> &v = entry.v;
+    if (needs.geometry) read_arrival(tape, i, v);
+    sink.begin(entry.waves);
+    const Vec3<F> leaving = entry.surface ? entry.leaving(c) : Vec3<F>{F(0), F(0), F(1)};
+    const Stokes<F> row = entry.row(c, parents, leaving, active);
+    const Spectrum<F> &a = row.at[0];
+    HitAdjoint<F> hit;
+    Vec3<F> d_bar{F(0), F(0), F(0)};
+    const NextVertex<F> next = read_next<F>(tape, i, needs.geometry && entry.surface);
+    auto lit = active && mask<F>(v.emission_weight > F(0));
+    if ((needs.emitter || needs.geometry) && any(lit))
+        sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
+    F arrived = contract(a, v.emission_radiance);
+    if (entry.surface) {
+        const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
+        const Stokes<F> behind = entry.column(tape, i);
+        if (!parents && needs.geometry) sweep_film_axis(c, leaving, row, vertex.column(behind), active, d_bar, sink);
+        arrived = arrived + vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
+    }
+    if (needs.geometry) {
+        RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
+        Vec3<F> u{F(0), F(0), F(0)};
+        if (kind != MissKind) {
+            ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, arrived), hit, active, sink);
+            u = glued_segment(v, active);
+        }
+        if (parents)
+            hand_motion(*parents, entry.parent, ray, u, v.p, v.at, active);
+        else if (needs.camera)
+            sweep_start(c, entry.slot, ray, active, sink);
+    }
+    if (sink.forward) add_to_entries<F>(c.slots.radiance, entry.slot, sink.derivative, active);
 }
 
 template <class F>
@@ -326,6 +475,15 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
+#define TR_INSTANTIATE_POLARIZED(F, S) \
+    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
+                              uint32_t, const MaskOf<F> &); \
+    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
+                           uint32_t, const MaskOf<F> &); \
+    template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, \
+                                         bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
+TR_FOR_EACH_FLOAT(TR_INSTANTIATE_POLARIZED)
+#undef TR_INSTANTIATE_POLARIZED
 #define TR_INSTANTIATE(F, S)                                                                                         \
     template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,       \
                                       uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);          \

@@ -5,6 +5,7 @@
 #pragma once
 
 #include "../color/spectrum.h"
+#include "../math/polarization.h"
 #include "../model.h"
 
 namespace tr {
@@ -47,6 +48,8 @@ struct BsdfInfo : ModelInfo {
     int luminance_of;  // the field whose luminance is a further number, -1: none
     bool tabulated;
     int turned_by;                    // the field of a model that disperses, a colour, whose components refract, or -1
+    Polarization polarizes;
+    int eta, k;                       // the fields by which it does, -1: none
     bool bent;                        // the number is not the record's, see medium/bend_medium.h
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
     int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always

@@ -15,6 +15,8 @@ struct Conductor {
     static constexpr Model model = {"bsdf", "conductor", "Smooth conductor, one-sided.", fields, 3, HasDeltaLobes};
     static constexpr int Albedo = field_index(fields, "specular_reflectance");
 
+    static constexpr Polarization Polarizes = Polarization::Metal;
+
     template <class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &) {
         using T = std::decay_t<decltype(params.color[Eta][0] * wi.z)>;

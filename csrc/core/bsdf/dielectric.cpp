@@ -19,6 +19,7 @@ struct Dielectric {
     static constexpr Model model = {
         "bsdf", "dielectric", "Smooth dielectric interface.", fields, 3, HasDeltaLobes | Transmits | IsAsymmetric};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
+    static constexpr Polarization Polarizes = Polarization::Interface;
 
     // Radiance is divided by the squared relative index when it enters the denser side (solid angles shrink): Veach,
     // "Robust Monte Carlo Methods for Light Transport Simulation", 1997, section 5.2.

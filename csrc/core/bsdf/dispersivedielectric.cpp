@@ -28,6 +28,7 @@ struct DispersiveDielectric {
                                     HasDeltaLobes | Transmits | IsAsymmetric | Disperses,
                                     "DispersiveDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");
+    static constexpr Polarization Polarizes = Polarization::Interface;
 
     template <class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &, const IntOf<F> &lobe,

@@ -7,6 +7,7 @@
 //                                             a variable of its own, since all components depend on it
 //   static constexpr bool Tabulated = true;   (optional) the host makes a table for its records
 //   static constexpr int TurnedBy = i;        (optional) this colour's first component refracts, in place of a number
+//   static constexpr Polarization Polarizes = ...;  (optional) what its facets make of polarised light
 //   static constexpr bool Bent = true;        (optional) its number is the index of a medium at the point
 //   eval(params, wi, wo, lobe)    f |cos| of a smooth lobe, or of a delta lobe its weight times the probability with
 //                                 which `sample` chooses it; takes the Transport last if the model IsAsymmetric.
@@ -55,6 +56,12 @@ template <class M>
 struct TurnedBy<M, std::enable_if_t<(M::TurnedBy >= 0)>> : std::integral_constant<int, M::TurnedBy> {};
 
 template <class M, class = void>
+struct Polarizes : std::integral_constant<Polarization, Polarization::None> {};
+template <class M>
+struct Polarizes<M, std::enable_if_t<(M::Polarizes != Polarization::None)>>
+    : std::integral_constant<Polarization, M::Polarizes> {};
+
+template <class M, class = void>
 struct IsJoint : std::false_type {};
 template <class M>
 struct IsJoint<M, std::enable_if_t<M::Joint>> : std::true_type {};
@@ -79,6 +86,8 @@ constexpr BsdfInfo bsdf_info() {
     r.n_variables = r.n_differentiable + (r.luminance_of >= 0);
     r.tabulated = IsTabulated<M>::value;
     r.turned_by = TurnedBy<M>::value;
+    r.polarizes = Polarizes<M>::value;
+    r.eta = field_named(model, "eta"), r.k = field_named(model, "k");
     r.bent = IsBent<M>::value;
     r.albedo = M::Albedo;
     r.specular = field_named(model, "specular_reflectance");

@@ -13,6 +13,8 @@ namespace tr {
 // them.
 template <class Surface>
 struct MicrofacetConductor {
+    static constexpr Polarization Polarizes = Polarization::Metal;
+
     template <class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &) {
         using T = std::decay_t<decltype(params.number[0] * wi.z)>;

@@ -12,6 +12,8 @@ namespace tr {
 // them.
 template <class Surface>
 struct MicrofacetDielectric {
+    static constexpr Polarization Polarizes = Polarization::Interface;
+
     template <class P>
     TR_INLINE static auto ggx(const P &params) {
         return mask<std::decay_t<decltype(value_of(params.number[0]))>>(params.choice[Surface::Distribution] ==

@@ -8,6 +8,7 @@ struct NullBsdf {
     static constexpr Model model = {"bsdf", "null", "Rays pass through unchanged.",
                                     fields, 0,      HasDeltaLobes | Transmits};
     static constexpr int Albedo = -1;
+    static constexpr Polarization Polarizes = Polarization::Pass;
 
     template <class P, class F>
     TR_INLINE static auto eval(const P &, const Vec3<F> &, const Vec3<F> &, const IntOf<F> &) {

@@ -18,6 +18,7 @@ struct ThinDielectric {
     static constexpr Model model = {"bsdf", "thindielectric",          "Thin pane of glass.", fields,
                                     3,      HasDeltaLobes | Transmits, "ThinDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
+    static constexpr Polarization Polarizes = Polarization::Pane;
 
     // Between both faces, light that is reflected r, leaves in t r t, t r^3 t, ...: r + t^2 r / (1 - r^2) = 2 r / (1 +
     // r), with t = 1 - r.

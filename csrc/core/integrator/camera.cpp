@@ -14,7 +14,13 @@ TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F
     write(c.slots.alpha, i, F(0));
     write(c.slots.radiance, i, uniform_spectrum(F(0)));
     Entries<F> from(i);
-    if (skip_zero_adjoint) active = active && !mask<F>(component_sum(magnitude(from(c.slots.delta))) == F(0));
+    F adjoint = component_sum(magnitude(from(c.slots.delta)));
+    if (c.config.stokes) {
+        for (const auto &column : {c.slots.q, c.slots.u, c.slots.v}) write(column, i, uniform_spectrum(F(0)));
+        for (const auto &column : {c.slots.delta_q, c.slots.delta_u, c.slots.delta_v})
+            adjoint = adjoint + component_sum(magnitude(from(column)));
+    }
+    if (skip_zero_adjoint) active = active && !mask<F>(adjoint == F(0));
     if (!any(active)) return;
     CameraSample<F> at{from(c.slots.film_x), from(c.slots.film_y)};
     if (lens) at.choose_lens(u);

@@ -18,6 +18,7 @@ struct PathConfig {
     SamplerConfig sampler;
     bool volumetric;  // through media
     SpectralConfig spectral{};
+    bool stokes = false;  // polarised light: paths are recorded, see adjoint/polarization.h
 };
 
 // Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths

@@ -80,6 +80,10 @@ TR_INLINE void write_vertex(const PathContext<F> &c, size_t i, const UIntOf<F> &
                             const Spectrum<F> &beta, const SurfacePoint<F> &at, const FoundEmission<F> &e) {
     Spectrum<F> none = uniform_spectrum(F(0));
     write(c.tape->vertex, i, VertexPacket<F>{slot, parent, at, beta, e.point.emitter, e.weight, e.radiance, none});
+    const auto &stokes = c.tape->stokes;
+    if (!stokes.column_axis.x) return;
+    write(stokes.column_q, i, none), write(stokes.column_u, i, none), write(stokes.column_v, i, none);
+    write(stokes.column_axis, i, Vec3<F>{F(0), F(0), F(0)});
 }
 
 template <class F>

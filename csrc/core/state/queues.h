@@ -20,7 +20,11 @@ struct SampleColumns {
 
 // Of paths also the adjoint of their radiance in reverse mode; radiance or, in forward mode, its derivative; whether
 // something was seen.
-#define TR_SLOT_COLUMNS(X) TR_SAMPLE_COLUMNS(X) X(Spectrum, delta) X(Spectrum, radiance) X(Number, alpha)
+#define TR_SLOT_COLUMNS(X) \
+    TR_SAMPLE_COLUMNS(X) X(Spectrum, delta) X(Spectrum, radiance) X(Number, alpha) TR_SLOT_STOKES_COLUMNS(X)
+// The same of polarised light, Q, U and V.
+#define TR_SLOT_STOKES_COLUMNS(X) \
+    X(Spectrum, delta_q) X(Spectrum, delta_u) X(Spectrum, delta_v) X(Spectrum, q) X(Spectrum, u) X(Spectrum, v)
 
 template <class S>
 struct SlotColumns {

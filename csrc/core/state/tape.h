@@ -42,6 +42,11 @@ namespace tr {
     X(Number, shadow_t0) X(Number, shadow_t1) X(Number, shadow_t) X(Vector, rest_bar) X(Vector, from_bar)
 // Vertices of light paths, see ConnectionRecord and EmissionRecord.
 #define TR_CONNECTION_COLUMNS(X) X(Number, x_bar) X(Number, y_bar) X(Vector, ng) X(Integer, emitter_kind)
+// Of polarised light: the row for what arrives from the vertex behind, and the column of that, whose intensity is
+// `suffix`; see adjoint/polarization.h.
+#define TR_STOKES_COLUMNS(X) \
+    X(Spectrum, row_i) X(Spectrum, row_q) X(Spectrum, row_u) X(Spectrum, row_v) X(Vector, row_axis) \
+    X(Spectrum, column_q) X(Spectrum, column_u) X(Spectrum, column_v) X(Vector, column_axis)
 // clang-format on
 
 TR_PACKET(VertexPacket, TR_VERTEX_COLUMNS)
@@ -70,6 +75,7 @@ TR_TAPE_GROUP(Next, TR_NEXT_COLUMNS)
 TR_TAPE_GROUP(Segment, TR_SEGMENT_COLUMNS)
 TR_TAPE_GROUP(Motion, TR_MOTION_COLUMNS)
 TR_TAPE_GROUP(Connection, TR_CONNECTION_COLUMNS)
+TR_TAPE_GROUP(Stokes, TR_STOKES_COLUMNS)
 #undef TR_TAPE_GROUP
 
 template <class S>
@@ -85,6 +91,7 @@ struct TapeColumns {
     MotionColumns<S> motion{};
     ConnectionColumns<S> connection{};
     BentColumns<S> bent{};
+    StokesColumns<S> stokes{};
 };
 
 // How a ray came to a vertex: from something glued to its surface; along a ray that moves with what it comes from, so

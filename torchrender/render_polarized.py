@@ -1,0 +1,59 @@
+"""Polarised light in `render`: what of it there is, the call that renders it, and the outputs that are made of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from . import polarization
+from .first_hit_call import STOKES_OUTPUTS
+from .integrators import ParticleTracer, Stack, VolumetricPathTracer, WavefrontPathTracer
+from .render_call import RenderCall
+from .scene.packing import Layout
+
+
+def check_polarized(integrator: Any, packed: Layout, adaptive_grad: bool) -> None:
+    """ValueError for what is rendered without polarisation alone."""
+    if isinstance(integrator, (ParticleTracer, VolumetricPathTracer, WavefrontPathTracer, Stack)):
+        raise ValueError(
+            f"render: outputs: {type(integrator).__name__} has no polarised light ({', '.join(STOKES_OUTPUTS)}); "
+            "PathTracer and DirectIllumination have it"
+        )
+    if packed.bending:
+        raise ValueError("render: outputs: light that gradientindex media bend has no polarisation")
+    if adaptive_grad:
+        raise ValueError("render: adaptive_grad: it is for radiance, not for polarised light")
+
+
+def polarized_call(call: RenderCall) -> RenderCall:
+    """The call that renders the Stokes vectors of this rendering."""
+    return replace(
+        call,
+        config={**call.config, "stokes": True},
+        stokes=True,
+        alpha=False,
+        variance=False,
+        second_moment=False,
+        keep_hits=False,
+        requirements=replace(call.requirements, alpha=False, outlines=False),
+    )
+
+
+def stokes_image(parts: Sequence[torch.Tensor], channels: int) -> torch.Tensor:
+    """The Stokes vectors (..., C, 4) of all groups of bands, each (..., 4 C'), of which the first C are wanted."""
+    split = [part.unflatten(-1, (4, -1)).transpose(-1, -2) for part in parts]
+    return torch.cat(split, -2)[..., :channels, :]
+
+
+def stokes_outputs(stokes: torch.Tensor, names: Sequence[str]) -> dict[str, torch.Tensor]:
+    """Those of `names` that Stokes vectors (..., C, 4) are enough for; radiance where no other is wanted with it."""
+    functions = {"dolp": polarization.dolp, "aolp": polarization.aolp, "docp": polarization.docp}
+    found = {name: functions[name](stokes) for name in names if name in functions}
+    if "stokes" in names:
+        found["stokes"] = stokes
+    if "rgb" in names and not {"alpha", "variance", "second_moment"} & set(names):
+        found["rgb"] = stokes[..., 0]
+    return found
