@@ -74,6 +74,19 @@ class AreaLight(Plugin):
     radiance: Any
     sampling_weight: torch.Tensor
 
+class CircularPolarizer(Plugin):
+    """Circular polariser."""
+
+    def __init__(
+        self,
+        *,
+        transmittance: TextureLike = 1.0,
+        left_handed: bool = False,
+        **properties: Any,
+    ) -> None: ...
+    transmittance: Any
+    left_handed: Any
+
 class ConstantLight(Plugin):
     """A constant environment."""
 
@@ -149,6 +162,19 @@ class Null(Plugin):
         **properties: Any,
     ) -> None: ...
 
+class Polarizer(Plugin):
+    """Linear polariser."""
+
+    def __init__(
+        self,
+        *,
+        theta: Number = 0.0,
+        transmittance: TextureLike = 1.0,
+        **properties: Any,
+    ) -> None: ...
+    theta: torch.Tensor
+    transmittance: Any
+
 class Rayleigh(Plugin):
     """Rayleigh's phase function, of particles like molecules."""
 
@@ -156,3 +182,18 @@ class Rayleigh(Plugin):
         self,
         **properties: Any,
     ) -> None: ...
+
+class Retarder(Plugin):
+    """Linear retarder."""
+
+    def __init__(
+        self,
+        *,
+        theta: Number = 0.0,
+        delta: Number = 90.0,
+        transmittance: TextureLike = 1.0,
+        **properties: Any,
+    ) -> None: ...
+    theta: torch.Tensor
+    delta: torch.Tensor
+    transmittance: Any

@@ -114,7 +114,7 @@ def _scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-D", "--define", action="append", default=[], metavar="NAME=VALUE", help="value of $NAME in an XML file"
     )
-    parser.add_argument("--variant", choices=("rgb", "mono", "spectral"), default="rgb", help="(default %(default)s)")
+    parser.add_argument("--variant", choices=variants(), default="rgb", help="(default %(default)s)")
     parser.add_argument("--double", action="store_true", help="double precision")
     parser.add_argument("--substitute", action="store_true", help="replace what is not supported by something near it")
     parser.add_argument("--trusted", action="store_true", help="the file may name files outside of its folder")

@@ -419,6 +419,34 @@ class Depth(Stack):
         return "Depth()"
 
 
+class Stokes(Stack):
+    """Polarised light: the image is (H, W, C, 4), the Stokes vectors (I, Q, U, V) of each colour.
+
+    ``render(..., outputs=("stokes",))`` gives the same with any scene and integrator that has polarised light; see
+    `torchrender.polarization`.
+
+    Args:
+        integrator: the nested one, `PathTracer` if none is given.
+    """
+
+    kind = "stokes"
+
+    def __init__(self, integrator: Integrator | None = None) -> None:
+        super().__init__()
+        integrator = PathTracer() if integrator is None else integrator
+        if not isinstance(integrator, (PathTracer, DirectIllumination)):
+            raise TypeError(f"Stokes: integrator: expected one such as PathTracer(), got {describe(integrator)}")
+        self.integrator = integrator
+
+    def channel_names(self, channels: int = 3) -> list[str]:
+        """Names of an image (H, W, C, 4) whose last two axes are one, channel by channel: ``"S0.R"``, ``"S1.R"``."""
+        color = "RGB" if channels == 3 else "Y"
+        return [f"S{i}.{c}" for c in color for i in range(4)]
+
+    def __repr__(self) -> str:
+        return f"Stokes({self.integrator!r})"
+
+
 _PATH = ("max_depth", "rr_depth", "hide_emitters", "emitter_sampling")
 _DIRECT = ("shading_samples", "emitter_samples", "bsdf_samples", "hide_emitters", "emitter_sampling")
 
@@ -437,9 +465,9 @@ TYPES: dict[str, tuple[type[Integrator], tuple[str, ...], dict[str, Any]]] = {
     "aov": (AOV, ("aovs",), {}),
     "moment": (Moment, (), {}),
     "depth": (Depth, (), {}),
+    "stokes": (Stokes, (), {}),
 }
-ADVICE = {"stokes": "light is rendered without polarisation; the integrator in it gives the intensity"}
-DOCUMENTED = ("emission stokes direct_reparam prb_reparam bdpt").split()
+DOCUMENTED = ("emission direct_reparam prb_reparam bdpt").split()
 
 # Documented parameters without a counterpart. Those of how work is divided change no image; the rest is said.
 _DIVISION = ("samples_per_pass", "block_size", "use_spectral_mis")

@@ -15,7 +15,7 @@ from .compiling import opaque
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
-from .integrators import Stack, WavefrontPathTracer
+from .integrators import Stack, Stokes, WavefrontPathTracer
 from .interruption import interruption_of
 from .outputs import attributes_of, check_names, collect, first_hits
 from .progress import steps
@@ -188,7 +188,12 @@ def render(
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
     if isinstance(params, Sequence):
         return _by_view(dict(locals()))
+    settings = dict(locals())
     chosen_integrator = as_integrator(scene, integrator)
+    if isinstance(chosen_integrator, Stokes):
+        settings["integrator"], wanted = chosen_integrator.integrator, outputs or ("stokes",)
+        found = render(**{**settings, "outputs": wanted})
+        return found if outputs is not None else cast("Any", found).stokes
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
     interruption = interruption_of(on_interrupt)
@@ -224,9 +229,9 @@ def render(
     light = shows_radiance and integrator_config["integrator"] == "ptracer"
     traces = chosen_integrator if stack is None else stack.integrator
     wavefront = shows_radiance and isinstance(traces, WavefrontPathTracer)
-    polarized = any(n in STOKES_OUTPUTS for n in names)
+    polarized = any(n in STOKES_OUTPUTS for n in names) or (scene.polarized and stack is None and "rgb" in names)
     if polarized:
-        check_polarized(traces, packed, adaptive_grad)
+        check_polarized(traces, packed, names, adaptive_grad)
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
@@ -343,10 +348,9 @@ def render(
         if polarized:
             parts = _parts(scene, polarized_call(call), used, camera, trace, outlined=False)
             stokes = stokes_image(parts, len(film.channels or "rgb"[: native.channels]))
-            views.append(stokes_outputs(stokes, names))
-            rest = [n for n in names if n not in views[-1]]
-            if rest:
-                views[-1].update(_view(scene, call, rest, stack, used, radiance))
+            of_stokes = stokes_outputs(stokes, names)
+            rest = [n for n in names if n not in of_stokes]
+            views.append({**(_view(scene, call, rest, stack, used, radiance) if rest else {}), **of_stokes})
         else:
             views.append(_view(scene, call, names, stack, used, radiance))
         if "rgb" in views[-1] and crop is None and pixels is None and "black" not in scene.warned:

@@ -15,7 +15,7 @@ from .render_call import RenderCall
 from .scene.packing import Layout
 
 
-def check_polarized(integrator: Any, packed: Layout, adaptive_grad: bool) -> None:
+def check_polarized(integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
     """ValueError for what is rendered without polarisation alone."""
     if isinstance(integrator, (ParticleTracer, VolumetricPathTracer, WavefrontPathTracer, Stack)):
         raise ValueError(
@@ -24,6 +24,9 @@ def check_polarized(integrator: Any, packed: Layout, adaptive_grad: bool) -> Non
         )
     if packed.bending:
         raise ValueError("render: outputs: light that gradientindex media bend has no polarisation")
+    for name in ("variance", "second_moment"):
+        if name in names:
+            raise ValueError(f"render: outputs: polarised light has no {name!r}; radiance alone has")
     if adaptive_grad:
         raise ValueError("render: adaptive_grad: it is for radiance, not for polarised light")
 
@@ -49,11 +52,11 @@ def stokes_image(parts: Sequence[torch.Tensor], channels: int) -> torch.Tensor:
 
 
 def stokes_outputs(stokes: torch.Tensor, names: Sequence[str]) -> dict[str, torch.Tensor]:
-    """Those of `names` that Stokes vectors (..., C, 4) are enough for; radiance where no other is wanted with it."""
+    """Those of `names` that Stokes vectors (..., C, 4) are enough for."""
     functions = {"dolp": polarization.dolp, "aolp": polarization.aolp, "docp": polarization.docp}
     found = {name: functions[name](stokes) for name in names if name in functions}
     if "stokes" in names:
         found["stokes"] = stokes
-    if "rgb" in names and not {"alpha", "variance", "second_moment"} & set(names):
+    if "rgb" in names:
         found["rgb"] = stokes[..., 0]
     return found

@@ -39,7 +39,7 @@ TextureLike: TypeAlias = Color | Array | ObjectLike
 """A colour, a texture object or dict, or texels (H, W, C)."""
 VolumeLike: TypeAlias = Color | Array | ObjectLike
 """A number or colour, a volume object or dict, or voxels (Z, Y, X) or (Z, Y, X, C)."""
-VariantName: TypeAlias = Literal["mono", "rgb", "spectral"]
+VariantName: TypeAlias = Literal["mono", "mono_polarized", "rgb", "rgb_polarized", "spectral", "spectral_polarized"]
 """Colour modes."""
 Unsupported: TypeAlias = Literal["error", "substitute"]
 """What becomes of what this version does not have."""

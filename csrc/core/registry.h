@@ -40,7 +40,10 @@
     X(Hair)                  \
     X(AnisotropicConductor)  \
     X(AnisotropicDielectric) \
-    X(DispersiveDielectric)
+    X(DispersiveDielectric)  \
+    X(Polarizer)             \
+    X(Retarder)              \
+    X(CircularPolarizer)
 
 namespace tr {
 

@@ -16,7 +16,7 @@ from ..integrators import TYPES, from_dict
 from ..scene import registry
 from ..scene.context import LONGEST, SHORTEST, Context
 from ..scene.film import film_from
-from ..scene.scene import VARIANTS, Scene, operation
+from ..scene.scene import POLARIZED, VARIANTS, Scene, operation
 from ..typing import SceneDict, Unsupported, VariantName
 from . import mesh_files  # noqa: F401  (registers its types of shapes)
 from .compounds import expand_compounds
@@ -26,21 +26,16 @@ if TYPE_CHECKING:
     import trimesh
 
 DTYPES = (torch.float32, torch.float64)
-POSSIBLE_VARIANTS = tuple(f"{c}{p}" for c in ("mono", "rgb", "spectral") for p in ("", "_polarized"))
 
 
 def variants() -> list[str]:
     """The colour variants that this build has, for ``load_dict(..., variant=...)``."""
     found = {str(v["color"]) for v in backends.core().variants()}
-    return [v for v in POSSIBLE_VARIANTS if v in found]
+    return [v for v in VARIANTS if v.removesuffix(POLARIZED) in found]
 
 
 def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: Any) -> torch.device:
     if variant not in VARIANTS:
-        if variant in POSSIBLE_VARIANTS:
-            raise ValueError(
-                f"{function}: variant {variant!r} is not supported by this build; it has: {', '.join(VARIANTS)}"
-            )
         raise ValueError(f"{function}: unknown variant {variant!r}; {nearest(str(variant), VARIANTS)}")
     if dtype not in DTYPES:
         raise ValueError(f"{function}: dtype: expected torch.float32 or torch.float64, got {dtype!r}")
@@ -51,7 +46,7 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
     if made.type != "cpu":
         raise ValueError(f"{function}: device: this build renders on the CPU, got {str(made)!r}")
     if wavelength is not None:
-        if variant != "mono":
+        if variant.removesuffix(POLARIZED) != "mono":
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
         if isinstance(wavelength, bool) or not isinstance(wavelength, Real) or not SHORTEST <= wavelength <= LONGEST:
             raise ValueError(
@@ -123,7 +118,7 @@ def load_dict(
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}{hint}")
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
-    ctx = Context(variant, dtype, made_device, (), _folder, wavelength=wavelength)
+    ctx = Context(variant.removesuffix(POLARIZED), dtype, made_device, (), _folder, wavelength=wavelength)
     if description["type"] == "scene":
         description = expand_compounds(description, ctx)
     if _substituting("load_dict", unsupported):

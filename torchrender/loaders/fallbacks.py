@@ -39,8 +39,6 @@ _BSDFS: dict[str, list[tuple[str, dict[str, str]]]] = {
     "ward": [("diffuse", {"reflectance": "diffuse_reflectance"})],
     "thindielectric": [("null", {})],
 }
-# The part of unpolarised light that passes.
-_PASSED = {"circular": 0.5, "polarizer": 0.5, "retarder": 1.0}
 _BSDFS["principledthin"].append(("diffuse", {"reflectance": "base_color"}))
 _WRAPPERS = ("mask", "bumpmap", "normalmap", "blendbsdf", "coating", "roughcoating", "bump", "mixturebsdf")
 _OLD_BSDFS = ("phong", "ward", "coating", "roughcoating", "bump", "mixturebsdf", "hk", "difftrans", "irawan")
@@ -168,7 +166,7 @@ class _Walker:
 
 def with_fallbacks(description: Mapping[str, Any], variant: str = "rgb") -> dict[str, Any]:
     """`description` with fallbacks for all that is not supported; one `SubstitutionWarning` for each."""
-    walker = _Walker(variant == "spectral")
+    walker = _Walker(variant.startswith("spectral"))
     walker.collect(description, None)
     made = walker.value(description, "scene")
     if made is None:
@@ -186,30 +184,12 @@ def _bsdf(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
             found = walker.found(inner) if isinstance(inner, Mapping) else None
             if found is not None and found is not value and _category(found.get("type")) == "bsdf":
                 return walker.replaced(value, {k: v for k, v in found.items() if k != "id"}, where)
-    if kind in _PASSED:
-        return _filter_plate(walker, value, where)
     for name, mapping in _BSDFS.get(kind, []):
         if name in walker.types:
             new = {"type": name, **{ours: value[theirs] for ours, theirs in mapping.items() if theirs in value}}
             lost = [n for n in value if n not in (*mapping.values(), "type", "id")]
             return walker.replaced(value, new, where, " ".join(lost))
     return walker.replaced(value, {"type": "diffuse"}, where)
-
-
-def _filter_plate(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:
-    """A plate that polarises as a black `mask`, which passes straight on what it does not stop."""
-    given = value.get("transmittance", 1.0)
-    lost = [n for n in value if n not in ("type", "id", "transmittance")]
-    try:
-        channels = spectrum(given, Context("mono"))
-        passed = _PASSED[value["type"]] * float(channels.mean())
-    except (ValueError, TypeError):  # a texture, a reference
-        passed = _PASSED[value["type"]]
-        lost.append("transmittance")
-    if passed >= 1 or "mask" not in walker.types:
-        return walker.replaced(value, {"type": "null"}, where, " ".join(lost))
-    black = {"type": "diffuse", "reflectance": 0.0}
-    return walker.replaced(value, {"type": "mask", "opacity": 1 - passed, "bsdf": black}, where, " ".join(lost))
 
 
 def _emitter(walker: _Walker, value: Mapping[str, Any], where: str) -> Any:

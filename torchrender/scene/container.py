@@ -8,7 +8,6 @@ from typing import Any
 from torch import nn
 
 from ..errors import describe, nearest
-from ..integrators import ADVICE as INTEGRATOR_ADVICE
 from ..integrators import DOCUMENTED, TYPES, Integrator, from_dict
 from ..settings import is_own
 from . import registry, spectra
@@ -175,6 +174,6 @@ def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | 
     if isinstance(kind, str) and kind not in registry.scene_types() and kind in DOCUMENTED:
         ctx.error(
             f"the integrator {kind!r} is not supported by this version of torchrender"
-            f"{': ' + INTEGRATOR_ADVICE[kind] if kind in INTEGRATOR_ADVICE else ''}; supported are: {', '.join(TYPES)}"
+            f"; supported are: {', '.join(TYPES)}"
         )
     return value

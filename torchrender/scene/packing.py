@@ -311,7 +311,7 @@ def pack(scene: Scene, placeholders: Iterable[Sensor]) -> Layout:
     for name, plugin in lights:
         packer.alias(plugin, name, COMPLETE)
     layout = packer.layout
-    layout.spectral = scene.variant == "spectral"
+    layout.spectral = scene.variant.startswith("spectral")
     layout.own_sensors = len(layout.sensors)
     for camera in placeholders:
         packer.add(camera, "camera")

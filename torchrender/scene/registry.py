@@ -46,15 +46,10 @@ DOCUMENTED: dict[str, tuple[str, ...]] = {
 }
 
 
-_UNPOLARISED = (
-    "light is rendered without polarisation. unsupported='substitute' lets the part through that it passes of "
-    "unpolarised light"
-)
 # What to do about types that are documented there and not here.
 ADVICE = {
     "measured": "tables of measured materials are not read; a fitted roughconductor or principled comes nearest",
     "measured_polarized": "tables of measured materials are not read, and light is rendered without polarisation",
-    **dict.fromkeys(("polarizer", "retarder", "circular"), _UNPOLARISED),
     "ellipsoids": "a mesh for each of the ellipsoids takes their place",
     "ellipsoidsmesh": "a mesh with the shells' vertices and faces takes its place",
     "timed_sunsky": "there are no averages over days and hours; sunsky is the light of one time",

@@ -34,7 +34,8 @@ if TYPE_CHECKING:
     from ..render_types import OutputNames, Outputs, RenderSettings
 
 Operation = TypeVar("Operation", bound=Callable[..., Any])
-VARIANTS = ("mono", "rgb", "spectral")
+POLARIZED = "_polarized"
+VARIANTS = tuple(f"{color}{mode}" for color in ("mono", "rgb", "spectral") for mode in ("", POLARIZED))
 
 _operations: dict[str, Callable[..., Any]] = {}
 
@@ -73,7 +74,8 @@ class Scene(Container):
         wavelength: float | None = None,
     ) -> None:
         super().__init__()
-        self._variant = variant
+        self._color = variant.removesuffix(POLARIZED)
+        self._polarized = variant.endswith(POLARIZED)
         self._wavelength = wavelength
         self._dtype = dtype
         self._device = torch.device(device)
@@ -94,8 +96,13 @@ class Scene(Container):
     # -------------------------------------------------------------------------------------------------- settings
     @property
     def variant(self) -> str:
-        """Colour mode: ``"rgb"``, ``"mono"`` or ``"spectral"``."""
-        return self._variant
+        """Colour mode, ``"rgb"``, ``"mono"`` or ``"spectral"``, with ``"_polarized"`` if its light is polarised."""
+        return self._color + (POLARIZED if self._polarized else "")
+
+    @property
+    def polarized(self) -> bool:
+        """Whether images are of polarised light without being asked for Stokes vectors."""
+        return self._polarized
 
     @property
     def wavelength(self) -> float | None:
@@ -114,7 +121,7 @@ class Scene(Container):
     @property
     def channels(self) -> int:
         """Number of colour channels of an image: 3, but 1 in mono."""
-        return 1 if self._variant == "mono" else 3
+        return 1 if self._color == "mono" else 3
 
     @property
     def sensors(self) -> list[Sensor]:
@@ -133,7 +140,7 @@ class Scene(Container):
         return sensors[0].film if sensors else None
 
     def _context(self, folder: Path | None = None) -> Context:
-        return Context(self._variant, self._dtype, self._device, (), folder, wavelength=self._wavelength)
+        return Context(self._color, self._dtype, self._device, (), folder, wavelength=self._wavelength)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Mitsuba 3 XML file, and ``meshes/*.ply``, ``textures/*.exr`` and ``volumes/*.vol`` beside it.
@@ -269,6 +276,6 @@ class Scene(Container):
             and native.index_key == layout.index_key()
         ):
             return native
-        native = NativeScene(layout, self._variant, self._dtype, shapes, previous=native)
+        native = NativeScene(layout, self._color, self._dtype, shapes, previous=native)
         self._native = native
         return native

@@ -27,11 +27,13 @@ struct VertexFrame {
         if (oriented) phi_bar = phi_bar + (local_bar.x * local.y - local_bar.y * local.x);
         return frame.to_world(local_bar);
     }
-    // the adjoint of local coordinates from that of the world direction they give, which has no preferred axis
+    // the adjoint of local coordinates from that of the world direction they give
     TR_INLINE Vec3<F> out_of(const Vec3<F> &local, const Vec3<F> &world_bar) {
-        F along = dot(frame.n, world_bar);
+        const Vec3<F> local_bar = frame.to_local(world_bar);
+        const F along = local_bar.z;
         n_bar = n_bar + world_bar * local.z - frame.s * (local.x * along) - frame.t * (local.y * along);
-        return frame.to_local(world_bar);
+        if (oriented) phi_bar = phi_bar + (local.x * local_bar.y - local.y * local_bar.x);
+        return local_bar;
     }
     // What the surface gets of all that.
     TR_INLINE void hand_to(HitAdjoint<F> &hit, const SceneOf<F> &scene, const VertexRecord<F> &v,

@@ -46,8 +46,8 @@ TR_INLINE Stokes<F> turned_row(Stokes<F> a, const Vec3<F> &axis, const Vec3<F> &
 // The derivative of the number by the angle of the row's axis, on which both are; by that of the axis which the column
 // had before it is the negative.
 template <class F>
-TR_INLINE F by_angle(const Stokes<F> &a, const Stokes<F> &r) {
-    return F(2) * (contract(a.at[1], r.at[2]) - contract(a.at[2], r.at[1]));
+TR_INLINE Spectrum<F> by_angle(const Stokes<F> &a, const Stokes<F> &r) {
+    return (a.at[1] * r.at[2] - a.at[2] * r.at[1]) * F(2);
 }
 
 // Perpendicular to both directions.
@@ -98,6 +98,9 @@ struct PolarizedVertex {
 
 private:
     TR_HD Stokes<F> scattered(const Stokes<F> &in_axis) const;
+    TR_HD void sweep_plate(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &angle,
+                           Spectrum<F> &by_theta, const GradientNeeds &needs, const MaskOf<F> &active,
+                           HitAdjoint<F> &hit, Vec3<F> &wi_bar) const;
 };
 
 }  // namespace tr

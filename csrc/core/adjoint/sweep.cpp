@@ -245,7 +245,8 @@ TR_INLINE void sweep_film_axis(const SweepContext<F> &c, const Vec3<F> &leaving,
                                GradientSink<F> &sink) {
     const Vec3<F> up = PolarizedEntry<F>::camera_up(c);
     Vec3<F> up_bar{F(0), F(0), F(0)}, leaving_bar = up_bar;
-    sweep_axis(up, leaving, leaving, by_angle(row, turned_column(column, row.axis, leaving)), up_bar, leaving_bar);
+    const F angle_bar = component_sum(by_angle(row, turned_column(column, row.axis, leaving)));
+    sweep_axis(up, leaving, leaving, angle_bar, up_bar, leaving_bar);
     d_bar = d_bar - leaving_bar;
     if (!c.needs.camera) return;
     const int32_t to_world = c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];

@@ -49,7 +49,7 @@ struct BsdfInfo : ModelInfo {
     bool tabulated;
     int turned_by;                    // the field of a model that disperses, a colour, whose components refract, or -1
     Polarization polarizes;
-    int eta, k;                       // the fields by which it does, -1: none
+    int eta, k, theta;                // the fields by which it does, -1: none; `eta` is a retarder's retardance
     bool bent;                        // the number is not the record's, see medium/bend_medium.h
     int albedo, specular, roughness;  // the fields that these outputs show, -1: none
     int tangent_of;  // the field, a texture, without which a model that follows the tangent does not, -1: it always

@@ -87,7 +87,8 @@ constexpr BsdfInfo bsdf_info() {
     r.tabulated = IsTabulated<M>::value;
     r.turned_by = TurnedBy<M>::value;
     r.polarizes = Polarizes<M>::value;
-    r.eta = field_named(model, "eta"), r.k = field_named(model, "k");
+    r.eta = field_named(model, r.polarizes == Polarization::Retarder ? "delta" : "eta");
+    r.k = field_named(model, "k"), r.theta = field_named(model, "theta");
     r.bent = IsBent<M>::value;
     r.albedo = M::Albedo;
     r.specular = field_named(model, "specular_reflectance");

@@ -22,7 +22,10 @@ enum class Polarization : uint8_t {
     Metal,      // facets reflect by eta and k
     Interface,  // facets reflect and refract by eta
     Pane,       // of glass, with the reflections inside of it, as light of no phase
-    Pass        // what passes is unchanged
+    Pass,       // what passes is unchanged
+    Polarizer,  // plates: their axis passes, the other one is absorbed;
+    Retarder,   // the other one lags;
+    Circular    // V passes, or -V: I' = I + b V, V' = b I + V
 };
 
 template <class T>
@@ -87,6 +90,7 @@ template <class T>
 TR_INLINE FacetMatrix<T> facet_matrix(Polarization kind, bool smooth, const MaskOf<T> &reflects, const T &z,
                                       const T &eta, const T &k) {
     if (kind == Polarization::Pass) return {T(0), T(1), T(0)};
+    if (kind == Polarization::Polarizer) return {T(1), T(0), T(0)};
     T c = abs(z);
     if (!smooth) c = sqrt(max(T(0.5) * (T(1) + z), T(0)));
     if (kind == Polarization::Metal) return RefractedWave<T>(c, eta, k).reflection();
