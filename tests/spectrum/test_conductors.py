@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reference_parts import DATA
 
-from torchrender.spectrum import cie
 from torchrender.scene.conductors import CONDUCTORS, conductor_range, conductor_spectra
+from torchrender.spectrum import cie
 
 GRID = np.arange(360.0, 831.0)
 HOLE = (387.438, 393.587, 435.018, 442.786)  # nm: last eta of AlAs before the hole, zeros from here to here, next eta

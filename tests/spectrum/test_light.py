@@ -98,6 +98,26 @@ def test_narrow_lines_keep_their_energy(center, width):
     assert torch.allclose(lamp[40:139], torch.ones(99, dtype=DOUBLE), rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("low", [500.0, 500.3, 500.5, 500.8])
+@pytest.mark.parametrize("width", [0.2, 0.9, 1.0, 1.2, 1.5, 2.0, 3.0, 7.7])
+def test_bands_keep_their_integrals(low, width):
+    """Of a peak, a step at both ends, a trapezoid, a saw."""
+    ends = low, low + width / 2, low + width, low + 2.3 * width
+    for at, values, expected in (
+        (double(*ends[:3]), double(0, 3, 0), 3 * width / 2),
+        (double(ends[0], ends[2]), double(2, 1), 1.5 * width),
+        (double(*ends), double(0, 1, 1, 0), width * (0.25 + 0.5 + 0.65)),
+        (double(*ends, ends[3] + 1e-3), double(0, 4, 1, 3, 0), width * (1 + 1.25 + 2.6) + 1.5e-3),
+    ):
+        table = sp.irregular(at, values, integral=True)
+        assert float(table.sum()) == pytest.approx(expected, rel=1e-9)
+        assert bool((table >= 0).all())
+    whole = torch.rand(12, dtype=DOUBLE)  # at whole nanometres values are what they are, but for steps
+    found = sp.irregular(torch.arange(500.0, 512.0), whole, integral=True)
+    assert torch.allclose(found[141:151], whole[1:-1], rtol=0, atol=1e-13)
+    assert torch.allclose(found[[140, 151]], whole[[0, -1]] / 2, rtol=0, atol=1e-13)
+
+
 def test_means_of_fine_values():
     at = torch.linspace(350, 840, 4901, dtype=DOUBLE)
     ramp = sp.irregular(at, at)
@@ -109,7 +129,9 @@ def test_derivatives_by_values():
     generator = torch.Generator().manual_seed(1)
     for at in (torch.linspace(400, 700, 7), torch.tensor([480.1, 480.4, 480.6, 495, 495.5, 900])):
         values = torch.rand(2, len(at), generator=generator, dtype=DOUBLE).requires_grad_()
-        assert torch.autograd.gradcheck(lambda v, at=at: sp.irregular(at, v), values, check_forward_ad=True)
+        for integral in (False, True):
+            made = lambda v, at=at, integral=integral: sp.irregular(at, v, integral=integral)  # noqa: E731
+            assert torch.autograd.gradcheck(made, values, check_forward_ad=True)
     table = torch.rand(2, 471, generator=generator, dtype=DOUBLE).requires_grad_()
     assert torch.autograd.gradcheck(lambda t: sp.to_rgb(t, sp.d65()), table, check_forward_ad=True, fast_mode=True)
 

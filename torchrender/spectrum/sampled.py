@@ -9,6 +9,8 @@ from ..errors import describe
 from . import checks
 from .observer import NANOMETRES
 
+CLOSE = 8.0  # nm: of a peak as wide, integrals of values at whole nanometres deviate by less than 1 %
+
 
 def regular(values: torch.Tensor, low: float, high: float) -> torch.Tensor:
     """The table of values at equally spaced wavelengths, as `irregular` has it.
@@ -38,8 +40,8 @@ def irregular(wavelengths: torch.Tensor, values: torch.Tensor, *, integral: bool
     Args:
         wavelengths: (N,) in nm, increasing, N >= 2; no derivative.
         values: (..., N) at these.
-        integral: the first and the last entry are means over their nanometre, too, with the 0 outside, so that bands
-            and light keep their integrals.
+        integral: bands and light keep their integrals: so do both ends, with the 0 outside, and wavelengths between
+            whole nanometres that are less than 8 nm from a neighbour.
 
     Returns:
         (..., 471), of the dtype of `values`.
@@ -65,26 +67,39 @@ def _points(at: np.ndarray, values: torch.Tensor) -> torch.Tensor:
     return torch.where(inside, low + share * (high - low), 0.0)
 
 
-def _means(at: np.ndarray, values: torch.Tensor, ends: bool) -> torch.Tensor:
-    """The means where values are less than 1 nm apart, and perhaps at both ends, by differences of the integral up to the cells' borders."""
-    # the first and last cell are halves, as the weights of the observer have them
-    edges = np.clip(np.concatenate([NANOMETRES - 0.5, NANOMETRES[-1:] + 0.5]), NANOMETRES[0], NANOMETRES[-1])
+def _means(at: np.ndarray, values: torch.Tensor, integral: bool) -> torch.Tensor:
+    """The sum of what the nanometres on both sides of an entry give it.
+
+    That is half of the value, or the integral over the nearer half where values are close to each other, so that a
+    nanometre gives its integral in either way.
+    """
+    count = len(NANOMETRES) - 1
+    halves = np.linspace(NANOMETRES[0], NANOMETRES[-1], 2 * count + 1)
     steps = torch.from_numpy(np.diff(at)).to(values.device)
     areas = torch.cumsum(steps * (values[..., 1:] + values[..., :-1]) / 2, -1)
     areas = torch.cat([torch.zeros_like(values[..., :1]), areas], -1)
-    place, share, _ = (torch.from_numpy(a).to(values.device) for a in _places(at, np.clip(edges, at[0], at[-1])))
+    place, share, _ = (torch.from_numpy(a).to(values.device) for a in _places(at, np.clip(halves, at[0], at[-1])))
     low, high = values[..., place], values[..., place + 1]
-    integral = areas[..., place] + steps[place] * share * (low + share / 2 * (high - low))
-    means = integral.diff(dim=-1) / torch.from_numpy(np.diff(edges)).to(values.device)
-    # a cell is fine where such an interval reaches into it
+    given = (areas[..., place] + steps[place] * share * (low + share / 2 * (high - low))).diff(dim=-1)
+    points = _points(at, values)
+    marks = np.zeros(count + 1, np.int64)
     near = np.nonzero(_fine(at))[0]
-    marks = np.zeros(len(edges), np.int64)
-    np.add.at(marks, np.clip(np.searchsorted(edges, at[near], "right") - 1, 0, len(edges) - 1), 1)
-    np.add.at(marks, np.clip(np.searchsorted(edges, at[near + 1], "left"), 0, len(edges) - 1), -1)
-    fine = np.cumsum(marks)[:-1] > 0
-    for end in (at[0], at[-1]) if ends else ():
-        fine |= (edges[:-1] < end) & (end < edges[1:]) & (edges[0] < end) & (end < edges[-1])
-    return torch.where(torch.from_numpy(fine).to(values.device), means, _points(at, values))
+    first, last = at[near], at[near + 1]
+    whole = np.ones(count, bool)
+    if integral:
+        close = np.diff(at) < CLOSE
+        single = at[np.r_[True, close] | np.r_[close, True]]  # and both ends
+        first, last = np.concatenate([first, single]), np.concatenate([last, single])
+        whole = (NANOMETRES[:-1] >= at[0]) & (NANOMETRES[1:] <= at[-1])
+    np.add.at(marks, np.clip(np.floor(first) - NANOMETRES[0], 0, count).astype(int), 1)
+    np.add.at(marks, np.clip(np.ceil(last) - NANOMETRES[0], 0, count).astype(int), -1)
+    fine = torch.from_numpy(np.cumsum(marks)[:-1] > 0).to(values.device)
+    weight = torch.from_numpy(whole / 2).to(values)
+    after = torch.where(fine, given[..., 0::2], weight * points[..., :-1])
+    before = torch.where(fine, given[..., 1::2], weight * points[..., 1:])
+    # the first and last entry have half a nanometre, as the weights of the observer have them
+    inner = before[..., :-1] + after[..., 1:]
+    return torch.cat([2 * after[..., :1], inner, 2 * before[..., -1:]], -1)
 
 
 def _fine(at: np.ndarray) -> np.ndarray:
