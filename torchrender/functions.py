@@ -61,6 +61,14 @@ class ConstantFunction(UnbatchedFunction):
         return (None,) * ctx.outputs if ctx.outputs else None
 
 
+def unwrapped(tensor: torch.Tensor) -> torch.Tensor:
+    """`tensor` as it is outside of `torch.func`, without derivatives."""
+    while functorch.is_functorch_wrapped_tensor(tensor):
+        tensor = functorch.get_unwrapped(tensor)
+    with torch._C._DisableFuncTorch():
+        return tensor.detach()
+
+
 def refuse_batches(tensor: Any) -> None:
     """NotDifferentiableError for a tensor that is batched by `vmap`.
 

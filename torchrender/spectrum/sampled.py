@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from ..errors import describe
+from ..functions import unwrapped
 from . import checks
 from .observer import NANOMETRES
 
@@ -50,12 +51,13 @@ def irregular(wavelengths: torch.Tensor, values: torch.Tensor, *, integral: bool
         TypeError, ValueError: naming the argument, what was expected and what came.
     """
     values = checks.numbers("values", values, 2)
-    at = checks.numbers("wavelengths", wavelengths, 2).detach().double().cpu()
-    if at.ndim != 1 or not bool(torch.isfinite(at).all()) or not bool((at.diff() > 0).all()):
+    at = unwrapped(checks.numbers("wavelengths", wavelengths, 2))
+    with torch._C._DisableFuncTorch():
+        known = at.cpu().numpy().astype(np.float64)
+    if known.ndim != 1 or not np.isfinite(known).all() or not (np.diff(known) > 0).all():
         raise ValueError(f"wavelengths: expected shape (N,), increasing and finite, got {describe(wavelengths)}")
-    if values.shape[-1] != len(at):
-        raise ValueError(f"values: expected shape (..., {len(at)}), one a wavelength, got {tuple(values.shape)}")
-    known = at.numpy()
+    if values.shape[-1] != len(known):
+        raise ValueError(f"values: expected shape (..., {len(known)}), one a wavelength, got {tuple(values.shape)}")
     if integral or _fine(known).any():
         return _means(known, values.double(), integral).to(values.dtype)
     return _points(known, values.double()).to(values.dtype)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ... import spectrum
+from ...functions import functorch
 from ..context import LUMINANCE, SAMPLES
 from ..gather import has_derivative
 from ..packing import Layout
@@ -35,15 +36,18 @@ def for_core(scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> l
         given = result[i]
         if role is None or given.ndim == 0 or given.shape[-1] == 1 or role == VECTOR:
             continue
-        if has_derivative(given):
+        if has_derivative(given) or functorch.is_functorch_wrapped_tensor(given):
             result[i] = convert(given, role)
             continue
         version = -1 if given.is_inference() else given._version
         old = kept.get(i)
-        same = old is not None and version >= 0 and old[0].data_ptr() == given.data_ptr() and old[1:3] == (version, role)
+        same = (
+            old is not None and version >= 0 and old[0].data_ptr() == given.data_ptr() and old[1:3] == (version, role)
+        )
         if old is None or not same or old[0].shape != given.shape or old[0].dtype != given.dtype:
-            # the alias holds the memory, so that an equal address means the same
-            kept[i] = old = (given.detach(), version, role, convert(given.detach(), role))
+            # the alias holds the memory, so that an equal address means the same; torch.func would wrap what is made
+            with torch._C._DisableFuncTorch():
+                kept[i] = old = (given.detach(), version, role, convert(given.detach(), role))
         result[i] = old[3]
     return result
 

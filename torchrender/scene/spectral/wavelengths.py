@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from ... import spectrum
+from ...functions import unwrapped
 from ..context import SAMPLES
 from ..packing import Layout
 from .roles import LIGHT, roles_of
@@ -33,7 +34,7 @@ def wavelength_config(
     see `film_weights`, which None means.
     """
     lights = [
-        (i, tensors[i])
+        (i, unwrapped(tensors[i]))
         for i, role in enumerate(roles_of(layout))
         if role == LIGHT and tensors[i].ndim == 1 and tensors[i].shape[0] == SAMPLES
     ]
@@ -41,12 +42,13 @@ def wavelength_config(
     old: Any = scene.__dict__.get("_wavelengths")
     changed = old is None or old[0] != key or old[1].dtype != scene.dtype or any(v < 0 for _, _, v in key)
     if changed or weights is not None:
-        tables, of_film = [t.detach() for _, t in lights], film_weights() if weights is None else weights
-        seen = of_film.abs()
-        if weights is not None:  # each band counts alike
-            seen = seen / seen.sum(0).clamp(min=torch.finfo(seen.dtype).tiny)
-        # the tensors are kept, too: equal addresses then mean equal contents
-        old = (key, positions(tables, seen.sum(1)).to(scene.dtype), of_film.to(scene.dtype).contiguous(), tables)
+        with torch._C._DisableFuncTorch():
+            tables, of_film = [t for _, t in lights], film_weights() if weights is None else unwrapped(weights)
+            seen = of_film.abs()
+            if weights is not None:  # each band counts alike
+                seen = seen / seen.sum(0).clamp(min=torch.finfo(seen.dtype).tiny)
+            # the tensors are kept, too: equal addresses then mean equal contents
+            old = (key, positions(tables, seen.sum(1)).to(scene.dtype), of_film.to(scene.dtype).contiguous(), tables)
         if weights is None:
             scene.__dict__["_wavelengths"] = old
     config = (old[1].data_ptr(), INTERVALS, old[2].data_ptr())
