@@ -250,6 +250,8 @@ def _color(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.
     fault = _fault(wavelengths, samples)
     if fault:
         ctx.error(fault)
+    if ctx.index:
+        return _measured_index(wavelengths, samples, ctx)
     spectral = ctx.color == "spectral"
     if spectral:
         with ctx.located():
@@ -265,6 +267,14 @@ def _color(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.
         warnings.warn(f"{ctx.where}: {what} is out of range and was clipped", stacklevel=2)
     made = values.floating(clipped, ctx)
     return made if spectral else values.to_channels(made, ctx)
+
+
+def _measured_index(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) -> torch.Tensor:
+    """An index of refraction, which goes on beyond what was measured as it ends there."""
+    if not (samples > 0).all():
+        ctx.error(f"an index of refraction is positive, got {samples.min():g}")
+    table = np.interp(_GRID, wavelengths, samples)
+    return values.floating(table if ctx.color == "spectral" else _at(torch.from_numpy(table), SODIUM), ctx)
 
 
 def _fault(wavelengths: np.ndarray, samples: np.ndarray) -> str:
