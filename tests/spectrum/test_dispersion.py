@@ -117,7 +117,7 @@ def test_energy_is_kept():
     assert_mean(runs(scene, 64), sp.to_rgb(waves(4)))
 
 
-# --------------------------------------------------------------------------------------------- glass that does not disperse
+# ---------------------------------------------------------------------------------- glass that does not disperse
 def sphere(bsdf: dict, variant: str = "spectral", depth: int = 8, dtype=DOUBLE, film=None, **settings) -> tr.Scene:
     """A ball before a smooth grey sky, which is brighter to one side."""
     theta, phi = np.linspace(0, np.pi, 33)[:, None], np.linspace(0, 2 * np.pi, 64, endpoint=False)[None]

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from ... import spectrum
-from ...functions import functorch
+from ...functions import functorch, unwrapped
 from ..context import LUMINANCE, SAMPLES
 from ..gather import has_derivative
 from ..packing import Layout
@@ -45,9 +45,8 @@ def for_core(scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> l
             old is not None and version >= 0 and old[0].data_ptr() == given.data_ptr() and old[1:3] == (version, role)
         )
         if old is None or not same or old[0].shape != given.shape or old[0].dtype != given.dtype:
-            # the alias holds the memory, so that an equal address means the same; torch.func would wrap what is made
-            with torch._C._DisableFuncTorch():
-                kept[i] = old = (given.detach(), version, role, convert(given.detach(), role))
+            # the alias holds the memory, so that an equal address means the same
+            kept[i] = old = (unwrapped(given), version, role, unwrapped(convert(given.detach(), role)))
         result[i] = old[3]
     return result
 
