@@ -280,10 +280,16 @@ def _measured_index(wavelengths: np.ndarray, samples: np.ndarray, ctx: Context) 
 def _fault(wavelengths: np.ndarray, samples: np.ndarray) -> str:
     """What is wrong with a table, empty if nothing is."""
     if len(wavelengths) != len(samples) or len(samples) < 2:
-        return f"a spectrum needs two wavelengths or more, each with its value; got {len(wavelengths)} wavelengths"
+        counts = f"{len(wavelengths)} wavelengths and {len(samples)} values"
+        return f"a spectrum needs two wavelengths or more, each with its value; got {counts}"
     if not (np.isfinite(wavelengths).all() and np.isfinite(samples).all()):
         return "the spectrum has values that are not finite"
-    return "" if (np.diff(wavelengths) > 0).all() else "the wavelengths of a spectrum must increase"
+    if not (np.diff(wavelengths) > 0).all():
+        return "the wavelengths of a spectrum must increase"
+    if wavelengths[-1] <= cie.FIRST or wavelengths[0] >= cie.LAST:
+        span = f"{wavelengths[0]:g} to {wavelengths[-1]:g}"
+        return f"the spectrum, of {span} nm, has nothing that is visible, from {cie.FIRST:g} to {cie.LAST:g} nm"
+    return ""
 
 
 def read_spectrum(path: Path) -> np.ndarray:
