@@ -17,6 +17,7 @@ BENCHMARKS = {
     "coldstart": "from a fresh process to the first gradient",
     "memory": "peak memory beyond gradients and gradient buffers, at several sample counts",
     "scaling": "time over samples, pixels, threads, triangles and texture sizes",
+    "spectral": "time and noise of the spectral variant, beside rgb and beside Mitsuba's",
     "variance": "error of image and gradient at equal time, by sampler, against a reference",
     "materials": "forward and backward time of every BSDF, and whether all programs agree about it",
     "smoke": "one full-size iteration of the smoke, and what a reconstruction finds in a given time",

@@ -30,8 +30,10 @@ class Server:
         spp: int,
         arrays: str | None,
         integrator: dict | None = None,
+        variant: str = "llvm_ad_rgb",
     ) -> dict:
         mi, dr = self.mi, self.dr
+        mi.set_variant(variant)
         # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
         if resolution is not None:
             arguments = {"resolution": resolution, "spp": spp, **arguments}

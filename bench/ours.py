@@ -31,8 +31,9 @@ class Ours:
             raise SystemExit(f"{'--set' if settings else '--spp'}: {error}") from error
 
     @classmethod
-    def of_row(cls, row: Row, resolution: int, spp: int, **settings: Any) -> Ours:
-        scene = tr.load_file(row.path, resolution=resolution, spp=spp, **row.arguments)
+    def of_row(cls, row: Row, resolution: int, spp: int, variant: str | None = None, **settings: Any) -> Ours:
+        chosen_variant = {} if variant is None else {"variant": variant}
+        scene = tr.load_file(row.path, resolution=resolution, spp=spp, **chosen_variant, **row.arguments)
         return cls(scene, row.parameters, spp, **settings)
 
     def forward(self, seed: int) -> dict[str, float]:

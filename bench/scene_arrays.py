@@ -74,9 +74,9 @@ def arrays_of(scene: tr.Scene) -> dict[str, np.ndarray]:
     return found
 
 
-def load_peer(peer: Peer, row: Row, resolution: int, spp: int) -> None:
-    """Let a peer load a row's scene, from its file or from arrays."""
-    settings: dict[str, Any] = {"resolution": resolution, "spp": spp, "arrays": None}
+def load_peer(peer: Peer, row: Row, resolution: int, spp: int, **more: Any) -> None:
+    """Let a peer load a row's scene, from its file or from arrays; `more` are further words of the request."""
+    settings: dict[str, Any] = {"resolution": resolution, "spp": spp, "arrays": None, **more}
     settings |= {"path": row.path, "arguments": row.arguments, "parameters": list(row.parameters)}
     with tempfile.TemporaryDirectory(prefix="bench-") as folder:
         if KNOWN[peer.name].reads_arrays:

@@ -7,7 +7,7 @@ before any request, is {"version": str, "import_seconds": float}.
      "arrays": str}
                                         resolution: null where the file leaves neither it nor spp open;
                                         arrays: the same scene as NumPy arrays, see `scene_arrays.py`; optional:
-                                        "integrator", a dict of its type and settings
+                                        "integrator", a dict of its type and settings, "variant", Mitsuba's
     {"do": "forward", "seed": int}   -> {"forward": seconds}                 an image without derivatives
     {"do": "step", "seed": int}      -> {"forward": seconds, "backward": seconds}     loss: mean square of the image
     {"do": "image", "seed": int, "spp": int, "file": str}      -> {"seconds": float}  saved with numpy.save, (H, W, 3)

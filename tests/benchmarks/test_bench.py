@@ -13,6 +13,7 @@ import pytest
 from bench import report
 from bench.__main__ import BENCHMARKS, main
 from bench.rows import ROWS
+from bench.spectral_noise import LIGHTS
 
 TINY = ["--resolution", "16", "--spp", "2", "--rounds", "2", "--warmup", "1", "--threads", "1"]
 
@@ -107,6 +108,35 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
     printed = capsys.readouterr().out
     assert "| Cornell box" in printed and "1 threads" in printed
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_spectral_with_a_peer(tmp_path, fake_peer):
+    options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
+    seconds, ratios = run(tmp_path, "spectral", *TINY, *options)["tables"]
+    (row,), (ratio,) = seconds["rows"], ratios["rows"]
+    assert row["scene"] == ROWS[1].name and row["Mitsuba both s"]["median"] == 2.0
+    for column, name in (("image", "image"), ("gradient", "gradient")):
+        expected = row[f"spectral {column} s"]["median"] / row[f"rgb {column} s"]["median"]
+        assert ratio[f"spectral {name} / rgb"] == pytest.approx(expected)
+    assert ratio["Mitsuba both / spectral"] == pytest.approx(2 / row["spectral both s"]["median"])
+    (noise,) = run(tmp_path, "spectral", *TINY, "--part", "noise", *options[2:])["tables"]
+    assert [row["scene"] for row in noise["rows"]] == list(LIGHTS)
+    for row in noise["rows"]:
+        assert row["spectral variance"] > 0
+        assert row["Mitsuba variance"] == pytest.approx((0.01 / 0.91) ** 2 * 3, rel=1e-3)  # of 0.3, 0.31, 0.3
+        cost = row["spectral variance"] * row["spectral image s"]["median"]
+        expected = row["Mitsuba variance"] * 0.5 / cost
+        assert row["Mitsuba time to equal error / spectral"] == pytest.approx(expected)
+
+
+def test_spectral_alone(tmp_path, capsys):
+    tables = run(tmp_path, "spectral", *TINY, "--part", "time", "--only", "texture 512")["tables"]
+    assert [len(table["rows"]) for table in tables] == [2, 2]
+    assert not any("Mitsuba" in column for table in tables for column in table["columns"])
+    assert main(["spectral", *TINY, "--peer", f"torchrender={sys.executable}"]) == 2
+    assert "torchrender has no spectral variant" in capsys.readouterr().err
+    with pytest.raises(SystemExit, match="variances need two rounds"):
+        main(["spectral", *TINY, "--rounds", "1"])
 
 
 def test_table2_alone_with_settings(tmp_path):
