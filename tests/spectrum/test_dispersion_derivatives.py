@@ -88,7 +88,7 @@ def test_bent_light(formula):
     """
     make, value, direction = FORMULAS[formula]
     scene = sphere(glass(make(value)), depth=4)
-    seeds, spp, step = range(40), 64, 1e-2
+    seeds, spp, step = range(32), 32, 1e-2
     found = tangents(scene, make, value, direction, spp, seeds)
 
     def image(x, seed):

@@ -175,10 +175,10 @@ def test_the_image_is_linear_in_a_reflectance():
     )
     # what each nanometre gives to the mean of the image, on average
     x = table.clone().requires_grad_()
-    (gradient,) = torch.autograd.grad(tr.render(seen, spp=4096, seed=1, params={name: x}).mean((0, 1)).sum(), x)
+    (gradient,) = torch.autograd.grad(tr.render(seen, spp=1024, seed=1, params={name: x}).mean((0, 1)).sum(), x)
     expected = (sp.responses() * waves(1, 0.0, 2.0)[:, None]).sum(1) / torch.pi
     coarse = [t[:470].reshape(47, 10).sum(1) for t in (gradient, expected)]
-    assert float((coarse[0] - coarse[1]).abs().max()) < 2e-3 * float(expected.abs().sum())
+    assert float((coarse[0] - coarse[1]).abs().max()) < 3e-3 * float(expected.abs().sum())
 
 
 def test_albedo_that_is_seen():
