@@ -13,9 +13,13 @@ import time
 import warnings
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
+
+from .typing import VariantName
+
+VARIANTS = get_args(VariantName)
 
 HDR = (".exr", ".hdr", ".pfm")
 
@@ -114,7 +118,7 @@ def _scene_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "-D", "--define", action="append", default=[], metavar="NAME=VALUE", help="value of $NAME in an XML file"
     )
-    parser.add_argument("--variant", choices=variants(), default="rgb", help="(default %(default)s)")
+    parser.add_argument("--variant", choices=VARIANTS, default="rgb", help="(default %(default)s)")
     parser.add_argument("--double", action="store_true", help="double precision")
     parser.add_argument("--substitute", action="store_true", help="replace what is not supported by something near it")
     parser.add_argument("--trusted", action="store_true", help="the file may name files outside of its folder")

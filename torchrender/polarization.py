@@ -45,9 +45,7 @@ def aolp(stokes: torch.Tensor) -> torch.Tensor:
     return torch.where(angle < 0, angle + math.pi, angle)
 
 
-def analyser(
-    stokes: torch.Tensor, angle: float | torch.Tensor, retardance: float | torch.Tensor = 0.0
-) -> torch.Tensor:
+def analyser(stokes: torch.Tensor, angle: float | torch.Tensor, retardance: float | torch.Tensor = 0.0) -> torch.Tensor:
     """The intensity behind a linear polariser, and a retarder in front of it, in front of the camera.
 
     A Stokes image is all that is needed: what an analyser lets through is linear in it.
@@ -89,7 +87,8 @@ def retarder(retardance: float | torch.Tensor, angle: float | torch.Tensor = 0.0
 
     Light at +45 degrees becomes circular to the left (V = -1) behind a horizontal quarter-wave plate.
     """
-    retardance, angle = torch.broadcast_tensors(torch.as_tensor(retardance), torch.as_tensor(angle))
+    retardance = torch.as_tensor(retardance)
+    retardance, angle = torch.broadcast_tensors(retardance, torch.as_tensor(angle, dtype=retardance.dtype))
     c, s = torch.cos(retardance), torch.sin(retardance)
     zero, one = torch.zeros_like(c), torch.ones_like(c)
     plain = _matrix([[one, zero, zero, zero], [zero, one, zero, zero], [zero, zero, c, s], [zero, zero, -s, c]])
@@ -114,7 +113,12 @@ def false_color(stokes: torch.Tensor, component: int = 1) -> torch.Tensor:
 
 # ------------------------------------------------------------------------------------------------------------ parts
 def _check(stokes: torch.Tensor) -> None:
-    if not isinstance(stokes, torch.Tensor) or stokes.ndim < 1 or stokes.shape[-1] != 4 or not stokes.is_floating_point():
+    if (
+        not isinstance(stokes, torch.Tensor)
+        or stokes.ndim < 1
+        or stokes.shape[-1] != 4
+        or not stokes.is_floating_point()
+    ):
         raise ValueError(f"stokes: expected a tensor of floating-point numbers (..., 4), got {describe(stokes)}")
 
 

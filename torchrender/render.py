@@ -31,7 +31,6 @@ from .render_arguments import (
     pixels_inside,
 )
 from .render_call import RenderCall
-from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_checks import (
     check_bending,
     check_light,
@@ -41,6 +40,7 @@ from .render_checks import (
     check_wavefront,
     warn_of_beams,
 )
+from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_sensors import chosen_sensors, layout_with_room
 from .render_types import (
     IntegratorLike,

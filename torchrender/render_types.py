@@ -27,6 +27,7 @@ IntegratorName: TypeAlias = Literal[
     "direct_projective",
     "aov",
     "moment",
+    "stokes",
 ]
 IntegratorLike: TypeAlias = Integrator | Mapping[str, Any] | IntegratorName | str
 """An integrator, the dict that describes one, or the name of its type."""
@@ -38,6 +39,10 @@ OutputName: TypeAlias = Literal[
     "alpha",
     "variance",
     "second_moment",
+    "stokes",
+    "dolp",
+    "aolp",
+    "docp",
     "depth",
     "distance",
     "position",
@@ -109,6 +114,10 @@ if TYPE_CHECKING:
         alpha: torch.Tensor
         variance: torch.Tensor
         second_moment: torch.Tensor
+        stokes: torch.Tensor
+        dolp: torch.Tensor
+        aolp: torch.Tensor
+        docp: torch.Tensor
         depth: torch.Tensor
         distance: torch.Tensor
         position: torch.Tensor

@@ -114,10 +114,10 @@ public:
     // Of polarised light: the columns, which bring the slots' Stokes vectors.
     void sweep_columns() {
         const SweepContext<F> c = sweep_context(slots, false);
-        for_vertices(true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
-                               const M &active) {
-            hand_column(c, level.columns, parents, kind, level.scatters, i, active);
-        });
+        for_vertices(
+            true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i, const M &active) {
+                hand_column(c, level.columns, parents, kind, level.scatters, i, active);
+            });
     }
 
     // Runs over the tape from its end. `unit_adjoint`: the radiance itself is differentiated, in all components.
@@ -294,8 +294,8 @@ private:
     }
 
     SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
-        return {wavefront.scene(),    config_, of, wavefront.needs(), S(call_.film_width), S(call_.film_height),
-                nullptr,              unit_adjoint};
+        return {wavefront.scene(),    config_, of,          wavefront.needs(), S(call_.film_width),
+                S(call_.film_height), nullptr, unit_adjoint};
     }
 
     // ----------------------------------------------------------------------------------------------- polarised light
@@ -346,14 +346,13 @@ private:
 
     void sweep_rows(const SlotColumns<S> &of, GradientSink<F> &sink) {
         const SweepContext<F> c = sweep_context(of, false);
-        for_vertices(false, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
-                                const M &active) {
-            hand_row(c, level.columns, parents, kind, level.scatters, i, active);
-        });
-        for_vertices(true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
-                               const M &active) {
-            sweep_polarized_vertex(c, level.columns, parents, kind, level.scatters, i, active, sink);
-        });
+        for_vertices(false,
+                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
+                         const M &active) { hand_row(c, level.columns, parents, kind, level.scatters, i, active); });
+        for_vertices(
+            true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i, const M &active) {
+                sweep_polarized_vertex(c, level.columns, parents, kind, level.scatters, i, active, sink);
+            });
     }
 
     const RenderCall<S> &call_;

@@ -204,7 +204,7 @@ def test_texels_out_of_range_are_warned_about():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"variant": "rgb_polarized"}, "variant 'rgb_polarized' is not supported by this build"),
+        ({"variant": "rgb_polarised"}, "unknown variant 'rgb_polarised'; did you mean 'rgb_polarized'"),
         ({"variant": "rbg"}, "unknown variant 'rbg'; did you mean 'rgb'"),
         ({"dtype": torch.float16}, "dtype: expected torch.float32 or torch.float64"),
         ({"device": "cuda"}, "device: this build renders on the CPU"),

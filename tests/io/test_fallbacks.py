@@ -82,7 +82,7 @@ def test_parameters_cameras_and_integrators(monkeypatch):
             "film": {"type": "specfilm", "width": 8, "height": 4, "any": {"type": "lanczos", "lobes": 2}, "tone": 1},
             "any": {"type": "multijitter", "sample_count": 9, "seed": 0, "jitter": True},
         },
-        integrator={"type": "stokes", "inner": {"type": "direct", "shading_samples": 2}},
+        integrator={"type": "emission", "inner": {"type": "direct", "shading_samples": 2}},
         env={"type": "envmap", "data": np.ones((2, 4, 3)), "mis_compensation": True},
         box={"type": "cube", "max_smooth_angle": 30.0},
         metal={"type": "conductor", "material": "Unobtainium"},
@@ -92,7 +92,7 @@ def test_parameters_cameras_and_integrators(monkeypatch):
     assert camera.film.width == 8 and camera.sampler.sample_count == 9
     assert scene.integrator.kind == "direct" and scene.integrator.emitter_samples == 2
     text = "\n".join(said)
-    parts = ["cam: 'thinlens'", "cam.film: 'specfilm'", "cam: the parameter srf", "the parameter tone=1", "'stokes'"]
+    parts = ["cam: 'thinlens'", "cam.film: 'specfilm'", "cam: the parameter srf", "the parameter tone=1", "'emission'"]
     parts += ["metal: the parameter material='Unobtainium' is not known", "mis_compensation=True"]
     parts += ["box: the parameter max_smooth_angle=30.0", "rough: the parameter alphaa=1.0"]
     assert all(part in text for part in parts), text

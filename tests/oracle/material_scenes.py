@@ -35,6 +35,21 @@ def glass() -> dict:
             "bsdf": {"type": "twosided", "bsdf": {"type": "conductor", "eta": 0.2, "k": 3.0}},
         },
         curtain={"type": "rectangle", "to_world": r.translate(0, 0, 2) @ r.scale(0.7), "bsdf": {"type": "null"}},
+        plate={
+            "type": "rectangle",
+            "to_world": r.translate(-0.7, -0.6, 1.9) @ r.rotate("y", 20) @ r.scale(0.3),
+            "bsdf": {"type": "polarizer", "theta": 20.0, "transmittance": r._rgb(0.9, 0.8, 0.7)},
+        },
+        wave={
+            "type": "rectangle",
+            "to_world": r.translate(0.7, -0.6, 1.9) @ r.scale(0.3),
+            "bsdf": {"type": "retarder", "transmittance": 0.8},
+        },
+        circle={
+            "type": "rectangle",
+            "to_world": r.translate(0.7, 0.6, 1.9) @ r.scale(0.3),
+            "bsdf": {"type": "circular"},
+        },
         floor=r._floor(r._bitmap(36, 5, 5)),
         lamp=r._lamp(r._bitmap(37, 3, 4, 1.0, 9.0)),
         sky={"type": "envmap", "data": r._noise(38, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40), "scale": 0.7},

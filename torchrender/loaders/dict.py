@@ -182,7 +182,13 @@ def load_file(
         from . import geometry
 
         description = geometry.load_scene(file, trusted)
-    settings = {"variant": variant, "dtype": dtype, "device": device, "wavelength": wavelength, "unsupported": unsupported}
+    settings = {
+        "variant": variant,
+        "dtype": dtype,
+        "device": device,
+        "wavelength": wavelength,
+        "unsupported": unsupported,
+    }
     try:
         return load_dict(description, **settings, _folder=file.resolve().parent)
     except (ValueError, TypeError) as error:

@@ -13,10 +13,9 @@ from ..errors import SubstitutionWarning
 from ..integrators import TYPES as INTEGRATORS
 from ..integrators import ignored_names
 from ..scene import registry
-from ..scene.context import Context
 from ..scene.declaration import models
 from ..scene.film import _FILM_NAMES, _FORMATS, _RELATED, FILTER_PARAMETERS, FILTERS, SAMPLERS
-from ..scene.spectra import is_spectrum, spectrum
+from ..scene.spectra import is_spectrum
 
 # For BSDFs, the better one first: type -> [(fallback, {its parameter: theirs})].
 _BSDFS: dict[str, list[tuple[str, dict[str, str]]]] = {

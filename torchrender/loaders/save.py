@@ -14,8 +14,8 @@ from .. import io
 from ..integrators import TYPES, Integrator
 from ..io._files import as_path
 from ..io.curves import write_curves
-from ..scene.curves import Curve
 from ..scene.context import SAMPLES, SHORTEST
+from ..scene.curves import Curve
 from ..scene.declaration import CHILD_KINDS
 from ..scene.film import FILTER_PARAMETERS, Film
 from ..scene.mesh import Mesh

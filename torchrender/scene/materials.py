@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import torch
-
 from ..errors import describe, nearest
 from . import values
 from .conductors import CONDUCTORS

@@ -54,7 +54,9 @@ class Plugin(nn.Module):
             raise TypeError(f"{type(self).__name__}: parameters are given by name, but {describe(unnamed[0])} has none")
         context = properties.pop("_context", None) or Context(path=(type(self).__name__,))
         super().__init__()
-        self.__dict__["_described"] = {}  # spectra that were given before there was a scene, and with what they were read
+        self.__dict__[
+            "_described"
+        ] = {}  # spectra that were given before there was a scene, and with what they were read
         self.__dict__["_references"] = []  # of children that are still to be looked up, with the names of their fields
         self.__dict__["_color"] = context.color
         self.__dict__["_wavelength"] = context.wavelength

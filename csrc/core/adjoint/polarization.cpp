@@ -65,8 +65,10 @@ template <class T, class F>
 TR_INLINE FacetMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Vec3<F> &to, const F &local_z,
                                    const MaskOf<F> &reflects, int c) {
     const auto variable = [&](const F &value, int i) {
-        if constexpr (std::is_same_v<T, F>) return value;
-        else return T(value, i);
+        if constexpr (std::is_same_v<T, F>)
+            return value;
+        else
+            return T(value, i);
     };
     if (v.kind == Polarization::Circular)
         return {T(select(mask<F>(v.params.choice[0] == 0), F(1), F(-1))), T(F(0)), T(F(0))};
@@ -202,8 +204,10 @@ TR_HD void PolarizedVertex<F>::sweep_plate(const SceneOf<F> &scene, const Vertex
     if (!needs.geometry) return;
     const Vec3<F> m_bar = turn * component_sum(angle);
     Vec3<F> a_bar = m_bar;
-    if (plate.absorbs) a_bar = cross(wi, m_bar), wi_bar = wi_bar + cross(m_bar, a);
-    else wi_bar = wi_bar - m_bar * dot(a, wi);
+    if (plate.absorbs)
+        a_bar = cross(wi, m_bar), wi_bar = wi_bar + cross(m_bar, a);
+    else
+        wi_bar = wi_bar - m_bar * dot(a, wi);
     frame.out_of(plate.local, a_bar);
     frame.hand_to(hit, scene, v, active);
 }

@@ -2,8 +2,8 @@
 // are traced and recorded as ever. Columns, Stokes vectors of radiance, run over the tape from its end,
 //     S_k = E_k + N_k + f_k / (p_k q_k) M_k T_k S_{k+1},
 // T_k being the rotation from the axis of vertex k + 1 to that of vertex k, and M_k the matrix of math/polarization.h;
-// rows, adjoints of the columns, from its beginning: A_{k+1} = A_k f_k / (p_k q_k) M_k T_k. Between a row and a column a
-// vertex is the number A_k M_k R: its derivative by what the unpolarised one depends on, too, is that of f times this
+// rows, adjoints of the columns, from its beginning: A_{k+1} = A_k f_k / (p_k q_k) M_k T_k. Between a row and a column
+// a vertex is the number A_k M_k R: its derivative by what the unpolarised one depends on, too, is that of f times this
 // number, and what remains is the derivative of M and of the axes. Vectors alone, in one pass; matrices are never
 // inverted.
 #pragma once
@@ -77,10 +77,10 @@ struct PolarizedVertex {
     BsdfParameters<F> params;
     Polarization kind;
     bool smooth;
-    Vec3<F> wi, wo, wo_light, n;                             // in the world
+    Vec3<F> wi, wo, wo_light, n;  // in the world
     MaskOf<F> reflects, light_reflects;
-    Vec3<F> axis, light_axis;                                // not normalized
-    Spectrum<F> path, light;                                 // f / (p q), and N of unpolarised light
+    Vec3<F> axis, light_axis;  // not normalized
+    Spectrum<F> path, light;   // f / (p q), and N of unpolarised light
     FacetMatrix<F> matrix[SpectrumSize], of_light[SpectrumSize];
 
     TR_LARGE PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind, const VertexRecord<F> &v,
@@ -93,8 +93,8 @@ struct PolarizedVertex {
     // The derivative, `next` being the vertex behind (whose radiance is the column `arriving`). Adds as
     // sweep_scattering does; returns the number that row and column make here, without the vertex' own emission.
     TR_LARGE F sweep(const SceneOf<F> &scene, int kind, VertexRecord<F> v, const Stokes<F> &leaving,
-                     const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs,
-                     const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
+                     const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                     HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
 
 private:
     TR_HD Stokes<F> scattered(const Stokes<F> &in_axis) const;

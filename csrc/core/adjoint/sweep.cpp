@@ -476,11 +476,11 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
-#define TR_INSTANTIATE_POLARIZED(F, S) \
-    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
-                              uint32_t, const MaskOf<F> &); \
-    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
-                           uint32_t, const MaskOf<F> &); \
+#define TR_INSTANTIATE_POLARIZED(F, S)                                                                                 \
+    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,      \
+                              uint32_t, const MaskOf<F> &);                                                            \
+    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,         \
+                           uint32_t, const MaskOf<F> &);                                                               \
     template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, \
                                          bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE_POLARIZED)

@@ -47,7 +47,7 @@ struct BsdfInfo : ModelInfo {
     int n_continuous, n_differentiable, n_variables, n_colors, n_numbers, n_choices;
     int luminance_of;  // the field whose luminance is a further number, -1: none
     bool tabulated;
-    int turned_by;                    // the field of a model that disperses, a colour, whose components refract, or -1
+    int turned_by;  // the field of a model that disperses, a colour, whose components refract, or -1
     Polarization polarizes;
     int eta, k, theta;                // the fields by which it does, -1: none; `eta` is a retarder's retardance
     bool bent;                        // the number is not the record's, see medium/bend_medium.h

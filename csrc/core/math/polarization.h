@@ -1,8 +1,8 @@
 // Polarised light: what interfaces make of Stokes vectors (I, Q, U, V), and how these turn with their axis.
 //
-// A Stokes vector is as who receives the light sees it, which travels along k: Q is along the axis, U 45 degrees from it
-// counter-clockwise, towards k x axis, V circular to the right. At an interface the axis is the normal of the plane of
-// incidence, before and behind it. Signs are those of Muller, "Definitions and Conventions in Ellipsometry", Surface
+// A Stokes vector is as who receives the light sees it, which travels along k: Q is along the axis, U 45 degrees from
+// it counter-clockwise, towards k x axis, V circular to the right. At an interface the axis is the normal of the plane
+// of incidence, before and behind it. Signs are those of Muller, "Definitions and Conventions in Ellipsometry", Surface
 // Science 16, 1969 (Verdet's); an index of refraction is eta - i k.
 //
 // With what an interface reflects, or lets through, of unpolarised light as its factor, its Mueller matrix is
@@ -67,8 +67,8 @@ TR_INLINE FacetMatrix<T> refraction_matrix(const T &ci, const T &ct, const T &et
     return {(u2 - v2) * inverse, T(2) * u * v * inverse, T(0)};
 }
 
-// Of a pane, whose inner reflections add up without interference. `r` and `t` are one face's for the amplitudes' product
-// r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2).
+// Of a pane, whose inner reflections add up without interference. `r` and `t` are one face's for the amplitudes'
+// product r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2).
 template <class T>
 TR_INLINE FacetMatrix<T> pane_matrix(const MaskOf<T> &reflects, const T &cosine, const T &eta) {
     RefractedWave<T> wave(cosine, eta, T(0));

@@ -16,7 +16,7 @@ from .hair import Hair
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
-from .smooth import Conductor, Dielectric, Diffuse, DispersiveDielectric, Null, ThinDielectric
+from .smooth import Conductor, Dielectric, Diffuse, DispersiveDielectric, Null, Plate, Retarder, ThinDielectric
 
 MODELS: dict[str, type[Bsdf]] = {
     "diffuse": Diffuse,
@@ -36,6 +36,8 @@ MODELS: dict[str, type[Bsdf]] = {
     "redner": RednerMaterial,
     "hair": Hair,
     "null": Null,
+    **dict.fromkeys(("polarizer", "circular"), Plate),
+    "retarder": Retarder,
     "mask": Null,  # what is met of one where it is not
 }
 

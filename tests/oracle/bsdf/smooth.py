@@ -110,6 +110,27 @@ class ThinDielectric(Dielectric):
         return BsdfSample(wo, torch.where(reflects, r, 1 - r), torch.ones_like(r), (~reflects).long())
 
 
+class Plate(Delta):
+    """A plate that polarises: of unpolarised light a share passes."""
+
+    share = 0.5
+
+    def read(self, color: Color, number: Color) -> None:
+        self.transmittance = color("transmittance")
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        return self.share * self.transmittance.expand(len(wi), self.channels)
+
+    def sample(self, wi: torch.Tensor, u: torch.Tensor) -> BsdfSample:
+        return one_lobe(-wi, torch.ones_like(wi[:, 2]))
+
+
+class Retarder(Plate):
+    """Nothing is lost."""
+
+    share = 1.0
+
+
 class Null(Delta):
     """No surface at all: rays pass unchanged."""
 
