@@ -1,8 +1,8 @@
 """Polarised light: functions of Stokes vectors, which `render(..., outputs=("stokes",))` has as its last axis.
 
-A Stokes vector (I, Q, U, V) is as the camera sees the light: Q is what is polarised horizontally less what is vertically,
-U at 45 less at 135 degrees, counter-clockwise from the horizontal, V circularly to the right less to the left. All of
-this is plain PyTorch: differentiable, batched, of any dtype.
+A Stokes vector (I, Q, U, V) is as the camera sees the light: Q is what is polarised horizontally less what is so
+vertically, U at 45 less at 135 degrees, counter-clockwise from the horizontal, V circularly to the right less to the
+left. All of this is plain PyTorch: differentiable, batched, of any dtype.
 """
 
 from __future__ import annotations
@@ -60,10 +60,10 @@ def analyser(stokes: torch.Tensor, angle: float | torch.Tensor, retardance: floa
         (...).
     """
     _check(stokes)
-    angle, retardance = (torch.as_tensor(x, dtype=stokes.dtype) for x in (angle, retardance))
+    at, delay = (torch.as_tensor(x, dtype=stokes.dtype) for x in (angle, retardance))
     i, q, u, v = stokes.unbind(-1)
-    turned = u * torch.cos(retardance) + v * torch.sin(retardance)
-    return (i + q * torch.cos(2 * angle) + turned * torch.sin(2 * angle)) / 2
+    turned = u * torch.cos(delay) + v * torch.sin(delay)
+    return (i + q * torch.cos(2 * at) + turned * torch.sin(2 * at)) / 2
 
 
 # ------------------------------------------------------------------------------------------------- Mueller matrices
@@ -87,12 +87,12 @@ def retarder(retardance: float | torch.Tensor, angle: float | torch.Tensor = 0.0
 
     Light at +45 degrees becomes circular to the left (V = -1) behind a horizontal quarter-wave plate.
     """
-    retardance = torch.as_tensor(retardance)
-    retardance, angle = torch.broadcast_tensors(retardance, torch.as_tensor(angle, dtype=retardance.dtype))
-    c, s = torch.cos(retardance), torch.sin(retardance)
+    delay = torch.as_tensor(retardance)
+    delay, at = torch.broadcast_tensors(delay, torch.as_tensor(angle, dtype=delay.dtype))
+    c, s = torch.cos(delay), torch.sin(delay)
     zero, one = torch.zeros_like(c), torch.ones_like(c)
     plain = _matrix([[one, zero, zero, zero], [zero, one, zero, zero], [zero, zero, c, s], [zero, zero, -s, c]])
-    return _turned(plain, angle)
+    return _turned(plain, at)
 
 
 def false_color(stokes: torch.Tensor, component: int = 1) -> torch.Tensor:

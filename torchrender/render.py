@@ -188,12 +188,12 @@ def render(
         raise TypeError(f"render: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
     if isinstance(params, Sequence):
         return _by_view(dict(locals()))
-    settings = dict(locals())
+    settings: dict[str, Any] = dict(locals())
     chosen_integrator = as_integrator(scene, integrator)
     if isinstance(chosen_integrator, Stokes):
-        settings["integrator"], wanted = chosen_integrator.integrator, outputs or ("stokes",)
-        found = render(**{**settings, "outputs": wanted})
-        return found if outputs is not None else cast("Any", found).stokes
+        settings |= {"integrator": chosen_integrator.integrator, "outputs": outputs or ("stokes",)}
+        found: Any = render(**settings)
+        return found if outputs is not None else found.stokes
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
     interruption = interruption_of(on_interrupt)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
-from numbers import Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -48,7 +47,7 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
     if wavelength is not None:
         if variant.removesuffix(POLARIZED) != "mono":
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
-        if isinstance(wavelength, bool) or not isinstance(wavelength, Real) or not SHORTEST <= wavelength <= LONGEST:
+        if isinstance(wavelength, bool) or not isinstance(wavelength, (int, float)) or not SHORTEST <= wavelength <= LONGEST:
             raise ValueError(
                 f"{function}: wavelength: expected a number from {SHORTEST:g} to {LONGEST:g} nm, got {describe(wavelength)}"
             )

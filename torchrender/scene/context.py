@@ -22,7 +22,7 @@ class Context:
     """Settings for building scene objects.
 
     Attributes:
-        color: ``"rgb"``, ``"mono"`` or ``"spectral"``, None for an object built by itself, which takes what it is given.
+        color: ``"rgb"``, ``"mono"``, ``"spectral"``; None for an object built by itself, which takes what it is given.
         dtype: of every parameter; None keeps the dtype of tensors and arrays, else torch's default dtype.
         path: where in the scene, outermost first.
         folder: relative file names start here.

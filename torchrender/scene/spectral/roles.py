@@ -38,8 +38,8 @@ def _find(layout: Layout) -> list[str | None]:
             return
         if found[slot] not in (None, role):
             raise ValueError(
-                f"{layout.slots[slot].name}: in a spectral scene one colour cannot stand for {_NAMES[role]} (in {where}) "
-                f"and for {_NAMES[str(found[slot])]} (in {places[slot]}); give each place one of its own"
+                f"{layout.slots[slot].name}: in a spectral scene one colour cannot stand for {_NAMES[role]} "
+                f"(in {where}) and for {_NAMES[str(found[slot])]} (in {places[slot]}); give each place one of its own"
             )
         found[slot], places[slot] = role, where
 

@@ -51,6 +51,7 @@ def wavelength_config(
             old = (key, positions(tables, seen.sum(1)).to(scene.dtype), of_film.to(scene.dtype).contiguous(), tables)
         if weights is None:
             scene.__dict__["_wavelengths"] = old
+    assert old is not None
     config = (old[1].data_ptr(), INTERVALS, old[2].data_ptr())
     return config, (old[1], old[2])
 
@@ -83,9 +84,9 @@ def positions(lights: Sequence[torch.Tensor], seen: torch.Tensor) -> torch.Tenso
     shares = [response / response.sum()] if response.any() else [np.full(SAMPLES, 1 / SAMPLES)]
     light = np.zeros(SAMPLES)
     for table in lights:
-        seen = response * table.double().abs().numpy()
-        if 0 < seen.sum() < np.inf:
-            light += seen / seen.sum()
+        shown = response * table.double().abs().numpy()
+        if 0 < shown.sum() < np.inf:
+            light += shown / shown.sum()
     if light.sum() > 0:
         shares.append(light / light.sum())
     density = EVERYWHERE / SAMPLES + (1 - EVERYWHERE) * sum(shares) / len(shares)
