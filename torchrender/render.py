@@ -192,8 +192,8 @@ def render(
     chosen_integrator = as_integrator(scene, integrator)
     if isinstance(chosen_integrator, Stokes):
         settings |= {"integrator": chosen_integrator.integrator, "outputs": outputs or ("stokes",)}
-        found: Any = render(**settings)
-        return found if outputs is not None else found.stokes
+        vectors: Any = render(**settings)
+        return vectors if outputs is not None else vectors.stokes
     integrator_config = chosen_integrator.config()
     names = ("rgb",) if outputs is None else check_names(outputs)
     interruption = interruption_of(on_interrupt)

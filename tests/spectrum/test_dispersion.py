@@ -151,7 +151,7 @@ def test_a_constant_index():
 
 
 def test_dispersion_is_the_mean_of_wavelengths():
-    """Of images in `mono` of 12 wavelengths a run, each a band's share: the band from 450 to 650 nm of strong dispersion."""
+    """Of images in `mono` of 12 wavelengths a run, each a band's share: from 450 to 650 nm, of strong dispersion."""
     index = {"type": "cauchy", "A": 1.4, "B": 0.04}
     box = {"type": "regular", "wavelength_min": 450.0, "wavelength_max": 650.0, "values": [1.0, 1.0]}
     found = blocks(sphere(glass(index), film={"type": "specfilm", "box": box}), 0) / 200

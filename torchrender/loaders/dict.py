@@ -47,7 +47,8 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
     if wavelength is not None:
         if variant.removesuffix(POLARIZED) != "mono":
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
-        if isinstance(wavelength, bool) or not isinstance(wavelength, (int, float)) or not SHORTEST <= wavelength <= LONGEST:
+        number = isinstance(wavelength, (int, float)) and not isinstance(wavelength, bool)
+        if not number or not SHORTEST <= wavelength <= LONGEST:
             raise ValueError(
                 f"{function}: wavelength: expected a number from {SHORTEST:g} to {LONGEST:g} nm, got {describe(wavelength)}"
             )
