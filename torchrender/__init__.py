@@ -28,6 +28,7 @@ from .integrators import Integrator as Integrator
 from .integrators import Moment as Moment
 from .integrators import ParticleTracer as ParticleTracer
 from .integrators import PathTracer as PathTracer
+from .integrators import Stokes as Stokes
 from .integrators import VolumetricPathTracer as VolumetricPathTracer
 from .integrators import WavefrontPathTracer as WavefrontPathTracer
 from .loaders.dict import from_trimesh as from_trimesh

@@ -231,7 +231,7 @@ def render(
     wavefront = shows_radiance and isinstance(traces, WavefrontPathTracer)
     polarized = any(n in STOKES_OUTPUTS for n in names) or (scene.polarized and stack is None and "rgb" in names)
     if polarized:
-        check_polarized(traces, packed, names, adaptive_grad)
+        check_polarized(traces, packed, names, adaptive_grad, scene.warned)
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)

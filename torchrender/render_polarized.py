@@ -9,14 +9,20 @@ from typing import Any
 import torch
 
 from . import polarization
+from .errors import warn_once
 from .first_hit_call import STOKES_OUTPUTS
 from .integrators import ParticleTracer, Stack, VolumetricPathTracer, WavefrontPathTracer
 from .render_call import RenderCall
 from .scene.packing import Layout
 
+# Surfaces that polarise in nature, and do not here.
+GLOSSY = ("plastic", "roughplastic", "pplastic", "principled", "principledthin", "hair", "redner")
 
-def check_polarized(integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool) -> None:
-    """ValueError for what is rendered without polarisation alone."""
+
+def check_polarized(
+    integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool, warned: set[str]
+) -> None:
+    """ValueError for what has no polarised light; one warning about glossy surfaces that do not polarise."""
     if isinstance(integrator, (ParticleTracer, VolumetricPathTracer, WavefrontPathTracer, Stack)):
         raise ValueError(
             f"render: outputs: {type(integrator).__name__} has no polarised light ({', '.join(STOKES_OUTPUTS)}); "
@@ -29,6 +35,10 @@ def check_polarized(integrator: Any, packed: Layout, names: Sequence[str], adapt
             raise ValueError(f"render: outputs: polarised light has no {name!r}; radiance alone has")
     if adaptive_grad:
         raise ValueError("render: adaptive_grad: it is for radiance, not for polarised light")
+    glossy = [f"{path} ({kind})" for kind, _, path in packed.objects["bsdf"] if kind in GLOSSY]
+    if glossy:
+        text = f"{', '.join(glossy[:4])}: what this scatters is unpolarised here; see docs/polarisation.md"
+        warn_once(warned, "depolarised", text)
 
 
 def polarized_call(call: RenderCall) -> RenderCall:

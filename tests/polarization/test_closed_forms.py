@@ -169,6 +169,12 @@ def test_outputs_and_variants():
             assert float(tr.render(crossed, spp=4, seed=0).abs().max()) < 0.02
 
 
+def test_glossy_surfaces_that_do_not_polarise_are_named():
+    scene = mirror_view(30, {"type": "plastic"})
+    with pytest.warns(UserWarning, match=r"plane.bsdf \(plastic\): what this scatters is unpolarised"):
+        assert float(stokes(scene)[1:].abs().max()) == 0
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

@@ -49,9 +49,8 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
         number = isinstance(wavelength, (int, float)) and not isinstance(wavelength, bool)
         if not number or not SHORTEST <= wavelength <= LONGEST:
-            raise ValueError(
-                f"{function}: wavelength: expected a number from {SHORTEST:g} to {LONGEST:g} nm, got {describe(wavelength)}"
-            )
+            visible = f"{SHORTEST:g} to {LONGEST:g} nm"
+            raise ValueError(f"{function}: wavelength: expected a number from {visible}, got {describe(wavelength)}")
     return made
 
 
