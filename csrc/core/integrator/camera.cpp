@@ -16,9 +16,12 @@ TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F
     Entries<F> from(i);
     F adjoint = component_sum(magnitude(from(c.slots.delta)));
     if (c.config.stokes) {
-        for (const auto &column : {c.slots.q, c.slots.u, c.slots.v}) write(column, i, uniform_spectrum(F(0)));
-        for (const auto &column : {c.slots.delta_q, c.slots.delta_u, c.slots.delta_v})
-            adjoint = adjoint + component_sum(magnitude(from(column)));
+        const SpectrumColumn<ScalarOf<F>> values[] = {c.slots.q, c.slots.u, c.slots.v},
+                                          adjoints[] = {c.slots.delta_q, c.slots.delta_u, c.slots.delta_v};
+        for (int k = 0; k < 3; ++k) {
+            write(values[k], i, uniform_spectrum(F(0)));
+            adjoint = adjoint + component_sum(magnitude(from(adjoints[k])));
+        }
     }
     if (skip_zero_adjoint) active = active && !mask<F>(adjoint == F(0));
     if (!any(active)) return;
