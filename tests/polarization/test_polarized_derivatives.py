@@ -90,6 +90,29 @@ def test_chains_of_mirrors(name):
     check(scene, name, along(scene, name))
 
 
+def test_layers():
+    """In `twosided`, `blendbsdf` and `normalmap` metals polarise as they do alone."""
+    scene = room({"type": "twosided", "bsdf": GOLD}, {"type": "twosided", "bsdf": ALUMINIUM})
+    alone = room(GOLD, ALUMINIUM)
+    with torch.no_grad():
+        images = [tr.render(s, spp=4, seed=1, outputs=("stokes",)).stokes for s in (scene, alone)]
+    assert torch.equal(*images)
+    name = "ball.bsdf.brdf_0.k.value"
+    check(scene, name, along(scene, name))
+
+    blend = room({"type": "blendbsdf", "weight": 0.4, "a": GOLD, "b": ALUMINIUM}, ALUMINIUM)
+    modes(blend, "ball.bsdf.weight.value", torch.tensor(1.0, dtype=torch.float64))
+    for name in ("ball.bsdf.bsdf_0.k.value", "ball.bsdf.bsdf_1.k.value"):
+        check(blend, name, along(blend, name))
+
+    generator = torch.Generator().manual_seed(1)
+    normals = torch.rand(8, 8, 3, dtype=torch.float64, generator=generator) * 0.2 + torch.tensor([0.4, 0.4, 0.8])
+    bitmap = {"type": "bitmap", "data": normals, "raw": True}
+    bumpy = room({"type": "normalmap", "normalmap": bitmap, "bsdf": GOLD}, ALUMINIUM)
+    for name in ("ball.bsdf.normalmap.data", "ball.bsdf.nested_bsdf.k.value"):
+        check(bumpy, name, along(bumpy, name), tolerance=1e-3)  # texels are linear in pieces
+
+
 def turning(matrix: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
     """How a matrix changes as it is turned about an axis through its origin, in the world."""
     x, y, z = (axis / axis.norm()).tolist()
