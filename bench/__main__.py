@@ -17,6 +17,7 @@ BENCHMARKS = {
     "coldstart": "from a fresh process to the first gradient",
     "memory": "peak memory beyond gradients and gradient buffers, at several sample counts",
     "scaling": "time over samples, pixels, threads, triangles and texture sizes",
+    "polarized": "time of polarised images and gradients, beside intensity and beside Mitsuba's images",
     "spectral": "time and noise of the spectral variant, beside rgb and beside Mitsuba's",
     "variance": "error of image and gradient at equal time, by sampler, against a reference",
     "materials": "forward and backward time of every BSDF, and whether all programs agree about it",

@@ -110,6 +110,18 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_polarized_with_a_peer(tmp_path, fake_peer):
+    options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
+    seconds, ratios = run(tmp_path, "polarized", *TINY, *options)["tables"]
+    (row,), (ratio,) = seconds["rows"], ratios["rows"]
+    image = row["rgb_polarized image s"]["median"]
+    assert ratio["polarised image / rgb"] == pytest.approx(image / row["rgb image s"]["median"])
+    expected = row["rgb_polarized gradient s"]["median"] / (2 * image)
+    assert ratio["polarised gradient / two polarised images"] == pytest.approx(expected)
+    expected = row["Mitsuba image s"]["median"] / row["mono_polarized image s"]["median"]
+    assert ratio["Mitsuba image / mono_polarized"] == pytest.approx(expected)
+
+
 def test_spectral_with_a_peer(tmp_path, fake_peer):
     options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
     seconds, ratios = run(tmp_path, "spectral", *TINY, *options)["tables"]
