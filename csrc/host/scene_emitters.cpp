@@ -89,7 +89,7 @@ template <class S>
 double SceneData<S>::mean_color(int32_t offset) const {
     const S *from = &constants_[size_t(offset)];
     if (layout_.spectral)
-        return std::abs(luminance_under_daylight([&](double at) { return double(from[size_t(at + 0.5)]); }));
+        return std::abs(luminance_under_daylight([&](double at) { return double(from[size_t(std::lround(at))]); }));
     double c[3] = {0, 0, 0};
     for (int k = 0; k < layout_.channels; ++k) c[k] = double(from[k]);
     return std::abs(luminance_of(c, layout_.channels));
