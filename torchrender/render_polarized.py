@@ -16,7 +16,7 @@ from .render_call import RenderCall
 from .scene.packing import Layout
 
 # Surfaces that polarise in nature, and do not here.
-GLOSSY = ("plastic", "roughplastic", "pplastic", "principled", "principledthin", "hair", "redner")
+GLOSSY = ("principled", "principledthin", "hair", "redner")
 
 
 def check_polarized(

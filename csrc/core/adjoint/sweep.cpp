@@ -191,6 +191,7 @@ struct PolarizedEntry {
     UIntOf<F> slot, parent;
     VertexRecord<F> v;
     Wavelengths<F> waves;
+    Vec3<F> leaving{F(0), F(0), F(1)};  // where light travels from here; of what left the scene it does not matter
 
     TR_INLINE PolarizedEntry(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, int kind, bool scatters,
                              uint32_t i, const MaskOf<F> &active)
@@ -199,6 +200,8 @@ struct PolarizedEntry {
         slot = active_only<F>(from(tape.vertex.slot), active);
         parent = active_only<F>(from(tape.vertex.parent), active);
         if (surface) read_scattering(tape, i, v);
+        if (kind != MissKind || c.needs.geometry) read_arrival(tape, i, v);
+        if (kind != MissKind) leaving = -v.d;
         LaneSet<F> lanes(slot, active);
         waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
     }
@@ -211,8 +214,19 @@ struct PolarizedEntry {
         const auto &s = tape.stokes;
         return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
     }
-    // For what leaves, towards `wi` in the world: from the vertex before, or the film's.
-    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents, const Vec3<F> &wi,
+    TR_INLINE PolarizedLight<F> emitter(const SweepContext<F> &c, const MaskOf<F> &active) const {
+        return {c.scene, v.emission, active && mask<F>(v.emission_weight > F(0))};
+    }
+    // Of all that leaves: of what is scattered, if anything polarises it, and of what is emitted.
+    TR_INLINE Stokes<F> sum(const Stokes<F> *scattered, bool polarized, const PolarizedLight<F> &emitter) const {
+        Stokes<F> s = emitter.of(v.emission_radiance);
+        if (!scattered) return s;
+        if (polarized) s = turned_column(s, scattered->axis, leaving);
+        for (int i = 0; i < 4; ++i) s.at[i] = s.at[i] + scattered->at[i];
+        return s;
+    }
+    // For what leaves: from the vertex before, or the film's.
+    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents,
                             const MaskOf<F> &active) const {
         if (parents) {
             Gathered<F> from(parent, active);
@@ -221,7 +235,7 @@ struct PolarizedEntry {
         }
         LaneSet<F> from(slot, active);
         const auto &s = c.slots;
-        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, wi)};
+        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, leaving)};
     }
     // The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
     TR_INLINE static Vec3<F> film_axis(const SweepContext<F> &c, const Vec3<F> &k) {
@@ -230,11 +244,6 @@ struct PolarizedEntry {
     TR_INLINE static Vec3<F> camera_up(const SweepContext<F> &c) {
         const ScalarOf<F> *m = c.scene.values.constants + c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
         return {F(m[1]), F(m[5]), F(m[9])};
-    }
-    TR_INLINE Vec3<F> leaving(const SweepContext<F> &c) const {
-        Frame<F> frame = vertex_frame(c.scene, v);
-        frame.n = frame.n * v.mirror;
-        return frame.to_world(v.wi);
     }
 };
 
@@ -328,12 +337,15 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
                           const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
                           const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    Stokes<F> s = no_stokes<F>();
+    Stokes<F> s;
     if (entry.surface) {
-        s = entry.vertex(c, kind, active).column(entry.column(tape, i));
-        if (!parents) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
+        const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
+        s = vertex.column(entry.column(tape, i));
+        s = entry.sum(&s, vertex.kind != Polarization::None, entry.emitter(c, active));
+    } else {
+        s = entry.sum(nullptr, false, entry.emitter(c, active));
     }
-    s.at[0] = s.at[0] + entry.v.emission_radiance;
+    if (!parents) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving), entry.leaving);
     if (parents) {
         const auto &to = parents->stokes;
         hand_radiance(*parents, entry.parent, s.at[0], active);
@@ -356,7 +368,7 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
                        const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
     if (!entry.surface) return;
-    const Stokes<F> row = entry.vertex(c, kind, active).row(entry.row(c, parents, entry.leaving(c), active));
+    const Stokes<F> row = entry.vertex(c, kind, active).row(entry.row(c, parents, active));
     const auto &to = tape.stokes;
     write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
     write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
@@ -368,26 +380,35 @@ TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns
                                      const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
                                      const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
-    PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    VertexRecord<F> &v = entry.v;
-    if (needs.geometry) read_arrival(tape, i, v);
+    const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
+    const VertexRecord<F> &v = entry.v;
     sink.begin(entry.waves);
-    const Vec3<F> leaving = entry.surface ? entry.leaving(c) : Vec3<F>{F(0), F(0), F(1)};
-    const Stokes<F> row = entry.row(c, parents, leaving, active);
-    const Spectrum<F> &a = row.at[0];
+    const Stokes<F> row = entry.row(c, parents, active);
     HitAdjoint<F> hit;
     Vec3<F> d_bar{F(0), F(0), F(0)};
     const NextVertex<F> next = read_next<F>(tape, i, needs.geometry && entry.surface);
     auto lit = active && mask<F>(v.emission_weight > F(0));
-    if ((needs.emitter || needs.geometry) && any(lit))
+    const PolarizedLight<F> emitter = entry.emitter(c, active);
+    const Spectrum<F> a = emitter.contracted(row, entry.leaving);
+    if ((needs.emitter || needs.geometry) && any(lit)) {
         sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
+        if (c.scene.polarized_lights) {
+            Vec3<F> travel_bar{F(0), F(0), F(0)};
+            hit.tangent = emitter.sweep(c.scene, v.emission, entry.leaving, row, v.emission_radiance, needs, lit,
+                                        travel_bar, sink);
+            d_bar = d_bar - travel_bar;
+        }
+    }
     F arrived = contract(a, v.emission_radiance);
+    Stokes<F> left = entry.sum(nullptr, false, emitter);
     if (entry.surface) {
         const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
-        const Stokes<F> behind = entry.column(tape, i);
-        if (!parents && needs.geometry) sweep_film_axis(c, leaving, row, vertex.column(behind), active, d_bar, sink);
+        const Stokes<F> behind = entry.column(tape, i), scattered = vertex.column(behind);
+        left = entry.sum(&scattered, vertex.kind != Polarization::None, emitter);
         arrived = arrived + vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
     }
+    if (!parents && needs.geometry && kind != MissKind)
+        sweep_film_axis(c, entry.leaving, row, left, active, d_bar, sink);
     if (needs.geometry) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};

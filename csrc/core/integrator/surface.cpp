@@ -181,7 +181,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     if (c.bent) bent = arrive_bent(c, lanes, si.p, e);
     if (c.tape) {
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
-        if (c.needs->geometry) {
+        if (c.needs->geometry || config.stokes) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
             auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || M(passes) || bent;
