@@ -205,21 +205,30 @@ def _render(options: argparse.Namespace) -> int:
         image = found if names is None else tr.denoise(found.rgb, albedo=found.albedo, normal=found.shading_normal)
     seconds = time.perf_counter() - began
     interruption.warn()
-    _write(options, image, scene)
+    _write(options, image, scene, sensor)
     if not options.quiet:
         print(f"{options.output}: {image.shape[1]} x {image.shape[0]} pixels, {seconds:.1f} s")
     return 130 if interruption.happened else 0
 
 
-def _write(options: argparse.Namespace, image: torch.Tensor, scene: Any) -> None:
+def _write(options: argparse.Namespace, image: torch.Tensor, scene: Any, sensor: Any) -> None:
     from . import io
+    from .integrators import Stack
+    from .render_sensors import chosen_sensors
 
     path: Path = options.output
-    if path.suffix.lower() in HDR:
-        channels = None
-        if image.shape[-1] not in (1, 3, 4):  # further channels of aov and moment
+    stokes = image.ndim == 4
+    if path.suffix.lower() == ".exr":
+        ((_, camera),), _ = chosen_sensors(scene.layout(), sensor)
+        channels = camera.film.channels  # names of bands
+        stacked = isinstance(scene.integrator, Stack) and image.shape[-1] not in (1, 3, 4)
+        if channels is None and stacked and not stokes:  # further channels of aov and moment
             channels = scene.integrator.channel_names(scene.channels)
         io.write_image(path, image, channels=channels)
+        return
+    image = image[..., 0] if stokes else image  # the intensity
+    if path.suffix.lower() in HDR:
+        io.write_image(path, image)
         return
     io.write_image(path, image[..., :3] * 2.0**options.exposure, tonemap=options.tonemap)
 

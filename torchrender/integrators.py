@@ -15,6 +15,7 @@ import torch
 from torch import nn
 
 from .errors import SubstitutionWarning, depth_outside, describe, nearest
+from .polarization import channel_names
 from .settings import boolean, integer, is_own, word
 
 EMITTER_SAMPLING = ("weight", "power")
@@ -440,8 +441,7 @@ class Stokes(Stack):
 
     def channel_names(self, channels: int = 3) -> list[str]:
         """Names of an image (H, W, C, 4) whose last two axes are one, channel by channel: ``"S0.R"``, ``"S1.R"``."""
-        color = "RGB" if channels == 3 else "Y"
-        return [f"S{i}.{c}" for c in color for i in range(4)]
+        return channel_names("RGB" if channels == 3 else "Y")
 
     def __repr__(self) -> str:
         return f"Stokes({self.integrator!r})"

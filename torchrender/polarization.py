@@ -8,6 +8,7 @@ left. All of this is plain PyTorch: differentiable, batched, of any dtype.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 
@@ -64,6 +65,20 @@ def analyser(stokes: torch.Tensor, angle: float | torch.Tensor, retardance: floa
     i, q, u, v = stokes.unbind(-1)
     turned = u * torch.cos(delay) + v * torch.sin(delay)
     return (i + q * torch.cos(2 * at) + turned * torch.sin(2 * at)) / 2
+
+
+def channel_names(colours: Sequence[str] = ("R", "G", "B")) -> list[str]:
+    """Names of the channels that an EXR file has of Stokes vectors: ``"S0.R"``, ``"S1.R"``, ..., ``"S3.B"``.
+
+    Args:
+        colours: those of an image (H, W, C, 4): R, G, B; Y of one channel; or names of a film's bands
+            (`Film.channels`).
+
+    Returns:
+        4 C names, in the order of the image's last two axes, so that ``read_image(path, channels=names)`` is the image
+        that `write_image` wrote, ``.unflatten(-1, (C, 4))``.
+    """
+    return [f"S{i}.{colour}" for colour in colours for i in range(4)]
 
 
 # ------------------------------------------------------------------------------------------------- Mueller matrices

@@ -77,6 +77,39 @@ def test_further_channels_have_names(capsys, tmp_path):
     assert set(tr.io.read_channels(tmp_path / "a.exr")) == {"R", "G", "B", "m2.R", "m2.G", "m2.B"}
 
 
+STOKES = """<scene version="3.0.0"><integrator type="stokes"><integrator type="path"/></integrator>
+<sensor type="perspective"><transform name="to_world"><lookat origin="0,-3,0" target="0,0,0" up="0,0,1"/></transform>
+{film}</sensor><emitter type="constant"/>
+<shape type="sphere"><bsdf type="conductor"><string name="material" value="Cr"/></bsdf></shape></scene>"""
+BANDS = """<film type="specfilm"><spectrum name="blue" value="450:1, 500:1"/><spectrum name="red" value="600:1, 650:1"/>
+</film>"""
+
+
+@pytest.mark.parametrize(
+    ("variant", "film", "colours"), [("rgb", "", "RGB"), ("mono", "", "Y"), ("spectral", BANDS, ("blue", "red"))]
+)
+def test_stokes_vectors_have_names(capsys, tmp_path, variant, film, colours):
+    path, options = tmp_path / "a.xml", ("--spp", 2, "--size", "6x5", "--quiet", "--variant", variant)
+    path.write_text(STOKES.format(film=film))
+    assert run(capsys, "render", path, "-o", tmp_path / "a.exr", *options) == (0, "", "")
+    expected = tr.render(tr.load_file(path, variant=variant), spp=2, seed=0, size=(5, 6))
+    assert expected.shape == (5, 6, len(colours), 4) and float(expected[..., 1].abs().max()) > 0.01
+    stored = tr.io.read_image(tmp_path / "a.exr", channels=tr.polarization.channel_names(colours))
+    assert torch.equal(stored.unflatten(-1, expected.shape[2:]), expected)
+    assert set(tr.io.read_channels(tmp_path / "a.exr")) == {f"S{i}.{c}" for i in range(4) for c in colours}
+    if variant == "rgb":
+        assert run(capsys, "render", path, "-o", tmp_path / "a.pfm", *options) == (0, "", "")
+        assert torch.equal(tr.io.read_image(tmp_path / "a.pfm"), expected[..., 0])
+
+
+def test_bands_have_names(capsys, tmp_path):
+    path = tmp_path / "a.xml"
+    path.write_text(STOKES.format(film=BANDS).replace("stokes", "direct").replace('<integrator type="path"/>', ""))
+    options = ("--spp", 2, "--size", "6x5", "--quiet", "--variant", "spectral")
+    assert run(capsys, "render", path, "-o", tmp_path / "a.exr", *options) == (0, "", "")
+    assert set(tr.io.read_channels(tmp_path / "a.exr")) == {"blue", "red"}
+
+
 def test_info_and_convert(capsys, tmp_path):
     status, out, err = run(capsys, "info", BOX)
     assert (status, out, err) == (0, f"{tr.load_file(BOX)}\n", "")

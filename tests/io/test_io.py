@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+import torchrender as tr
 from torchrender.image import filmic, linear_to_srgb, show, srgb_to_linear, tonemap
 from torchrender.io import (
     read_channels,
@@ -58,6 +59,34 @@ def test_exr_layers_and_named_channels(tmp_path):
     assert torch.equal(read_channels(tmp_path / "b.exr")["c"], picture(channels=5)[..., 2])
     with pytest.raises(ValueError, match="channels"):
         read_image(tmp_path / "b.exr")
+
+
+@pytest.mark.parametrize("colours", [("R", "G", "B"), ("Y",), ("ultraviolet", "green", "red", "infrared", "far")])
+def test_stokes_vectors(tmp_path, colours):
+    """Channels of Mitsuba's names, and the same numbers back."""
+    stokes = torch.randn(3, 5, len(colours), 4, generator=torch.Generator().manual_seed(1))
+    write_image(tmp_path / "a.exr", stokes, channels=colours if len(colours) > 3 else None)
+    stored = read_channels(tmp_path / "a.exr")
+    assert set(stored) == {f"S{i}.{colour}" for i in range(4) for colour in colours}
+    assert torch.equal(stored[f"S2.{colours[-1]}"], stokes[:, :, -1, 2])
+    names = tr.polarization.channel_names(colours)
+    assert torch.equal(read_image(tmp_path / "a.exr", channels=names).unflatten(-1, (-1, 4)), stokes)
+    with pytest.raises(ValueError, match=rf"expected {len(colours)} different names of colours"):
+        write_image(tmp_path / "a.exr", stokes, channels=("a", "b"))
+    with pytest.raises(ValueError, match="expected shape"):
+        write_image(tmp_path / "a.png", stokes)
+
+
+def test_stokes_vectors_among_outputs(tmp_path):
+    film = {"type": "hdrfilm", "width": 4, "height": 4}
+    scene = tr.load_dict(
+        {"type": "scene", "sky": {"type": "constant"}, "sensor": {"type": "perspective", "film": film}}
+    )
+    out = tr.render(scene, spp=1, seed=0, outputs=("rgb", "stokes", "dolp"))
+    write_image(tmp_path / "a.exr", out)
+    stored = read_channels(tmp_path / "a.exr")
+    assert set(stored) == {*"RGB", *(f"S{i}.{c}" for i in range(4) for c in "RGB"), *(f"dolp.{c}" for c in "RGB")}
+    assert torch.equal(stored["S0.G"], out.rgb[..., 1])
 
 
 @pytest.mark.parametrize("half", [False, True])

@@ -12,6 +12,7 @@ import torch
 
 from ..errors import describe
 from ..image import TonemapName, check_tonemap, encode, srgb_to_linear
+from ..polarization import channel_names
 from . import exr, hdr, pfm, png16
 from ._files import check_size, existing_file, reading, writable_file
 
@@ -162,8 +163,10 @@ def write_image(
         image: (H, W, C) or (H, W), floating point, top row first. C is 1, 3 or 4 for PNG, 1 or 3 for JPEG and PFM,
             3 for HDR; any number for EXR with ``channels``. For EXR also a mapping from layer names to such images of
             one size: ``{"": rgb, "depth": z, "normal": n}`` is stored as R, G, B, depth, normal.R, normal.G, normal.B;
-            or what `render` gives for ``outputs=``, whose names then are those of the layers.
-        channels: EXR: the name of each channel; by default Y, or R, G, B, or R, G, B, A.
+            or what `render` gives for ``outputs=``, whose names then are those of the layers; or Stokes vectors (H, W,
+            C, 4), stored as S0.R, S0.G, ... S3.B as by Mitsuba (`torchrender.polarization.channel_names`).
+        channels: EXR: the name of each channel, of Stokes vectors that of each of the C colours; by default Y, or R, G,
+            B, or R, G, B, A.
         half: EXR: 16-bit floats, which end at 65504 (larger values become infinite), instead of 32-bit ones.
         bits: PNG: 8 or 16 bits per channel.
         raw: PNG, JPEG: store the values as they are, without the sRGB curve. They are clipped to [0, 1] in any case.
@@ -225,6 +228,11 @@ def as_pixels(what: str, image: torch.Tensor | np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(tensor.detach().cpu().float().numpy())
 
 
+def _are_stokes(image: Any) -> bool:
+    """Whether this has the shape of Stokes vectors (H, W, C, 4)."""
+    return isinstance(image, (torch.Tensor, np.ndarray)) and image.ndim == 4 and image.shape[3] == 4
+
+
 def _layer(values: torch.Tensor) -> torch.Tensor:
     """An output as floating-point numbers: identifiers are exact up to 2^24."""
     return values if values.is_floating_point() else values.float()
@@ -243,6 +251,9 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
             raise ValueError("channels: expected None with a mapping of layers, whose keys are the names")
         result: dict[str, np.ndarray] = {}
         for layer, values in image.items():
+            if layer == "stokes" and _are_stokes(values):
+                result |= _named_channels(path, values, None)
+                continue
             pixels = as_pixels(f"image[{layer!r}]", values)
             count = pixels.shape[-1]
             table = _LAYER_SUFFIXES if layer else _DEFAULT_NAMES
@@ -253,6 +264,11 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
             sizes = {name: pixels.shape for name, pixels in result.items()}
             raise ValueError(f"image: expected at least one layer, all of one size, got {sizes}")
         return result
+    if _are_stokes(image) and (channels is not None or image.shape[2] in (1, 3)):
+        if channels is not None and len(channels) != image.shape[2]:
+            raise ValueError(f"channels: expected {image.shape[2]} different names of colours, got {channels}")
+        channels = channel_names(_DEFAULT_NAMES[image.shape[2]] if channels is None else channels)
+        image = image.reshape(*image.shape[:2], -1)
     pixels = as_pixels("image", image)
     count = pixels.shape[-1]
     if channels is None and count not in _DEFAULT_NAMES:
