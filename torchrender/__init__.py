@@ -52,6 +52,7 @@ from .versions import count_fused_steps as _count_fused_steps
 if TYPE_CHECKING:  # what __getattr__ below finds
     from . import constraints as constraints
     from . import daylight as daylight
+    from . import distributed as distributed
     from . import gradientindex as gradientindex
     from . import heightfield as heightfield
     from . import io as io
@@ -78,6 +79,7 @@ _count_fused_steps()
 _LAZY_MODULES = (
     "constraints",
     "daylight",
+    "distributed",
     "gradientindex",
     "heightfield",
     "io",

@@ -148,7 +148,8 @@ class RenderVjpFunction(DerivativeFunction):
         addresses = [0 if g is None else g.data_ptr() for g in grads]
         all_stats = []
         for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
-            config["adaptive"] = call.adaptive_grad
+            if call.adaptive_grad:
+                config |= {"adaptive": True, "sample_offset": call.share.adaptive_offset()}
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)
         return tuple(grads)

@@ -9,6 +9,7 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from .errors import describe, nearest
+from .first_hit_call import FirstHitCall
 from .functions import functorch, refuse_batches
 from .queries import Hits
 from .render_call import RenderCall
@@ -44,6 +45,13 @@ def features(scene: Scene, call: RenderCall, params: Sequence[torch.Tensor]) -> 
     Returns:
         (H, W, N), or (P, N) for a list of pixels, in the scene's precision; 0 where nothing is hit.
     """
+    carried = (_carried(scene, call, params),)
+    shared = call.share.attached(carried, [*params, *call.features.values()])
+    return call.share.averaged(call, params, shared, FirstHitCall(call, ()))[0]  # over samples that hit something
+
+
+def _carried(scene: Scene, call: RenderCall, params: Sequence[torch.Tensor]) -> torch.Tensor:
+    """Of the samples of this process."""
     layout = call.layout
     moving = any(has_derivative(p) for p, slot in zip(params, layout.slots, strict=True) if moves_rays(slot))
     if not moving and not any(has_derivative(t) for t in call.features.values()):
@@ -60,7 +68,7 @@ def features(scene: Scene, call: RenderCall, params: Sequence[torch.Tensor]) -> 
 def _average(world: World, call: RenderCall, given: Mapping[int, torch.Tensor], derivative: bool) -> torch.Tensor:
     """The weighted mean over the samples of all passes, of the image or of its `derivative`, which is attached."""
     configs = call.configs(derivative)
-    spp, channels = configs[0]["spp"], next(iter(given.values())).shape[-1]
+    spp, offset, channels = configs[0]["spp"], configs[0]["sample_offset"], next(iter(given.values())).shape[-1]
     with plain():
         splats = Splats(call.film, call.config["crop"], call.config["window"], call.pixels)
     total, chunk = len(splats.sources) * spp, CHUNK
@@ -79,7 +87,7 @@ def _average(world: World, call: RenderCall, given: Mapping[int, torch.Tensor], 
         if again:
             _check_versions(world, given, versions)
         with plain():
-            samples = splats.samples(torch.arange(start, min(start + chunk, total)), spp, random)
+            samples = splats.samples(torch.arange(start, min(start + chunk, total)), spp, random, offset)
             spread = splats.spread(samples.pixel, samples.offset)
         seen = covered(samples.positions, samples.lens)
         columns = seen.new_zeros(*spread.weights.shape[:2], channels + 1).double()
@@ -95,7 +103,7 @@ def _average(world: World, call: RenderCall, given: Mapping[int, torch.Tensor], 
     versions = _versions(world, given) if again else {}
     sums = torch.zeros(splats.count, channels + 1, dtype=torch.float64)
     for config in configs:
-        random = Numbers(config["sampler"], spp, config["seed"], config["sensor"], world.dtype)
+        random = Numbers(config["sampler"], config["pattern"][1], config["seed"], config["sensor"], world.dtype)
         for start in range(0, total, chunk):
             found = checkpoint(look_up, start, random, use_reentrant=False) if again else look_up(start, random)
             sums = sums + found

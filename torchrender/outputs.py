@@ -180,18 +180,26 @@ def first_hits(
     found: dict[str, torch.Tensor] = {}
     if averaged:
         first = FirstHitCall(call, averaged, zero_at_misses, attributes_of(call.layout, averaged))
-        found.update(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
+        values = dict(zip(averaged, FirstHitFunction.apply(first, *params), strict=True))
+        real = [name for name in averaged if name not in IDENTIFIERS]  # which belong to no sample
+        if real:
+            totals = call.share.averaged(call, params, tuple(values[name] for name in real), first)
+            values.update(zip(real, totals, strict=True))
+        found.update(values)
         moved = first.core_names().values() if call.outlines and call.may_move_outlines(params) else ()
         if moved:
             from .visibility.boundary import outline_terms  # when it is needed
 
             terms = outline_terms(call, params, first)
             if terms is not None:
+                terms = call.share.summed(terms)
                 found.update({name: found[name] + term for name, term in zip(moved, terms, strict=True)})
     if any(n in FOOTPRINTS for n in names):
         from .footprints import footprints
 
-        found.update(footprints(scene, call, names, params))
+        centres = footprints(scene, call, names, params)
+        values = call.share.same(call.share.attached(tuple(centres.values()), params))
+        found.update(zip(centres, values, strict=True))
     if FEATURES in names:
         from .features import features
 

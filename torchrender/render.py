@@ -66,6 +66,7 @@ from .scene.sensor import IrradianceMeter, Sensor, default_sampler
 from .scene.spectral.core_values import for_core
 from .scene.spectral.wavelengths import sensor_weights, wavelength_config
 from .seeds import seeds
+from .shares import current as current_share
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -222,6 +223,7 @@ def render(
             chosen_integrator, integrator_config = measured, measured.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
+    share = current_share()
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
     of_paths = (*PATH_OUTPUTS, *STOKES_OUTPUTS)
     shows_radiance = stack.integrator is not None if stack is not None else any(n in of_paths for n in names)
@@ -235,7 +237,16 @@ def render(
     of_torch: dict[str, torch.Tensor] = {}
     if packed.torch_bsdfs:
         params, of_torch = check_torch_bsdfs(packed, params, names, stack, traces, shows_radiance)
-    tensors = gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params))
+    share.check(
+        names=names,
+        passes=passes,
+        wavefront=wavefront,
+        light=light,
+        pixels=pixels,
+        boxes=all(camera.film.filter.type == "box" for _, camera in cameras),
+    )
+    tensors = share.replicated(gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params)))
+    shown = dict(zip(shown, share.replicated(list(shown.values())), strict=True))
     check_ranges(scene, packed, tensors, range)
     if packed.spectral:
         if wavefront:
@@ -267,14 +278,14 @@ def render(
         check_sensor(camera, light, names, stack, tensors, packed)
         check_bands(film, camera.srf, packed.spectral)
         samples = own.sample_count if spp is None else count("spp", spp)
-        window, shape, config = film_config(film, crop)
+        window, shape, config = film_config(film, share.crop(film.window[2:], crop))
         if pixels is not None:
             chosen = pixels_inside(pixels, shape)
             config["pixels"] = (chosen.ctypes.data, len(chosen))
             shape = (len(chosen),)
         used = tensors
         if index >= packed.own_sensors:
-            used = replace_placeholder(scene, packed, tensors, packed.sensors[index], camera)
+            used = replace_placeholder(scene, packed, tensors, packed.sensors[index], camera, share.replicated)
             if volumetric and getattr(camera, "medium", None) is not None:
                 raise ValueError(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
@@ -293,7 +304,6 @@ def render(
                 "sensor": index,
                 "crop": window,
                 "sampler": own.type if sampler is None else sampler,
-                "sample_offset": 0,
                 **seen,
             },
             size=shape,
@@ -326,6 +336,7 @@ def render(
             adaptive_grad=adaptive_grad,
             progress=progress,
             held=held,
+            share=share,
         )
         call.keep_hits = (
             correlated
@@ -353,6 +364,7 @@ def render(
             views.append({**(_view(scene, call, rest, stack, used, radiance) if rest else {}), **of_stokes})
         else:
             views.append(_view(scene, call, names, stack, used, radiance))
+        views[-1] = share.gathered(views[-1])
         if "rgb" in views[-1] and crop is None and pixels is None and "black" not in scene.warned:
             from .black_pictures import warn_of_black_picture
 
@@ -446,6 +458,8 @@ def _parts(
             wavelengths, held = wavelength_config(scene, call.layout, tensors, own)
             part = replace(call, config={**call.config, "spectral": wavelengths}, held=held)
         found = trace(part, tensors)
+        whole = call.share.averaged(part, tensors, found if isinstance(found, tuple) else (found,))
+        found = whole if isinstance(found, tuple) else whole[0]
         parts.append(_with_outlines(part, tensors, found) if outlined else found)
     return parts
 
@@ -461,6 +475,7 @@ def _with_outlines(
     terms = outline_terms(call, tensors)
     if terms is None:
         return result
+    terms = call.share.summed(terms)
     if not isinstance(result, tuple):
         return result + terms[0]
     count = len(terms)  # the image, and alpha where that is wanted

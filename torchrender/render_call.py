@@ -20,6 +20,7 @@ from .scene.native import NativeScene
 from .scene.packing import Layout
 from .scene.values import in_forward_mode
 from .seeds import mix
+from .shares import ALONE, Share
 
 # Of rays that bend those that may be lost without a warning: near edges of a boundary rounding takes some past it.
 MOST_LOST = 1e-3
@@ -57,6 +58,7 @@ class RenderCall:
     hits: Any = None  # weak reference to what is kept, from the image's rendering on
     kept: torch.Tensor | None = None  # keeps it alive until autograd does
     pattern: int | None = None  # samples a pixel that were wanted, of which the first `spp` are there
+    share: Share = ALONE  # what of it this process renders
 
     @property
     def extra(self) -> tuple[str, ...]:
@@ -71,9 +73,10 @@ class RenderCall:
     def configs(self, derivative: bool) -> list[dict[str, Any]]:
         """The core's settings of each pass."""
         seed, spp = (self.seed_grad, self.spp_grad) if derivative else (self.seed, self.spp)
-        common = {**self.config, "spp": spp, "threads": torch.get_num_threads()}
-        if self.pattern is not None and not derivative:
-            common["pattern"] = (0, self.pattern)
+        pattern = spp if self.pattern is None or derivative else self.pattern
+        begin, end = self.share.samples(spp)
+        some = {"sample_offset": begin, "spp": end - begin, "pattern": (0, pattern)}
+        common = {**self.config, **some, "threads": torch.get_num_threads()}
         return [{**common, "seed": seed if i == 0 else mix(seed, i)} for i in range(self.passes)]
 
     def parts(self) -> list[Part]:

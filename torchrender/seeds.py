@@ -8,6 +8,8 @@ from typing import Any
 import torch
 
 from .errors import depth_outside, describe
+from .shares import ALONE
+from .shares import current as current_share
 
 MASK = (1 << 64) - 1
 # What tells the derivative's seed from the image's.
@@ -66,7 +68,8 @@ def _compare_with_other_ranks(seed: int) -> None:
 def seeds(seed: Any, seed_grad: Any, correlated: bool) -> tuple[int, int]:
     """The seeds of an image and of its derivative, from the arguments of `render`."""
     first = _drawn(None) if seed is None else _seed("seed", seed)
-    _compare_with_other_ranks(first)
+    if current_share() is ALONE:
+        _compare_with_other_ranks(first)
     if correlated:
         if seed_grad is not None and _seed("seed_grad", seed_grad) != first:
             raise ValueError("render: correlated=True uses the samples of `seed`; leave seed_grad out")

@@ -144,6 +144,7 @@ inline void declare_scene(py::module_ &m) {
                  for (const RenderStats &each : stats) found.append(to_dict(each));
                  return found;
              })
+        .def("pixel_weights", rendering(&NativeScene::weights))
         .def("render_aov", rendering(&NativeScene::aov))
         .def("aov_vjp", rendering(&NativeScene::aov_reverse))
         .def("aov_jvp", rendering(&NativeScene::aov_forward))

@@ -94,6 +94,13 @@ public:
         return c.light ? trace_light_forward<S>(call(c), d.call, to) : render_forward<S>(call(c), d.call, to);
     }
 
+    RenderStats weights(const Config &c, const ParameterValues &values, const Arrays &out) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        auto at = [&](const char *name) { return reinterpret_cast<double *>(out.count(name) ? out.at(name) : 0); };
+        return pixel_weights<S>(call(c), outputs(c, {}), {at("samples"), at("hits")});
+    }
+
     RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);

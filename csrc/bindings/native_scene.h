@@ -52,6 +52,8 @@ public:
                                 const Addresses &gradients) = 0;
     virtual RenderStats forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                 uintptr_t image) = 0;
+    // See PixelWeights.
+    virtual RenderStats weights(const Config &, const ParameterValues &, const Arrays &out) = 0;
     // Outputs besides radiance, by name; shape_id, prim_id and material_id are int32.
     virtual RenderStats aov(const Config &, const ParameterValues &, const Arrays &out) = 0;
     virtual RenderStats aov_reverse(const Config &, const ParameterValues &, const Arrays &adjoints,

@@ -30,6 +30,14 @@ Filter filter_of(const AovOutput<S> &out, const Filter &filter) {
     return out.zero_at_misses ? filter : filter.magnitude();
 }
 
+// What averages are divided by, for every wanted pixel: the sum of the filter's weights over samples, (n), and with the
+// weights of outputs besides radiance over those that hit something, and over all, (n, 2). Null where not wanted.
+struct PixelWeights {
+    double *samples = nullptr, *hits = nullptr;
+};
+
+template <class S>
+RenderStats pixel_weights(const RenderCall<S> &call, const AovOutput<S> &out, const PixelWeights &weights);
 template <class S>
 RenderStats render_aov(const RenderCall<S> &call, const AovOutput<S> &out);
 // out.data: derivatives of the loss with respect to the outputs, read only.

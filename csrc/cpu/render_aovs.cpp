@@ -202,8 +202,32 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
     return stats;
 }
 
+template <class F>
+RenderStats find_weights(const RenderCall<ScalarOf<F>> &call, const AovOutput<ScalarOf<F>> &out,
+                         const PixelWeights &weights) {
+    RenderStats stats;
+    Stopwatch watch(stats.seconds);
+    TileSchedule schedule = make_schedule(call);
+    if (weights.samples) {
+        std::unique_ptr<Film> film = sum_weights<F>(call, schedule, stats);
+        if (stats.interrupted) return stats;
+        for (size_t i = 0; i < schedule.n_results(); ++i) weights.samples[i] = *film->at(schedule.target_of(i));
+    }
+    if (weights.hits) {
+        Film film(schedule, 2);
+        splat_first_hits<F>(call, schedule, no_outputs(call), out, film, stats, [](FirstHits<F> &, size_t) {});
+        for (size_t i = 0; i < schedule.n_results(); ++i)
+            std::copy_n(film.at(schedule.target_of(i)), 2, weights.hits + 2 * i);
+    }
+    return stats;
+}
+
 }  // namespace
 
+template <class S>
+RenderStats pixel_weights(const RenderCall<S> &call, const AovOutput<S> &out, const PixelWeights &weights) {
+    return find_weights<PacketOf<S>>(call, out, weights);
+}
 template <class S>
 RenderStats render_aov(const RenderCall<S> &call, const AovOutput<S> &out) {
     return primal_aovs<PacketOf<S>>(call, out);
@@ -217,9 +241,10 @@ RenderStats forward_aov(const RenderCall<S> &call, const AovOutput<S> &out, cons
     return tangent_aovs<PacketOf<S>>(call, out, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                               \
-    template RenderStats render_aov(const RenderCall<S> &, const AovOutput<S> &);                       \
-    template RenderStats reverse_aov(const RenderCall<S> &, const AovOutput<S> &, DerivativeCall<S> &); \
+#define TR_INSTANTIATE(S)                                                                                  \
+    template RenderStats pixel_weights(const RenderCall<S> &, const AovOutput<S> &, const PixelWeights &); \
+    template RenderStats render_aov(const RenderCall<S> &, const AovOutput<S> &);                          \
+    template RenderStats reverse_aov(const RenderCall<S> &, const AovOutput<S> &, DerivativeCall<S> &);    \
     template RenderStats forward_aov(const RenderCall<S> &, const AovOutput<S> &, const DerivativeCall<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import torch
 from torch import nn
@@ -98,12 +98,22 @@ def has_derivative(tensor: torch.Tensor) -> bool:
 
 
 def replace_placeholder(
-    scene: Scene, layout: Layout, tensors: list[torch.Tensor], placeholder: Plugin, camera: Plugin
+    scene: Scene,
+    layout: Layout,
+    tensors: list[torch.Tensor],
+    placeholder: Plugin,
+    camera: Plugin,
+    replicated: Callable[[list[torch.Tensor]], list[torch.Tensor]],
 ) -> list[torch.Tensor]:
-    """`tensors` with those of a `camera` that is no part of the scene, in the place of its `placeholder`."""
+    """`tensors` with those of a `camera` that is no part of the scene, in the place of its `placeholder`.
+
+    `replicated`: see `torchrender.shares.Share`.
+    """
     changed = list(tensors)
-    for attribute, index in layout.camera_slots(placeholder).items():
-        changed[index] = _dense(scene, f"camera.{attribute}", getattr(camera, attribute))
+    slots = layout.camera_slots(placeholder)
+    found = replicated([_dense(scene, f"camera.{attribute}", getattr(camera, attribute)) for attribute in slots])
+    for index, tensor in zip(slots.values(), found, strict=True):
+        changed[index] = tensor
     return changed
 
 

@@ -57,6 +57,7 @@ class Averages:
         names = first.core_names().values()
         addresses = {**first.addresses(dict(zip(names, real, strict=True))), "covered": covered.data_ptr()}
         call.native.call("render_aov", list(params), {**first.config(True), "threads": threads}, addresses)
+        real, covered = call.share.seen_by_outlines(first, params, real, covered)
         pixels = covered.numel()
         self.like = real
         self.sizes = [t.numel() // pixels if pixels else 1 for t in real]

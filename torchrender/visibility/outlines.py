@@ -25,6 +25,7 @@ STREAMS = {
 LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a pixel
 NEAR = 0.02  # what is close, in sizes of the scene
 BLOCK = 1 << 18  # samples whose places and values forward mode keeps at a time
+BATCH = 1024  # samples that the core works on together, of which each may depend on the others
 FEW = 1024  # samples that tell how much the camera sees of what lights find
 
 
@@ -118,8 +119,9 @@ class Outlines:
             for number, config in enumerate(self.configs):
                 offset = torch.rand((), generator=torch.Generator().manual_seed(config["seed"] >> 1))
                 numbers = {"total": count * len(self.configs), "samples": count, "offset": float(offset)}
-                for begin in range(0, count, size):
-                    yield part, config, {**numbers, "first": number * count + begin, "count": min(size, count - begin)}
+                own, end = self.call.share.part(count, BATCH)
+                for begin in range(own, end, size):
+                    yield part, config, {**numbers, "first": number * count + begin, "count": min(size, end - begin)}
 
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer."""

@@ -99,9 +99,9 @@ class Splats:
         numbers = torch.unique((rows[inside] - y0) * wide + columns[inside] - x0)
         return torch.stack([numbers // wide + y0, numbers % wide + x0], 1)
 
-    def samples(self, index: torch.Tensor, spp: int, random: Numbers) -> Samples:
-        """The samples of these numbers (N,), which count those of one pixel after the other."""
-        pixel, sample = self.sources[index // spp], index % spp
+    def samples(self, index: torch.Tensor, spp: int, random: Numbers, first: int = 0) -> Samples:
+        """The samples of these numbers (N,), which count those of one pixel after the other, from `first` on."""
+        pixel, sample = self.sources[index // spp], index % spp + first
         drawn = random.block(pixel_key(*pixel.unbind(1)), sample, CAMERA_BLOCK)
         return Samples(pixel, sample, drawn[:, :2].flip(1).double(), drawn[:, 2:])
 

@@ -414,7 +414,7 @@ def wavefront_call(
         names=list(named),
         **shared,
     )
-    return WavefrontRendering(made, list(named.values()))
+    return WavefrontRendering(made, call.share.replicated(list(named.values())))
 
 
 @dataclass

@@ -15,7 +15,7 @@ CAMERA_BLOCK, EMITTER_BLOCK, BSDF_BLOCK, BLOCKS_PER_SCATTERING = 0, 1, 2, 2
 
 @dataclass(frozen=True)
 class Numbers:
-    """The numbers of one pass of one sensor: a function of pixel, sample and block."""
+    """The numbers of one pass of one sensor, whose pixels have `spp` samples: a function of pixel, sample and block."""
 
     sampler: str
     spp: int
