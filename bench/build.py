@@ -53,7 +53,7 @@ class Edge:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    folder = ROOT / "build" / "native" / sysconfig.get_config_var("SOABI")
+    folder = ROOT / "build" / "native" / sysconfig.get_platform()
     parser.add_argument("--directory", type=Path, default=folder, help="a build folder (default %(default)s)")
     parser.add_argument("--only", default="", help="only files whose name contains this")
 

@@ -1,27 +1,26 @@
 """Which compiled cores exist, which one runs, and where Embree comes from.
 
-The same C++ sources are compiled once per instruction set into modules of their own, which compute in packets of single
-precision; the best one that this processor supports is imported when it is first needed. One more, ``scalar``, computes
-a number at a time, in double precision too. Environment variables: ``TORCHRENDER_ISA`` forces one of
+The same C++ sources are compiled once per instruction set into libraries of their own, which compute in packets of
+single precision; the best one that this processor supports is loaded when it is first needed. One more, ``scalar``,
+computes a number at a time, in double precision too. Environment variables: ``TORCHRENDER_ISA`` forces one of
 ``scalar``, ``v2``, ``avx2``, ``avx512``; ``TORCHRENDER_EMBREE`` is the path of another Embree 4 library.
 """
 
 from __future__ import annotations
 
 import contextlib
+import functools
 import glob
-import importlib
-import importlib.machinery
 import importlib.util
 import os
 import platform
 import sys
 import threading
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 from ._version import __version__
+from .library import Library
 
 PREFERENCE = ("avx512", "avx2", "v2", "scalar")
 """Instruction sets, best first."""
@@ -30,28 +29,34 @@ PACKETS = True
 """Whether single precision is computed in packets. False computes it a number at a time, too: slower, for tests."""
 
 _lock = threading.RLock()
-_core: ModuleType | None = None
-_core_isa = ""
+_core: Library | None = None
 _embree: dict[str, Any] | None = None
 _embree_path: str | None = None
-_with_embree: set[str] = set()  # names of the native modules that have loaded it
+_with_embree: set[str] = set()  # instruction sets whose cores have loaded it
 
 
 def compiled() -> list[str]:
     """Instruction sets that this installation has a compiled core for, best first."""
-    folder = Path(__file__).parent
-    found = []
-    for isa in PREFERENCE:
-        if any((folder / f"_core_{isa}{suffix}").exists() for suffix in importlib.machinery.EXTENSION_SUFFIXES):
-            found.append(isa)
-    return found
+    return [isa for isa in PREFERENCE if _path(isa).exists()]
+
+
+def _path(isa: str) -> Path:
+    return Path(__file__).parent / f"_core_{isa}.so"
+
+
+@functools.cache
+def library(isa: str) -> Library:
+    """The compiled core of an instruction set; ImportError if it cannot be loaded."""
+    try:
+        return Library(_path(isa), isa)
+    except OSError as error:
+        raise ImportError(f"the compiled core cannot be loaded: {error}") from error
 
 
 def _supported(present: list[str]) -> dict[str, bool]:
     """Which of the compiled instruction sets this processor has."""
-    baseline = "v2" if "v2" in present else None
-    if baseline is not None:
-        flags = dict(importlib.import_module(f"torchrender._core_{baseline}").cpu_supports())
+    if "v2" in present:
+        flags = library("v2").cpu_supports()
     else:
         import torch
 
@@ -68,11 +73,12 @@ def status() -> dict[str, str]:
     """
     present = compiled()
     supported = _supported(present) if present else {}
+    used = ""
     with contextlib.suppress(ImportError):
-        core()
+        used = core().isa
     report = {}
     for isa in PREFERENCE:
-        if isa == _core_isa:
+        if isa == used:
             forced = os.environ.get("TORCHRENDER_ISA") == isa
             report[isa] = "used" + (", forced by TORCHRENDER_ISA" if forced else "")
         elif isa not in present:
@@ -80,7 +86,7 @@ def status() -> dict[str, str]:
         elif not supported[isa]:
             report[isa] = "compiled, but this processor does not support it"
         else:
-            report[isa] = f"available, but {_core_isa} is preferred"
+            report[isa] = f"available, but {used} is preferred"
     return report
 
 
@@ -106,46 +112,43 @@ def _choose() -> str:
     raise ImportError(f"none of the compiled cores ({', '.join(present)}) runs on this processor: rebuild torchrender")
 
 
-def core(dtype: Any = None) -> ModuleType:
-    """The native module that computes in `dtype` (single precision if None), without Embree loaded.
+def core(dtype: Any = None) -> Library:
+    """The compiled core that computes in `dtype` (single precision if None), without Embree loaded.
 
     ImportError says in one sentence what is missing.
     """
-    global _core, _core_isa
+    global _core
     if str(dtype) == "torch.float64" or not PACKETS:
         return _scalar()
     if _core is None:
         with _lock:
             if _core is None:
-                isa = _choose()
-                _core = importlib.import_module(f"torchrender._core_{isa}")
-                _core_isa = isa
+                _core = library(_choose())
     return _core
 
 
-def _scalar() -> ModuleType:
+def _scalar() -> Library:
     if "scalar" not in compiled():
         raise ImportError(
             "torchrender has no compiled core for double precision: build it with 'pip install .' (or 'make build') in "
             "its source folder"
         )
-    return importlib.import_module("torchrender._core_scalar")
+    return library("scalar")
 
 
-def ready(dtype: Any = None) -> ModuleType:
-    """The native module that computes in `dtype` with Embree loaded and tested: what building a scene needs."""
-    module = core(dtype)
-    if module.__name__ not in _with_embree:
+def ready(dtype: Any = None) -> Library:
+    """The compiled core that computes in `dtype` with Embree loaded and tested: what building a scene needs."""
+    found = core(dtype)
+    if found.isa not in _with_embree:
         with _lock:
-            if module.__name__ not in _with_embree:
-                _load_embree(module, find_embree() if _embree is None else _embree["path"])
-    return module
+            if found.isa not in _with_embree:
+                _load_embree(found, find_embree() if _embree is None else _embree["path"])
+    return found
 
 
 def isa() -> str:
     """The instruction set in use."""
-    core()
-    return _core_isa
+    return core().isa
 
 
 def find_embree() -> str:
@@ -185,12 +188,12 @@ def use_embree(path: str | os.PathLike[str]) -> None:
         _embree_path = path
 
 
-def _load_embree(module: ModuleType, path: str) -> None:
+def _load_embree(library: Library, path: str) -> None:
     global _embree
     try:
-        found = dict(module.load_embree(path))
+        found = library.load_embree(path)
         _embree = _embree or found
-        _with_embree.add(module.__name__)
+        _with_embree.add(library.isa)
     except RuntimeError as error:
         raise ImportError(f"Embree at {path} cannot be used: {error}") from error
 
@@ -215,7 +218,7 @@ def show_config() -> str:
     for name, state in status().items():
         lines.append(f"core {name:<7}{state}")
     try:
-        info = dict(core().info())
+        info = core().info()
         lines.append("compiled    " + ", ".join(f"{k} {v}" for k, v in info.items()))
         found = embree()
         lines.append(f"embree      {found['version']} at {found['path']}")

@@ -149,11 +149,11 @@ class NativeBSDF:
 
     # ------------------------------------------------------------------------------------------------------ arguments
     def _core(self, dtype: torch.dtype) -> Any:
-        module = backends.core(dtype)
-        key = (module.__name__, dtype)
+        core = backends.core(dtype)
+        key = (core.isa, dtype)
         if key not in self._cores:
             name = str(dtype).removeprefix("torch.")
-            self._cores[key] = module.BsdfFunctions(self.type, name, self.channels, self._numbers)
+            self._cores[key] = core.BsdfFunctions(self.type, name, self.channels, self._numbers)
         return self._cores[key]
 
     def _points(

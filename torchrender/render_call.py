@@ -176,4 +176,4 @@ class Part:
 
     def done(self) -> bool:
         """Whether it was rendered, although Ctrl-C came before the core's call returned."""
-        return "sums" in self.config and self.config["sums"].spp == self.end
+        return "sums" in self.config and self.config["sums"].spp() == self.end

@@ -1,18 +1,15 @@
-// The Python module: what this build is, its models, and the scene. Tensors come as addresses; Python has checked
-// shape, type, device and contiguity. What includes pybind11 is a header of this file alone: it takes a compiler
-// seconds wherever it is included.
-#include <pybind11/pybind11.h>
-#include <pybind11/stl.h>
-
+// What Python calls, as a C interface: what this build is, its models, and the scene. Tensors come as addresses; Python
+// has checked shape, type, device and contiguity.
 #include <array>
+#include <cmath>
+#include <new>
 
 #include "accel/embree_library.h"
 #include "declare_bsdf_functions.h"
 #include "declare_scene.h"
+#include "functions.h"
 #include "host/models.h"
 #include "samplers.h"
-
-namespace py = pybind11;
 
 namespace tr {
 
@@ -58,19 +55,19 @@ const char *kind_name(Kind kind) {
 }
 
 // None where there is no such number.
-py::object number(double x) { return std::isfinite(x) ? py::object(py::float_(x)) : py::object(py::none()); }
+Value number(double x) { return std::isfinite(x) ? Value(x) : Value(); }
 
 // None where any number is one.
-py::object choices(Choices names) {
-    if (!names) return py::none();
-    py::list r;
-    for (; *names; ++names) r.append(*names);
-    return py::tuple(r);
+Value choices(Choices names) {
+    if (!names) return {};
+    Value::List all;
+    for (; *names; ++names) all.emplace_back(*names);
+    return all;
 }
 
 // Those of ModelFlags that Python asks for.
-py::tuple flag_names(uint32_t flags) {
-    py::list r;
+Value flag_names(uint32_t flags) {
+    Value::List all;
     constexpr std::pair<uint32_t, const char *> names[] = {{Transmits, "transmits"},
                                                            {WrapsBsdfs, "wraps_bsdfs"},
                                                            {PerturbsNormals, "perturbs_normals"},
@@ -78,122 +75,144 @@ py::tuple flag_names(uint32_t flags) {
                                                            {HasDeltaLobes, "has_delta_lobes"},
                                                            {HasSmoothLobes, "has_smooth_lobes"}};
     for (const auto &[flag, name] : names)
-        if (flags & flag) r.append(name);
-    return py::tuple(r);
+        if (flags & flag) all.emplace_back(name);
+    return all;
 }
 
-py::list models() {
-    py::list all;
+Value models() {
+    Value::List all;
     for (const ModelEntry &entry : all_models()) {
         const Model &model = *entry.model;
-        py::list fields;
+        Value::List fields;
         for (int i = 0; i < model.n_fields; ++i) {
             const Field &f = model.fields[i];
-            py::dict d;
-            d["name"] = f.name;
-            d["kind"] = kind_name(f.kind);
-            d["scalar"] = f.kind == Kind::Scalar;
-            d["default"] = number(f.fallback);
-            d["min"] = number(f.minimum);
-            d["max"] = number(f.maximum);
-            d["derivative"] = *f.derivative ? f.derivative : "none";
-            d["doc"] = f.doc;
-            d["choices"] = choices(f.choices);
-            d["optional"] = (f.traits & Optional) != 0;
-            d["traits"] = flag_names(f.traits);
-            fields.append(d);
+            fields.emplace_back(Value::Dict{{"name", f.name},
+                                            {"kind", kind_name(f.kind)},
+                                            {"scalar", f.kind == Kind::Scalar},
+                                            {"default", number(f.fallback)},
+                                            {"min", number(f.minimum)},
+                                            {"max", number(f.maximum)},
+                                            {"derivative", *f.derivative ? f.derivative : "none"},
+                                            {"doc", f.doc},
+                                            {"choices", choices(f.choices)},
+                                            {"optional", (f.traits & Optional) != 0},
+                                            {"traits", flag_names(f.traits)}});
         }
-        py::dict d;
-        d["category"] = model.category;
-        d["type"] = model.type;
-        d["doc"] = model.doc;
-        d["fields"] = fields;
-        d["flags"] = flag_names(model.flags);
-        d["class_name"] = model.class_name ? py::object(py::str(model.class_name)) : py::object(py::none());
-        all.append(d);
+        all.emplace_back(Value::Dict{{"category", model.category},
+                                     {"type", model.type},
+                                     {"doc", model.doc},
+                                     {"fields", fields},
+                                     {"flags", flag_names(model.flags)},
+                                     {"class_name", model.class_name ? Value(model.class_name) : Value()}});
     }
     return all;
 }
 
-py::list variants() {
-    py::list all;
+Value variants() {
+    Value::List all;
     for (const char *color : {"mono", "rgb", "spectral"}) {
         for (const char *dtype : {"float32", "float64"}) {
             if (TR_HAS_PACKETS && std::string(dtype) == "float64") continue;
-            py::dict d;
-            d["color"] = color;
-            d["dtype"] = dtype;
-            all.append(d);
+            all.emplace_back(Value::Dict{{"color", color}, {"dtype", dtype}});
         }
     }
     return all;
 }
 
 // Asked of the baseline module, which every processor can run.
-py::dict cpu_supports() {
-    py::dict d;
+Value cpu_supports() {
 #if defined(__x86_64__)
     __builtin_cpu_init();
     bool v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
     bool avx2 = v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") &&
                 __builtin_cpu_supports("bmi") && __builtin_cpu_supports("bmi2");
-    d["v2"] = v2;
-    d["avx2"] = avx2;
-    d["avx512"] = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
+    bool avx512 = avx2 && __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&
                   __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&
                   __builtin_cpu_supports("avx512vl");
 #else
-    d["v2"] = d["avx2"] = d["avx512"] = false;
+    constexpr bool v2 = false, avx2 = false, avx512 = false;
 #endif
-    return d;
+    return Value::Dict{{"v2", v2}, {"avx2", avx2}, {"avx512", avx512}};
 }
 
-py::dict info() {
-    py::dict d;
-    d["isa"] = TR_ISA_NAME;
-    d["packet_width"] = TR_PACKET_WIDTH;
-    d["compiler"] = __VERSION__;
-    return d;
+Value info() { return Value::Dict{{"isa", TR_ISA_NAME}, {"packet_width", TR_PACKET_WIDTH}, {"compiler", __VERSION__}}; }
+
+// Numbers (n, 4), float64, of n samples of some pixels (both uint32), in a precision of this module.
+void draw(const std::string &sampler, int64_t first, int64_t count, uint64_t seed, uint32_t sensor, uint32_t block,
+          int wanted, [[maybe_unused]] const std::string &arithmetic, size_t n, uintptr_t pixels, uintptr_t samples,
+          uintptr_t out) {
+    PathConfig config{};
+    config.seed = seed, config.sensor = sensor;
+    config.sampler = make_sampler(sampler_kind(sampler), first, count);
+    auto draw = &draw_numbers<PacketOf<float>>;
+#if !TR_HAS_PACKETS
+    if (arithmetic == "float64") draw = &draw_numbers<double>;
+#endif
+    draw(config, block, wanted, n, reinterpret_cast<const uint32_t *>(pixels),
+         reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
+}
+
+Functions all_functions() {
+    Functions f;
+    f.add("info", &info);
+    f.add("cpu_supports", &cpu_supports);
+    f.add("variants", &variants);
+    f.add("models", &models);
+    f.add("echo", [](const Value &value) { return value; });  // for tests
+    f.add("load_embree", [](const std::string &path) {
+        EmbreeInfo found = load_embree(path);
+        return Value(Value::Dict{{"version", found.version}, {"path", found.path}});
+    });
+    f.add("philox", [](uint64_t seed, uint32_t sensor, uint32_t pixel, uint32_t sample, uint32_t block) {
+        Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
+        return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};
+    });
+    f.add("draw", &draw);
+    declare_scene(f);
+    declare_bsdf_functions(f);
+    return f;
+}
+
+// How a call ended; torchrender/native.py has the same list.
+enum Outcome { Returned, InterruptedByPython, IsTypeError, IsValueError, IsIndexError, IsMemoryError, IsRuntimeError };
+
+// The result or, of a call that failed, what is wrong.
+std::pair<Outcome, Value> outcome(const char *name, const char *arguments, size_t size, Progress progress) {
+    static const Functions functions = all_functions();
+    try {
+        return {Returned, functions.call(name, progress, Value::from_bytes(arguments, size).list())};
+    } catch (const Interrupted &) {
+        return {InterruptedByPython, Value()};
+    } catch (const TypeError &error) {
+        return {IsTypeError, name + std::string(": ") + error.what()};
+    } catch (const std::out_of_range &error) {
+        return {IsIndexError, error.what()};
+    } catch (const std::logic_error &error) {
+        return {IsValueError, error.what()};
+    } catch (const std::bad_alloc &) {
+        return {IsMemoryError, "not enough memory"};
+    } catch (const std::exception &error) {
+        return {IsRuntimeError, error.what()};
+    }
 }
 
 }  // namespace
 
 }  // namespace tr
 
-PYBIND11_MODULE(TR_MODULE_NAME, m) {
-    using namespace tr;
-    m.def("info", &info);
-    m.def("cpu_supports", &cpu_supports);
-    m.def("variants", &variants);
-    m.def("models", &models);
-    m.def("load_embree", [](const std::string &path) {
-        EmbreeInfo found = [&] {
-            py::gil_scoped_release release;
-            return load_embree(path);
-        }();
-        py::dict d;
-        d["version"] = found.version;
-        d["path"] = found.path;
-        return d;
-    });
-    m.def("philox", [](uint64_t seed, uint32_t sensor, uint32_t pixel, uint32_t sample, uint32_t block) {
-        Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
-        return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};
-    });
-    // Numbers (n, 4), float64, of n samples of some pixels (both uint32), in a precision of this module.
-    m.def("draw", [](const std::string &sampler, int64_t first, int64_t count, uint64_t seed, uint32_t sensor,
-                     uint32_t block, int wanted, [[maybe_unused]] const std::string &arithmetic, size_t n,
-                     uintptr_t pixels, uintptr_t samples, uintptr_t out) {
-        PathConfig config{};
-        config.seed = seed, config.sensor = sensor;
-        config.sampler = make_sampler(sampler_kind(sampler), first, count);
-        auto draw = &draw_numbers<PacketOf<float>>;
-#if !TR_HAS_PACKETS
-        if (arithmetic == "float64") draw = &draw_numbers<double>;
-#endif
-        draw(config, block, wanted, n, reinterpret_cast<const uint32_t *>(pixels),
-             reinterpret_cast<const uint32_t *>(samples), reinterpret_cast<double *>(out));
-    });
-    declare_scene(m);
-    declare_bsdf_functions(m);
+#define TR_EXPORTED extern "C" __attribute__((visibility("default")))
+
+// Calls a function with a list of arguments (value.h), and gives the address and the size of the result, which is to be
+// given to tr_free.
+TR_EXPORTED int tr_call(const char *name, const char *arguments, size_t size, tr::Progress progress, void **reply,
+                        const char **result, size_t *result_size) {
+    auto [how, value] = tr::outcome(name, arguments, size, progress);
+    auto *bytes = new std::string(value.to_bytes());
+    *reply = bytes, *result = bytes->data(), *result_size = bytes->size();
+    return how;
 }
+
+TR_EXPORTED void tr_free(void *reply) { delete static_cast<std::string *>(reply); }
+
+// Python lets an object go.
+TR_EXPORTED void tr_release(void *object) { delete static_cast<tr::Handle *>(object); }

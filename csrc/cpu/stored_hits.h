@@ -108,12 +108,6 @@ public:
     StoredHits *add_pass() { return &passes_.emplace_back(limit_); }
     // For the derivative; null: there is none.
     const StoredHits *pass(size_t i) const { return i < passes_.size() ? &passes_[i] : nullptr; }
-    int64_t bytes() const {
-        int64_t sum = 0;
-        for (const StoredHits &pass : passes_) sum += pass.bytes();
-        return sum;
-    }
-    uint8_t handle = 0;  // memory that stands for the store where its life is tied to that of an array
 
 private:
     int64_t limit_;

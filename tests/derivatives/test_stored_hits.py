@@ -32,7 +32,7 @@ def make(name: str, **settings) -> tr.Scene:
 
 def in_use() -> int:
     gc.collect()
-    return backends.core().HitStore.bytes_in_use()
+    return backends.core().hit_bytes_in_use()
 
 
 def adjoint_of(image: torch.Tensor) -> torch.Tensor:

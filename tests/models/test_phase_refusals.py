@@ -96,7 +96,7 @@ def test_the_core_refuses_blends_of_blends():
     objects = {category: list(rows) for category, rows in layout.objects.items()}
     kind, numbers, path = objects["phase"][-1]
     objects["phase"][-1] = (kind, [*numbers[:2], len(objects["phase"]) - 1], path)
-    handle = backends.ready(torch.float64).Scene(color="rgb", dtype="float64")
+    handle = backends.ready(torch.float64).Scene("rgb", "float64")
     with pytest.raises(ValueError, match=r"field 'phase_1': expected a phase function that is no blend itself"):
         handle.build(objects, [tuple(slot.tensor().shape) for slot in layout.slots], [])
 

@@ -71,7 +71,7 @@ def models() -> dict[tuple[str, str], Model]:
                 max=_number(f.get("max")),
                 derivative=f.get("derivative") or "none",
                 doc=f.get("doc", ""),
-                choices=f["choices"],
+                choices=None if f["choices"] is None else tuple(f["choices"]),
                 optional=f["optional"],
                 scalar=f["scalar"],
                 traits=frozenset(f["traits"]),

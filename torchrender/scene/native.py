@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from .. import backends
+from ..library import Watch
 from .packing import Layout
 
 _WITH_CONFIG = (
@@ -41,7 +42,7 @@ class NativeScene:
         self.channels = 1 if color == "mono" else 3
         self.lock = threading.Lock()
         self.core = backends.ready(dtype)
-        self.handle = self.core.Scene(color=color, dtype=str(dtype).removeprefix("torch."))
+        self.handle = self.core.Scene(color, str(dtype).removeprefix("torch."))
         self.names = [slot.name for slot in layout.slots]
         self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
         indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
@@ -73,7 +74,11 @@ class NativeScene:
             addresses = [t.data_ptr() for t in params]
             try:
                 if function in _WITH_CONFIG:
-                    return getattr(self.handle, function)(args[0], addresses, dirty, *args[1:])
+                    settings, *rest = args
+                    watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)
+                    if isinstance(settings, dict):
+                        settings = {name: value for name, value in settings.items() if name != "progress"}
+                    return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 return getattr(self.handle, function)(*args, addresses, dirty)
             except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
