@@ -109,7 +109,7 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
     light = none;
     if (bsdf.is(HasSmoothLobes) && any(lit)) {
         bsdf.vjp(params, v.wi, v.wo_light, IntOf<F>(0), Transport::Radiance, one, one, {false, false}, value);
-        light = select(lit, apply(value.f, v.emitted) * v.light_weight, none);
+        light = select(lit, apply(value.f, apply(v.through, v.emitted)) * v.light_weight, none);
     }
     if (scene.has_stacks) {
         const StackAdjoint<F> stack(scene, waves, v, GradientNeeds{}, Transport::Radiance, active);
@@ -185,6 +185,15 @@ TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving) const {
         r.at[2][c] = path[c] * (m.x * a.at[2][c] + m.y * a.at[3][c]);
         r.at[3][c] = path[c] * (m.x * a.at[3][c] - m.y * a.at[2][c]);
     }
+    return r;
+}
+
+template <class F>
+TR_LARGE Spectrum<F> PolarizedVertex<F>::direct(const Stokes<F> &leaving) const {
+    Spectrum<F> r = pull(leaving.at[0], light);
+    if (kind == Polarization::None || smooth) return r;
+    const Stokes<F> a = turned_row(leaving, light_axis, wi);
+    for (int c = 0; c < SpectrumSize; ++c) r[c] = r[c] + a.at[1][c] * light[c] * of_light[c].b;
     return r;
 }
 

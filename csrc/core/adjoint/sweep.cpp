@@ -45,15 +45,21 @@ TR_INLINE Arrival<F> arrival_of(const VertexRecord<F> &v, const Vec3<F> &d_bar, 
     return {v.attached, v.d, v.t, v.segment, d_bar, log_bar, v.parallel};
 }
 
-// What the path that goes on from the differential sample of these segments has brought; 0 where there is none.
+// The segments from whose differential sample a path goes on.
+template <class F>
+TR_INLINE MaskOf<F> has_branch(const SweepContext<F> &c, uint32_t level, uint32_t i, const UIntOf<F> &slot,
+                               const MaskOf<F> &active) {
+    using U = UIntOf<F>;
+    if (!c.branches) return MaskOf<F>(false);
+    Gathered<F> from(slot, active);
+    return active && mask<F>(from(c.branches->level) == U(level)) &&
+           mask<F>(from(c.branches->entry) == U(i) + lane_index<F>());
+}
+// What that path has brought; 0 where there is none.
 template <class F>
 TR_INLINE Spectrum<F> branch_radiance(const SweepContext<F> &c, uint32_t level, uint32_t i, const UIntOf<F> &slot,
                                       const MaskOf<F> &active) {
-    using U = UIntOf<F>;
-    if (!c.branches) return uniform_spectrum(F(0));
-    Gathered<F> from(slot, active);
-    auto here = active && mask<F>(from(c.branches->level) == U(level)) &&
-                mask<F>(from(c.branches->entry) == U(i) + lane_index<F>());
+    const MaskOf<F> here = has_branch(c, level, i, slot, active);
     if (!any(here)) return uniform_spectrum(F(0));
     return Gathered<F>(slot, here)(c.branches->radiance);
 }
@@ -187,23 +193,38 @@ TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active)
 // What the polarised passes read of a vertex.
 template <class F>
 struct PolarizedEntry {
-    bool surface;
+    bool volumetric, collided, passes, surface;  // at most one of the last three
     UIntOf<F> slot, parent;
     VertexRecord<F> v;
+    SegmentPacket<F> segment;  // through media
     Wavelengths<F> waves;
 
     TR_INLINE PolarizedEntry(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, int kind, bool scatters,
                              uint32_t i, const MaskOf<F> &active)
-        : surface(kind < MissKind && scatters), v(read_vertex<F>(tape, i)) {
+        : volumetric(c.config.volumetric),
+          collided(kind == CollisionKind),
+          passes(volumetric && kind == NullKind),
+          surface(kind < MissKind && scatters && !passes),
+          v(read_vertex<F>(tape, i)) {
         Entries<F> from(i);
         slot = active_only<F>(from(tape.vertex.slot), active);
         parent = active_only<F>(from(tape.vertex.parent), active);
         if (surface) read_scattering(tape, i, v);
+        if (collided) read_outgoing(tape, i, v);
+        if (passes) v.inverse_pdf = from(tape.outgoing.inverse_pdf);
+        if (volumetric) {
+            read(tape.segment, from, segment);
+            read_arrival(tape, i, v);
+            v.through = segment.through;
+        }
         LaneSet<F> lanes(slot, active);
         waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
     }
     TR_INLINE PolarizedVertex<F> vertex(const SweepContext<F> &c, int kind, const MaskOf<F> &active) const {
         return PolarizedVertex<F>(c.scene, waves, kind, v, active);
+    }
+    TR_INLINE PolarizedCollision<F> collision(const SweepContext<F> &c, const MaskOf<F> &active) const {
+        return PolarizedCollision<F>(c.scene, waves, segment.medium, v, active);
     }
     // Of what arrives from behind.
     TR_INLINE Stokes<F> column(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) const {
@@ -232,6 +253,7 @@ struct PolarizedEntry {
         return {F(m[1]), F(m[5]), F(m[9])};
     }
     TR_INLINE Vec3<F> leaving(const SweepContext<F> &c) const {
+        if (volumetric) return -v.d;
         Frame<F> frame = vertex_frame(c.scene, v);
         frame.n = frame.n * v.mirror;
         return frame.to_world(v.wi);
@@ -329,11 +351,16 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
                           const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
     Stokes<F> s = no_stokes<F>();
-    if (entry.surface) {
-        s = entry.vertex(c, kind, active).column(entry.column(tape, i));
-        if (!parents) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
-    }
+    if (entry.surface) s = entry.vertex(c, kind, active).column(entry.column(tape, i));
+    if (entry.collided) s = entry.collision(c, active).column(entry.column(tape, i));
+    if (entry.passes) s = weighted(entry.column(tape, i), uniform_spectrum(entry.v.inverse_pdf));
+    if (!parents && !c.columns_to && (entry.surface || entry.volumetric))
+        s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
     s.at[0] = s.at[0] + entry.v.emission_radiance;
+    if (entry.volumetric) {
+        s = weighted(s, entry.segment.weight);
+        s.at[0] = s.at[0] + segment_emission(c.scene, entry.waves, entry.segment, active);
+    }
     if (parents) {
         const auto &to = parents->stokes;
         hand_radiance(*parents, entry.parent, s.at[0], active);
@@ -346,6 +373,17 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
         scatter_lanes<F>(to.column_axis.z, entry.parent, s.axis.z, active);
         return;
     }
+    if (c.columns_to) {  // one path a slot
+        const auto &to = *c.columns_to;
+        const SpectrumColumn<ScalarOf<F>> columns[] = {to.radiance, to.q, to.u, to.v};
+        for (int k = 0; k < 4; ++k)
+            for (int j = 0; j < SpectrumSize; ++j) scatter_lanes<F>(columns[k][j], entry.slot, s.at[k][j], active);
+        scatter_lanes<F>(to.axis.x, entry.slot, s.axis.x, active);
+        scatter_lanes<F>(to.axis.y, entry.slot, s.axis.y, active);
+        scatter_lanes<F>(to.axis.z, entry.slot, s.axis.z, active);
+        return;
+    }
+    if (!c.to_slots) return;
     const SpectrumColumn<ScalarOf<F>> columns[] = {c.slots.radiance, c.slots.q, c.slots.u, c.slots.v};
     for (int k = 0; k < 4; ++k) add_to_entries<F>(columns[k], entry.slot, s.at[k], active);
 }
@@ -355,20 +393,98 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
                        const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
                        const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    if (!entry.surface) return;
-    const Stokes<F> row = entry.vertex(c, kind, active).row(entry.row(c, parents, entry.leaving(c), active));
+    if (!entry.surface && !entry.collided && !entry.passes) return;
+    Stokes<F> row = entry.row(c, parents, entry.leaving(c), active);
+    if (entry.volumetric) row = weighted(row, entry.segment.weight);
+    if (entry.surface) row = entry.vertex(c, kind, active).row(row);
+    if (entry.collided) row = entry.collision(c, active).row(row);
+    if (entry.passes) row = weighted(row, uniform_spectrum(entry.v.inverse_pdf));
     const auto &to = tape.stokes;
     write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
     write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
     write(to.row_axis, i, row.axis);
 }
 
+namespace {
+
+// The numbers of the segment's own derivative, which sweep_segment knows as products of throughput and radiance.
+template <class F>
+TR_INLINE Spectrum<F> polarize_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t level,
+                                       uint32_t i, PolarizedEntry<F> &entry, const Stokes<F> &row,
+                                       const MaskOf<F> &active) {
+    SegmentPacket<F> &segment = entry.segment;
+    const Vec3<F> &d = entry.v.d;
+    segment.first = row.at[0];
+    Spectrum<F> branch = uniform_spectrum(F(0));
+    if (!c.branches) return branch;
+    const Vec3<F> wo_light = Entries<F>(i)(tape.stokes.differential_light);
+    segment.differential_value = differential_number(c.scene, segment, d, wo_light, row, active);
+    const MaskOf<F> here = has_branch(c, level, i, entry.slot, active);
+    if (!any(here)) return branch;
+    Gathered<F> from(entry.slot, here);
+    const BranchColumns<ScalarOf<F>> &b = *c.branches;
+    const Stokes<F> brought{{from(b.radiance), from(b.q), from(b.u), from(b.v)}, from(b.axis)};
+    return branch_number(c.scene, segment, d, from(b.wo), from(b.factor), brought, row, here);
+}
+
+// A vertex of a path through media, and the segment that ends there.
+template <class F>
+TR_LARGE void sweep_polarized_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                      const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, uint32_t i,
+                                      PolarizedEntry<F> &entry, const MaskOf<F> &active, GradientSink<F> &sink) {
+    const GradientNeeds &needs = c.needs;
+    const Spectrum<F> one = uniform_spectrum(F(1));
+    VertexRecord<F> &v = entry.v;
+    SegmentPacket<F> &segment = entry.segment;
+    const Vec3<F> leaving = -v.d;
+    const Stokes<F> first = entry.row(c, parents, leaving, active), row = weighted(first, segment.weight),
+                    behind = entry.column(tape, i);
+    HitAdjoint<F> hit;
+    Vec3<F> d_bar{F(0), F(0), F(0)};
+    NextVertex<F> next = read_next<F>(tape, i, needs.geometry && kind != MissKind);
+    auto lit = active && mask<F>(v.emission_weight > F(0));
+    if ((needs.emitter || needs.geometry) && any(lit))
+        sweep_emitter(c.scene, v.emission, v.d, row.at[0] * v.emission_weight, needs, lit, hit.at, d_bar, sink);
+    Stokes<F> s = no_stokes<F>();
+    const auto scatter = [&](const auto &vertex) {
+        s = vertex.column(behind);
+        segment.shadow_value = vertex.direct(row);
+        if (needs.geometry) {
+            MotionPacket<F> motion;
+            read(tape.motion, Entries<F>(i), motion);
+            v.way = sweep_shadow_motion(c.scene, segment, motion, v.p, one, active, sink);
+            next.ray.o = next.ray.o + next.rest + next.from;
+        }
+        vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
+    };
+    if (entry.surface) scatter(entry.vertex(c, kind, active));
+    if (entry.collided) scatter(entry.collision(c, active));
+    if (entry.passes) s = weighted(behind, uniform_spectrum(v.inverse_pdf));
+    s.at[0] = s.at[0] + v.emission_radiance;
+    if (!parents && needs.geometry) sweep_film_axis(c, leaving, row, s, active, d_bar, sink);
+    const Spectrum<F> arrived = number_between(row, s, leaving),
+                      branch = polarize_segment(c, tape, level, i, entry, first, active);
+    v.beta = one;
+    if (needs.geometry)
+        sweep_moving_segment(c, tape, parents, kind, i, v, next, segment, one, arrived, branch, hit, d_bar, entry.slot,
+                             entry.parent, active, sink);
+    else
+        sweep_segment(c.scene, segment, one, one, arrived, branch, needs.medium, active, sink);
+    if (sink.forward) add_to_entries<F>(c.slots.radiance, entry.slot, sink.derivative, active);
+}
+
+}  // namespace
+
 template <class F>
 TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                     const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                                     const MaskOf<F> &active, GradientSink<F> &sink) {
+                                     const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
+                                     uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
+    if (entry.volumetric) {
+        sink.begin(entry.waves);
+        return sweep_polarized_segment(c, tape, parents, level, kind, i, entry, active, sink);
+    }
     VertexRecord<F> &v = entry.v;
     if (needs.geometry) read_arrival(tape, i, v);
     sink.begin(entry.waves);
@@ -476,13 +592,13 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
-#define TR_INSTANTIATE_POLARIZED(F, S)                                                                                 \
-    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,      \
-                              uint32_t, const MaskOf<F> &);                                                            \
-    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,         \
-                           uint32_t, const MaskOf<F> &);                                                               \
-    template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, \
-                                         bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
+#define TR_INSTANTIATE_POLARIZED(F, S)                                                                            \
+    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
+                              uint32_t, const MaskOf<F> &);                                                       \
+    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,    \
+                           uint32_t, const MaskOf<F> &);                                                          \
+    template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
+                                         uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE_POLARIZED)
 #undef TR_INSTANTIATE_POLARIZED
 #define TR_INSTANTIATE(F, S)                                                                                         \
