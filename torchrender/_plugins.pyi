@@ -59,7 +59,7 @@ from .scene.textures import MeshAttribute as MeshAttribute
 from .scene.textures import VolumeTexture as VolumeTexture
 from .scene.volumes import ConstantVolume as ConstantVolume
 from .scene.volumes import GridVolume as GridVolume
-from .typing import Color, Number, TextureLike
+from .typing import Color, Number, TextureLike, Vector
 
 class AreaLight(Plugin):
     """An emitting shape."""
@@ -69,10 +69,12 @@ class AreaLight(Plugin):
         *,
         radiance: TextureLike = 1.0,
         sampling_weight: Number = 1.0,
+        stokes: Vector | None = None,
         **properties: Any,
     ) -> None: ...
     radiance: Any
     sampling_weight: torch.Tensor
+    stokes: torch.Tensor
 
 class CircularPolarizer(Plugin):
     """Circular polariser."""
@@ -168,11 +170,11 @@ class Polarizer(Plugin):
     def __init__(
         self,
         *,
-        theta: Number = 0.0,
+        theta: TextureLike = 0.0,
         transmittance: TextureLike = 1.0,
         **properties: Any,
     ) -> None: ...
-    theta: torch.Tensor
+    theta: Any
     transmittance: Any
 
 class Rayleigh(Plugin):
@@ -189,11 +191,11 @@ class Retarder(Plugin):
     def __init__(
         self,
         *,
-        theta: Number = 0.0,
-        delta: Number = 90.0,
+        theta: TextureLike = 0.0,
+        delta: TextureLike = 90.0,
         transmittance: TextureLike = 1.0,
         **properties: Any,
     ) -> None: ...
-    theta: torch.Tensor
-    delta: torch.Tensor
+    theta: Any
+    delta: Any
     transmittance: Any

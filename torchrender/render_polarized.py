@@ -16,7 +16,7 @@ from .render_call import RenderCall
 from .scene.packing import Layout
 
 # What polarises in nature, and does not here: surfaces, and phase functions that are tables of real particles.
-GLOSSY = ("plastic", "roughplastic", "pplastic", "principled", "principledthin", "hair", "redner")
+GLOSSY = ("principled", "principledthin", "hair", "redner")
 PARTICLES = ("tabphase",)
 
 

@@ -29,6 +29,8 @@ const char *kind_name(Kind kind) {
             return "float";
         case Kind::Point:
             return "point";
+        case Kind::Vector:
+            return "vector";
         case Kind::Transform:
             return "transform";
         case Kind::Transform2:

@@ -14,6 +14,7 @@ enum class Kind {
     Spectrum,    // a small tensor: one number or a number a channel
     Float,       // a small tensor: one number
     Point,       // a small tensor: (3,)
+    Vector,      // the same, of what is not a place
     Transform,   // a small tensor: (4, 4)
     Transform2,  // a small tensor: (3, 3), acts on texture coordinates
     Tensor,      // a tensor of any size, used where it lies

@@ -82,10 +82,11 @@ struct SceneView {
     const S *area_cdf;  // of the faces of emitting meshes
     const AttributeInfo *attributes;
     int32_t n_shapes;
-    bool textured;         // there is a texture that is not constant
-    bool has_stacks;       // there is a BSDF that chooses by chance, or perturbs normals
-    bool follows_tangent;  // there is a BSDF whose frame follows the texture coordinates
-    TR_INLINE bool has_tangents() const { return has_stacks || follows_tangent; }
+    bool textured;          // there is a texture that is not constant
+    bool has_stacks;        // there is a BSDF that chooses by chance, or perturbs normals
+    bool follows_tangent;   // there is a BSDF whose frame follows the texture coordinates
+    bool polarized_lights;  // there is an emitter whose light is polarised
+    TR_INLINE bool has_tangents() const { return has_stacks || follows_tangent || polarized_lights; }
 
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;

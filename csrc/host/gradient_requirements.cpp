@@ -34,7 +34,7 @@ bool GradientRequirements::any_number(const char *category, size_t index, std::i
 }
 
 bool GradientRequirements::values(const char *category, size_t index) const {
-    if (any_number(category, index, {Kind::Spectrum, Kind::Float, Kind::Point})) return true;
+    if (any_number(category, index, {Kind::Spectrum, Kind::Float, Kind::Point, Kind::Vector})) return true;
     const Record &record = layout_.records.at(category)[index];
     const Model &model = model_of(category, record);
     for (int f = 0; f < model.n_fields; ++f) {

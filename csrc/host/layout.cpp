@@ -164,9 +164,10 @@ int32_t LayoutBuilder::default_phase() {
 
 int32_t LayoutBuilder::constant(const Field &f, int64_t given, const std::string &at) {
     const int channels = out_.spectral ? SpectrumSamples : out_.channels;
+    const bool vector = f.kind == Kind::Point || f.kind == Kind::Vector;
     int stored = f.kind == Kind::Spectrum    ? out_.stored_spectrum()
                  : f.kind == Kind::Float     ? 1
-                 : f.kind == Kind::Point     ? 3
+                 : vector                    ? 3
                  : f.kind == Kind::Transform ? 12
                                              : 9;
     bool matrix = f.kind == Kind::Transform || f.kind == Kind::Transform2;
@@ -183,14 +184,14 @@ int32_t LayoutBuilder::constant(const Field &f, int64_t given, const std::string
     using Shape = std::vector<int64_t>;
     bool right = f.kind == Kind::Spectrum    ? s.empty() || s == Shape{channels}
                  : f.kind == Kind::Float     ? s.empty()
-                 : f.kind == Kind::Point     ? s == Shape{3}
+                 : vector                    ? s == Shape{3}
                  : f.kind == Kind::Transform ? s == Shape{4, 4}
                                              : s == Shape{3, 3};
     if (!right)
         fail(at,
              f.kind == Kind::Spectrum    ? "a tensor of shape () or (" + std::to_string(channels) + ",)"
              : f.kind == Kind::Float     ? "a tensor of shape ()"
-             : f.kind == Kind::Point     ? "a tensor of shape (3,)"
+             : vector                    ? "a tensor of shape (3,)"
              : f.kind == Kind::Transform ? "a tensor of shape (4, 4)"
                                          : "a tensor of shape (3, 3)",
              text(s));

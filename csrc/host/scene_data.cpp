@@ -273,6 +273,12 @@ void SceneData<S>::refresh_view() {
         const int by = bsdf_kernels<PacketOf<S>>(r.kind).tangent_of;
         return by < 0 || !is_default(textures[size_t(r.field[by])]);
     });
+    const auto &emitters = layout_.records.at("emitter");
+    view_.polarized_lights = std::any_of(emitters.begin(), emitters.end(), [&](const Record &r) {
+        const int field = emitter_kernels<PacketOf<S>>(r.kind).stokes;
+        return field >= 0 && std::any_of(layout_.entries.begin(), layout_.entries.end(),
+                                         [&](const ConstantEntry &e) { return e.offset == r.field[field]; });
+    });
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
     choose_emitters(false);
     view_.environment = layout_.environment;

@@ -140,7 +140,7 @@ def test_every_declared_parameter_that_moves_something_is_tested():
     for (category, kind), fields in MOVING.items():
         for field in fields:
             assert (category, kind, field) in tested, f"{category} {kind}: {field} is in no scene"
-    appearance = {"spectrum", "texture"}
+    appearance = {"spectrum", "texture", "vector"}
     for (category, kind), model in models().items():
         if category in ("volume", "phase", "medium"):  # see test_media_motion.py
             continue

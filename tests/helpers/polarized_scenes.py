@@ -73,6 +73,10 @@ SCENES = {
     "rough_metal": lambda: room(rough(GOLD, 0.3)),
     "glass": lambda: room(GLASS, depth=6),
     "bubble": lambda: room({**GLASS, "int_ior": 1.0, "ext_ior": 1.5}, depth=6),
+    "pplastic": lambda: room(
+        {"type": "pplastic", "alpha": 0.2, "diffuse_reflectance": uniform(0.6), "int_ior": 1.5, "ext_ior": 1.0},
+        up=(0.5, 0.2, 1),
+    ),
     "polariser": lambda: room(GLASS, depth=7, plate=plate({"type": "polarizer", "theta": 20.0})),
     "tilted_polariser": lambda: room(
         GLASS, depth=7, plate=plate({"type": "polarizer", "theta": 20.0}, tilt=40, back=True)

@@ -23,7 +23,9 @@ class Ball:
     Attributes:
         to_world: (4, 4) of the camera, which looks along +z of its own space.
         center, radius: of the ball.
-        sun: (3,), the direction in which its light travels; it brings `irradiance` on a plane across it.
+        sun: (4, 4), a space along whose +z its light travels, and whose x axis is that of its Stokes vector.
+        irradiance: what the sun brings on a plane across its light.
+        shares: (3,), Q, U and V of that over I.
         sigma, albedo: extinction and albedo of the medium.
         share: of Rayleigh scattering; the rest is Henyey and Greenstein's with `g`, and depolarises.
     """
@@ -33,6 +35,7 @@ class Ball:
     radius: torch.Tensor
     sun: torch.Tensor
     irradiance: torch.Tensor
+    shares: torch.Tensor
     sigma: torch.Tensor
     albedo: torch.Tensor
     share: torch.Tensor
@@ -42,7 +45,8 @@ class Ball:
         """Samples (n, 4) of the Stokes vector in the middle of the image, of so many orders of scattering at most."""
         generator = torch.Generator().manual_seed(seed)
         p, up, d = (self.to_world[:3, k].expand(n, 3) for k in (3, 1, 2))
-        d, sun = _unit(d), _unit(self.sun).expand(n, 3)
+        d, sun, sun_axis = _unit(d), _unit(self.sun[:3, 2]).expand(n, 3), _unit(self.sun[:3, 0]).expand(n, 3)
+        light = torch.cat([torch.ones(1, dtype=DOUBLE), self.shares])
         axis = _unit(torch.linalg.cross(up, -d))  # the horizontal, of light that travels along -d
         p = p + d * self._ends(p, d)[0]
         through = self.irradiance * torch.eye(4, dtype=DOUBLE).expand(n, 4, 4)
@@ -53,7 +57,7 @@ class Ball:
             p = p - d * torch.log(1 - u * reach) / self.sigma
             through = through * (reach * self.albedo)[..., None]
             shade = torch.exp(-self.sigma * self._ends(p, -sun)[1])
-            total = total + (through @ self._scattering(sun, -d, axis, _any_axis(sun)))[..., 0] * shade
+            total = total + through @ self._scattering(sun, -d, axis, sun_axis) @ light * shade
             w = _unit(torch.randn(n, 3, generator=generator, dtype=DOUBLE))  # the next direction, uniform
             following = _any_axis(-w)
             through = through @ self._scattering(-w, -d, axis, following) * (4 * math.pi)

@@ -88,7 +88,7 @@ def test_malus(angle):
     scene = plates({"type": "polarizer", "theta": float(angle)}, {"type": "polarizer"})
     assert abs(float(stokes(scene)[0]) - 0.5 * math.cos(math.radians(angle)) ** 2) < 1e-6
     theta = torch.tensor(float(angle), dtype=torch.float64, requires_grad=True)
-    stokes(scene, params={"p0.bsdf.theta": theta})[0].backward()
+    stokes(scene, params={"p0.bsdf.theta.value": theta})[0].backward()
     expected = -0.5 * math.sin(math.radians(2 * angle)) * math.pi / 180
     assert abs(float(theta.grad) - expected) < 1e-8
 
@@ -170,8 +170,8 @@ def test_outputs_and_variants():
 
 
 def test_glossy_surfaces_that_do_not_polarise_are_named():
-    scene = mirror_view(30, {"type": "plastic"})
-    with pytest.warns(UserWarning, match=r"plane.bsdf \(plastic\): what this scatters is unpolarised"):
+    scene = mirror_view(30, {"type": "principled"})
+    with pytest.warns(UserWarning, match=r"plane.bsdf \(principled\): what this scatters is unpolarised"):
         assert float(stokes(scene)[1:].abs().max()) == 0
 
 

@@ -58,6 +58,7 @@ class PointLight(Plugin):
         position: where it is (3,).
         to_world: in place of `position`: a transform whose translation is the position.
         sampling_weight: relative number of emitter samples.
+        stokes: (Q, U, V) / I of its light (3,), Q along the world's x axis across the ray; 0 without it.
     """
 
     category, type = "emitter", "point"
@@ -85,6 +86,7 @@ class DirectionalLight(Plugin):
         direction: where the light travels (3,), of any length.
         to_world: in place of `direction`, and what is kept: the light travels along its +z axis.
         sampling_weight: relative number of emitter samples.
+        stokes: (Q, U, V) / I of its light (3,), Q along the x axis of `to_world` across the ray; 0 without it.
     """
 
     category, type = "emitter", "directional"
@@ -142,6 +144,7 @@ class SpotLight(Plugin):
             a plane across the axis.
         to_world: 4x4 matrix, the light's frame to the world; a scale, the same in all directions, is left out.
         sampling_weight: relative number of emitter samples.
+        stokes: (Q, U, V) / I of its light (3,), Q along the x axis of `to_world` across the ray; 0 without it.
     """
 
     category, type = "emitter", "spot"
@@ -178,6 +181,7 @@ class Projector(Plugin):
         fov: field of view in degrees along `fov_axis` (``x``, ``y``, ``diagonal``, ``smaller``, ``larger``).
         focal_length: in place of `fov`: millimetres on a 36 x 24 mm frame, a number or ``"50mm"``, the default.
         sampling_weight: relative number of emitter samples.
+        stokes: (Q, U, V) / I of its light (3,), Q along the x axis of `to_world` across the ray; 0 without it.
     """
 
     category, type = "emitter", "projector"

@@ -7,16 +7,58 @@ namespace tr {
 
 namespace {
 
-// The number that a row and a column of one colour make, on one axis.
+// The number that a row and a column of one colour make, on the axes of the matrix.
 template <class M, class F>
 TR_INLINE auto contracted(Polarization kind, const M &m, const Stokes<F> &a, const Stokes<F> &r, int c) {
     if (kind == Polarization::Circular)
-        return m.b * (a.at[0][c] * r.at[3][c] + a.at[3][c] * r.at[0][c]) +
+        return m.out * (a.at[0][c] * r.at[3][c] + a.at[3][c] * r.at[0][c]) +
                (a.at[0][c] * r.at[0][c] + a.at[3][c] * r.at[3][c]);
-    const F same = a.at[0][c] * r.at[0][c] + a.at[1][c] * r.at[1][c];
-    return m.b * (a.at[0][c] * r.at[1][c] + a.at[1][c] * r.at[0][c]) +
+    return m.in * (a.at[0][c] * r.at[1][c]) + m.out * (a.at[1][c] * r.at[0][c]) + m.both * (a.at[1][c] * r.at[1][c]) +
            m.x * (a.at[2][c] * r.at[2][c] + a.at[3][c] * r.at[3][c]) +
-           m.y * (a.at[3][c] * r.at[2][c] - a.at[2][c] * r.at[3][c]) + same;
+           m.y * (a.at[3][c] * r.at[2][c] - a.at[2][c] * r.at[3][c]) + a.at[0][c] * r.at[0][c];
+}
+
+// A column, on the axis of what arrives, behind the matrices.
+template <class F>
+TR_INLINE Stokes<F> scattered(Polarization kind, const PolarizedWay<F> &way, const Stokes<F> &arriving) {
+    Stokes<F> s = no_stokes<F>();
+    s.axis = way.out;
+    for (int c = 0; c < SpectrumSize; ++c) {
+        const auto &m = way.matrix[c];
+        const F i = arriving.at[0][c] * way.factor[c], q = arriving.at[1][c] * way.factor[c],
+                u = arriving.at[2][c] * way.factor[c], v = arriving.at[3][c] * way.factor[c];
+        if (kind == Polarization::Circular) {
+            s.at[0][c] = i + m.out * v, s.at[3][c] = m.out * i + v;
+            continue;
+        }
+        s.at[0][c] = i + m.in * q, s.at[1][c] = m.out * i + m.both * q;
+        s.at[2][c] = m.x * u - m.y * v, s.at[3][c] = m.y * u + m.x * v;
+    }
+    return s;
+}
+
+// A row, on the axis of what leaves, before the matrices.
+template <class F>
+TR_INLINE Stokes<F> gathered(Polarization kind, const PolarizedWay<F> &way, const Stokes<F> &leaving) {
+    Stokes<F> a = no_stokes<F>();
+    a.axis = way.in;
+    for (int c = 0; c < SpectrumSize; ++c) {
+        const auto &m = way.matrix[c];
+        const F i = leaving.at[0][c] * way.factor[c], q = leaving.at[1][c] * way.factor[c],
+                u = leaving.at[2][c] * way.factor[c], v = leaving.at[3][c] * way.factor[c];
+        if (kind == Polarization::Circular) {
+            a.at[0][c] = i + m.out * v, a.at[3][c] = m.out * i + v;
+            continue;
+        }
+        a.at[0][c] = i + m.out * q, a.at[1][c] = m.in * i + m.both * q;
+        a.at[2][c] = m.x * u + m.y * v, a.at[3][c] = m.x * v - m.y * u;
+    }
+    return a;
+}
+
+template <class F>
+TR_INLINE void add(Stokes<F> &to, const Stokes<F> &more) {
+    for (int i = 0; i < 4; ++i) to.at[i] = to.at[i] + more.at[i];
 }
 
 // Where a field's value is among the parameters of a component.
@@ -60,10 +102,24 @@ TR_INLINE Vec3<F> across_plate(const PlateAxis<F> &plate, const Frame<F> &frame,
     return select(mask<F>(squared_norm(m) > F(1e-12)), m, s);
 }
 
-// The matrix of one colour as a function of z, eta and k, with derivatives by these if T has them.
+// Whether the facet is the surface: of delta lobes, and where light passes the coat above a base.
+template <class F>
+TR_INLINE bool on_surface(const PolarizedVertex<F> &v, const PolarizedWay<F> &way) {
+    return v.bsdf.is(HasDeltaLobes) || any(way.base);
+}
+
+// Whether the axes are across the surface's normal, and not the facet's, which may be unknown: through a pane light
+// goes on as it came.
+template <class F>
+TR_INLINE MaskOf<F> across_surface(const PolarizedVertex<F> &v, const PolarizedWay<F> &way) {
+    return way.base || MaskOf<F>(v.kind == Polarization::Pane);
+}
+
+// The matrix of one colour as a function of the cosine at the facet, eta, and k; below a coat of the cosine of what
+// leaves, eta, and the cosine of what arrives. With derivatives by these three if T has them.
 template <class T, class F>
-TR_INLINE FacetMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Vec3<F> &to, const F &local_z,
-                                   const MaskOf<F> &reflects, int c) {
+TR_INLINE MuellerMatrix<T> matrix_of(const PolarizedVertex<F> &v, const PolarizedWay<F> &way, int c) {
+    using Facet = FacetMatrix<T>;
     const auto variable = [&](const F &value, int i) {
         if constexpr (std::is_same_v<T, F>)
             return value;
@@ -71,137 +127,144 @@ TR_INLINE FacetMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Vec3<F> &t
             return T(value, i);
     };
     if (v.kind == Polarization::Circular)
-        return {T(select(mask<F>(v.params.choice[0] == 0), F(1), F(-1))), T(F(0)), T(F(0))};
+        return Facet{T(select(mask<F>(v.params.choice[0] == 0), F(1), F(-1))), T(F(0)), T(F(0))};
     if (v.kind == Polarization::Retarder) {
         const F delta = v.params.number[number_of(v.bsdf, v.bsdf.eta, c)] * F(Pi / 180);
         const F cosine = cos(delta), sine = sin(delta);
-        FacetMatrix<T> r{T(F(0)), T(cosine), T(-sine)};
+        Facet r{T(F(0)), T(cosine), T(-sine)};
         if constexpr (!std::is_same_v<T, F>) r.x.d[1] = sine * F(-Pi / 180), r.y.d[1] = cosine * F(-Pi / 180);
         return r;
     }
-    const T z = variable(v.smooth ? local_z : dot(v.wi, to), 0);
+    const bool smooth = v.bsdf.is(HasDeltaLobes);
+    const T z = variable(smooth ? v.z : dot(v.wi, way.to), 0);
     if (v.kind == Polarization::Pass || v.kind == Polarization::Polarizer)
-        return facet_matrix<T>(v.kind, v.smooth, reflects, z, T(F(1)), T(F(0)));
+        return facet_matrix<T>(v.kind, smooth, way.reflects, z, T(F(1)), T(F(0)));
     T eta = variable(v.params.number[number_of(v.bsdf, v.bsdf.eta, c)], 1), k(F(0));
+    if (v.kind == Polarization::Coat) {
+        MuellerMatrix<T> base, facet;
+        if (any(way.base))
+            base = {polarized_by_refraction(variable(v.z, 0), eta), polarized_by_refraction(variable(way.z, 2), eta)};
+        if (!any(!way.base)) return base;
+        facet = facet_matrix<T>(Polarization::Interface, smooth, MaskOf<F>(true), z, eta, k);
+        return any(way.base) ? select(way.base, base, facet) : facet;
+    }
     if (v.kind == Polarization::Metal) {
         k = variable(v.params.number[number_of(v.bsdf, v.bsdf.k, c)], 2);
     } else {
-        if (!v.smooth) eta = clamp_eta(eta);
-        auto outside = mask<F>(!(local_z < F(0)));
-        if (v.kind == Polarization::Interface) eta = select(outside, eta, T(F(1)) / eta);
+        if (!smooth) eta = clamp_eta(eta);
+        auto outside = mask<F>(!(v.z < F(0)));
+        if (v.kind == Polarization::Interface) eta = select(outside, eta, T(1) / eta);
     }
-    return facet_matrix<T>(v.kind, v.smooth, reflects, z, eta, k);
+    return facet_matrix<T>(v.kind, smooth, way.reflects, z, eta, k);
 }
 
 }  // namespace
 
 template <class F>
 TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int bsdf_kind,
-                                             const VertexRecord<F> &v, const MaskOf<F> &active)
-    : bsdf(bsdf_kernels<F>(bsdf_kind)), kind(bsdf.polarizes), smooth(!bsdf.is(HasSmoothLobes)) {
+                                             const VertexRecord<F> &v, const GradientNeeds &needs,
+                                             const MaskOf<F> &active)
+    : bsdf(bsdf_kernels<F>(bsdf_kind)),
+      kind(bsdf.polarizes),
+      n_lobes(kind == Polarization::Coat && !bsdf.is(HasDeltaLobes) ? 2 : 1),
+      z(v.wi.z),
+      lamp(scene, v.light, active && mask<F>(v.light_weight > F(0)) && MaskOf<F>(kind != Polarization::None)) {
     load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
     const Spectrum<F> one = uniform_spectrum(F(1)), none = uniform_spectrum(F(0));
-    const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0));
-    BsdfDerivative<F> value;
-    bsdf.vjp(params, v.wi, v.wo, v.lobe, Transport::Radiance, one, one, {false, false}, value);
-    const MaskOf<F> goes_on = active && mask<F>(v.inverse_pdf > F(0));
-    path = select(goes_on, value.f * v.inverse_pdf, none);
-    light = none;
-    if (bsdf.is(HasSmoothLobes) && any(lit)) {
-        bsdf.vjp(params, v.wi, v.wo_light, IntOf<F>(0), Transport::Radiance, one, one, {false, false}, value);
-        light = select(lit, apply(value.f, apply(v.through, v.emitted)) * v.light_weight, none);
-    }
+    const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0)), goes_on = active && mask<F>(v.inverse_pdf > F(0));
+    const bool connected = bsdf.is(HasSmoothLobes) && any(lit);
+    Spectrum<F> path_factor = uniform_spectrum(v.inverse_pdf),
+                light_factor = apply(v.through, v.emitted) * v.light_weight;
     if (scene.has_stacks) {
-        const StackAdjoint<F> stack(scene, waves, v, GradientNeeds{}, Transport::Radiance, active);
-        path = path * stack.bsdf.stack.weight * stack.path_factor;
-        light = light * stack.bsdf.stack.weight * stack.light_factor;
+        const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
+        path_factor = path_factor * stack.bsdf.stack.weight * stack.path_factor;
+        light_factor = light_factor * stack.bsdf.stack.weight * stack.light_factor;
     }
-    if (kind == Polarization::None) return;
     Frame<F> frame = vertex_frame(scene, v);
     frame.n = frame.n * v.mirror;
-    // (where nothing comes from, any direction that is finite)
-    const Vec3<F> from = select(goes_on, v.wo, v.wi), from_light = select(lit, v.wo_light, v.wi);
-    wi = frame.to_world(v.wi), wo = frame.to_world(from), wo_light = frame.to_world(from_light), n = frame.n;
-    axis = is_plate(kind) ? across_plate(PlateAxis<F>(*this), frame, wi) : axis_between(wi, wo);
-    light_axis = axis_between(wi, wo_light);
-    reflects = mask<F>(v.wi.z * from.z > F(0)), light_reflects = mask<F>(v.wi.z * from_light.z > F(0));
-    for (int c = 0; c < SpectrumSize; ++c) {
-        matrix[c] = matrix_of<F>(*this, wo, v.wi.z, reflects, c);
-        if (!smooth) of_light[c] = matrix_of<F>(*this, wo_light, v.wi.z, light_reflects, c);
-    }
-}
-
-template <class F>
-TR_HD Stokes<F> PolarizedVertex<F>::scattered(const Stokes<F> &r) const {
-    Stokes<F> out{{}, axis};
-    for (int c = 0; c < SpectrumSize; ++c) {
-        const auto &m = matrix[c];
-        const F i = r.at[0][c], q = r.at[1][c], u = r.at[2][c], v = r.at[3][c];
-        if (kind == Polarization::Circular) {
-            out.at[0][c] = path[c] * (i + m.b * v), out.at[3][c] = path[c] * (m.b * i + v);
-            out.at[1][c] = out.at[2][c] = F(0);
-            continue;
+    wi = frame.to_world(v.wi), n = frame.n;
+    for (int l = 0; l < n_lobes; ++l) {
+        PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
+        BsdfDerivative<F> value;
+        const IntOf<F> part(n_lobes == 2 ? l + 1 : 0);
+        bsdf.vjp(params, v.wi, v.wo, n_lobes == 2 ? part : v.lobe, Transport::Radiance, one, one, {false, false},
+                 value);
+        path.factor = select(goes_on, apply(value.f, path_factor), none);
+        light.factor = none;
+        if (connected) {
+            bsdf.vjp(params, v.wi, v.wo_light, part, Transport::Radiance, one, one, {false, false}, value);
+            light.factor = select(lit, apply(value.f, light_factor), none);
         }
-        out.at[0][c] = path[c] * (i + m.b * q), out.at[1][c] = path[c] * (m.b * i + q);
-        out.at[2][c] = path[c] * (m.x * u - m.y * v), out.at[3][c] = path[c] * (m.y * u + m.x * v);
+        if (kind == Polarization::None) return;
+        const bool coat = kind == Polarization::Coat;
+        path.base = MaskOf<F>(coat) && (n_lobes == 2 ? MaskOf<F>(l == 1) : mask<F>(v.lobe == 0));
+        light.base = MaskOf<F>(coat && (n_lobes == 1 || l == 1));
+        const auto find = [&](PolarizedWay<F> &way, const Vec3<F> &local) {
+            way.to = frame.to_world(local), way.z = local.z;
+            way.reflects = mask<F>(v.wi.z * local.z > F(0));
+            way.out = way.in = is_plate(kind) ? across_plate(PlateAxis<F>(*this), frame, wi) : axis_between(wi, way.to);
+            const MaskOf<F> surface = across_surface(*this, way);
+            if (any(surface))
+                way.out = select(surface, axis_between(wi, n), way.out),
+                way.in = select(surface, axis_between(way.to, n), way.in);
+            for (int c = 0; c < SpectrumSize; ++c) way.matrix[c] = matrix_of<F>(*this, way, c);
+        };
+        // (where nothing comes from, any direction that is finite)
+        find(path, select(goes_on, v.wo, v.wi));
+        if (bsdf.is(HasSmoothLobes)) find(light, select(lit, v.wo_light, v.wi));
     }
-    return out;
 }
 
 template <class F>
 TR_LARGE Stokes<F> PolarizedVertex<F>::column(const Stokes<F> &arriving) const {
+    Stokes<F> r = no_stokes<F>();
     if (kind == Polarization::None) {
-        Stokes<F> r = no_stokes<F>();
-        r.at[0] = apply(path, arriving.at[0]) + light, r.axis = arriving.axis;
+        r.at[0] = apply(lobes[0].path.factor, arriving.at[0]) + lobes[0].light.factor, r.axis = arriving.axis;
         return r;
     }
-    Stokes<F> r = scattered(turned_column(arriving, axis, -wo));
-    if (smooth) return r;
-    Stokes<F> direct = no_stokes<F>();
-    direct.axis = light_axis;
-    for (int c = 0; c < SpectrumSize; ++c) direct.at[0][c] = light[c], direct.at[1][c] = light[c] * of_light[c].b;
-    direct = turned_column(direct, axis, wi);
-    for (int i = 0; i < 4; ++i) r.at[i] = r.at[i] + direct.at[i];
+    r.axis = lobes[0].path.out;
+    for (int l = 0; l < n_lobes; ++l) {
+        const PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
+        add(r, turned_column(scattered(kind, path, turned_column(arriving, path.in, -path.to)), r.axis, wi));
+        if (!bsdf.is(HasSmoothLobes)) continue;
+        const Stokes<F> sent = turned_column(lamp.of(uniform_spectrum(F(1))), light.in, -light.to);
+        add(r, turned_column(scattered(kind, light, sent), r.axis, wi));
+    }
     return r;
 }
 
 template <class F>
 TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving) const {
-    Stokes<F> r = no_stokes<F>();
+    Stokes<F> a = no_stokes<F>();
     if (kind == Polarization::None) {
-        r.at[0] = pull(leaving.at[0], path), r.axis = leaving.axis;
-        return r;
+        a.at[0] = pull(leaving.at[0], lobes[0].path.factor), a.axis = leaving.axis;
+        return a;
     }
-    const Stokes<F> a = turned_row(leaving, axis, wi);
-    r.axis = axis;
-    for (int c = 0; c < SpectrumSize; ++c) {
-        const auto &m = matrix[c];
-        if (kind == Polarization::Circular) {
-            r.at[0][c] = path[c] * (a.at[0][c] + m.b * a.at[3][c]);
-            r.at[3][c] = path[c] * (m.b * a.at[0][c] + a.at[3][c]);
-            continue;
-        }
-        r.at[0][c] = path[c] * (a.at[0][c] + m.b * a.at[1][c]), r.at[1][c] = path[c] * (m.b * a.at[0][c] + a.at[1][c]);
-        r.at[2][c] = path[c] * (m.x * a.at[2][c] + m.y * a.at[3][c]);
-        r.at[3][c] = path[c] * (m.x * a.at[3][c] - m.y * a.at[2][c]);
+    a.axis = lobes[0].path.in;
+    for (int l = 0; l < n_lobes; ++l) {
+        const PolarizedWay<F> &path = lobes[l].path;
+        add(a, turned_row(gathered(kind, path, turned_row(leaving, path.out, wi)), a.axis, -path.to));
     }
-    return r;
+    return a;
 }
 
 template <class F>
 TR_LARGE Spectrum<F> PolarizedVertex<F>::direct(const Stokes<F> &leaving) const {
-    Spectrum<F> r = pull(leaving.at[0], light);
-    if (kind == Polarization::None || smooth) return r;
-    const Stokes<F> a = turned_row(leaving, light_axis, wi);
-    for (int c = 0; c < SpectrumSize; ++c) r[c] = r[c] + a.at[1][c] * light[c] * of_light[c].b;
+    if (kind == Polarization::None) return pull(leaving.at[0], lobes[0].light.factor);
+    Spectrum<F> r = uniform_spectrum(F(0));
+    for (int l = 0; l < n_lobes && bsdf.is(HasSmoothLobes); ++l) {
+        const PolarizedWay<F> &light = lobes[l].light;
+        const Stokes<F> sent = turned_column(lamp.of(uniform_spectrum(F(1))), light.in, -light.to);
+        r = r + number_between(leaving, scattered(kind, light, sent), wi);
+    }
     return r;
 }
 
 // What the angle of a plate's axis makes of `angle`: of theta, of the surface, and of the ray.
 template <class F>
 TR_HD void PolarizedVertex<F>::sweep_plate(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &angle,
-                                           Spectrum<F> &by_theta, const GradientNeeds &needs, const MaskOf<F> &active,
-                                           HitAdjoint<F> &hit, Vec3<F> &wi_bar) const {
+                                           const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                                           Adjoints &bar) const {
     const PlateAxis<F> plate(*this);
     VertexFrame<F> frame(scene, v, true);
     const Vec3<F> a = frame.frame.to_world(plate.local), change = frame.frame.to_world(plate.change),
@@ -209,88 +272,130 @@ TR_HD void PolarizedVertex<F>::sweep_plate(const SceneOf<F> &scene, const Vertex
     const F length2 = squared_norm(m);
     auto some = mask<F>(length2 > F(1e-12));
     const Vec3<F> turn = cross(wi, m) * select(some, F(1) / select(some, length2, F(1)), F(0));
+    Spectrum<F> &by_theta = bar.by_variable[bsdf.theta];
     by_theta = by_theta + angle * dot(plate.across(change, wi), turn);
     if (!needs.geometry) return;
     const Vec3<F> m_bar = turn * component_sum(angle);
     Vec3<F> a_bar = m_bar;
     if (plate.absorbs)
-        a_bar = cross(wi, m_bar), wi_bar = wi_bar + cross(m_bar, a);
+        a_bar = cross(wi, m_bar), bar.wi = bar.wi + cross(m_bar, a);
     else
-        wi_bar = wi_bar - m_bar * dot(a, wi);
+        bar.wi = bar.wi - m_bar * dot(a, wi);
     frame.out_of(plate.local, a_bar);
     frame.hand_to(hit, scene, v, active);
 }
 
+// What the matrices of a way and its axes depend on, between the row of what leaves and the column of what arrives.
 template <class F>
-TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, VertexRecord<F> v,
-                                     const Stokes<F> &leaving, const Stokes<F> &arriving, NextVertex<F> next,
+TR_HD void PolarizedVertex<F>::sweep_way(const PolarizedWay<F> &way, const Stokes<F> &leaving, const Stokes<F> &column,
+                                         const GradientNeeds &needs, Vec3<F> &to_bar, Adjoints &bar) const {
+    using D = Dual<F, 3>;
+    const Stokes<F> a = turned_row(leaving, way.out, wi), r = turned_column(column, way.in, -way.to);
+    if (bsdf.eta >= 0) {
+        F by_cosine(0), by_base(0);
+        for (int c = 0; c < SpectrumSize; ++c) {
+            const D value = contracted(kind, matrix_of<D>(*this, way, c), a, r, c) * way.factor[c];
+            by_cosine = by_cosine + value.d[0];
+            bar.by_variable[bsdf.eta][c] = bar.by_variable[bsdf.eta][c] + value.d[1];
+            if (bsdf.k >= 0)
+                bar.by_variable[bsdf.k][c] = bar.by_variable[bsdf.k][c] + value.d[2];
+            else
+                by_base = by_base + value.d[2];
+        }
+        if (on_surface(*this, way)) {
+            bar.wi = bar.wi + n * by_cosine, to_bar = to_bar + n * by_base;
+            bar.n = bar.n + wi * by_cosine + way.to * by_base;
+        } else {
+            bar.wi = bar.wi + way.to * by_cosine, to_bar = to_bar + wi * by_cosine;
+        }
+    }
+    if (!needs.numbers() || is_plate(kind)) return;
+    // of what arrives, the column turns with this vertex' axis; of what leaves, against it
+    const F arriving = component_sum(by_angle(gathered(kind, way, a), r)),
+            left = -component_sum(by_angle(leaving, turned_column(scattered(kind, way, r), leaving.axis, wi)));
+    const MaskOf<F> surface = across_surface(*this, way);
+    if (any(surface)) {
+        sweep_axis(way.to, n, -way.to, select(surface, arriving, F(0)), to_bar, bar.n);
+        sweep_axis(wi, n, wi, select(surface, left, F(0)), bar.wi, bar.n);
+    }
+    if (any(!surface)) {
+        sweep_axis(wi, way.to, -way.to, select(surface, F(0), arriving), bar.wi, to_bar);
+        sweep_axis(wi, way.to, wi, select(surface, F(0), left), bar.wi, to_bar);
+    }
+}
+
+// Of the light that comes this way: its shares and its axis.
+template <class F>
+TR_HD void PolarizedVertex<F>::sweep_lamp(const SceneOf<F> &scene, const VertexRecord<F> &v, const PolarizedWay<F> &way,
+                                          const Stokes<F> &leaving, const GradientNeeds &needs, const MaskOf<F> &active,
+                                          HitAdjoint<F> &hit, Vec3<F> &to_bar, GradientSink<F> &sink) const {
+    const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0));
+    const Stokes<F> row = gathered(kind, way, turned_row(leaving, way.out, wi));
+    Vec3<F> travel_bar{F(0), F(0), F(0)};
+    const Vec3<F> tangent_bar =
+        lamp.sweep(scene, v.light, -way.to, row, uniform_spectrum(F(1)), needs, lit, travel_bar, sink);
+    to_bar = to_bar - travel_bar;
+    if (!needs.geometry) return;
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    const CoordinateAdjoint<F> nowhere;
+    DirectAdjoint<F> g{v.light, v.p, way.to, v.light_distance, zero, F(0), nowhere, true};
+    g.tangent_bar = tangent_bar;
+    hit.p = hit.p + sweep_direct(scene, g, lit, sink);
+}
+
+template <class F>
+TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, const VertexRecord<F> &vertex,
+                                     const Stokes<F> &leaving, const Stokes<F> &arriving, const NextVertex<F> &behind,
                                      const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
                                      Vec3<F> &d_bar, GradientSink<F> &sink) const {
-    if (kind == Polarization::None) {
-        next.radiance = arriving.at[0];
-        const Spectrum<F> &a = leaving.at[0];
-        return contract(a, sweep_scattering(scene, bsdf_kind, v, a, next, needs, active, hit, d_bar, sink));
-    }
-    const Stokes<F> a = turned_row(leaving, axis, wi), r = turned_column(arriving, axis, -wo),
-                    of_direct = turned_row(leaving, light_axis, wi);
-    Stokes<F> unpolarised = no_stokes<F>();
-    unpolarised.at[0] = light;
-    for (int c = 0; c < SpectrumSize; ++c) {
-        next.radiance[c] = contracted(kind, matrix[c], a, r, c);
-        if (!smooth) v.through[c] = v.through[c] * (of_direct.at[0][c] + of_light[c].b * of_direct.at[1][c]);
-    }
-
-    // what the matrices depend on: z, eta, k
-    using D = Dual<F, 3>;
-    const bool depends = (bsdf.eta >= 0 || bsdf.theta >= 0) && (needs.bsdf || needs.numbers());
-    Spectrum<F> by_variable[BsdfInfo::MaxVariables];
-    for (int i = 0; i < bsdf.n_variables; ++i) by_variable[i] = uniform_spectrum(F(0));
-    F z_bar(0), light_z_bar(0);
-    for (int c = 0; depends && c < SpectrumSize; ++c) {
-        const auto add = [&](const FacetMatrix<D> &m, const Stokes<F> &row, const Stokes<F> &column, const F &weight,
-                             F &to) {
-            const D value = contracted(kind, m, row, column, c) * weight;
-            to = to + value.d[0];
-            if (bsdf.eta >= 0) by_variable[bsdf.eta][c] = by_variable[bsdf.eta][c] + value.d[1];
-            if (bsdf.k >= 0) by_variable[bsdf.k][c] = by_variable[bsdf.k][c] + value.d[2];
-        };
-        add(matrix_of<D>(*this, wo, v.wi.z, reflects, c), a, r, path[c], z_bar);
-        if (!smooth)
-            add(matrix_of<D>(*this, wo_light, v.wi.z, light_reflects, c), of_direct, unpolarised, F(1), light_z_bar);
-    }
-    // the axes: of what arrives, the column turns with this vertex' axis; of what leaves, against it
-    const Stokes<F> left = turned_column(scattered(r), leaving.axis, wi);
-    const Spectrum<F> arriving_angle = by_angle(row(leaving), r), leaving_angle = by_angle(leaving, left) * F(-1);
-    Vec3<F> wi_bar{F(0), F(0), F(0)}, wo_bar = wi_bar, light_bar = wi_bar;
-    if (is_plate(kind)) {
-        const Spectrum<F> angle = arriving_angle + leaving_angle;
-        sweep_plate(scene, v, angle, by_variable[bsdf.theta], needs, active, hit, wi_bar);
-    }
-    if (depends && (needs.bsdf || (needs.geometry && needs.lookups)))
-        sweep_parameters(scene, bsdf, v.bsdf, v.at, by_variable, needs, active, hit.at, sink);
-    if (needs.numbers()) {
-        if (smooth) {
-            wi_bar = wi_bar + n * z_bar;
-            hit.n = hit.n + wi * (z_bar * v.mirror);
-        } else {
-            wi_bar = wo * z_bar + wo_light * light_z_bar;
-            wo_bar = wi * z_bar, light_bar = wi * light_z_bar;
-            Stokes<F> direct = no_stokes<F>();
-            direct.axis = light_axis;
-            for (int c = 0; c < SpectrumSize; ++c) direct.at[1][c] = light[c] * of_light[c].b;
-            const Spectrum<F> angle = by_angle(leaving, turned_column(direct, leaving.axis, wi));
-            sweep_axis(wi, wo_light, wi, -component_sum(angle), wi_bar, light_bar);
+    const bool connected = bsdf.is(HasSmoothLobes),
+               depends = needs.bsdf || needs.numbers() || (needs.emitter && scene.polarized_lights);
+    const Stokes<F> sent = lamp.of(uniform_spectrum(F(1)));
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    F sum(0);
+    for (int l = 0; l < n_lobes; ++l) {
+        const PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
+        VertexRecord<F> v = vertex;
+        NextVertex<F> next = behind;
+        if (n_lobes == 2) v.lobe = IntOf<F>(l + 1);
+        if (l > 0) next.ray = {zero, zero}, v.way = {};  // once is enough
+        if (kind == Polarization::None) {
+            next.radiance = arriving.at[0];
+            const Spectrum<F> &a = leaving.at[0];
+            return contract(a, sweep_scattering(scene, bsdf_kind, v, a, next, needs, active, hit, d_bar, sink));
         }
-        if (!is_plate(kind)) {
-            sweep_axis(wi, wo, -wo, component_sum(arriving_angle), wi_bar, wo_bar);
-            sweep_axis(wi, wo, wi, component_sum(leaving_angle), wi_bar, wo_bar);
+        const Stokes<F> a = turned_row(leaving, path.out, wi), r = turned_column(arriving, path.in, -path.to);
+        for (int c = 0; c < SpectrumSize; ++c) next.radiance[c] = contracted(kind, path.matrix[c], a, r, c);
+        if (connected) {
+            const Stokes<F> row = turned_row(leaving, light.out, wi), column = turned_column(sent, light.in, -light.to);
+            for (int c = 0; c < SpectrumSize; ++c)
+                v.through[c] = v.through[c] * contracted(kind, light.matrix[c], row, column, c);
         }
-        next.ray.d = next.ray.d + wo_bar;
-        v.way.d = v.way.d + light_bar;
-        d_bar = d_bar - wi_bar;
+        if (depends) {
+            Adjoints bar{zero, zero, zero, zero, {}};
+            for (int i = 0; i < bsdf.n_variables; ++i) bar.by_variable[i] = uniform_spectrum(F(0));
+            sweep_way(path, leaving, arriving, needs, bar.path, bar);
+            if (connected) sweep_way(light, leaving, sent, needs, bar.light, bar);
+            if (connected && scene.polarized_lights)
+                sweep_lamp(scene, v, light, leaving, needs, active, hit, bar.light, sink);
+            if (is_plate(kind)) {
+                const Stokes<F> left = turned_column(scattered(kind, path, r), leaving.axis, wi);
+                const Spectrum<F> angle = by_angle(gathered(kind, path, a), r) - by_angle(leaving, left);
+                sweep_plate(scene, v, angle, needs, active, hit, bar);
+            }
+            if ((needs.bsdf || (needs.geometry && needs.lookups)) && (bsdf.eta >= 0 || bsdf.theta >= 0))
+                sweep_parameters(scene, bsdf, v.bsdf, v.at, bar.by_variable, needs, active, hit.at, sink);
+            if (needs.numbers()) {
+                hit.n = hit.n + bar.n * v.mirror;
+                next.ray.d = next.ray.d + bar.path;
+                v.way.d = v.way.d + bar.light;
+                d_bar = d_bar - bar.wi;
+            }
+        }
+        const Spectrum<F> one = uniform_spectrum(F(1));
+        sum = sum + component_sum(sweep_scattering(scene, bsdf_kind, v, one, next, needs, active, hit, d_bar, sink));
     }
-    const Spectrum<F> one = uniform_spectrum(F(1));
-    return component_sum(sweep_scattering(scene, bsdf_kind, v, one, next, needs, active, hit, d_bar, sink));
+    return sum;
 }
 
 #define TR_INSTANTIATE(F, S) template struct PolarizedVertex<F>;

@@ -9,82 +9,43 @@
 #pragma once
 
 #include "../bsdf/bsdf.h"
-#include "../math/polarization.h"
 #include "../state/tape.h"
 #include "gradient_sink.h"
 #include "needs.h"
+#include "polarized_light.h"
 
 namespace tr {
 
-// A row or a column, each component with its colours, and its axis.
+// From `to`, where light comes from, through the BSDF.
 template <class F>
-struct Stokes {
-    Spectrum<F> at[4];
-    Vec3<F> axis;
+struct PolarizedWay {
+    Vec3<F> to;          // in the world
+    F z;                 // its cosine
+    MaskOf<F> reflects;  // on the side of wi
+    MaskOf<F> base;      // below a coat, without the coat's facets
+    Vec3<F> out, in;     // axes of what leaves and of what arrives, not normalized
+    Spectrum<F> factor;  // f / (p q); N of unpolarised light
+    MuellerMatrix<F> matrix[SpectrumSize];
 };
 
-template <class F>
-TR_INLINE Stokes<F> no_stokes() {
-    const Spectrum<F> zero = uniform_spectrum(F(0));
-    return {{zero, zero, zero, zero}, {F(0), F(0), F(0)}};
-}
-
-// On another axis; k: where the light travels.
-template <class F>
-TR_INLINE Stokes<F> turned_column(Stokes<F> r, const Vec3<F> &axis, const Vec3<F> &k) {
-    const StokesRotation<F> t(r.axis, axis, k);
-    const Spectrum<F> q = r.at[1], u = r.at[2];
-    r.at[1] = q * t.c + u * t.s, r.at[2] = u * t.c - q * t.s;
-    r.axis = axis;
-    return r;
-}
-template <class F>
-TR_INLINE Stokes<F> turned_row(Stokes<F> a, const Vec3<F> &axis, const Vec3<F> &k) {
-    return turned_column(a, axis, k);  // a rotation's inverse is its transpose
-}
-
-// The derivative of the number by the angle of the row's axis, on which both are; by that of the axis which the column
-// had before it is the negative.
-template <class F>
-TR_INLINE Spectrum<F> by_angle(const Stokes<F> &a, const Stokes<F> &r) {
-    return (a.at[1] * r.at[2] - a.at[2] * r.at[1]) * F(2);
-}
-
-// Perpendicular to both directions.
-template <class F>
-TR_INLINE Vec3<F> axis_between(const Vec3<F> &a, const Vec3<F> &b) {
-    Vec3<F> m = cross(a, b), s, t;
-    coordinate_system(a, s, t);
-    return select(mask<F>(squared_norm(m) > F(1e-12)), m, s);
-}
-
-// Adds to the adjoints of a and b what the angle of a x b makes of `angle_bar`, seen along k.
-template <class F>
-TR_INLINE void sweep_axis(const Vec3<F> &a, const Vec3<F> &b, const Vec3<F> &k, const F &angle_bar, Vec3<F> &a_bar,
-                          Vec3<F> &b_bar) {
-    const Vec3<F> m = cross(a, b);
-    const F length2 = squared_norm(m);
-    auto some = mask<F>(length2 > F(1e-12));
-    const Vec3<F> m_bar = cross(k, m) * select(some, angle_bar / select(some, length2, F(1)), F(0));
-    a_bar = a_bar + cross(b, m_bar), b_bar = b_bar + cross(m_bar, a);
-}
-
-// A vertex whose BSDF is known: its matrices and axes towards the next vertex and towards the light, and the values of
-// its BSDF, with those of the stack above it.
+// A vertex whose BSDF is known: its values, with those of the stack above it, matrices and axes towards the next vertex
+// and towards the light. A rough coat and the base below it are two lobes, of which each has its own.
 template <class F>
 struct PolarizedVertex {
     const BsdfKernels<F> &bsdf;
     BsdfParameters<F> params;
     Polarization kind;
-    bool smooth;
-    Vec3<F> wi, wo, wo_light, n;  // in the world
-    MaskOf<F> reflects, light_reflects;
-    Vec3<F> axis, light_axis;  // not normalized
-    Spectrum<F> path, light;   // f / (p q), and N of unpolarised light
-    FacetMatrix<F> matrix[SpectrumSize], of_light[SpectrumSize];
+    int n_lobes;
+    Vec3<F> wi, n;  // in the world
+    F z;            // the cosine of wi
+    PolarizedLight<F> lamp;
+    struct Lobe {
+        PolarizedWay<F> path, light;
+    } lobes[2];
 
+    // `needs` say with which probabilities branches of stacks were taken.
     TR_LARGE PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind, const VertexRecord<F> &v,
-                             const MaskOf<F> &active);
+                             const GradientNeeds &needs, const MaskOf<F> &active);
 
     // The column of what comes from here, but for its own emission, from that which arrives.
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;
@@ -94,15 +55,25 @@ struct PolarizedVertex {
     TR_LARGE Spectrum<F> direct(const Stokes<F> &leaving) const;
     // The derivative, `next` being the vertex behind (whose radiance is the column `arriving`). Adds as
     // sweep_scattering does; returns the number that row and column make here, without the vertex' own emission.
-    TR_LARGE F sweep(const SceneOf<F> &scene, int kind, VertexRecord<F> v, const Stokes<F> &leaving,
-                     const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
-                     HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
+    TR_LARGE F sweep(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, const Stokes<F> &leaving,
+                     const Stokes<F> &arriving, const NextVertex<F> &next, const GradientNeeds &needs,
+                     const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
 
 private:
-    TR_HD Stokes<F> scattered(const Stokes<F> &in_axis) const;
+    // Adjoints of directions in the world, of the normal, and by the BSDF's variables.
+    struct Adjoints {
+        Vec3<F> wi, path, light, n;
+        Spectrum<F> by_variable[BsdfInfo::MaxVariables];
+    };
+
+    TR_HD void sweep_way(const PolarizedWay<F> &way, const Stokes<F> &leaving, const Stokes<F> &column,
+                         const GradientNeeds &needs, Vec3<F> &to_bar, Adjoints &bar) const;
+    TR_HD void sweep_lamp(const SceneOf<F> &scene, const VertexRecord<F> &v, const PolarizedWay<F> &way,
+                          const Stokes<F> &leaving, const GradientNeeds &needs, const MaskOf<F> &active,
+                          HitAdjoint<F> &hit, Vec3<F> &to_bar, GradientSink<F> &sink) const;
     TR_HD void sweep_plate(const SceneOf<F> &scene, const VertexRecord<F> &v, const Spectrum<F> &angle,
-                           Spectrum<F> &by_theta, const GradientNeeds &needs, const MaskOf<F> &active,
-                           HitAdjoint<F> &hit, Vec3<F> &wi_bar) const;
+                           const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                           Adjoints &bar) const;
 };
 
 }  // namespace tr

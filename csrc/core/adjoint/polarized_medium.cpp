@@ -1,5 +1,7 @@
 #include "polarized_medium.h"
 
+#include "scattering.h"
+
 namespace tr {
 
 namespace {
@@ -20,14 +22,6 @@ TR_INLINE ScatteringMatrix<F> scattering_matrix(const SceneOf<F> &scene, const I
     return r;
 }
 
-// The same over f, which samples of the phase function have as their density.
-template <class F>
-TR_INLINE ScatteringMatrix<F> normalized(ScatteringMatrix<F> m) {
-    const F inverse = F(1) / select(mask<F>(m.f > F(0)), m.f, F(1));
-    m.b = m.b * inverse, m.q = m.q * inverse, m.x = m.x * inverse, m.f = F(1);
-    return m;
-}
-
 }  // namespace
 
 template <class F>
@@ -45,6 +39,7 @@ TR_LARGE PolarizedCollision<F>::PolarizedCollision(const SceneOf<F> &scene, cons
       inverse_pdf(v.inverse_pdf),
       share(F(0)),
       from_light(apply(v.through, v.emitted) * v.light_weight),
+      lamp(scene, v.light, active && mask<F>(v.light_weight > F(0))),
       path(scattering_matrix(scene, medium_, v.p, v.d, v.wo, active)),
       light(scattering_matrix(scene, medium_, v.p, v.d, v.wo_light, active)) {
     for_each_distinct<F>(medium, active, [&](int32_t m, const MaskOf<F> &lanes) {
@@ -57,88 +52,83 @@ TR_LARGE PolarizedCollision<F>::PolarizedCollision(const SceneOf<F> &scene, cons
 }
 
 template <class F>
-TR_HD Stokes<F> PolarizedCollision<F>::from_light_column() const {
-    Stokes<F> r = no_stokes<F>();
-    const Spectrum<F> one = apply(albedo, from_light);
-    r.at[0] = one * light.f, r.at[1] = one * light.b, r.axis = light_axis;
-    return r;
+TR_HD Stokes<F> PolarizedCollision<F>::scattered(const Way &way, const Stokes<F> &r) const {
+    const ScatteringMatrix<F> &m = way.matrix;
+    return {{apply(way.factor, r.at[0] * m.f + r.at[1] * m.b), apply(way.factor, r.at[0] * m.b + r.at[1] * m.q),
+             apply(way.factor, r.at[2] * m.x), apply(way.factor, r.at[3] * m.x)},
+            way.axis};
 }
 
 template <class F>
 TR_LARGE Stokes<F> PolarizedCollision<F>::column(const Stokes<F> &arriving) const {
-    const Spectrum<F> factor = albedo * inverse_pdf;
-    Stokes<F> s = no_stokes<F>(), direct = from_light_column();
-    s.axis = axis;
     if (!polarizes) {
-        s.at[0] = apply(factor, arriving.at[0]) * path.f + direct.at[0];
+        Stokes<F> s = no_stokes<F>();
+        s.at[0] = apply(albedo, arriving.at[0] * (inverse_pdf * path.f) + from_light * light.f), s.axis = axis;
         return s;
     }
-    const Stokes<F> r = turned_column(arriving, axis, -wo);
-    s.at[0] = apply(factor, r.at[0] * path.f + r.at[1] * path.b);
-    s.at[1] = apply(factor, r.at[0] * path.b + r.at[1] * path.q);
-    s.at[2] = apply(factor, r.at[2] * path.x), s.at[3] = apply(factor, r.at[3] * path.x);
-    direct = turned_column(direct, axis, wi);
+    Stokes<F> s = scattered(path_way(), turned_column(arriving, axis, -wo));
+    const Stokes<F> direct = turned_column(scattered(light_way(), sent()), axis, wi);
     for (int i = 0; i < 4; ++i) s.at[i] = s.at[i] + direct.at[i];
     return s;
 }
 
+// (the matrix is symmetric)
 template <class F>
 TR_LARGE Stokes<F> PolarizedCollision<F>::row(const Stokes<F> &leaving) const {
-    const Spectrum<F> factor = albedo * inverse_pdf;
-    Stokes<F> s = no_stokes<F>();
-    s.axis = axis;
-    if (!polarizes) {
-        s.at[0] = pull(leaving.at[0], factor) * path.f;
-        return s;
-    }
-    const Stokes<F> a = turned_row(leaving, axis, wi);
-    s.at[0] = pull(a.at[0] * path.f + a.at[1] * path.b, factor);
-    s.at[1] = pull(a.at[0] * path.b + a.at[1] * path.q, factor);
-    s.at[2] = pull(a.at[2] * path.x, factor), s.at[3] = pull(a.at[3] * path.x, factor);
-    return s;
+    if (polarizes) return scattered(path_way(), turned_row(leaving, axis, wi));
+    Stokes<F> a = no_stokes<F>();
+    a.at[0] = pull(leaving.at[0], albedo) * (inverse_pdf * path.f), a.axis = axis;
+    return a;
 }
 
 template <class F>
 TR_LARGE Spectrum<F> PolarizedCollision<F>::direct(const Stokes<F> &leaving) const {
-    return number_between(leaving, from_light_column(), wi);
-}
-
-// Of the matrices by their cosines and axes.
-template <class F>
-TR_HD void PolarizedCollision<F>::sweep_directions(const Stokes<F> &leaving, const Stokes<F> &arriving, Vec3<F> &wi_bar,
-                                                   Vec3<F> &wo_bar, Vec3<F> &light_bar) const {
-    const Stokes<F> a = turned_row(leaving, axis, wi), r = turned_column(arriving, axis, -wo),
-                    of_light = turned_row(leaving, light_axis, wi), direct = from_light_column();
-    const F cosine = -dot(wi, wo), light_cosine = -dot(wi, wo_light);
-    const F bar = contract(albedo * inverse_pdf, polarized_part(rayleigh_slope(cosine, share), a, r)),
-            light_cosine_bar =
-                contract(apply(albedo, from_light), of_light.at[1]) * rayleigh_slope(light_cosine, share).b;
-    wi_bar = wi_bar - wo * bar - wo_light * light_cosine_bar;
-    wo_bar = wo_bar - wi * bar, light_bar = light_bar - wi * light_cosine_bar;
-    // the axis: the column that arrives turns with it, and what leaves against it
-    Stokes<F> sent = column(arriving);
-    const Stokes<F> along_light = turned_column(direct, axis, wi);
-    for (int i = 0; i < 4; ++i) sent.at[i] = sent.at[i] - along_light.at[i];
-    const F arriving_bar = component_sum(by_angle(row(leaving), r)),
-            leaving_bar = -component_sum(by_angle(leaving, turned_column(sent, leaving.axis, wi)));
-    sweep_axis(wi, wo, -wo, arriving_bar, wi_bar, wo_bar);
-    sweep_axis(wi, wo, wi, leaving_bar, wi_bar, wo_bar);
-    const F direct_bar = -component_sum(by_angle(leaving, turned_column(direct, leaving.axis, wi)));
-    sweep_axis(wi, wo_light, wi, direct_bar, wi_bar, light_bar);
+    if (!polarizes) return pull(leaving.at[0], apply(albedo, from_light)) * light.f;
+    return number_between(leaving, scattered(light_way(), sent()), wi);
 }
 
 template <class F>
-TR_LARGE void PolarizedCollision<F>::sweep(const SceneOf<F> &scene, int, VertexRecord<F> v, const Stokes<F> &leaving,
-                                           const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs,
-                                           const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar,
-                                           GradientSink<F> &sink) const {
+TR_HD void PolarizedCollision<F>::sweep_way(const Way &way, const Stokes<F> &leaving, const Stokes<F> &a,
+                                            const Stokes<F> &r, Vec3<F> &wi_bar, Vec3<F> &to_bar) const {
+    const F by_cosine = contract(way.factor, polarized_part(rayleigh_slope(-dot(wi, way.to), share), a, r));
+    wi_bar = wi_bar - way.to * by_cosine, to_bar = to_bar - wi * by_cosine;
+    // of what arrives, the column turns with the axis; of what leaves, against it
+    const F arriving = component_sum(by_angle(scattered(way, a), r)),
+            left = -component_sum(by_angle(leaving, turned_column(scattered(way, r), leaving.axis, wi)));
+    sweep_axis(wi, way.to, -way.to, arriving, wi_bar, to_bar);
+    sweep_axis(wi, way.to, wi, left, wi_bar, to_bar);
+}
+
+// Of the emitter sample's light: its shares and its axis.
+template <class F>
+TR_HD void PolarizedCollision<F>::sweep_lamp(const SceneOf<F> &scene, const VertexRecord<F> &v, const Stokes<F> &row,
+                                             const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit,
+                                             Vec3<F> &to_bar, GradientSink<F> &sink) const {
+    const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0));
+    const Vec3<F> zero{F(0), F(0), F(0)};
+    Vec3<F> travel_bar = zero;
+    const Vec3<F> tangent_bar = lamp.sweep(scene, v.light, -wo_light, scattered(light_way(), row),
+                                           uniform_spectrum(F(1)), needs, lit, travel_bar, sink);
+    to_bar = to_bar - travel_bar;
+    if (!needs.geometry) return;
+    const CoordinateAdjoint<F> nowhere;
+    DirectAdjoint<F> g{v.light, v.p, wo_light, v.light_distance, zero, F(0), nowhere, true};
+    g.tangent_bar = tangent_bar;
+    hit.p = hit.p + sweep_direct(scene, g, lit, sink);
+}
+
+template <class F>
+TR_LARGE F PolarizedCollision<F>::sweep(const SceneOf<F> &scene, int, VertexRecord<F> v, const Stokes<F> &leaving,
+                                        const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs,
+                                        const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar,
+                                        GradientSink<F> &sink) const {
     const Spectrum<F> one = uniform_spectrum(F(1)), &a = leaving.at[0];
     PolarizedScattering<F> extra;
     if (polarizes) {
-        const Stokes<F> row_ = turned_row(leaving, axis, wi), r = turned_column(arriving, axis, -wo);
-        extra.path = polarized_part(path, row_, r) * inverse_pdf;
-        extra.emitted = turned_row(leaving, light_axis, wi).at[1] * (light.b * v.light_weight);
-        extra.emitted = apply(v.through, extra.emitted);
+        const Stokes<F> row = turned_row(leaving, axis, wi), r = turned_column(arriving, axis, -wo),
+                        light_row = turned_row(leaving, light_axis, wi), sent_ = sent();
+        extra.path = polarized_part(path, row, r) * inverse_pdf;
+        extra.emitted = apply(v.through, polarized_part(light, light_row, sent_)) * v.light_weight;
         extra.light = apply(extra.emitted, v.emitted);
         if (needs.medium.phase || needs.numbers())
             for_each_distinct<F>(medium, active, [&](int32_t m, const MaskOf<F> &lanes) {
@@ -148,9 +138,12 @@ TR_LARGE void PolarizedCollision<F>::sweep(const SceneOf<F> &scene, int, VertexR
                 const Vec3<F> p_bar = rayleigh.sweep(scene, v.p, g, needs.medium.phase, needs.numbers(), lanes, sink);
                 hit.p = select(lanes, hit.p + p_bar, hit.p);
             });
+        Vec3<F> wi_bar{F(0), F(0), F(0)}, wo_bar = wi_bar, light_bar = wi_bar;
+        if (scene.polarized_lights && (needs.emitter || needs.numbers()))
+            sweep_lamp(scene, v, light_row, needs, active, hit, light_bar, sink);
         if (needs.numbers()) {
-            Vec3<F> wi_bar{F(0), F(0), F(0)}, wo_bar = wi_bar, light_bar = wi_bar;
-            sweep_directions(leaving, arriving, wi_bar, wo_bar, light_bar);
+            sweep_way(path_way(), leaving, row, r, wi_bar, wo_bar);
+            sweep_way(light_way(), leaving, light_row, sent_, wi_bar, light_bar);
             next.ray.d = next.ray.d + wo_bar;
             v.way.d = v.way.d + light_bar;
             d_bar = d_bar - wi_bar;
@@ -158,7 +151,8 @@ TR_LARGE void PolarizedCollision<F>::sweep(const SceneOf<F> &scene, int, VertexR
     }
     next.radiance = a * arriving.at[0];
     v.through = a * v.through;
-    sweep_collision(scene, v, medium, one, next, needs, active, hit.p, d_bar, sink, polarizes ? &extra : nullptr);
+    return component_sum(
+        sweep_collision(scene, v, medium, one, next, needs, active, hit.p, d_bar, sink, polarizes ? &extra : nullptr));
 }
 
 template <class F>
@@ -176,34 +170,22 @@ TR_LARGE Spectrum<F> segment_emission(const SceneOf<F> &scene, const Wavelengths
 
 template <class F>
 TR_LARGE Spectrum<F> differential_number(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Vec3<F> &d,
-                                         const Vec3<F> &wo_light, const Stokes<F> &row, const MaskOf<F> &active) {
-    const Spectrum<F> none = uniform_spectrum(F(0));
-    const MaskOf<F> lit = active && mask<F>(v.medium >= 0) && mask<F>(max_component(v.differential_value) > F(0));
-    if (!any(lit)) return none;
-    const ScatteringMatrix<F> m = normalized(scattering_matrix(scene, v.medium, v.differential_p, d, wo_light, lit));
-    const Stokes<F> a = turned_row(row, axis_between(-d, wo_light), -d);
-    return select(lit, apply(a.at[0] + a.at[1] * m.b, v.differential_value), none);
-}
-
-template <class F>
-TR_LARGE Spectrum<F> branch_number(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Vec3<F> &d,
-                                   const Vec3<F> &wo, const Spectrum<F> &factor, const Stokes<F> &arriving,
-                                   const Stokes<F> &row, const MaskOf<F> &active) {
-    const ScatteringMatrix<F> m = normalized(scattering_matrix(scene, v.medium, v.differential_p, d, wo, active));
+                                         const Vec3<F> &wo, const Spectrum<F> &factor, const Stokes<F> &arriving,
+                                         const Stokes<F> &row, const MaskOf<F> &active) {
+    const ScatteringMatrix<F> m = scattering_matrix(scene, v.medium, v.differential_p, d, wo, active);
     const Vec3<F> axis = axis_between(-d, wo);
     const Stokes<F> a = turned_row(row, axis, -d), r = turned_column(arriving, axis, -wo);
-    return select(active, apply(factor, a.at[0] * r.at[0] + polarized_part(m, a, r)), uniform_spectrum(F(0)));
+    const F inverse = F(1) / select(mask<F>(m.f > F(0)), m.f, F(1));
+    return select(active, apply(factor, a.at[0] * r.at[0] + polarized_part(m, a, r) * inverse), uniform_spectrum(F(0)));
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template struct PolarizedCollision<F>;                                                                         \
-    template Spectrum<F> segment_emission(const SceneView<S> &, const Wavelengths<F> &, const SegmentPacket<F> &,  \
-                                          const MaskOf<F> &);                                                      \
-    template Spectrum<F> differential_number(const SceneView<S> &, const SegmentPacket<F> &, const Vec3<F> &,      \
-                                             const Vec3<F> &, const Stokes<F> &, const MaskOf<F> &);               \
-    template Spectrum<F> branch_number(const SceneView<S> &, const SegmentPacket<F> &, const Vec3<F> &,            \
-                                       const Vec3<F> &, const Spectrum<F> &, const Stokes<F> &, const Stokes<F> &, \
-                                       const MaskOf<F> &);
+#define TR_INSTANTIATE(F, S)                                                                                      \
+    template struct PolarizedCollision<F>;                                                                        \
+    template Spectrum<F> segment_emission(const SceneView<S> &, const Wavelengths<F> &, const SegmentPacket<F> &, \
+                                          const MaskOf<F> &);                                                     \
+    template Spectrum<F> differential_number(const SceneView<S> &, const SegmentPacket<F> &, const Vec3<F> &,     \
+                                             const Vec3<F> &, const Spectrum<F> &, const Stokes<F> &,             \
+                                             const Stokes<F> &, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

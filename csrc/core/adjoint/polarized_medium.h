@@ -20,13 +20,6 @@ TR_INLINE Stokes<F> weighted(Stokes<F> s, const Spectrum<F> &by) {
     return s;
 }
 
-// The number between a row and a column, colour by colour; k: where the light travels.
-template <class F>
-TR_INLINE Spectrum<F> number_between(const Stokes<F> &row, const Stokes<F> &column, const Vec3<F> &k) {
-    const Stokes<F> r = turned_column(column, row.axis, k);
-    return row.at[0] * r.at[0] + row.at[1] * r.at[1] + row.at[2] * r.at[2] + row.at[3] * r.at[3];
-}
-
 // What the matrix adds to f A0 R0, row and column being on its axis.
 template <class F>
 TR_INLINE Spectrum<F> polarized_part(const ScatteringMatrix<F> &m, const Stokes<F> &a, const Stokes<F> &r) {
@@ -43,7 +36,8 @@ struct PolarizedCollision {
     Vec3<F> axis, light_axis;  // not normalized
     Spectrum<F> albedo;
     F inverse_pdf, share;    // of Rayleigh's part
-    Spectrum<F> from_light;  // what the light of the emitter sample is multiplied with, f and the albedo apart
+    Spectrum<F> from_light;  // N of unpolarised light, but for f and the albedo
+    PolarizedLight<F> lamp;
     ScatteringMatrix<F> path, light;
 
     TR_LARGE PolarizedCollision(const SceneOf<F> &scene, const Wavelengths<F> &waves, const IntOf<F> &medium,
@@ -53,14 +47,29 @@ struct PolarizedCollision {
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;
     TR_LARGE Stokes<F> row(const Stokes<F> &leaving) const;
     TR_LARGE Spectrum<F> direct(const Stokes<F> &leaving) const;
-    TR_LARGE void sweep(const SceneOf<F> &scene, int kind, VertexRecord<F> v, const Stokes<F> &leaving,
-                        const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs,
-                        const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
+    TR_LARGE F sweep(const SceneOf<F> &scene, int kind, VertexRecord<F> v, const Stokes<F> &leaving,
+                     const Stokes<F> &arriving, NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                     HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) const;
 
 private:
-    TR_HD Stokes<F> from_light_column() const;
-    TR_HD void sweep_directions(const Stokes<F> &leaving, const Stokes<F> &arriving, Vec3<F> &wi_bar, Vec3<F> &wo_bar,
-                                Vec3<F> &light_bar) const;
+    // A way: where the light comes from, the axis, the matrix and its factor.
+    struct Way {
+        const Vec3<F> &to, &axis;
+        const ScatteringMatrix<F> &matrix;
+        Spectrum<F> factor;
+    };
+    TR_HD Way path_way() const { return {wo, axis, path, albedo * inverse_pdf}; }
+    TR_HD Way light_way() const { return {wo_light, light_axis, light, apply(albedo, from_light)}; }
+    TR_HD Stokes<F> sent() const { return turned_column(lamp.of(uniform_spectrum(F(1))), light_axis, -wo_light); }
+
+    // A column behind the matrix, and a row before it; both on the axis of the way.
+    TR_HD Stokes<F> scattered(const Way &way, const Stokes<F> &arriving) const;
+    // Of the matrix by its cosine and axis, between a row and a column that are on it.
+    TR_HD void sweep_way(const Way &way, const Stokes<F> &leaving, const Stokes<F> &row, const Stokes<F> &column,
+                         Vec3<F> &wi_bar, Vec3<F> &to_bar) const;
+    TR_HD void sweep_lamp(const SceneOf<F> &scene, const VertexRecord<F> &v, const Stokes<F> &row,
+                          const GradientNeeds &needs, const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &to_bar,
+                          GradientSink<F> &sink) const;
 };
 
 // What the medium emits into a segment, as it arrives at its beginning.
@@ -68,15 +77,11 @@ template <class F>
 TR_LARGE Spectrum<F> segment_emission(const SceneOf<F> &scene, const Wavelengths<F> &waves, const SegmentPacket<F> &v,
                                       const MaskOf<F> &active);
 
-// The numbers of a segment's differential sample, `row` being that at its beginning and d its direction: with the light
-// of the emitter sample in direction wo_light; and, for the lanes of `active`, with that of the path that goes on from
-// there, which has brought `arriving` along -wo and is multiplied with `factor`.
+// Of what arrives at a segment's differential sample from the direction wo, and is multiplied with `factor` times the
+// matrix over f, the number with the row at the segment's beginning; d: the segment's direction.
 template <class F>
 TR_LARGE Spectrum<F> differential_number(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Vec3<F> &d,
-                                         const Vec3<F> &wo_light, const Stokes<F> &row, const MaskOf<F> &active);
-template <class F>
-TR_LARGE Spectrum<F> branch_number(const SceneOf<F> &scene, const SegmentPacket<F> &v, const Vec3<F> &d,
-                                   const Vec3<F> &wo, const Spectrum<F> &factor, const Stokes<F> &arriving,
-                                   const Stokes<F> &row, const MaskOf<F> &active);
+                                         const Vec3<F> &wo, const Spectrum<F> &factor, const Stokes<F> &arriving,
+                                         const Stokes<F> &row, const MaskOf<F> &active);
 
 }  // namespace tr

@@ -35,7 +35,8 @@ TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const Ve
     const BsdfNeeds wanted{needs.bsdf || (needs.geometry && (needs.lookups || bsdf.bent)), needs.numbers()};
     bsdf.vjp(params, v.wi, v.wo, v.lobe, transport, a, path_factor, wanted, path);
     if (connected)
-        bsdf.vjp(params, v.wi, v.wo_light, IntOf<F>(0), transport, a, light_factor, wanted, light);
+        bsdf.vjp(params, v.wi, v.wo_light, bsdf.is(HasDeltaLobes) ? IntOf<F>(0) : v.lobe, transport, a, light_factor,
+                 wanted, light);
     else
         light.f = uniform_spectrum(F(0));
     if (!wanted.parameters) return;

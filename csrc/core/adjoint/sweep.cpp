@@ -198,6 +198,7 @@ struct PolarizedEntry {
     VertexRecord<F> v;
     SegmentPacket<F> segment;  // through media
     Wavelengths<F> waves;
+    Vec3<F> leaving;  // where light travels from here
 
     TR_INLINE PolarizedEntry(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, int kind, bool scatters,
                              uint32_t i, const MaskOf<F> &active)
@@ -214,14 +215,15 @@ struct PolarizedEntry {
         if (passes) v.inverse_pdf = from(tape.outgoing.inverse_pdf);
         if (volumetric) {
             read(tape.segment, from, segment);
-            read_arrival(tape, i, v);
             v.through = segment.through;
         }
+        read_arrival(tape, i, v);
+        leaving = -v.d;
         LaneSet<F> lanes(slot, active);
         waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
     }
     TR_INLINE PolarizedVertex<F> vertex(const SweepContext<F> &c, int kind, const MaskOf<F> &active) const {
-        return PolarizedVertex<F>(c.scene, waves, kind, v, active);
+        return PolarizedVertex<F>(c.scene, waves, kind, v, c.needs, active);
     }
     TR_INLINE PolarizedCollision<F> collision(const SweepContext<F> &c, const MaskOf<F> &active) const {
         return PolarizedCollision<F>(c.scene, waves, segment.medium, v, active);
@@ -232,8 +234,24 @@ struct PolarizedEntry {
         const auto &s = tape.stokes;
         return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
     }
-    // For what leaves, towards `wi` in the world: from the vertex before, or the film's.
-    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents, const Vec3<F> &wi,
+    TR_INLINE PolarizedLight<F> emitter(const SweepContext<F> &c, const MaskOf<F> &active) const {
+        return {c.scene, v.emission, active && mask<F>(v.emission_weight > F(0))};
+    }
+    // Of all that leaves: of what is scattered, if anything polarises it, and of what is emitted.
+    TR_INLINE Stokes<F> sum(const Stokes<F> &scattered, bool polarized, const PolarizedLight<F> &emitter) const {
+        Stokes<F> s = emitter.of(v.emission_radiance);
+        if (polarized) s = turned_column(s, scattered.axis, leaving);
+        for (int i = 0; i < 4; ++i) s.at[i] = s.at[i] + scattered.at[i];
+        return s;
+    }
+    // What passes a boundary; without polarisation it has the axis of what is emitted there.
+    TR_INLINE Stokes<F> passed(const Stokes<F> &arriving, const PolarizedLight<F> &emitter) const {
+        Stokes<F> s = weighted(arriving, uniform_spectrum(v.inverse_pdf));
+        s.axis = select(mask<F>(squared_norm(s.axis) > F(0)), s.axis, emitter.axis);
+        return s;
+    }
+    // For what leaves: from the vertex before, or the film's.
+    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents,
                             const MaskOf<F> &active) const {
         if (parents) {
             Gathered<F> from(parent, active);
@@ -242,7 +260,7 @@ struct PolarizedEntry {
         }
         LaneSet<F> from(slot, active);
         const auto &s = c.slots;
-        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, wi)};
+        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, leaving)};
     }
     // The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
     TR_INLINE static Vec3<F> film_axis(const SweepContext<F> &c, const Vec3<F> &k) {
@@ -251,12 +269,6 @@ struct PolarizedEntry {
     TR_INLINE static Vec3<F> camera_up(const SweepContext<F> &c) {
         const ScalarOf<F> *m = c.scene.values.constants + c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
         return {F(m[1]), F(m[5]), F(m[9])};
-    }
-    TR_INLINE Vec3<F> leaving(const SweepContext<F> &c) const {
-        if (volumetric) return -v.d;
-        Frame<F> frame = vertex_frame(c.scene, v);
-        frame.n = frame.n * v.mirror;
-        return frame.to_world(v.wi);
     }
 };
 
@@ -350,17 +362,23 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
                           const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
                           const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    Stokes<F> s = no_stokes<F>();
-    if (entry.surface) s = entry.vertex(c, kind, active).column(entry.column(tape, i));
-    if (entry.collided) s = entry.collision(c, active).column(entry.column(tape, i));
-    if (entry.passes) s = weighted(entry.column(tape, i), uniform_spectrum(entry.v.inverse_pdf));
-    if (!parents && !c.columns_to && (entry.surface || entry.volumetric))
-        s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
-    s.at[0] = s.at[0] + entry.v.emission_radiance;
+    Stokes<F> s;
+    const PolarizedLight<F> emitter = entry.emitter(c, active);
+    if (entry.surface) {
+        const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
+        s = entry.sum(vertex.column(entry.column(tape, i)), vertex.kind != Polarization::None, emitter);
+    } else if (entry.collided) {
+        s = entry.collision(c, active).column(entry.column(tape, i));
+    } else if (entry.passes) {
+        s = entry.sum(entry.passed(entry.column(tape, i), emitter), true, emitter);
+    } else {
+        s = emitter.of(entry.v.emission_radiance);
+    }
     if (entry.volumetric) {
         s = weighted(s, entry.segment.weight);
         s.at[0] = s.at[0] + segment_emission(c.scene, entry.waves, entry.segment, active);
     }
+    if (!parents && !c.columns_to) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving), entry.leaving);
     if (parents) {
         const auto &to = parents->stokes;
         hand_radiance(*parents, entry.parent, s.at[0], active);
@@ -394,7 +412,7 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
                        const MaskOf<F> &active) {
     const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
     if (!entry.surface && !entry.collided && !entry.passes) return;
-    Stokes<F> row = entry.row(c, parents, entry.leaving(c), active);
+    Stokes<F> row = entry.row(c, parents, active);
     if (entry.volumetric) row = weighted(row, entry.segment.weight);
     if (entry.surface) row = entry.vertex(c, kind, active).row(row);
     if (entry.collided) row = entry.collision(c, active).row(row);
@@ -408,69 +426,35 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
 namespace {
 
 // The numbers of the segment's own derivative, which sweep_segment knows as products of throughput and radiance.
+// Returns that of the path that goes on from the differential sample.
 template <class F>
 TR_INLINE Spectrum<F> polarize_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t level,
                                        uint32_t i, PolarizedEntry<F> &entry, const Stokes<F> &row,
                                        const MaskOf<F> &active) {
     SegmentPacket<F> &segment = entry.segment;
+    const Spectrum<F> none = uniform_spectrum(F(0)), one = uniform_spectrum(F(1));
     const Vec3<F> &d = entry.v.d;
     segment.first = row.at[0];
-    Spectrum<F> branch = uniform_spectrum(F(0));
-    if (!c.branches) return branch;
-    const Vec3<F> wo_light = Entries<F>(i)(tape.stokes.differential_light);
-    segment.differential_value = differential_number(c.scene, segment, d, wo_light, row, active);
+    if (!c.branches) return none;
+    const MaskOf<F> lit =
+        active && mask<F>(segment.medium >= 0) && mask<F>(max_component(segment.differential_value) > F(0));
+    if (any(lit)) {
+        Entries<F> from(i);
+        const auto &s = tape.stokes;
+        Stokes<F> light{{one, none, none, none}, {F(0), F(0), F(0)}};
+        if (c.scene.polarized_lights) {
+            const Vec3<F> shares = from(s.differential_shares);
+            light = {{one, one * shares.x, one * shares.y, one * shares.z}, from(s.differential_axis)};
+        }
+        segment.differential_value = differential_number(c.scene, segment, d, from(s.differential_light),
+                                                         segment.differential_value, light, row, lit);
+    }
     const MaskOf<F> here = has_branch(c, level, i, entry.slot, active);
-    if (!any(here)) return branch;
+    if (!any(here)) return none;
     Gathered<F> from(entry.slot, here);
     const BranchColumns<ScalarOf<F>> &b = *c.branches;
     const Stokes<F> brought{{from(b.radiance), from(b.q), from(b.u), from(b.v)}, from(b.axis)};
-    return branch_number(c.scene, segment, d, from(b.wo), from(b.factor), brought, row, here);
-}
-
-// A vertex of a path through media, and the segment that ends there.
-template <class F>
-TR_LARGE void sweep_polarized_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                      const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, uint32_t i,
-                                      PolarizedEntry<F> &entry, const MaskOf<F> &active, GradientSink<F> &sink) {
-    const GradientNeeds &needs = c.needs;
-    const Spectrum<F> one = uniform_spectrum(F(1));
-    VertexRecord<F> &v = entry.v;
-    SegmentPacket<F> &segment = entry.segment;
-    const Vec3<F> leaving = -v.d;
-    const Stokes<F> first = entry.row(c, parents, leaving, active), row = weighted(first, segment.weight),
-                    behind = entry.column(tape, i);
-    HitAdjoint<F> hit;
-    Vec3<F> d_bar{F(0), F(0), F(0)};
-    NextVertex<F> next = read_next<F>(tape, i, needs.geometry && kind != MissKind);
-    auto lit = active && mask<F>(v.emission_weight > F(0));
-    if ((needs.emitter || needs.geometry) && any(lit))
-        sweep_emitter(c.scene, v.emission, v.d, row.at[0] * v.emission_weight, needs, lit, hit.at, d_bar, sink);
-    Stokes<F> s = no_stokes<F>();
-    const auto scatter = [&](const auto &vertex) {
-        s = vertex.column(behind);
-        segment.shadow_value = vertex.direct(row);
-        if (needs.geometry) {
-            MotionPacket<F> motion;
-            read(tape.motion, Entries<F>(i), motion);
-            v.way = sweep_shadow_motion(c.scene, segment, motion, v.p, one, active, sink);
-            next.ray.o = next.ray.o + next.rest + next.from;
-        }
-        vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
-    };
-    if (entry.surface) scatter(entry.vertex(c, kind, active));
-    if (entry.collided) scatter(entry.collision(c, active));
-    if (entry.passes) s = weighted(behind, uniform_spectrum(v.inverse_pdf));
-    s.at[0] = s.at[0] + v.emission_radiance;
-    if (!parents && needs.geometry) sweep_film_axis(c, leaving, row, s, active, d_bar, sink);
-    const Spectrum<F> arrived = number_between(row, s, leaving),
-                      branch = polarize_segment(c, tape, level, i, entry, first, active);
-    v.beta = one;
-    if (needs.geometry)
-        sweep_moving_segment(c, tape, parents, kind, i, v, next, segment, one, arrived, branch, hit, d_bar, entry.slot,
-                             entry.parent, active, sink);
-    else
-        sweep_segment(c.scene, segment, one, one, arrived, branch, needs.medium, active, sink);
-    if (sink.forward) add_to_entries<F>(c.slots.radiance, entry.slot, sink.derivative, active);
+    return differential_number(c.scene, segment, d, from(b.wo), from(b.factor), brought, row, here);
 }
 
 }  // namespace
@@ -481,30 +465,61 @@ TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns
                                      uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    if (entry.volumetric) {
-        sink.begin(entry.waves);
-        return sweep_polarized_segment(c, tape, parents, level, kind, i, entry, active, sink);
-    }
+    const bool volumetric = entry.volumetric;
+    const Spectrum<F> one = uniform_spectrum(F(1));
     VertexRecord<F> &v = entry.v;
-    if (needs.geometry) read_arrival(tape, i, v);
+    SegmentPacket<F> &segment = entry.segment;
     sink.begin(entry.waves);
-    const Vec3<F> leaving = entry.surface ? entry.leaving(c) : Vec3<F>{F(0), F(0), F(1)};
-    const Stokes<F> row = entry.row(c, parents, leaving, active);
-    const Spectrum<F> &a = row.at[0];
+    const Stokes<F> first = entry.row(c, parents, active), row = volumetric ? weighted(first, segment.weight) : first;
     HitAdjoint<F> hit;
     Vec3<F> d_bar{F(0), F(0), F(0)};
-    const NextVertex<F> next = read_next<F>(tape, i, needs.geometry && entry.surface);
+    NextVertex<F> next = read_next<F>(tape, i, needs.geometry && (entry.surface || entry.collided || entry.passes));
     auto lit = active && mask<F>(v.emission_weight > F(0));
-    if ((needs.emitter || needs.geometry) && any(lit))
+    const PolarizedLight<F> emitter = entry.emitter(c, active);
+    const Spectrum<F> a = emitter.contracted(row, entry.leaving);
+    if ((needs.emitter || needs.geometry) && any(lit)) {
         sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
+        if (c.scene.polarized_lights) {
+            Vec3<F> travel_bar{F(0), F(0), F(0)};
+            hit.tangent = emitter.sweep(c.scene, v.emission, entry.leaving, row, v.emission_radiance, needs, lit,
+                                        travel_bar, sink);
+            d_bar = d_bar - travel_bar;
+        }
+    }
     F arrived = contract(a, v.emission_radiance);
+    Stokes<F> left = emitter.of(v.emission_radiance);
+    const auto scatter = [&](const auto &vertex, bool polarizes) {
+        const Stokes<F> behind = entry.column(tape, i);
+        left = entry.sum(vertex.column(behind), polarizes, emitter);
+        if (volumetric) segment.shadow_value = vertex.direct(row);
+        if (volumetric && needs.geometry) {
+            MotionPacket<F> motion;
+            read(tape.motion, Entries<F>(i), motion);
+            v.way = sweep_shadow_motion(c.scene, segment, motion, v.p, one, active, sink);
+            next.ray.o = next.ray.o + next.rest + next.from;
+        }
+        arrived = arrived + vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
+    };
     if (entry.surface) {
         const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
-        const Stokes<F> behind = entry.column(tape, i);
-        if (!parents && needs.geometry) sweep_film_axis(c, leaving, row, vertex.column(behind), active, d_bar, sink);
-        arrived = arrived + vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
+        scatter(vertex, vertex.kind != Polarization::None);
+    } else if (entry.collided) {
+        scatter(entry.collision(c, active), true);
+    } else if (entry.passes) {
+        left = entry.sum(entry.passed(entry.column(tape, i), emitter), true, emitter);
     }
-    if (needs.geometry) {
+    if (!parents && needs.geometry && kind != MissKind)
+        sweep_film_axis(c, entry.leaving, row, left, active, d_bar, sink);
+    if (volumetric) {
+        const Spectrum<F> end = number_between(row, left, entry.leaving),
+                          branch = polarize_segment(c, tape, level, i, entry, first, active);
+        v.beta = one;
+        if (needs.geometry)
+            sweep_moving_segment(c, tape, parents, kind, i, v, next, segment, one, end, branch, hit, d_bar, entry.slot,
+                                 entry.parent, active, sink);
+        else
+            sweep_segment(c.scene, segment, one, one, end, branch, needs.medium, active, sink);
+    } else if (needs.geometry) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
         if (kind != MissKind) {

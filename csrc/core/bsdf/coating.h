@@ -15,6 +15,13 @@ TR_INLINE T coated_albedo(const T &reflectance, const T &internal, const M &nonl
     return reflectance / (T(1) - select(nonlinear, reflectance * internal, internal));
 }
 
+// Polarised light needs a rough coat and the base below it apart: they are lobes 1 and 2; 0 is both.
+template <class I, class T>
+TR_INLINE void choose_lobe(const I &lobe, T &coat, T &base) {
+    using F = std::decay_t<decltype(value_of(coat))>;
+    coat = select(mask<F>(lobe == 2), T(0), coat), base = select(mask<F>(lobe == 1), T(0), base);
+}
+
 // The chance with which the interface's lobe is sampled, of which the share of light is r: in proportion to the largest
 // channels, but both lobes with a chance, since what is black has a derivative too.
 template <class F>

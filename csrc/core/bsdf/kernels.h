@@ -286,10 +286,11 @@ struct KernelsOf {
                                     const Vec3<F> &wo_bar, Vec3<F> &wi_bar, F *number_bar) {
         if constexpr (Delta) {
             constexpr BsdfInfo info = bsdf_info<M>();
-            static_assert(count_fields(M::model, Kind::Scalar) == 0, "delta lobes are turned by numbers, not textures");
+            constexpr int Numbers = count_fields(M::model, Kind::Float);
+            static_assert(Numbers == 0 || Numbers == info.n_numbers, "what turns delta lobes comes first");
             // (that colour's first component stands for the number that other models have)
             constexpr bool by_color = info.turned_by >= 0;
-            constexpr int N = by_color ? 1 : info.n_numbers,
+            constexpr int N = by_color ? 1 : Numbers,
                           First = SpectrumSize * (by_color ? color_of(info, info.turned_by) : info.n_colors);
             using D = Dual<F, 3 + N>;
             Params<D, 0, N> numbers;

@@ -21,6 +21,7 @@ struct Plastic {
     static constexpr Model model = {"bsdf", "plastic", "Smooth plastic, one-sided.",
                                     fields, 4,         HasSmoothLobes | HasDeltaLobes};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
+    static constexpr Polarization Polarizes = Polarization::Coat;
 
     template <class P, class F>
     TR_INLINE static auto eval(const P &params, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe) {

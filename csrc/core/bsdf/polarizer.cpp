@@ -5,7 +5,7 @@ namespace tr {
 
 struct Polarizer : PassingPlate<Polarizer> {
     static constexpr Field fields[] = {
-        {"theta", Kind::Float, 0, -INFINITY, INFINITY, "interior",
+        {"theta", Kind::Scalar, 0, -INFINITY, INFINITY, "interior",
          "angle of the axis that passes, in degrees from dp/du away from dp/dv"},
         {"transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is ideal"},
     };

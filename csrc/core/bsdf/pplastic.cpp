@@ -1,8 +1,7 @@
 // `pplastic`: the plastic of Baek, Jeon, Tong and Kim, "Simultaneous Acquisition of Polarimetric SVBRDF and Normals",
-// TOG 2018, in its intensity: rough reflection off the surface as of `roughdielectric`, and beside it a diffuse lobe
-// that is transmitted through the smooth interface on its way in and on its way out (the first entries of its equations
-// 10 and 14). Light that the interface throws back inside is left out, and so is the change of solid angles, as in
-// Mitsuba 3.
+// TOG 2018: rough reflection off the surface as of `roughdielectric`, and beside it a diffuse lobe that is transmitted
+// through the smooth interface on its way in and on its way out (equations 10 and 14). Light that the interface throws
+// back inside is left out, and so is the change of solid angles, as in Mitsuba 3.
 #include "../math/fresnel.h"
 #include "coating.h"
 #include "kernels.h"
@@ -26,9 +25,10 @@ struct PolarimetricPlastic {
     static constexpr Model model = {
         "bsdf", "pplastic", "Plastic of polarimetric acquisition, one-sided.", fields, 5, HasSmoothLobes, "PPlastic"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
+    static constexpr Polarization Polarizes = Polarization::Coat;
 
     template <class P, class F>
-    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi_, const Vec3<F> &wo_, const IntOf<F> &) {
+    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi_, const Vec3<F> &wo_, const IntOf<F> &lobe) {
         using T = std::decay_t<decltype(params.number[Eta] * wi_.z)>;
         Vec3<T> wi = convert<T>(wi_), wo = convert<T>(wo_);
         auto ggx = is_ggx<F>(params.choice[Distribution]);
@@ -38,6 +38,7 @@ struct PolarimetricPlastic {
             r.density * (r.shadowing(ggx, alpha, wo) * T(0.25)) * fresnel_dielectric(r.cosine, eta).reflectance;
         T in = T(1) - fresnel_dielectric(wi.z, eta).reflectance, out = T(1) - fresnel_dielectric(wo.z, eta).reflectance;
         T through = in * out * wo.z * T(1 / Pi);
+        choose_lobe(lobe, mirrored, through);
         Spectrum<T> result;
         for (int c = 0; c < SpectrumSize; ++c)
             result[c] = select(r.possible,

@@ -5,9 +5,9 @@ namespace tr {
 
 struct Retarder : PassingPlate<Retarder> {
     static constexpr Field fields[] = {
-        {"theta", Kind::Float, 0, -INFINITY, INFINITY, "interior",
+        {"theta", Kind::Scalar, 0, -INFINITY, INFINITY, "interior",
          "angle of the fast axis, in degrees from dp/du towards dp/dv"},
-        {"delta", Kind::Float, 90, -INFINITY, INFINITY, "interior",
+        {"delta", Kind::Scalar, 90, -INFINITY, INFINITY, "interior",
          "retardance in degrees: 90 is a quarter-wave plate, 180 a half-wave plate"},
         {"transmittance", Kind::Texture, 1, 0, 1, "interior", "factor; 1 is ideal"},
     };

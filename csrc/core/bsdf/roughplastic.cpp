@@ -27,10 +27,11 @@ struct RoughPlastic {
     static constexpr Model model = {"bsdf",         "roughplastic", "Rough plastic, one-sided.", fields, 6,
                                     HasSmoothLobes, "RoughPlastic"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
+    static constexpr Polarization Polarizes = Polarization::Coat;
     static constexpr bool Tabulated = true;  // of what the coating lets through, see rough_transmittance.h
 
     template <class P, class F>
-    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi_, const Vec3<F> &wo_, const IntOf<F> &) {
+    TR_INLINE static auto eval(const P &params, const Vec3<F> &wi_, const Vec3<F> &wo_, const IntOf<F> &lobe) {
         using T = std::decay_t<decltype(params.number[Eta] * wi_.z)>;
         using V = std::decay_t<decltype(value_of(std::declval<T>()))>;
         Vec3<T> wi = convert<T>(wi_), wo = convert<T>(wo_);
@@ -43,6 +44,7 @@ struct RoughPlastic {
         RoughTransmittance<T> table{params.table, params.row, eta, alpha, r.possible};
         T through = table.transmittance(wi.z) * table.transmittance(wo.z) * wo.z / (eta * eta * T(Pi));
         T internal = table.internal_reflectance();
+        choose_lobe(lobe, mirrored, through);
         Spectrum<T> result;
         for (int c = 0; c < SpectrumSize; ++c) {
             T base = coated_albedo(T(params.color[Diffuse][c]), internal, nonlinear) * through;

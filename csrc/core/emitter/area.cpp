@@ -11,9 +11,11 @@ struct AreaEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along dp/du across the ray", nullptr, Optional},
     };
     static constexpr int Radiance = field_index(fields, "radiance");
-    static constexpr Model model = {"emitter", "area", "An emitting shape.", fields, 2, IsOnShape, "AreaLight"};
+    static constexpr Model model = {"emitter", "area", "An emitting shape.", fields, 3, IsOnShape, "AreaLight"};
 };
 
 namespace {
@@ -130,7 +132,7 @@ struct Area : OnShape<AreaEmitter, F> {
         auto near = lanes && mask<F>(g.distance < F(ScalarOf<F>(1e30)));
         if (!g.shapes || !any(near)) return;
         HitAdjoint<F> hit;
-        hit.at = g.at, hit.p = g.end_bar;
+        hit.at = g.at, hit.p = g.end_bar, hit.tangent = g.tangent_bar;
         F distance = select(near, g.distance, F(1));
         Arrival<F> in{M(false), g.w, distance, g.w * distance, g.w_bar, g.log_bar};
         Vec3<F> bar = sweep_surface(scene, g.point.at, g.x + in.D, in, hit, near, sink).o;

@@ -15,10 +15,13 @@ struct DirectionalEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along the x axis of to_world across the ray", nullptr,
+         Optional},
     };
     static constexpr int Irradiance = field_index(fields, "irradiance"), ToWorld = field_index(fields, "to_world");
     static constexpr Model model = {
-        "emitter",  "directional",     "Parallel light from infinitely far away.", fields, 3,
+        "emitter",  "directional",     "Parallel light from infinitely far away.", fields, 4,
         IsInfinite, "DirectionalLight"};
 };
 

@@ -83,9 +83,10 @@ struct DirectAdjoint {
     F distance;
     Vec3<F> w_bar;
     F log_bar;
-    const CoordinateAdjoint<F> &at;     // of the point, from what it sends
-    bool shapes;                        // whether shapes may move, or lights alone
-    Vec3<F> end_bar{F(0), F(0), F(0)};  // of the place of the point, from what lies on the way
+    const CoordinateAdjoint<F> &at;         // of the point, from what it sends
+    bool shapes;                            // whether shapes may move, or lights alone
+    Vec3<F> end_bar{F(0), F(0), F(0)};      // of the place of the point, from what lies on the way
+    Vec3<F> tangent_bar{F(0), F(0), F(0)};  // of dp/du there, from polarised light
 };
 
 // Means over what emitters look up, on the host: what their power is made of.
@@ -99,8 +100,17 @@ struct EmitterMeans {
     double disk = 0;  // area of one that covers the scene
 };
 
+// A model's declaration as polarised light needs it.
+struct EmitterInfo : ModelInfo {
+    int stokes = -1, to_world = -1;  // fields, -1: none
+
+    constexpr EmitterInfo() = default;
+    constexpr EmitterInfo(const Model &declared)
+        : ModelInfo(declared), stokes(field_named(declared, "stokes")), to_world(field_named(declared, "to_world")) {}
+};
+
 template <class F>
-struct EmitterKernels : ModelInfo {
+struct EmitterKernels : EmitterInfo {
     using S = ScalarOf<F>;
     using Scene = SceneView<S>;
     using Point = EmitterPoint<F>;

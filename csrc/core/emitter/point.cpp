@@ -13,10 +13,13 @@ struct PointEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along the world's x axis across the ray", nullptr,
+         Optional},
     };
     static constexpr int ColorField = field_index(fields, "intensity"), PlaceField = field_index(fields, "position");
     static constexpr int Numbers = 0;
-    static constexpr Model model = {"emitter", "point", "A point light.", fields, 3, HasDeltaPosition, "PointLight"};
+    static constexpr Model model = {"emitter", "point", "A point light.", fields, 4, HasDeltaPosition, "PointLight"};
 
     template <class F>
     TR_INLINE static Vec3<F> sample(const F (&)[1], const F &u1, const F &u2, F &inverse_pdf) {

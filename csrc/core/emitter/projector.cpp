@@ -20,13 +20,16 @@ struct ProjectorEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along the x axis of to_world across the ray", nullptr,
+         Optional},
     };
     static constexpr int ColorField = -1, PlaceField = field_index(fields, "to_world");
     static constexpr int TextureField = field_index(fields, "irradiance");
     static constexpr int Numbers = 3, Differentiable = 2;  // the last is the aspect of the image
     static constexpr std::array NumberFields{field_index(fields, "scale"), field_index(fields, "x_fov"), ImageAspect};
     static constexpr Model model = {"emitter", "projector", "A light that throws an image.",
-                                    fields,    5,           HasDeltaPosition | HasImageAspect};
+                                    fields,    6,           HasDeltaPosition | HasImageAspect};
 
     // tangents of half the fields of view
     template <class T, int N>

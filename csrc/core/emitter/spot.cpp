@@ -22,11 +22,14 @@ struct SpotEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along the x axis of to_world across the ray", nullptr,
+         Optional},
     };
     static constexpr int ColorField = field_index(fields, "intensity"), PlaceField = field_index(fields, "to_world");
     static constexpr int TextureField = field_index(fields, "texture"), Numbers = 2, Differentiable = 2;
     static constexpr std::array NumberFields{field_index(fields, "cutoff_angle"), field_index(fields, "beam_width")};
-    static constexpr Model model = {"emitter", "spot", "A spot light.", fields, 6, HasDeltaPosition, "SpotLight"};
+    static constexpr Model model = {"emitter", "spot", "A spot light.", fields, 7, HasDeltaPosition, "SpotLight"};
 
     template <class T, int N>
     TR_INLINE static Pattern<T> pattern(const Vec3<T> &d, const T (&number)[N]) {

@@ -29,8 +29,8 @@ struct PathContext {
     const BentColumns<S> *bent = nullptr;  // by entry of the queue; null: no medium bends light
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
-    // The directions of rays: they move, or polarised light is turned about them where there are no frames.
-    TR_INLINE bool keeps_arrivals() const { return needs->geometry || (config.volumetric && config.stokes); }
+    // How rays arrive: they move, or polarised light is turned about them.
+    TR_INLINE bool keeps_arrivals() const { return needs->geometry || config.stokes; }
 };
 
 // The samples of a packet, and their random numbers.

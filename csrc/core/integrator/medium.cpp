@@ -1,5 +1,7 @@
 #include "medium.h"
 
+#include "../adjoint/polarized_light.h"
+
 namespace tr {
 
 namespace {
@@ -403,6 +405,11 @@ TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m,
         recorded = s.albedo;
         if (m.chromatic) recorded = scattered, scattered = lanes(m.flight.first) * scattered;
         write(c.tape->stokes.differential_light, i, s.light.d);
+        if (c.scene.polarized_lights) {
+            const PolarizedLight<F> lamp(c.scene, s.light.point, may && mask<F>(s.light_weight > F(0)));
+            write(c.tape->stokes.differential_shares, i, lamp.shares);
+            write(c.tape->stokes.differential_axis, i, lamp.axis);
+        }
     }
     Spectrum<F> contribution = apply(recorded, s.emitted) * (s.phase_light * s.light_weight);
     auto lit = s.shadow_ray && is_finite(contribution) && mask<F>(max_component(contribution) > F(0));

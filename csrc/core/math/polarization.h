@@ -22,6 +22,7 @@ enum class Polarization : uint8_t {
     Metal,      // facets reflect by eta and k
     Interface,  // facets reflect and refract by eta
     Pane,       // of glass, with the reflections inside of it, as light of no phase
+    Coat,       // a coat's facets reflect by eta; what the base below scatters is polarised by the coat alone
     Pass,       // what passes is unchanged
     Polarizer,  // plates: their axis passes, the other one is absorbed;
     Retarder,   // the other one lags;
@@ -32,6 +33,27 @@ template <class T>
 struct FacetMatrix {
     T b, x, y;
 };
+
+// Of what has no polarisation in between, with an axis of its own on either side: what a base below a coat scatters is
+//     1    in      0  0
+//     out  out in  0  0
+// and zeros. With `both` = 1, and in = out = b, it is a facet's.
+template <class T>
+struct MuellerMatrix {
+    T out, in, both, x, y;
+
+    TR_INLINE MuellerMatrix() = default;
+    TR_INLINE MuellerMatrix(const FacetMatrix<T> &m) : out(m.b), in(m.b), both(T(1)), x(m.x), y(m.y) {}
+    TR_INLINE MuellerMatrix(const T &out_, const T &in_) : out(out_), in(in_), both(out_ * in_), x(T(0)), y(T(0)) {}
+};
+
+template <class T>
+TR_INLINE MuellerMatrix<T> select(const MaskOf<T> &m, const MuellerMatrix<T> &a, const MuellerMatrix<T> &b) {
+    MuellerMatrix<T> r;
+    r.out = select(m, a.out, b.out), r.in = select(m, a.in, b.in), r.both = select(m, a.both, b.both);
+    r.x = select(m, a.x, b.x), r.y = select(m, a.y, b.y);
+    return r;
+}
 
 // The refracted wave on a facet: A - i B = sqrt(n^2 - sin^2), n = eta - i k, of which L = A^2 + B^2.
 template <class T>
@@ -67,8 +89,16 @@ TR_INLINE FacetMatrix<T> refraction_matrix(const T &ci, const T &ct, const T &et
     return {(u2 - v2) * inverse, T(2) * u * v * inverse, T(0)};
 }
 
+// How much of s less than of p an interface lets through, over both: the same from either side. `cosine` is that
+// outside, `eta` the index inside over that outside.
+template <class T>
+TR_INLINE T polarized_by_refraction(const T &cosine, const T &eta) {
+    const T inside = sqrt(max(T(1) - (T(1) - cosine * cosine) / (eta * eta), T(0)));
+    return refraction_matrix(cosine, inside, eta).b;
+}
+
 // Of a pane, whose inner reflections add up without interference. `r` and `t` are one face's for the amplitudes'
-// product r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2).
+// product r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2). A film of air may reflect all, with phases.
 template <class T>
 TR_INLINE FacetMatrix<T> pane_matrix(const MaskOf<T> &reflects, const T &cosine, const T &eta) {
     RefractedWave<T> wave(cosine, eta, T(0));
@@ -81,7 +111,8 @@ TR_INLINE FacetMatrix<T> pane_matrix(const MaskOf<T> &reflects, const T &cosine,
     T inner = t * t * inverse, s2 = T(2) * s / (T(1) + s), p2 = T(2) * p / (T(1) + p);
     T as = select(reflects, s2, T(1) - s2), ap = select(reflects, p2, T(1) - p2), sum = as + ap;
     T normal = T(1) / select(mask<T>(T(0) < sum), sum, T(1));
-    return {(as - ap) * normal, T(2) * select(reflects, r + inner * r, inner) * normal, T(0)};
+    return {(as - ap) * normal, T(2) * select(reflects, r + inner * r, inner) * normal,
+            T(2) * select(reflects, mean * face.y, T(0)) * normal};
 }
 
 // At a smooth facet z is the cosine of the arriving direction, at a rough one that between both directions; `eta` is
