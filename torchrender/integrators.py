@@ -435,7 +435,7 @@ class Stokes(Stack):
     def __init__(self, integrator: Integrator | None = None) -> None:
         super().__init__()
         integrator = PathTracer() if integrator is None else integrator
-        if not isinstance(integrator, (PathTracer, DirectIllumination)):
+        if not isinstance(integrator, (PathTracer, VolumetricPathTracer, DirectIllumination)):
             raise TypeError(f"Stokes: integrator: expected one such as PathTracer(), got {describe(integrator)}")
         self.integrator = integrator
 

@@ -15,18 +15,19 @@ from .integrators import ParticleTracer, Stack, VolumetricPathTracer, WavefrontP
 from .render_call import RenderCall
 from .scene.packing import Layout
 
-# Surfaces that polarise in nature, and do not here.
+# What polarises in nature, and does not here: surfaces, and phase functions that are tables of real particles.
 GLOSSY = ("principled", "principledthin", "hair", "redner")
+PARTICLES = ("tabphase",)
 
 
 def check_polarized(
     integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool, warned: set[str]
 ) -> None:
-    """ValueError for what has no polarised light; one warning about glossy surfaces that do not polarise."""
-    if isinstance(integrator, (ParticleTracer, VolumetricPathTracer, WavefrontPathTracer, Stack)):
+    """ValueError for what has no polarised light; one warning about what should polarise and does not."""
+    if isinstance(integrator, (ParticleTracer, WavefrontPathTracer, Stack)):
         raise ValueError(
             f"render: outputs: {type(integrator).__name__} has no polarised light ({', '.join(STOKES_OUTPUTS)}); "
-            "PathTracer and DirectIllumination have it"
+            "PathTracer, VolumetricPathTracer and DirectIllumination have it"
         )
     if packed.bending:
         raise ValueError("render: outputs: light that gradientindex media bend has no polarisation")
@@ -36,6 +37,8 @@ def check_polarized(
     if adaptive_grad:
         raise ValueError("render: adaptive_grad: it is for radiance, not for polarised light")
     glossy = [f"{path} ({kind})" for kind, _, path in packed.objects["bsdf"] if kind in GLOSSY]
+    if isinstance(integrator, VolumetricPathTracer):
+        glossy += [f"{path} ({kind})" for kind, _, path in packed.objects["phase"] if kind in PARTICLES]
     if glossy:
         text = f"{', '.join(glossy[:4])}: what this scatters is unpolarised here; see docs/polarisation.md"
         warn_once(warned, "depolarised", text)

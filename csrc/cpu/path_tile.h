@@ -25,8 +25,19 @@ public:
     RenderStats take_stats() { return wavefront.take_stats(); }
 
     PathTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
-        : wavefront(call, capacity, derivative, false), call_(call), config_(call.config), capacity_(capacity) {
-        if (config_.volumetric) media_.emplace(wavefront, capacity, derivative != nullptr);
+        : wavefront(call, capacity, derivative, false),
+          call_(call),
+          config_(call.config),
+          capacity_(capacity),
+          differentiates_(derivative != nullptr),
+          unit_adjoint_(derivative && !derivative->adjoint) {
+        if (!config_.volumetric) return;
+        media_.emplace(wavefront, capacity, derivative != nullptr);
+        if (!config_.stokes || !media_->media.differential) return;
+        TapeGroups groups = wavefront.tape.groups();
+        groups.motion = false;
+        branch_tape_.emplace(groups);
+        branch_tape_->origin = int(BranchLevel);
     }
 
     // The first n slots, whose rays follow.
@@ -114,22 +125,16 @@ public:
     // Of polarised light: the columns, which bring the slots' Stokes vectors.
     void sweep_columns() {
         const SweepContext<F> c = sweep_context(slots, false);
-        for_vertices(
-            true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i, const M &active) {
-                hand_column(c, level.columns, parents, kind, level.scatters, i, active);
-            });
+        for_blocks([&](size_t block) { hand_columns(c, block); });
     }
 
-    // Runs over the tape from its end. `unit_adjoint`: the radiance itself is differentiated, in all components.
-    void sweep(GradientSink<F> &sink, bool unit_adjoint) {
-        if (config_.stokes) return sweep_polarized(sink, unit_adjoint);
-        Tape<S> &tape = wavefront.tape;
-        size_t block = media_ && tape.checkpoints.size() ? tape.checkpoints.size() - 1 : 0;
-        sweep_tape(sink, unit_adjoint, block);
-        while (block > 0) {
-            replay_block(--block);
-            sweep_tape(sink, unit_adjoint, block);
-        }
+    // Runs over the tape from its end. Without an adjoint in the call the radiance itself is differentiated, in all
+    // components.
+    void sweep(GradientSink<F> &sink) {
+        if (config_.stokes && unit_adjoint_)
+            for (const auto &column : of_stokes(slots.radiance, slots.q, slots.u, slots.v))
+                for (int c = 0; c < SpectrumSize; ++c) std::fill_n(column[c], n_slots_, S(0));
+        for_blocks([&](size_t block) { config_.stokes ? sweep_polarized(sink, block) : sweep_tape(sink, block); });
         wavefront.count_non_finite(sink);
     }
 
@@ -153,8 +158,25 @@ private:
         run_levels(recording, 0, stop);
         if (!recording || !media_->media.differential) return;
         media_->start_branches(first, n_slots_);
+        if (branch_tape_) return run_polarized_branches(stop);
         run_levels(false, BranchLevel, stop);
         media_->finish_branches(n_slots_);
+    }
+
+    // They are recorded for their columns alone.
+    template <class Stop>
+    void run_polarized_branches(Stop &stop) {
+        GradientNeeds needs{};
+        wavefront.exchange(*branch_tape_, needs);
+        media_->media.differential = false;
+        wavefront.tape.checkpoints.clear();
+        wavefront.tape.begin_block(int(BranchLevel));
+        run_levels(true, BranchLevel, stop);
+        SweepContext<F> c = sweep_context(slots, false);
+        c.columns_to = &media_->media.branch;
+        for_blocks([&](size_t block) { hand_columns(c, block); });
+        media_->media.differential = true;
+        wavefront.exchange(*branch_tape_, needs);
     }
 
     // A level a segment: scatterings and index-matched boundaries alike. `first` numbers the random numbers.
@@ -165,6 +187,7 @@ private:
         for (uint32_t level = first; current->n > 0 && !stop(); ++level) {
             if (recording && level % Tape<S>::BlockLevels == 0) {
                 tape.checkpoints.save(*current);
+                if (config_.stokes && differentiates_ && level > 0 && first == 0) keep_rows();
                 tape.begin_block(int(level));
             }
             run_level(*current, *next, level, recording);
@@ -177,9 +200,9 @@ private:
         const Tape<S> &tape = wavefront.tape;
         wavefront.trace(current);
         media_->fly(current, level, recording);
-        int parents = tape.size() > 0 ? tape.size() - 1
-                      : level > 0     ? TapeLevel<S>::InBlockBefore
-                                      : TapeLevel<S>::NoParent;
+        int parents = tape.size() > 0            ? tape.size() - 1
+                      : int(level) > tape.origin ? TapeLevel<S>::InBlockBefore
+                                                 : TapeLevel<S>::NoParent;
         step(current, next, {int(level), 0, true}, recording, parents);
     }
 
@@ -191,7 +214,7 @@ private:
         const RenderStats before = wavefront.stats;  // nothing counts twice
         const Diagnostics found = wavefront.diagnostics;
         media_->media.replaying = true;
-        tape.begin_block(int(block) * Tape<S>::BlockLevels);
+        tape.begin_block(tape.origin + int(block) * Tape<S>::BlockLevels);
         for (int l = 0; l < Tape<S>::BlockLevels; ++l) {
             run_level(*current, *next, uint32_t(tape.first_level + l), true);
             std::swap(current, next);
@@ -261,10 +284,22 @@ private:
     }
 
     // ------------------------------------------------------------------------------------------------------ the sweep
+    // Calls visit(block) for all blocks, from the last one, which is on the tape, to the first one.
+    template <class Visit>
+    void for_blocks(Visit &&visit) {
+        const size_t n = media_ ? wavefront.tape.checkpoints.size() : 0;
+        size_t block = n > 0 ? n - 1 : 0;
+        visit(block);
+        while (block > 0) {
+            replay_block(--block);
+            visit(block);
+        }
+    }
+
     // Adjoints of numbers are sums over components: in forward mode everyone that a pixel shows then has a sweep of its
     // own.
-    void sweep_tape(GradientSink<F> &sink, bool unit_adjoint, size_t block) {
-        if (!sink.forward || !wavefront.needs().numbers()) return sweep_levels(sink, unit_adjoint, block, 0);
+    void sweep_tape(GradientSink<F> &sink, size_t block) {
+        if (!sink.forward || !wavefront.needs().numbers()) return sweep_levels(sink, unit_adjoint_, block, 0);
         for (int component = 0; component < call_.values; ++component) {
             for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.delta[c], n_slots_, S(c == component ? 1 : 0));
             sink.component = component;
@@ -306,59 +341,106 @@ private:
         return {i, q, u, v};
     }
 
-    // Packets of the tape's vertices, from its end or from its beginning.
+    // Packets of the tape's vertices, from its end or from its beginning. `before`: in place of the last level of the
+    // block before.
     template <class Visit>
-    void for_vertices(bool backwards, Visit &&visit) {
+    void for_vertices(bool backwards, const TapeColumns<S> *before, Visit &&visit) {
         Tape<S> &tape = wavefront.tape;
         for (int k = 0; k < tape.size(); ++k) {
-            TapeLevel<S> &level = tape[backwards ? tape.size() - 1 - k : k];
+            const int l = backwards ? tape.size() - 1 - k : k;
+            TapeLevel<S> &level = tape[l];
             const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
+            if (level.parent_level == TapeLevel<S>::InBlockBefore) parents = before;
             for (const KindRange &range : level.ranges)
                 for (uint32_t i = range.begin; i < range.begin + range.count; i += W)
-                    visit(level, parents, range.kind, i, mask<F>(lane_index<F>() < U(range.begin + range.count - i)));
+                    visit(level, parents, uint32_t(tape.first_level + l), range.kind, i,
+                          mask<F>(lane_index<F>() < U(range.begin + range.count - i)));
         }
     }
 
-    // In forward mode each component of the Stokes vector has rows of its own.
-    void sweep_polarized(GradientSink<F> &sink, bool unit_adjoint) {
-        sweep_columns();
-        if (!unit_adjoint) {
-            sweep_rows(slots, sink);
-        } else {
-            const auto deltas = of_stokes(slots.delta, slots.delta_q, slots.delta_u, slots.delta_v),
-                       values = of_stokes(slots.radiance, slots.q, slots.u, slots.v);
-            const bool apart = wavefront.needs().numbers();
-            for (size_t p = 0; p < values.size(); ++p) {
-                SlotColumns<S> of = slots;
-                of.radiance = values[p];
-                for (int c = 0; c < SpectrumSize; ++c) std::fill_n(values[p][c], n_slots_, S(0));
-                for (int component = 0; component < (apart ? call_.values : 1); ++component) {
-                    for (size_t q = 0; q < deltas.size(); ++q)
-                        for (int c = 0; c < SpectrumSize; ++c)
-                            std::fill_n(deltas[q][c], n_slots_, S(p == q && (!apart || c == component) ? 1 : 0));
-                    sink.component = component;
-                    sweep_rows(of, sink);
-                }
+    void hand_columns(const SweepContext<F> &c, size_t block) {
+        Tape<S> &tape = wavefront.tape;
+        if (block + 1 < tape.checkpoints.size()) tape.columns.hand_to(tape.last(), HandedRadiance);
+        const TapeColumns<S> *before = nullptr;
+        if (block > 0) before = &tape.columns.open(Wavefront<F>::entries(capacity_), tape.groups());
+        for_vertices(true, before,
+                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, uint32_t, int kind, uint32_t i,
+                         const M &active) { hand_column(c, level.columns, parents, kind, level.scatters, i, active); });
+    }
+
+    void hand_rows(const SweepContext<F> &c, const TapeColumns<S> *before) {
+        for_vertices(false, before,
+                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, uint32_t, int kind, uint32_t i,
+                         const M &active) { hand_row(c, level.columns, parents, kind, level.scatters, i, active); });
+    }
+
+    // A level with the rows for what arrives at a block's beginning; null: the film's begin there.
+    const TapeColumns<S> *rows_before(size_t block, size_t run) {
+        Tape<S> &tape = wavefront.tape;
+        if (block == 0) return nullptr;
+        const TapeColumns<S> &before = tape.boundaries[run].open(Wavefront<F>::entries(capacity_), tape.groups());
+        tape.checkpoints.restore_rows(block, run, before);
+        return &before;
+    }
+
+    // Of the block that is on the tape, whose successor's queue has just been saved.
+    void keep_rows() {
+        Tape<S> &tape = wavefront.tape;
+        for_runs([&](size_t run, const SlotColumns<S> &of, int) {
+            hand_rows(sweep_context(of, false), rows_before(tape.checkpoints.size() - 2, run));
+            tape.checkpoints.save_rows(run, tape.last());
+        });
+    }
+
+    // Calls visit(run, slots, component) for all rows that paths have: one, of the film's gradient, or in forward mode
+    // one for each component of the Stokes vector, whose derivative goes to the slots' radiance; and then, where
+    // adjoints of numbers are sums over components, one for each of these.
+    template <class Visit>
+    void for_runs(Visit &&visit) {
+        if (!unit_adjoint_) return visit(size_t(0), slots, 0);
+        const auto deltas = of_stokes(slots.delta, slots.delta_q, slots.delta_u, slots.delta_v),
+                   values = of_stokes(slots.radiance, slots.q, slots.u, slots.v);
+        const bool apart = wavefront.needs().numbers();
+        size_t run = 0;
+        for (size_t p = 0; p < values.size(); ++p) {
+            SlotColumns<S> of = slots;
+            of.radiance = values[p];
+            for (int component = 0; component < (apart ? call_.values : 1); ++component) {
+                for (size_t q = 0; q < deltas.size(); ++q)
+                    for (int c = 0; c < SpectrumSize; ++c)
+                        std::fill_n(deltas[q][c], n_slots_, S(p == q && (!apart || c == component) ? 1 : 0));
+                visit(run++, of, component);
             }
         }
-        wavefront.count_non_finite(sink);
     }
 
-    void sweep_rows(const SlotColumns<S> &of, GradientSink<F> &sink) {
-        const SweepContext<F> c = sweep_context(of, false);
-        for_vertices(false,
-                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
-                         const M &active) { hand_row(c, level.columns, parents, kind, level.scatters, i, active); });
-        for_vertices(
-            true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i, const M &active) {
-                sweep_polarized_vertex(c, level.columns, parents, kind, level.scatters, i, active, sink);
-            });
+    void sweep_polarized(GradientSink<F> &sink, size_t block) {
+        Tape<S> &tape = wavefront.tape;
+        SweepContext<F> columns = sweep_context(slots, false);
+        columns.to_slots = false;
+        hand_columns(columns, block);
+        for_runs([&](size_t run, const SlotColumns<S> &of, int component) {
+            SweepContext<F> c = sweep_context(of, false);
+            if (media_ && media_->media.differential) c.branches = &media_->media.branch;
+            if (block + 1 < tape.checkpoints.size()) tape.boundaries[run].hand_to(tape.last(), HandedMotion);
+            const TapeColumns<S> *before = rows_before(block, run);
+            hand_rows(c, before);
+            sink.component = component;
+            for_vertices(true, before,
+                         [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, uint32_t number, int kind,
+                             uint32_t i, const M &active) {
+                             sweep_polarized_vertex(c, level.columns, parents, number, kind, level.scatters, i, active,
+                                                    sink);
+                         });
+        });
     }
 
     const RenderCall<S> &call_;
     const PathConfig &config_;
     const size_t capacity_;
+    const bool differentiates_, unit_adjoint_;
     std::optional<MediumStage<F>> media_;
+    std::optional<Tape<S>> branch_tape_;  // of polarised light, of the paths that go on from differential samples
     uint32_t n_slots_ = 0;
     std::vector<KindRange> ranges_;
 };

@@ -38,7 +38,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                     if (record) record->keep(item, recorder.finish());
                     if (derivative) {
                         GradientSink<F> sink = derivative->template forward_sink<F>();
-                        tile.sweep(sink, true);
+                        tile.sweep(sink);
                     } else if (recorded) {
                         tile.sweep_columns();
                     }
@@ -140,7 +140,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
                     done += n;
                     tile.run(true, stop);
                     GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
-                    tile.sweep(sink, false);
+                    tile.sweep(sink);
                 });
             });
         add_buffers(locals, derivative);

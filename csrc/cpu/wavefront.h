@@ -107,6 +107,12 @@ public:
                 recorder.on(), bender ? &bender->columns : nullptr};
     }
 
+    // Records onto another tape, for a derivative by something else, until called again.
+    void exchange(Tape<S> &other, GradientNeeds &needs) {
+        std::swap(tape, other);
+        std::swap(needs_, needs);
+    }
+
     // Entries that n hits take at most once they are grouped.
     static constexpr size_t entries(size_t n) { return n + size_t(Kinds + 1) * 2 * W; }
 

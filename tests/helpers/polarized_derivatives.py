@@ -67,6 +67,15 @@ def along(scene: tr.Scene, name: str) -> torch.Tensor:
     return torch.randn(value.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
 
 
+def turning(matrix: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
+    """How a matrix changes as it is turned about an axis through its origin, in the world."""
+    x, y, z = (axis / axis.norm()).tolist()
+    cross = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    change = torch.zeros_like(matrix)
+    change[:3, :3] = cross @ matrix[:3, :3]
+    return change
+
+
 def two_means(scene: tr.Scene, name: str, step: float = 2e-3, seeds: int = 24) -> tuple[torch.Tensor, float]:
     """z of I, Q and U of the mean derivative less that of differences, over seeds; and the derivative's size."""
     base, direction = dict(scene.named_parameters())[name].detach().clone(), along(scene, name)

@@ -178,7 +178,6 @@ def test_glossy_surfaces_that_do_not_polarise_are_named():
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"integrator": "volpath"}, "VolumetricPathTracer has no polarised light"),
         ({"integrator": "ptracer"}, "ParticleTracer has no polarised light"),
         ({"adaptive_grad": True}, "adaptive_grad: it is for radiance"),
         ({"outputs": ("stokes", "variance")}, "polarised light has no 'variance'"),

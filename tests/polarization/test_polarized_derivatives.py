@@ -6,7 +6,7 @@ import math
 
 import pytest
 import torch
-from polarized_derivatives import along, check, modes, room, two_means
+from polarized_derivatives import along, check, modes, room, turning, two_means
 
 import torchrender as tr
 
@@ -54,15 +54,6 @@ def test_layers():
     bumpy = room({"type": "normalmap", "normalmap": bitmap, "bsdf": GOLD}, ALUMINIUM)
     for name in ("ball.bsdf.normalmap.data", "ball.bsdf.nested_bsdf.k.value"):
         check(bumpy, name, along(bumpy, name), tolerance=1e-3)  # texels are linear in pieces
-
-
-def turning(matrix: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
-    """How a matrix changes as it is turned about an axis through its origin, in the world."""
-    x, y, z = (axis / axis.norm()).tolist()
-    cross = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
-    change = torch.zeros_like(matrix)
-    change[:3, :3] = cross @ matrix[:3, :3]
-    return change
 
 
 def test_plates():

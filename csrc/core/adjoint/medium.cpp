@@ -110,7 +110,8 @@ TR_LARGE LineAdjoint<F> sweep_shadow_motion(const SceneOf<F> &scene, const Segme
 template <class F>
 TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
                                      const Spectrum<F> &a, const NextVertex<F> &next, const GradientNeeds &needs,
-                                     const MaskOf<F> &active, Vec3<F> &p_bar, Vec3<F> &d_bar, GradientSink<F> &sink) {
+                                     const MaskOf<F> &active, Vec3<F> &p_bar, Vec3<F> &d_bar, GradientSink<F> &sink,
+                                     const PolarizedScattering<F> *polarized) {
     Spectrum<F> total = uniform_spectrum(F(0));
     for_each_distinct<F>(medium, active, [&](int32_t m, const MaskOf<F> &lanes) {
         const MediumInfo &info = scene.media[m];
@@ -120,6 +121,7 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
         Spectrum<F> light_factor = apply(v.through, v.emitted) * v.light_weight;
         Spectrum<F> path_factor = next.radiance * v.inverse_pdf;
         Spectrum<F> scattered = light_factor * phase_light + path_factor * phase;
+        if (polarized) scattered = scattered + polarized->path + polarized->light;
         total = select(lanes, apply(albedo, scattered), total);
         if (needs.medium.albedo) sink.volume(scene, info.albedo, v.p, apply(a, scattered), lanes);
         Spectrum<F> at_phase = pull(a, albedo);
@@ -130,9 +132,11 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
         auto lit = lanes && mask<F>(v.light_weight > F(0));
         CoordinateAdjoint<F> light_at;
         Vec3<F> to_light{F(0), F(0), F(0)};  // adjoint of the direction
-        if ((needs.emitter || needs.numbers()) && any(lit))
-            sweep_emitter(scene, v.light, v.wo_light, pull(at_phase, v.through) * (phase_light * v.light_weight), needs,
-                          lit, light_at, to_light, sink);
+        if ((needs.emitter || needs.numbers()) && any(lit)) {
+            Spectrum<F> g = pull(at_phase, v.through) * (phase_light * v.light_weight);
+            if (polarized) g = g + pull(at_phase, polarized->emitted);
+            sweep_emitter(scene, v.light, v.wo_light, g, needs, lit, light_at, to_light, sink);
+        }
         if (!needs.numbers()) return;
 
         Vec3<F> p = next.ray.o;
@@ -146,15 +150,10 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
         if (any(lit)) {
             turned = light_bar * phase_slope(scene, info.phase, v.p, v.d, v.wo_light, light_bar, lit, p, sink);
             direction = direction + v.wo_light * turned;
-            DirectAdjoint<F> g{v.light,
-                               v.p,
-                               v.wo_light,
-                               v.light_distance,
-                               to_light + v.d * turned + v.way.d,
-                               light_bar * phase_light,
-                               light_at,
-                               needs.geometry,
-                               v.way.end};
+            F brought = light_bar * phase_light;
+            if (polarized) brought = brought + contract(at_phase, polarized->light);
+            DirectAdjoint<F> g{v.light, v.p,      v.wo_light,     v.light_distance, to_light + v.d * turned + v.way.d,
+                               brought, light_at, needs.geometry, v.way.end};
             p = select(lit, p + v.way.o + sweep_direct(scene, g, lit, sink), p);
         }
         p_bar = select(lanes, p_bar + p, p_bar);
@@ -172,7 +171,8 @@ TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord
                                                 const MaskOf<F> &, GradientSink<F> &);                                 \
     template Spectrum<F> sweep_collision(const SceneView<S> &, const VertexRecord<F> &, const IntOf<F> &,              \
                                          const Spectrum<F> &, const NextVertex<F> &, const GradientNeeds &,            \
-                                         const MaskOf<F> &, Vec3<F> &, Vec3<F> &, GradientSink<F> &);
+                                         const MaskOf<F> &, Vec3<F> &, Vec3<F> &, GradientSink<F> &,                   \
+                                         const PolarizedScattering<F> *);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

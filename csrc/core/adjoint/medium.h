@@ -40,11 +40,19 @@ TR_LARGE LineAdjoint<F> sweep_shadow_motion(const SceneOf<F> &scene, const Segme
                                             const MotionPacket<F> &motion, const Vec3<F> &p, const Spectrum<F> &delta,
                                             const MaskOf<F> &active, GradientSink<F> &sink);
 
+// What a collision brings of polarised light besides, the albedo and `a` apart: from behind, from the emitter sample,
+// and that over what is emitted there. How it depends on directions has been handed on already.
+template <class F>
+struct PolarizedScattering {
+    Spectrum<F> path, light, emitted;
+};
+
 // One collision; `a` is the adjoint times the throughput. `v.p` is the point, `v.d` the direction of travel. Returns
 // N + albedo phase / (p q) R; adds the adjoints of the place and of the direction.
 template <class F>
 TR_LARGE Spectrum<F> sweep_collision(const SceneOf<F> &scene, const VertexRecord<F> &v, const IntOf<F> &medium,
                                      const Spectrum<F> &a, const NextVertex<F> &next, const GradientNeeds &needs,
-                                     const MaskOf<F> &active, Vec3<F> &p_bar, Vec3<F> &d_bar, GradientSink<F> &sink);
+                                     const MaskOf<F> &active, Vec3<F> &p_bar, Vec3<F> &d_bar, GradientSink<F> &sink,
+                                     const PolarizedScattering<F> *polarized = nullptr);
 
 }  // namespace tr

@@ -173,7 +173,8 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
     const Spectrum<F> one = uniform_spectrum(F(1)), none = uniform_spectrum(F(0));
     const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0)), goes_on = active && mask<F>(v.inverse_pdf > F(0));
     const bool connected = bsdf.is(HasSmoothLobes) && any(lit);
-    Spectrum<F> path_factor = uniform_spectrum(v.inverse_pdf), light_factor = v.emitted * v.light_weight;
+    Spectrum<F> path_factor = uniform_spectrum(v.inverse_pdf),
+                light_factor = apply(v.through, v.emitted) * v.light_weight;
     if (scene.has_stacks) {
         const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
         path_factor = path_factor * stack.bsdf.stack.weight * stack.path_factor;
@@ -245,6 +246,18 @@ TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving) const {
         add(a, turned_row(gathered(kind, path, turned_row(leaving, path.out, wi)), a.axis, -path.to));
     }
     return a;
+}
+
+template <class F>
+TR_LARGE Spectrum<F> PolarizedVertex<F>::direct(const Stokes<F> &leaving) const {
+    if (kind == Polarization::None) return pull(leaving.at[0], lobes[0].light.factor);
+    Spectrum<F> r = uniform_spectrum(F(0));
+    for (int l = 0; l < n_lobes && bsdf.is(HasSmoothLobes); ++l) {
+        const PolarizedWay<F> &light = lobes[l].light;
+        const Stokes<F> sent = turned_column(lamp.of(uniform_spectrum(F(1))), light.in, -light.to);
+        r = r + number_between(leaving, scattered(kind, light, sent), wi);
+    }
+    return r;
 }
 
 // What the angle of a plate's axis makes of `angle`: of theta, of the surface, and of the ray.

@@ -51,6 +51,8 @@ struct PolarizedVertex {
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;
     // The row for what arrives, from that for what leaves.
     TR_LARGE Stokes<F> row(const Stokes<F> &leaving) const;
+    // The number that a row makes with the light of the emitter sample, colour by colour.
+    TR_LARGE Spectrum<F> direct(const Stokes<F> &leaving) const;
     // The derivative, `next` being the vertex behind (whose radiance is the column `arriving`). Adds as
     // sweep_scattering does; returns the number that row and column make here, without the vertex' own emission.
     TR_LARGE F sweep(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, const Stokes<F> &leaving,

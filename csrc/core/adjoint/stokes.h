@@ -33,6 +33,13 @@ TR_INLINE Stokes<F> turned_row(Stokes<F> a, const Vec3<F> &axis, const Vec3<F> &
     return turned_column(a, axis, k);  // a rotation's inverse is its transpose
 }
 
+// The number between a row and a column, colour by colour.
+template <class F>
+TR_INLINE Spectrum<F> number_between(const Stokes<F> &row, const Stokes<F> &column, const Vec3<F> &k) {
+    const Stokes<F> r = turned_column(column, row.axis, k);
+    return row.at[0] * r.at[0] + row.at[1] * r.at[1] + row.at[2] * r.at[2] + row.at[3] * r.at[3];
+}
+
 // The derivative of the number by the angle of the row's axis, on which both are; by that of the axis which the column
 // had before it is the negative.
 template <class F>

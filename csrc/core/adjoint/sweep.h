@@ -3,7 +3,7 @@
 
 #include "light.h"
 #include "medium.h"
-#include "polarization.h"
+#include "polarized_medium.h"
 
 namespace tr {
 
@@ -18,6 +18,9 @@ struct SweepContext {
     const BranchColumns<S> *branches = nullptr;  // of media, where there are any
     bool unit_adjoint = false;                   // the radiance itself is differentiated, in all components
     bool from_camera = true;                     // paths begin there
+    // of polarised light: where columns go that have arrived at the beginning, if not to the slots; null: nowhere
+    const BranchColumns<S> *columns_to = nullptr;
+    bool to_slots = true;
 };
 
 // A vertex of a camera path; kind as in classify.h, `scatters`: not the last one. `parents`: the level that the
@@ -28,8 +31,8 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
                                   const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
                                   uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
 
-// Of polarised light, at a vertex on a surface or where a ray leaves the scene: the column for the vertex before, or
-// what the path brings; the row for the vertex behind; and, with both, the derivative.
+// Of polarised light: the column for the vertex before, or what the path brings; the row for the vertex behind; and,
+// with both, the derivative.
 template <class F>
 TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                           const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
@@ -40,8 +43,8 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
                        const MaskOf<F> &active);
 template <class F>
 TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                     const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                                     const MaskOf<F> &active, GradientSink<F> &sink);
+                                     const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
+                                     uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // The place alone of a vertex that a smooth BSDF's or the camera's ray has found: hands its adjoint `p_bar`, with those
 // of places behind it, to what moves it, the vertex before included. Directions after smooth BSDFs are at rest. Returns

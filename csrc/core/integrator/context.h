@@ -29,6 +29,8 @@ struct PathContext {
     const BentColumns<S> *bent = nullptr;  // by entry of the queue; null: no medium bends light
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
+    // How rays arrive: they move, or polarised light is turned about them.
+    TR_INLINE bool keeps_arrivals() const { return needs->geometry || config.stokes; }
 };
 
 // The samples of a packet, and their random numbers.

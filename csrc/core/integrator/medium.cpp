@@ -1,5 +1,7 @@
 #include "medium.h"
 
+#include "../adjoint/polarized_light.h"
+
 namespace tr {
 
 namespace {
@@ -104,7 +106,11 @@ TR_LARGE void begin_media_slots(const PathContext<F> &c, const MediumContext<F> 
     write(m.branch.hero, i, U(IntOf<F>(u.u[0] * F(SpectrumSize))));
     write(m.branch.total_weight, i, F(0));
     write(m.branch.level, i, U(NoLevel));
-    write(m.branch.radiance, i, uniform_spectrum(F(0)));
+    const Spectrum<F> none = uniform_spectrum(F(0));
+    write(m.branch.radiance, i, none);
+    if (!c.config.stokes) return;
+    write(m.branch.q, i, none), write(m.branch.u, i, none), write(m.branch.v, i, none);
+    write(m.branch.axis, i, Vec3<F>{F(0), F(0), F(0)});
 }
 
 template <class F>
@@ -138,7 +144,7 @@ namespace {
 
 // Spectral MIS: throughput and the densities of the components after the segment, whose mean stays one.
 template <class F>
-TR_INLINE void weigh_components(const MediumContext<F> &m, PathQueue<ScalarOf<F>> &queue, uint32_t i) {
+TR_INLINE void weigh_components(const MediumContext<F> &m, bool stokes, PathQueue<ScalarOf<F>> &queue, uint32_t i) {
     Entries<F> from(i);
     const auto &flight = m.flight;
     auto inside = mask<F>(from(queue.medium) >= 0);
@@ -161,7 +167,7 @@ TR_INLINE void weigh_components(const MediumContext<F> &m, PathQueue<ScalarOf<F>
     write(queue.channel, i, p * factor);
     if (!m.keeps_points()) return;
     scale = ratio(flight.differential_weight);
-    write(flight.differential_weight, i, beta * w * scale);
+    write(flight.differential_weight, i, (stokes ? w : beta * w) * scale);
     write(flight.differential_channel, i, p * w * scale);
     scale = ratio(flight.emission_weight);
     write(flight.emission_weight, i, w * scale);
@@ -196,7 +202,7 @@ TR_LARGE void finish_flight(const PathContext<F> &c, const MediumContext<F> &m, 
     auto collided = mask<F>(from(m.flight.collided) != U(0u));
     store(hits.at.shape + i, select(mask<U>(collided), U(MediumHit), from.get(hits.at.shape)));
     write(hits.t, i, select(collided, from(m.flight.start) + from(m.flight.length), from(hits.t)));
-    if (m.chromatic) weigh_components(m, queue, i);
+    if (m.chromatic) weigh_components(m, c.config.stokes, queue, i);
     if (m.emissive && add_radiance) add_emission(c, m, queue, i);
 }
 
@@ -308,11 +314,12 @@ TR_INLINE void write_motion(const PathContext<F> &c, const MediumContext<F> &m, 
                           zero, none, none, F(0), F(0), F(0), zero, zero});
 }
 
-// One of a path's segments, drawn in proportion to `weight` as they come by.
+// One of a path's segments, drawn in proportion to `weight` as they come by. `beta`: the throughput, of which `factor`
+// is the part since the segment's beginning.
 template <class F>
 TR_INLINE void choose_branch(const MediumContext<F> &m, const PathQueue<ScalarOf<F>> &in, const LaneSet<F> &lanes,
                              uint32_t i, const Vec3<F> &p, const Vec3<F> &d, const F &weight, const Spectrum<F> &beta,
-                             const MaskOf<F> &may) {
+                             const Spectrum<F> &factor, const MaskOf<F> &may) {
     using U = UIntOf<F>;
     if (m.replaying) return;  // chosen when the path was traced first
     auto some = may && mask<F>(weight > F(0));
@@ -333,7 +340,8 @@ TR_INLINE void choose_branch(const MediumContext<F> &m, const PathQueue<ScalarOf
     put(branch.p.x, p.x), put(branch.p.y, p.y), put(branch.p.z, p.z);
     put(branch.d.x, d.x), put(branch.d.y, d.y), put(branch.d.z, d.z);
     for (int k = 0; k < SpectrumSize; ++k) {
-        put(branch.beta[k], beta[k] / drawn);  // times the total weight, which is known at the end
+        // times the total weight, which is known at the end
+        put(branch.beta[k], beta[k] / drawn), put(branch.factor[k], factor[k] / drawn);
         put(branch.channel[k], channel[k]);
     }
 }
@@ -392,11 +400,21 @@ TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m,
         s.albedo = select(same, eval_volume(c.scene, c.scene.values, waves, info.albedo, p, same), s.albedo);
         sample_light(c, waves, info, p, d, u_light, same, s);
     });
-    Spectrum<F> scattered = pull(beta, s.albedo);
-    Spectrum<F> contribution = apply(scattered, s.emitted) * (s.phase_light * s.light_weight);
+    Spectrum<F> scattered = pull(beta, s.albedo), recorded = scattered;
+    if (c.config.stokes) {  // a row of the sweep takes the place of the throughput at the segment's beginning
+        recorded = s.albedo;
+        if (m.chromatic) recorded = scattered, scattered = lanes(m.flight.first) * scattered;
+        write(c.tape->stokes.differential_light, i, s.light.d);
+        if (c.scene.polarized_lights) {
+            const PolarizedLight<F> lamp(c.scene, s.light.point, may && mask<F>(s.light_weight > F(0)));
+            write(c.tape->stokes.differential_shares, i, lamp.shares);
+            write(c.tape->stokes.differential_axis, i, lamp.axis);
+        }
+    }
+    Spectrum<F> contribution = apply(recorded, s.emitted) * (s.phase_light * s.light_weight);
     auto lit = s.shadow_ray && is_finite(contribution) && mask<F>(max_component(contribution) > F(0));
     push_light_ray(p, s.light, contribution, medium, slot, i, ShadowPurpose::Differential, lit, shadows);
-    choose_branch(m, in, lanes, i, p, d, segment.length * max_component(scattered), scattered, may);
+    choose_branch(m, in, lanes, i, p, d, segment.length * max_component(scattered), scattered, recorded, may);
 }
 
 template <class F>
@@ -418,7 +436,9 @@ TR_LARGE void start_branches(const PathContext<F> &c, const MediumContext<F> &m,
         wo = select(same, sample_phase(c.scene, info.phase, p, d, u.u[0], u.u[1], u.u[2], same), wo);
         if (!info.enclosed) pdf = select(same, eval_phase(c.scene, info.phase, p, d, wo, same), pdf);
     });
-    Spectrum<F> beta = from(branch.beta) * from(branch.total_weight);
+    const F total = from(branch.total_weight);
+    Spectrum<F> beta = from(branch.beta) * total;
+    if (c.config.stokes) write(branch.wo, i, wo), write(branch.factor, i, from(branch.factor) * total);
     uint32_t at =
         append(out, PathState<F>{p, wo, F(S(INFINITY)), p, pdf, beta, F(1), beta, slot, U(0u), U(1u)}, active);
     append_lanes(out, at, PathMedium<F>{from(branch.medium), from(branch.depth), from(branch.channel), F(0)}, active);

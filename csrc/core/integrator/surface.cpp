@@ -181,7 +181,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     if (c.bent) bent = arrive_bent(c, lanes, si.p, e);
     if (c.tape) {
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
-        if (c.needs->geometry || config.stokes) {
+        if (c.keeps_arrivals()) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
             auto slides = mask<F>(from.pdf == F(0)) || mask<F>(si.shape.emitter < 0) || M(passes) || bent;
@@ -280,7 +280,7 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
     if (!c.tape) return add_radiance(c, slot, beta, e, shown, "environment");
     write_vertex(c, i, slot, lanes(in.parent), beta, e.point.at, e);
     if (c.bent) write(c.tape->bent.medium, i, IntOf<F>(-1));
-    if (!c.needs->geometry) return;
+    if (!c.keeps_arrivals()) return;
     Vec3<F> zero{F(0), F(0), F(0)};
     write_arrival(c, i, lanes(in.d), zero, zero, F(0), arrival_kind<F>(mask<F>(lanes(in.pdf) == F(0))));
 }

@@ -126,11 +126,13 @@ struct FlightColumns {
 
 // By slot. The component that a path samples distances for; and of the path that goes on from one of its segments'
 // differential samples: which one, the sum of the weights by which it was chosen, where the path begins, and in the end
-// what it brought.
+// what it brought. Of polarised light that is the column which arrives there along -wo, `radiance` its intensity, and
+// `factor` is what it is multiplied with on its way through the sample and the segment's beginning.
 // clang-format off
 #define TR_BRANCH_COLUMNS(X) \
     X(Index, hero) X(Index, level) X(Index, entry) X(Number, total_weight) X(Vector, p) X(Vector, d) \
-    X(Integer, medium) X(Index, depth) X(Spectrum, beta) X(Spectrum, channel) X(Spectrum, radiance)
+    X(Integer, medium) X(Index, depth) X(Spectrum, beta) X(Spectrum, channel) X(Spectrum, radiance) \
+    X(Vector, wo) X(Spectrum, factor) X(Spectrum, q) X(Spectrum, u) X(Spectrum, v) X(Vector, axis)
 // clang-format on
 
 template <class S>

@@ -43,10 +43,12 @@ namespace tr {
 // Vertices of light paths, see ConnectionRecord and EmissionRecord.
 #define TR_CONNECTION_COLUMNS(X) X(Number, x_bar) X(Number, y_bar) X(Vector, ng) X(Integer, emitter_kind)
 // Of polarised light: the row for what arrives from the vertex behind, and the column of that, whose intensity is
-// `suffix`; see adjoint/polarization.h.
+// `suffix`; see adjoint/polarization.h. In media the direction to the light that a differential sample has drawn, whose
+// `differential_value` then is without the throughput; shares and axis of that light, if some lights are polarised.
 #define TR_STOKES_COLUMNS(X) \
     X(Spectrum, row_i) X(Spectrum, row_q) X(Spectrum, row_u) X(Spectrum, row_v) X(Vector, row_axis) \
-    X(Spectrum, column_q) X(Spectrum, column_u) X(Spectrum, column_v) X(Vector, column_axis)
+    X(Spectrum, column_q) X(Spectrum, column_u) X(Spectrum, column_v) X(Vector, column_axis) \
+    X(Vector, differential_light) X(Vector, differential_shares) X(Vector, differential_axis)
 // clang-format on
 
 TR_PACKET(VertexPacket, TR_VERTEX_COLUMNS)
