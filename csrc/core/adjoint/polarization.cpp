@@ -97,7 +97,8 @@ TR_INLINE FacetMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Vec3<F> &t
 
 template <class F>
 TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int bsdf_kind,
-                                             const VertexRecord<F> &v, const MaskOf<F> &active)
+                                             const VertexRecord<F> &v, const GradientNeeds &needs,
+                                             const MaskOf<F> &active)
     : bsdf(bsdf_kernels<F>(bsdf_kind)), kind(bsdf.polarizes), smooth(!bsdf.is(HasSmoothLobes)) {
     load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
     const Spectrum<F> one = uniform_spectrum(F(1)), none = uniform_spectrum(F(0));
@@ -112,7 +113,7 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
         light = select(lit, apply(value.f, v.emitted) * v.light_weight, none);
     }
     if (scene.has_stacks) {
-        const StackAdjoint<F> stack(scene, waves, v, GradientNeeds{}, Transport::Radiance, active);
+        const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
         path = path * stack.bsdf.stack.weight * stack.path_factor;
         light = light * stack.bsdf.stack.weight * stack.light_factor;
     }
@@ -122,7 +123,9 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
     // (where nothing comes from, any direction that is finite)
     const Vec3<F> from = select(goes_on, v.wo, v.wi), from_light = select(lit, v.wo_light, v.wi);
     wi = frame.to_world(v.wi), wo = frame.to_world(from), wo_light = frame.to_world(from_light), n = frame.n;
-    axis = is_plate(kind) ? across_plate(PlateAxis<F>(*this), frame, wi) : axis_between(wi, wo);
+    axis = is_plate(kind)               ? across_plate(PlateAxis<F>(*this), frame, wi)
+           : kind == Polarization::Pane ? axis_between(n, wi)  // (light that passes goes on as it came)
+                                        : axis_between(wi, wo);
     light_axis = axis_between(wi, wo_light);
     reflects = mask<F>(v.wi.z * from.z > F(0)), light_reflects = mask<F>(v.wi.z * from_light.z > F(0));
     for (int c = 0; c < SpectrumSize; ++c) {
@@ -272,7 +275,12 @@ TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, Ver
             const Spectrum<F> angle = by_angle(leaving, turned_column(direct, leaving.axis, wi));
             sweep_axis(wi, wo_light, wi, -component_sum(angle), wi_bar, light_bar);
         }
-        if (!is_plate(kind)) {
+        if (kind == Polarization::Pane) {
+            Vec3<F> n_bar{F(0), F(0), F(0)};
+            sweep_axis(n, wi, -wo, component_sum(arriving_angle), n_bar, wi_bar);
+            sweep_axis(n, wi, wi, component_sum(leaving_angle), n_bar, wi_bar);
+            hit.n = hit.n + n_bar * v.mirror;
+        } else if (!is_plate(kind)) {
             sweep_axis(wi, wo, -wo, component_sum(arriving_angle), wi_bar, wo_bar);
             sweep_axis(wi, wo, wi, component_sum(leaving_angle), wi_bar, wo_bar);
         }

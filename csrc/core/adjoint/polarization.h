@@ -83,8 +83,9 @@ struct PolarizedVertex {
     Spectrum<F> path, light;   // f / (p q), and N of unpolarised light
     FacetMatrix<F> matrix[SpectrumSize], of_light[SpectrumSize];
 
+    // `needs` say with which probabilities branches of stacks were taken.
     TR_LARGE PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind, const VertexRecord<F> &v,
-                             const MaskOf<F> &active);
+                             const GradientNeeds &needs, const MaskOf<F> &active);
 
     // The column of what comes from here, but for its own emission, from that which arrives.
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;
