@@ -1,5 +1,5 @@
 """What native renderings are compared with and the package itself does not have: BSDFs, outputs of first
-hits, light tracing, media and samplers, slow and obvious, in plain tensor operations in float64 that autograd
+hits, light tracing, media, samplers and polarised light, slow and obvious, in plain tensor operations in float64 that autograd
 differentiates.
 
 Lights, textures and cameras are those of `torchrender.wavefront`, whose path tracer, with the BSDFs of `bsdf` in place
