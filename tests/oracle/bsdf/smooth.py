@@ -14,11 +14,9 @@ from .. import mueller
 from .common import Delta, Polarised, Polarising, above, fresnel_conductor, fresnel_dielectric, mirrored
 
 
-def s_axis(wi: torch.Tensor, normal: torch.Tensor | None = None) -> torch.Tensor:
-    """Across the plane of incidence on facets with these normals (N, 3), or on the surface."""
-    if normal is None:
-        normal = wi.new_tensor([0.0, 0.0, 1.0]).expand_as(wi)
-    return torch.linalg.cross(normal, wi)
+def s_axis(wi: torch.Tensor) -> torch.Tensor:
+    """Across the plane of incidence (N, 3)."""
+    return torch.linalg.cross(wi.new_tensor([0.0, 0.0, 1.0]).expand_as(wi), wi)
 
 
 class Diffuse(Bsdf):
