@@ -4,8 +4,8 @@ They go into `tests/data/mitsuba_polarized.npz`. Run in Mitsuba's own environmen
 
     mitsuba-env/bin/python bench/make_polarized_references.py [scene ...]
 
-Stored per scene: `NAME.mean` and `NAME.error`, means of the Stokes vectors over blocks (H, W, 4) and their standard
-errors, from independent runs.
+Stored per scene: `NAME.mean` and `NAME.error`, means of the Stokes vectors over blocks, (H, W, 4), or (H, W, 3, 4) of
+those with wavelengths, and their standard errors, from independent runs.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests" / "helpers"))
 
-from polarized_scenes import BLOCK, SCENES  # noqa: E402
+from polarized_scenes import BLOCK, SCENES, SPECTRAL  # noqa: E402
 
 TARGET = ROOT / "tests" / "data" / "mitsuba_polarized.npz"
 RUNS, SPP = 16, 2048
-STOKES = [1, 4, 7, 10]  # of a film with one colour, shown as three: Y, then S0, S1, S2 and S3
+VARIANTS = {"llvm_ad_mono_polarized": SCENES, "llvm_ad_spectral_polarized": SPECTRAL}
 
 
 def to_mitsuba(value, key: str = ""):
@@ -32,21 +32,28 @@ def to_mitsuba(value, key: str = ""):
     return mi.ScalarTransform4f(value) if key == "to_world" else value
 
 
+def stokes(image: np.ndarray) -> np.ndarray:
+    """Of an image's last channels, S0 to S3 in three colours each: means over blocks, (H, W, 3, 4)."""
+    n = image.shape[0] // BLOCK
+    blocks = image[..., -12:].reshape(n, BLOCK, n, BLOCK, 4, 3).mean((1, 3))
+    return blocks.swapaxes(-1, -2)
+
+
 def main() -> None:
-    mi.set_variant("llvm_ad_mono_polarized")
     stored = dict(np.load(TARGET)) if TARGET.exists() else {}
-    for name, describe in SCENES.items():
-        if sys.argv[1:] and name not in sys.argv[1:]:
-            continue
-        description = to_mitsuba(describe())
-        description["integrator"] = {"type": "stokes", "nested": description["integrator"]}
-        scene = mi.load_dict(description)
-        runs = [np.array(mi.render(scene, spp=SPP, seed=run + 1), np.float64)[..., STOKES] for run in range(RUNS)]
-        n = runs[0].shape[0] // BLOCK
-        means = np.array(runs).reshape(RUNS, n, BLOCK, n, BLOCK, 4).mean((2, 4))
-        stored[f"{name}.mean"] = means.mean(0).astype(np.float32)
-        stored[f"{name}.error"] = (means.std(0, ddof=1) / RUNS**0.5).astype(np.float32)
-        print(name, means.mean((0, 1, 2)), flush=True)
+    for variant, scenes in VARIANTS.items():
+        mi.set_variant(variant)
+        for name, describe in scenes.items():
+            if sys.argv[1:] and name not in sys.argv[1:]:
+                continue
+            description = to_mitsuba(describe())
+            description["integrator"] = {"type": "stokes", "nested": description["integrator"]}
+            scene = mi.load_dict(description)
+            runs = [stokes(np.array(mi.render(scene, spp=SPP, seed=run + 1), np.float64)) for run in range(RUNS)]
+            means = np.array(runs)[..., 0, :] if scenes is SCENES else np.array(runs)
+            stored[f"{name}.mean"] = means.mean(0).astype(np.float32)
+            stored[f"{name}.error"] = (means.std(0, ddof=1) / RUNS**0.5).astype(np.float32)
+            print(name, means.mean((0, 1, 2)), flush=True)
     np.savez_compressed(TARGET, **stored)
 
 

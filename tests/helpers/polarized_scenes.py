@@ -1,7 +1,7 @@
 """Scenes of polarised light for torchrender and Mitsuba 3.9.1, as plain dictionaries; needs NumPy alone.
 
 A ball over a floor, under a lamp and a grey sky: metals and glasses; and plates before the camera. Retarders are seen
-straight on, since Mitsuba turns the axis of tilted ones.
+straight on, since Mitsuba turns the axis of tilted ones. `SCENES` are of one colour, `SPECTRAL` of wavelengths.
 """
 
 from __future__ import annotations
@@ -88,5 +88,25 @@ SCENES = {
         fov=0.02,
         plate=plate({"type": "retarder", "theta": 40.0, "delta": 70.0}, back=True),
         filter=plate({"type": "polarizer", "theta": 15.0}, 1.2, back=True),
+    ),
+}
+
+
+def coloured(ball: dict, floor: dict, **more) -> dict:
+    """Under a warm lamp and a sky of daylight, with colours in everything that has one."""
+    room_ = room(ball, floor, **more)
+    warm = {"type": "irregular", "wavelengths": "360, 500, 600, 830", "values": "1, 4, 6, 7"}
+    room_["lamp"]["emitter"]["radiance"] = warm
+    room_["sky"]["radiance"] = {"type": "rgb", "value": [0.25, 0.3, 0.45]}
+    return room_
+
+
+PAINT = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.3, 0.15]}}
+COPPER = {"type": "conductor", "material": "Cu"}
+SPECTRAL = {
+    "spectral_metals": lambda: coloured({"type": "conductor", "material": "Au"}, rough(COPPER, 0.2)),
+    "spectral_glass": lambda: coloured(GLASS, PAINT, depth=7, plate=plate({"type": "polarizer", "theta": 20.0})),
+    "spectral_circular": lambda: coloured(
+        rough({"type": "conductor", "material": "Au"}, 0.3), COPPER, plate=plate({"type": "circular"}, tilt=20)
     ),
 }

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 
@@ -139,6 +139,9 @@ class WavefrontTracer:
             throughput that never vanishes, and every layer is met.
     """
 
+    # The shape of what light has of each colour: a number here, four in the oracle of polarised light.
+    components: ClassVar[tuple[int, ...]] = ()
+
     def __init__(self, world: World, config: Mapping[str, Any], random: numbers.Numbers, derivative: bool) -> None:
         self.world, self.lights, self.random = world, Lights(world), random
         self.max_depth, self.rr_depth = config["max_depth"], config["rr_depth"]
@@ -167,7 +170,7 @@ class WavefrontTracer:
                     more = self.max_depth < 0 or depth + 1 < self.max_depth
                     paths = self.vertex(paths, depth, index if depth == 0 else 0, more)
                     depth += 1
-        radiance = torch.zeros(n, channels, dtype=dtype)
+        radiance = torch.zeros(n, channels, *self.components, dtype=dtype)
         for lane, value in self.found:
             radiance = radiance.index_add(0, lane, value)
         return radiance, self.alpha
@@ -188,10 +191,20 @@ class WavefrontTracer:
             **arrival(self.world.first_hits(rays, self.hide_emitters)),
         )
 
-    def add(self, lane: torch.Tensor, value: torch.Tensor) -> None:
-        """Light that the samples `lane` have found; of one call none comes twice."""
-        if len(lane):
-            self.found.append((lane, value))
+    def add(self, paths: Paths, beta: torch.Tensor, radiance: torch.Tensor) -> None:
+        """Light (N, C) that paths have found behind the throughput beta; of one call no sample comes twice."""
+        if len(paths):
+            self.found.append((paths.lane, self.arriving(beta, radiance)))
+
+    def arriving(self, beta: torch.Tensor, radiance: torch.Tensor) -> torch.Tensor:
+        """What the throughput beta lets through of emitted light (N, C)."""
+        return beta * radiance
+
+    def throughput(
+        self, number: int, vertices: Vertices, d: torch.Tensor, lobe: torch.Tensor, value: torch.Tensor
+    ) -> torch.Tensor:
+        """That of paths which go on along d (N, 3), in the world, with this value (N, C) of their BSDF."""
+        return vertices.paths.beta * value
 
     # -------------------------------------------------------------------------------------------------------- vertices
     def vertex(self, paths: Paths, depth: int, index: int, scatters: bool) -> Paths:
@@ -254,7 +267,8 @@ class WavefrontTracer:
         if light is None or not len(paths):
             return
         pdf = light.escaped_pdf(paths.d.detach()) * self.lights.pmf[light.index]
-        self.add(paths.lane, paths.beta * light.escaped(paths.d) * self.weight_of_hit(paths, pdf, depth)[:, None])
+        weight = self.weight_of_hit(paths, pdf, depth)[:, None]
+        self.add(paths, paths.beta, light.escaped(paths.d) * weight)
 
     def emission(self, paths: Paths, facing: torch.Tensor, depth: int) -> None:
         for light in self.lights.areas:
@@ -263,7 +277,7 @@ class WavefrontTracer:
                 lit = paths[rows]
                 pdf = light.hit_pdf(lit.previous, lit.position.detach(), lit.normal.detach())
                 weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index], depth)
-                self.add(lit.lane, lit.beta * light.radiance(lit.at) * weight[:, None])
+                self.add(lit, lit.beta, light.radiance(lit.at) * weight[:, None])
 
     def scatter(
         self, vertices: Vertices, ue: torch.Tensor, ub: torch.Tensor, number: int, depth: int, index: int
@@ -344,7 +358,7 @@ class WavefrontTracer:
         return Paths(
             lane=paths.lane,
             d=d,
-            beta=paths.beta * value * factor[:, None],
+            beta=self.throughput(number, vertices, d, lobe, value * factor[:, None]),
             previous=position,
             seen=paths.seen,
             **{name: column[rows] for name, column in went_on.items()},
@@ -393,7 +407,7 @@ class WavefrontTracer:
         if not len(rows):
             return
         lit, above = vertices.take(rows), vertices.above.take(rows)
-        d = light.direction[rows]
-        value = self.bsdf(number, lit).eval(lit.wi, lit.to_local(d), torch.zeros_like(lit.paths.lane))
+        d, lobe = light.direction[rows], torch.zeros_like(lit.paths.lane)
+        value = self.bsdf(number, lit).eval(lit.wi, lit.to_local(d), lobe)
         factor = factor[rows] * above.inverse * above.weight * above.dimmed(d)
-        self.add(lit.paths.lane, lit.paths.beta * value * light.value[rows] * factor[:, None])
+        self.add(lit.paths, self.throughput(number, lit, d, lobe, value * factor[:, None]), light.value[rows])

@@ -16,7 +16,17 @@ from .hair import Hair
 from .principled import Principled, PrincipledThin
 from .redner import RednerMaterial
 from .rough import AnisotropicConductor, AnisotropicDielectric, RoughConductor, RoughDielectric
-from .smooth import Conductor, Dielectric, Diffuse, DispersiveDielectric, Null, Plate, Retarder, ThinDielectric
+from .smooth import (
+    CircularPolarizer,
+    Conductor,
+    Dielectric,
+    Diffuse,
+    DispersiveDielectric,
+    Null,
+    Polarizer,
+    Retarder,
+    ThinDielectric,
+)
 
 MODELS: dict[str, type[Bsdf]] = {
     "diffuse": Diffuse,
@@ -36,7 +46,8 @@ MODELS: dict[str, type[Bsdf]] = {
     "redner": RednerMaterial,
     "hair": Hair,
     "null": Null,
-    **dict.fromkeys(("polarizer", "circular"), Plate),
+    "polarizer": Polarizer,
+    "circular": CircularPolarizer,
     "retarder": Retarder,
     "mask": Null,  # what is met of one where it is not
 }

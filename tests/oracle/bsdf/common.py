@@ -2,16 +2,31 @@
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import torch
 
 from torchrender.wavefront.bsdf import Bsdf
 from torchrender.wavefront.geometry import reattach, root
+
+Polarised: TypeAlias = "tuple[torch.Tensor, torch.Tensor]"
 
 
 class Delta(Bsdf):
     """One of delta lobes only."""
 
     smooth, delta = False, True
+
+
+class Polarising:
+    """What polarises; all others scatter unpolarised light."""
+
+    def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
+        """Axes (N, 3), whose parts across both directions are meant, and Mueller matrices (N or 1, C or 1, 4, 4).
+
+        Of those only the ratios of their entries matter.
+        """
+        raise NotImplementedError
 
 
 def above(wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,18 @@ from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
 from torchrender.wavefront.geometry import reattach, root
 from torchrender.wavefront.world import Record
 
-from .common import above, at_least, fresnel_conductor, fresnel_dielectric, reflectance, upper, upright
+from .. import mueller
+from .common import (
+    Polarised,
+    Polarising,
+    above,
+    at_least,
+    fresnel_conductor,
+    fresnel_dielectric,
+    reflectance,
+    upper,
+    upright,
+)
 
 LEAST_ALPHA = 1e-3
 
@@ -151,7 +162,7 @@ class MicrofacetBsdf(Bsdf):
         return Microfacets(alpha, self.record.field["distribution"] == 1, *across)
 
 
-class RoughConductor(MicrofacetBsdf):
+class RoughConductor(Polarising, MicrofacetBsdf):
     """Microfacets of a metal."""
 
     def read(self, color: Color, number: Color) -> None:
@@ -171,6 +182,10 @@ class RoughConductor(MicrofacetBsdf):
         wo = reflect(self.microfacets, wi, u)
         return one_lobe(wo, self.pdf(wi, wo))
 
+    def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
+        cosine = torch.sqrt(0.5 + 0.5 * dot(wi, wo))[:, None]  # of half the angle
+        return torch.linalg.cross(wi + wo, wi), mueller.reflection(cosine, self.eta - 1j * self.k)
+
 
 class AnisotropicConductor(RoughConductor):
     """The same with two roughnesses, along both directions of the texture coordinates."""
@@ -180,7 +195,7 @@ class AnisotropicConductor(RoughConductor):
         return True
 
 
-class RoughDielectric(MicrofacetBsdf):
+class RoughDielectric(Polarising, MicrofacetBsdf):
     """Microfacets that reflect and refract."""
 
     def read(self, color: Color, number: Color) -> None:
@@ -211,6 +226,12 @@ class RoughDielectric(MicrofacetBsdf):
         wo = normalize(wo)
         right_side = (wo[:, 2] * wi[:, 2] > 0) == reflects
         return one_lobe(wo, torch.where(right_side, self.pdf(wi, wo), 0.0), torch.where(reflects, 1.0, eta_it))
+
+    def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
+        f = DielectricMicrofacet(self.eta, wi, wo)
+        c, m = dot(wi, f.h).abs()[:, None], f.eta[:, None]
+        matrix = torch.where(f.reflects[:, None, None, None], mueller.reflection(c, m), mueller.refraction(c, m))
+        return torch.linalg.cross(f.h, wi), matrix
 
 
 class AnisotropicDielectric(RoughDielectric):

@@ -1,0 +1,76 @@
+"""Images of Stokes vectors as textbooks have them: products of Mueller matrices along the paths of a path tracer.
+
+Each direction has an axis of its own, a function of it alone, as in Mitsuba; matrices of surfaces are turned to the
+axes of both directions, and those of a path are multiplied from the camera on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+
+import torchrender as tr
+from torchrender.scene.camera import Rays
+from torchrender.wavefront.numbers import Numbers
+from torchrender.wavefront.path import Paths, Vertices, WavefrontTracer
+
+from .bsdf import in_pytorch
+from .bsdf.common import Polarising
+from .film import camera_samples, splat
+from .mueller import DEPOLARISER, across, implicit_axis, rotation
+from .world import World
+
+
+def on_implicit_axes(axis: torch.Tensor, matrix: torch.Tensor, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
+    """What `Polarising.polarised` finds, for light from wo towards wi (N, 3), with a first entry of 1: (N, C, 4, 4)."""
+    after = rotation(wi, across(wi, axis), implicit_axis(wi))
+    before = rotation(-wo, implicit_axis(-wo), across(-wo, axis))
+    return after @ (matrix / matrix[..., :1, :1]) @ before
+
+
+class PolarizedTracer(WavefrontTracer):
+    """Paths whose throughput is a Mueller matrix of each colour, (N, C, 4, 4)."""
+
+    components = (4,)
+
+    def first_points(self, rays: Rays) -> Paths:
+        paths = super().first_points(rays)
+        up = self.world.tensor("sensor", self.world.records["sensor"][self.random.sensor], "to_world")[:3, 1]
+        k = -rays.directions
+        horizontal = across(k, torch.linalg.cross(up.expand_as(k), k))
+        beta = rotation(k, implicit_axis(k), horizontal).expand(-1, self.world.channels, 4, 4)
+        return replace(paths, beta=beta)
+
+    def throughput(
+        self, number: int, vertices: Vertices, d: torch.Tensor, lobe: torch.Tensor, value: torch.Tensor
+    ) -> torch.Tensor:
+        bsdf, matrix = self.bsdf(number, vertices), DEPOLARISER
+        if isinstance(bsdf, Polarising):
+            axis, matrix = bsdf.polarised(vertices.wi, vertices.to_local(d), lobe)
+            matrix = on_implicit_axes(vertices.to_world(axis), matrix, -vertices.paths.d, d)
+        return vertices.paths.beta @ (value[..., None, None] * matrix)
+
+    def arriving(self, beta: torch.Tensor, radiance: torch.Tensor) -> torch.Tensor:
+        return beta[..., 0] * radiance[..., None]
+
+
+def stokes_image(
+    scene: tr.Scene,
+    *,
+    seed: int,
+    spp: int,
+    params: Mapping[str, torch.Tensor] | None = None,
+    derivative: bool = False,
+    sensor: int = 0,
+) -> torch.Tensor:
+    """(H, W, C, 4), attached to `params`. `derivative`: of the paths that the native derivative has."""
+    world = World(scene, params)
+    with in_pytorch():
+        positions, rays, pixel, sample = camera_samples(world, seed, spp, sensor)
+        random = Numbers("independent", spp, seed, sensor, torch.float64)
+        config = {**tr.PathTracer().config(), **(scene.integrator or tr.PathTracer()).config()}
+        stokes, _ = PolarizedTracer(world, config, random, derivative).trace(rays, pixel, sample)
+    sums, weights = splat(scene.sensors[sensor].film, *positions.unbind(1), stokes.flatten(1))
+    return (sums / weights).unflatten(-1, (-1, 4))
