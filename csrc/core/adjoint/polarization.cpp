@@ -108,6 +108,13 @@ TR_INLINE bool on_surface(const PolarizedVertex<F> &v, const PolarizedWay<F> &wa
     return v.bsdf.is(HasDeltaLobes) || any(way.base);
 }
 
+// Whether the axes are across the surface's normal, and not the facet's, which may be unknown: through a pane light
+// goes on as it came.
+template <class F>
+TR_INLINE MaskOf<F> across_surface(const PolarizedVertex<F> &v, const PolarizedWay<F> &way) {
+    return way.base || MaskOf<F>(v.kind == Polarization::Pane);
+}
+
 // The matrix of one colour as a function of the cosine at the facet, eta, and k; below a coat of the cosine of what
 // leaves, eta, and the cosine of what arrives. With derivatives by these three if T has them.
 template <class T, class F>
@@ -155,7 +162,8 @@ TR_INLINE MuellerMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Polarize
 
 template <class F>
 TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int bsdf_kind,
-                                             const VertexRecord<F> &v, const MaskOf<F> &active)
+                                             const VertexRecord<F> &v, const GradientNeeds &needs,
+                                             const MaskOf<F> &active)
     : bsdf(bsdf_kernels<F>(bsdf_kind)),
       kind(bsdf.polarizes),
       n_lobes(kind == Polarization::Coat && !bsdf.is(HasDeltaLobes) ? 2 : 1),
@@ -167,7 +175,7 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
     const bool connected = bsdf.is(HasSmoothLobes) && any(lit);
     Spectrum<F> path_factor = uniform_spectrum(v.inverse_pdf), light_factor = v.emitted * v.light_weight;
     if (scene.has_stacks) {
-        const StackAdjoint<F> stack(scene, waves, v, GradientNeeds{}, Transport::Radiance, active);
+        const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
         path_factor = path_factor * stack.bsdf.stack.weight * stack.path_factor;
         light_factor = light_factor * stack.bsdf.stack.weight * stack.light_factor;
     }
@@ -194,9 +202,10 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
             way.to = frame.to_world(local), way.z = local.z;
             way.reflects = mask<F>(v.wi.z * local.z > F(0));
             way.out = way.in = is_plate(kind) ? across_plate(PlateAxis<F>(*this), frame, wi) : axis_between(wi, way.to);
-            if (any(way.base))
-                way.out = select(way.base, axis_between(wi, n), way.out),
-                way.in = select(way.base, axis_between(way.to, n), way.in);
+            const MaskOf<F> surface = across_surface(*this, way);
+            if (any(surface))
+                way.out = select(surface, axis_between(wi, n), way.out),
+                way.in = select(surface, axis_between(way.to, n), way.in);
             for (int c = 0; c < SpectrumSize; ++c) way.matrix[c] = matrix_of<F>(*this, way, c);
         };
         // (where nothing comes from, any direction that is finite)
@@ -291,13 +300,14 @@ TR_HD void PolarizedVertex<F>::sweep_way(const PolarizedWay<F> &way, const Stoke
     // of what arrives, the column turns with this vertex' axis; of what leaves, against it
     const F arriving = component_sum(by_angle(gathered(kind, way, a), r)),
             left = -component_sum(by_angle(leaving, turned_column(scattered(kind, way, r), leaving.axis, wi)));
-    if (any(way.base)) {
-        sweep_axis(way.to, n, -way.to, select(way.base, arriving, F(0)), to_bar, bar.n);
-        sweep_axis(wi, n, wi, select(way.base, left, F(0)), bar.wi, bar.n);
+    const MaskOf<F> surface = across_surface(*this, way);
+    if (any(surface)) {
+        sweep_axis(way.to, n, -way.to, select(surface, arriving, F(0)), to_bar, bar.n);
+        sweep_axis(wi, n, wi, select(surface, left, F(0)), bar.wi, bar.n);
     }
-    if (any(!way.base)) {
-        sweep_axis(wi, way.to, -way.to, select(way.base, F(0), arriving), bar.wi, to_bar);
-        sweep_axis(wi, way.to, wi, select(way.base, F(0), left), bar.wi, to_bar);
+    if (any(!surface)) {
+        sweep_axis(wi, way.to, -way.to, select(surface, F(0), arriving), bar.wi, to_bar);
+        sweep_axis(wi, way.to, wi, select(surface, F(0), left), bar.wi, to_bar);
     }
 }
 

@@ -43,8 +43,9 @@ struct PolarizedVertex {
         PolarizedWay<F> path, light;
     } lobes[2];
 
+    // `needs` say with which probabilities branches of stacks were taken.
     TR_LARGE PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind, const VertexRecord<F> &v,
-                             const MaskOf<F> &active);
+                             const GradientNeeds &needs, const MaskOf<F> &active);
 
     // The column of what comes from here, but for its own emission, from that which arrives.
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;

@@ -206,7 +206,7 @@ struct PolarizedEntry {
         waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
     }
     TR_INLINE PolarizedVertex<F> vertex(const SweepContext<F> &c, int kind, const MaskOf<F> &active) const {
-        return PolarizedVertex<F>(c.scene, waves, kind, v, active);
+        return PolarizedVertex<F>(c.scene, waves, kind, v, c.needs, active);
     }
     // Of what arrives from behind.
     TR_INLINE Stokes<F> column(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) const {

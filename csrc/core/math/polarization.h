@@ -98,7 +98,7 @@ TR_INLINE T polarized_by_refraction(const T &cosine, const T &eta) {
 }
 
 // Of a pane, whose inner reflections add up without interference. `r` and `t` are one face's for the amplitudes'
-// product r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2).
+// product r_p r_s and t_p t_s: r + t^2 r / (1 - r^2), and t^2 / (1 - r^2). A film of air may reflect all, with phases.
 template <class T>
 TR_INLINE FacetMatrix<T> pane_matrix(const MaskOf<T> &reflects, const T &cosine, const T &eta) {
     RefractedWave<T> wave(cosine, eta, T(0));
@@ -111,7 +111,8 @@ TR_INLINE FacetMatrix<T> pane_matrix(const MaskOf<T> &reflects, const T &cosine,
     T inner = t * t * inverse, s2 = T(2) * s / (T(1) + s), p2 = T(2) * p / (T(1) + p);
     T as = select(reflects, s2, T(1) - s2), ap = select(reflects, p2, T(1) - p2), sum = as + ap;
     T normal = T(1) / select(mask<T>(T(0) < sum), sum, T(1));
-    return {(as - ap) * normal, T(2) * select(reflects, r + inner * r, inner) * normal, T(0)};
+    return {(as - ap) * normal, T(2) * select(reflects, r + inner * r, inner) * normal,
+            T(2) * select(reflects, mean * face.y, T(0)) * normal};
 }
 
 // At a smooth facet z is the cosine of the arriving direction, at a rough one that between both directions; `eta` is
