@@ -9,6 +9,7 @@
 #include "accel/embree_library.h"
 #include "declare_bsdf_functions.h"
 #include "declare_scene.h"
+#include "declare_upsampling.h"
 #include "host/models.h"
 #include "samplers.h"
 
@@ -194,4 +195,5 @@ PYBIND11_MODULE(TR_MODULE_NAME, m) {
     });
     declare_scene(m);
     declare_bsdf_functions(m);
+    declare_upsampling(m);
 }
