@@ -7,6 +7,7 @@
 #include "accel/embree_library.h"
 #include "declare_bsdf_functions.h"
 #include "declare_scene.h"
+#include "declare_upsampling.h"
 #include "functions.h"
 #include "host/models.h"
 #include "samplers.h"
@@ -170,6 +171,7 @@ Functions all_functions() {
     f.add("draw", &draw);
     declare_scene(f);
     declare_bsdf_functions(f);
+    declare_upsampling(f);
     return f;
 }
 

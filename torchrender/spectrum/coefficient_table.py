@@ -6,64 +6,116 @@ and the ratios are denser at their ends, where coefficients vary most.
 
 from __future__ import annotations
 
-import torch
+from typing import Any
 
+import torch
+from torch.autograd import Function
+
+from .. import backends
+from ..errors import NotDifferentiableError
 from .cached import made_once
 from .sigmoids import nodes
 from .solving import levenberg, newton, reachable
 
 FINE, COARSE = 64, 16  # nodes an axis: for images, and to begin the search for a constant's coefficients
+BINS = 1024  # as the core has them
+SECOND = "upsample: exact=False has first derivatives only; exact=True has others, too"
 BLACK = 1e-6  # what is not brighter than this is black
 _END = 5e-4  # how near colours of the table come to the ends of ratios and values, but for dark ones
 _PART = 2048  # colours at a time, so that they stay in the cache
 
 
-def lookup(rgb: torch.Tensor, size: int) -> torch.Tensor:
-    """Coefficients (..., 3) of colours (..., 3) from 0 to 1, trilinear in a table of `size` nodes an axis.
+def lookup(rgb: torch.Tensor, size: int, light: bool = False) -> torch.Tensor:
+    """Coefficients and scales (..., 4) of colours (..., 3), see `upsample`, trilinear in a table of `size` nodes an axis.
 
-    Differentiable as what it is. The derivative at black is that of grey.
+    Differentiable as what it is, once. The derivative at black is that of grey.
     """
-    columns, value_nodes, ratio_nodes = _table(size, rgb.dtype)
-    top, channel = rgb.max(-1)
-    lit = top > BLACK
-    value = torch.where(lit, top, rgb.mean(-1))
-    cell, z = _place(value, value_nodes, 2)
-    first, corner = (channel * size + cell) * size * size, []
-    for axis in (1, 2):
-        place = channel + axis
-        other = rgb.gather(-1, (place - 3 * (place > 2))[..., None])[..., 0]
-        ratio = torch.where(lit, other / torch.where(lit, top, 1.0), 1.0)
-        cell, t = _place(ratio, ratio_nodes, 1)
-        first = first + cell * size ** (axis - 1)
-        corner.append(t)
-    # number by number, which is several times faster than by rows of three
-    places = [first.reshape(-1) + (i * size + j) * size + k for i in (0, 1) for j in (0, 1) for k in (0, 1)]
-    found = []
-    for column in columns:
-        ends = [column.to(rgb.device).index_select(0, place).reshape(top.shape) for place in places]
-        for t in (*corner, z):
-            ends = [torch.lerp(low, high, t) for low, high in zip(ends[::2], ends[1::2])]
-        found.append(ends[0])
-    return torch.stack(found, -1)
+    return Texels.apply(rgb, size, light)
 
 
-def _place(numbers: torch.Tensor, at: torch.Tensor, times: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """The cell of each number, and how far it is through it, which alone has a derivative."""
-    at = at.to(numbers.device)
-    t = numbers.detach().clamp(0, 1)
-    for _ in range(times):  # the inverse of the smooth step
-        t = 0.5 - torch.sin(torch.asin(1 - 2 * t) / 3)
-    cell = (t * (len(at) - 1)).long().clamp(0, len(at) - 2)
-    low, high = (at.index_select(0, end.reshape(-1)).reshape(cell.shape) for end in (cell, cell + 1))
-    return cell, (numbers - low) / (high - low)
+class Texels(Function):
+    """``coefficients and scales = Texels.apply(rgb, size, light)``, see `lookup`."""
+
+    @staticmethod
+    def forward(rgb: torch.Tensor, size: int, light: bool) -> torch.Tensor:
+        return call_core("values", rgb, None, size, light)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        rgb, *ctx.settings = inputs
+        ctx.save_for_backward(rgb)
+        ctx.save_for_forward(rgb)
+
+    @staticmethod
+    def backward(ctx: Any, grad: torch.Tensor) -> Any:
+        return TexelsDerivative.apply("reverse", *ctx.saved_tensors, grad, *ctx.settings), None, None
+
+    @staticmethod
+    def jvp(ctx: Any, tangent: torch.Tensor, *_: Any) -> torch.Tensor:
+        return TexelsDerivative.apply("forward", *ctx.saved_tensors, tangent, *ctx.settings)
+
+    @staticmethod
+    def vmap(info: Any, in_dims: tuple[Any, ...], rgb: torch.Tensor, *settings: Any) -> tuple[torch.Tensor, int]:
+        return Texels.apply(rgb.movedim(in_dims[0], 0), *settings), 0
+
+
+class TexelsDerivative(Function):
+    """Adjoints (..., 4) of coefficients and scales to those of colours, or tangents (..., 3) the other way."""
+
+    @staticmethod
+    def forward(what: str, rgb: torch.Tensor, given: torch.Tensor, size: int, light: bool) -> torch.Tensor:
+        return call_core(what, rgb, given, size, light)
+
+    @staticmethod
+    def setup_context(ctx: Any, inputs: tuple[Any, ...], output: torch.Tensor) -> None:
+        pass
+
+    @staticmethod
+    def backward(ctx: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(SECOND)
+
+    @staticmethod
+    def jvp(ctx: Any, *_: Any) -> Any:
+        raise NotDifferentiableError(SECOND)
+
+    @staticmethod
+    def vmap(
+        info: Any, in_dims: tuple[Any, ...], what: str, rgb: torch.Tensor, given: torch.Tensor, *settings: Any
+    ) -> tuple[torch.Tensor, int]:
+        both = [
+            tensor.expand(info.batch_size, *tensor.shape) if dim is None else tensor.movedim(dim, 0)
+            for tensor, dim in zip((rgb, given), in_dims[1:3], strict=True)
+        ]
+        return TexelsDerivative.apply(what, *both, *settings), 0
+
+
+def call_core(what: str, rgb: torch.Tensor, given: torch.Tensor | None, size: int, light: bool) -> torch.Tensor:
+    """A call of the core: csrc/cpu/upsampling.h; on the processor, and in double precision if the colours are."""
+    dtype = torch.float64 if rgb.dtype == torch.float64 else torch.float32
+    arrays = _table(size, dtype) | {"rgb": rgb.detach().to("cpu", dtype).contiguous()}
+    if given is not None:
+        arrays["given"] = given.detach().to("cpu", dtype).contiguous()
+    arrays["out"] = out = torch.empty((*rgb.shape[:-1], 3 if what == "reverse" else 4), dtype=dtype)
+    core, addresses = backends.core(dtype), {name: tensor.data_ptr() for name, tensor in arrays.items()}
+    core.use_large_pages(out.data_ptr(), out.nbytes)
+    name = str(dtype).removeprefix("torch.")
+    core.upsample(what, name, addresses, size, light, torch.get_num_threads(), rgb.numel() // 3)
+    return out.to(rgb.device, rgb.dtype)
 
 
 @made_once
-def _table(size: int, dtype: torch.dtype) -> tuple[tuple[torch.Tensor, ...], torch.Tensor, torch.Tensor]:
-    """Three coefficients (3 size^3,), by channel, value, second and first ratio; values and ratios (size,)."""
+def _table(size: int, dtype: torch.dtype) -> dict[str, torch.Tensor]:
+    """The table as the core takes it: see csrc/core/color/upsampling.h."""
     table, value_nodes, ratio_nodes = _made(size)
-    columns = tuple(column.to(dtype, copy=True) for column in table.unbind(-1))
-    return columns, value_nodes.to(dtype), ratio_nodes.to(dtype)
+    rows = torch.empty(len(table), 4, dtype=dtype)
+    backends.core(dtype).use_large_pages(rows.data_ptr(), rows.nbytes)  # it is read at random
+    rows[:, :3], rows[:, 3] = table, 0
+    arrays = {"rows": rows}
+    bins = torch.linspace(0, 1, BINS + 1, dtype=dtype)
+    for name, at in (("value", value_nodes.to(dtype)), ("ratio", ratio_nodes.to(dtype))):
+        arrays[f"{name}_nodes"] = at
+        arrays[f"{name}_cells"] = (torch.searchsorted(at, bins, right=True) - 1).clamp(0, size - 2).int()
+    return arrays
 
 
 @made_once

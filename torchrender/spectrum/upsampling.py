@@ -36,8 +36,8 @@ def upsample(rgb: torch.Tensor, *, light: bool = False, exact: bool = True) -> t
         light: the scale is twice the largest channel, so that spectra keep their shape at any brightness; black is
             grey with the scale 0. Else it is 1, or the largest channel above that.
         exact: find each colour's coefficients as `rgb_to_coefficients` does. Else by a table of 64^3 for each largest
-            channel, made in about a second when it is first used: 10 ms for 256 x 256 texels; back again, colours are
-            as they were to 1e-3, and the derivative is that of the table.
+            channel, made in about a second when it is first used: some 10 ms for 1024 x 1024 texels; back again, colours
+            are as they were to 1e-3, and the derivative, of which there is the first, is that of the table.
 
     Returns:
         (..., 4): three coefficients, and the scale.
@@ -46,6 +46,8 @@ def upsample(rgb: torch.Tensor, *, light: bool = False, exact: bool = True) -> t
         TypeError, ValueError: naming the argument, what was expected and what came.
     """
     checks.row("rgb", rgb, 3, "red, green and blue")
+    if not exact:
+        return lookup(rgb, FINE, light)
     top = rgb.amax(-1, keepdim=True)
     if light:
         scale = 2 * top.clamp(min=0)
@@ -54,8 +56,7 @@ def upsample(rgb: torch.Tensor, *, light: bool = False, exact: bool = True) -> t
     else:
         scale = top.clamp(min=1)
         factor = rgb / scale
-    factor = factor.clamp(0, 1)
-    return torch.cat([_Solve.apply(factor) if exact else lookup(factor, FINE), scale], -1)
+    return torch.cat([_Solve.apply(factor.clamp(0, 1)), scale], -1)
 
 
 class _Solve(torch.autograd.Function):
@@ -65,7 +66,7 @@ class _Solve(torch.autograd.Function):
     def forward(rgb: torch.Tensor) -> torch.Tensor:
         wanted = reachable(rgb.detach().double().nan_to_num(0.5).cpu()).reshape(-1, 3)
         rule = nodes(1, torch.float64)
-        found = [levenberg(lookup(part, COARSE), part, rule) for part in wanted.split(_PART)]
+        found = [levenberg(lookup(part, COARSE)[:, :3], part, rule) for part in wanted.split(_PART)]
         result = torch.cat(found) if found else wanted
         return result.reshape(rgb.shape).to(rgb.device, rgb.dtype)
 
