@@ -2,6 +2,8 @@
 # make test    the test suite
 # make build   only the virtual environment and the native modules
 # make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
+# make docs      the site of the documentation, into build/docs/html; make docs-check opens it in a browser; make docs-tutorials
+#                runs all tutorials for their pages, which takes an hour
 # make lint, make tidy, make format, make sanitize, make clean, make distclean
 #
 # Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
@@ -29,7 +31,7 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel pybind11 drjit ninja
 
-.PHONY: demo test build packages notebook lint tidy format sanitize native-test cuda clean distclean
+.PHONY: demo test build packages notebook docs docs-check docs-tutorials lint tidy format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -76,6 +78,19 @@ notebook: build
 	@$(call say,3,tutorials/quick_start.ipynb)
 	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[notebook]"
 	$(PY) tutorials/make_notebook.py
+
+docs: build
+	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[docs]"
+	$(PY) docs/site/pages.py build/docs/source
+	$(PY) -m sphinx -q -W -n --keep-going -c docs/site -d build/docs/doctrees build/docs/source build/docs/html
+	@echo "build/docs/html/index.html"
+
+docs-check: docs
+	@npm install --silent --no-save --prefix build/docs playwright-core@1.64.1
+	node docs/site/check.mjs build/docs/html build/docs/pictures
+
+docs-tutorials: build
+	$(PY) docs/site/run_tutorials.py
 
 CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
 
