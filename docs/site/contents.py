@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 # Names are those of pages without suffix, in the order of the menu. Generated pages: `features`, `figures`, `gallery`,
-# `contributing`, `changelog`, `tutorials/...`, `reference/...`. Pages that no part names come last, in a part of their own.
+# `contributing`, `changelog`, `tutorials/...`, `reference/...`. Pages that no part names come last, in a part of
+# their own.
 PARTS: dict[str, list[str]] = {
     "First steps": ["installation", "quick_start", "tutorials/quick_start", "features", "gallery"],
     "Tutorials": ["tutorials/index"],

@@ -64,7 +64,8 @@ def write_inventories(folder: Path) -> dict[str, tuple[str, str]]:
     folder.mkdir(parents=True, exist_ok=True)
     mapping = {}
     for project, (url, names) in SITES.items():
-        head = "# Sphinx inventory version 2\n# Project: {}\n# Version: \n# The remainder of this file is compressed using zlib.\n"
+        head = "# Sphinx inventory version 2\n# Project: {}\n# Version: \n"
+        head += "# The remainder of this file is compressed using zlib.\n"
         lines = "".join(f"{name} py:{kind} 1 {page} -\n" for name, (kind, page) in names.items())
         path = folder / f"{project}.inv"
         path.write_bytes(head.format(project).encode() + zlib.compress(lines.encode()))

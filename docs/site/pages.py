@@ -1,4 +1,4 @@
-"""The sources of the site: the pages of `docs/`, those made of the README, the tutorials and the interface, in one folder.
+"""The sources of the site: the pages of `docs/`, those made of the README, tutorials and the interface, in one folder.
 
     python docs/site/pages.py build/docs/source
 
@@ -158,10 +158,10 @@ def tutorial_index() -> str:
         seconds = duration(float(record["seconds"])) if record else ""
         rows.append(f"| [{tutorial_title(name)}]({name}.md) | {seconds} | {image} |")
     return (
-        "# Tutorials\n\nEach is a program that recovers something from pictures, prints what it found beside the truth, and "
-        "writes its pictures into `output/`. [What is unknown in each, and what is shown on the way]"
-        "(../quick_start.md#the-other-tutorials), is a table of the quick start. Times are of one core, for the command on the page "
-        "of the tutorial, most of which are smaller runs (`--demo`); two cores take half.\n\n"
+        "# Tutorials\n\nEach is a program that recovers something from pictures, prints what it found beside the truth,"
+        " and writes its pictures into `output/`. [What is unknown in each, and what is shown on the way]"
+        "(../quick_start.md#the-other-tutorials), is a table of the quick start. Times are of one core, for the "
+        "command on the page of the tutorial, most of which are smaller runs (`--demo`); two cores take half.\n\n"
         "| tutorial | time | pictures |\n|---|---|---|\n" + "\n".join(rows) + "\n"
     )
 

@@ -13,8 +13,8 @@ PAGES: dict[str, tuple[str, list[str]]] = {
     "scenes": ("Scenes", ["load_dict", "load_file", "load_colmap", "from_trimesh", "variants", "Scene", "Transform"]),
     "rendering": (
         "Rendering",
-        ["render", "Renderer", "reattach", "ray_intersect", "ray_occluded", "denoise", "tonemap", "show", "log_images"]
-        + ["progress", "show_config"],
+        "render Renderer reattach ray_intersect ray_occluded denoise tonemap show log_images progress "
+        "show_config".split(),
     ),
     "integrators": ("Integrators", []),
     "shapes": ("Shapes", []),
@@ -50,8 +50,8 @@ CATEGORIES = {
     "phase": "media",
 }
 MODULES = (
-    "backends constraints daylight gradientindex heightfield integrators io optim polarization rotation sdfgrid spectrum "
-    "testing typing"
+    "backends constraints daylight gradientindex heightfield integrators io optim polarization rotation sdfgrid "
+    "spectrum testing typing"
 ).split()
 
 
@@ -133,7 +133,8 @@ def module_page(module: str, names: list[str]) -> str:
     if module == "typing":
         body = ".. automodule:: torchrender.typing\n   :members:\n   :undoc-members:\n   :member-order: bysource\n"
         return f"{heading('torchrender.typing')}\n{body}"
-    return f"{heading(f'torchrender.{module}')}\n.. automodule:: torchrender.{module}\n\n{names_of(names, f'torchrender.{module}')}"
+    name = f"torchrender.{module}"
+    return f"{heading(name)}\n.. automodule:: {name}\n\n{names_of(names, name)}"
 
 
 def names_of(names: list[str], module: str) -> str:

@@ -3,7 +3,7 @@
     make docs-tutorials                                # all of them: about half an hour on two cores
     python docs/site/run_tutorials.py cornell_box smoke    # these
 
-Pictures become `docs/images/tutorials/NAME.jpg`, the rest is in `docs/site/tutorials.json`; building the site runs nothing.
+Pictures become `docs/images/tutorials/NAME.jpg`, the rest is in `docs/site/tutorials.json`; `make docs` runs none.
 """
 
 from __future__ import annotations
