@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -62,10 +63,11 @@ RUNS = {
 }
 
 
-def programs() -> list[str]:
+@cache
+def programs() -> tuple[str, ...]:
     """Names of the tutorials: the programs in `tutorials/` whose docstring says how they are run."""
     found = [path.stem for path in sorted(PROGRAMS.glob("*.py")) if f"python tutorials/{path.name}" in docstring(path)]
-    return [name for name in found if not name.startswith("make_")]
+    return tuple(name for name in found if not name.startswith("make_"))
 
 
 def docstring(path: Path) -> str:
