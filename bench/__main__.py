@@ -33,6 +33,7 @@ BENCHMARKS = {
 # Others, which have a result of their own: `main(arguments) -> status`.
 COMMANDS = {
     "compare": "which figures became slower by more than their spread (compare A.json B.json)",
+    "verification": "whether Mitsuba still differs as docs/verification.md says (--peer mitsuba=PATH)",
     "same": "whether another state of torchrender renders and differentiates everything alike",
 }
 

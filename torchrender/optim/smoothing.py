@@ -100,7 +100,7 @@ class GridSmoothing:
     forward mode. The inverse takes one fast cosine transform an axis there and one back.
 
     Args:
-        lambda_: how smooth, at least 0, in squared distances of neighbours: changes spread over about sqrt(lambda_)
+        lambda_: how smooth, at least 0, in squared distances of neighbours: changes spread over about ``sqrt(lambda_)``
             entries. When a grid becomes twice as fine, four times as much means the same smoothness.
         dims: the number of leading axes that are the grid: 2 for (H, W) and (H, W, C), 3 for volumes (Z, Y, X, C).
 

@@ -135,7 +135,7 @@ class Film(Settings):
 
     @property
     def window(self) -> tuple[int, int, int, int]:
-        """What is rendered: (y0, x0, height, width)."""
+        """What is rendered, as (y0, x0, height, width)."""
         return self.crop if self.crop is not None else (0, 0, self.height, self.width)
 
 

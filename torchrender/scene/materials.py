@@ -413,8 +413,9 @@ class PrincipledThin(Plugin):
         spec_tint: how much of the base's hue reflections take on (texture).
         sheen, sheen_tint: reflection of cloth at grazing angles, and how much of the base's hue it takes on (texture).
         flatness: 0, diffuse, to 1, the flatter look of light from below the surface (texture).
-        specular_reflectance_sampling_rate, diffuse_reflectance_sampling_rate, specular_transmittance_sampling_rate,
-            diffuse_transmittance_sampling_rate: how often each part is sampled, relative to the others (numbers).
+        specular_reflectance_sampling_rate, diffuse_reflectance_sampling_rate: how often these parts are sampled,
+            relative to the others (numbers).
+        specular_transmittance_sampling_rate, diffuse_transmittance_sampling_rate: the same of what goes through.
         anisotropic: 0, microfacets as rough along the direction in which u grows as across it, to 1, ten times as rough
             along it (texture), default 0.
     """

@@ -106,7 +106,7 @@ class Scene(Container):
 
     @property
     def wavelength(self) -> float | None:
-        """Of a mono scene: where it has its spectra, in nm; None if it has their luminance."""
+        """Where a mono scene has its spectra, in nm; None if it has their luminance."""
         return self._wavelength
 
     @property
@@ -120,7 +120,7 @@ class Scene(Container):
 
     @property
     def channels(self) -> int:
-        """Number of colour channels of an image: 3, but 1 in mono."""
+        """Number of colour channels of an image, 3, but 1 in mono."""
         return 1 if self._color == "mono" else 3
 
     @property

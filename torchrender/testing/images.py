@@ -16,8 +16,8 @@ class ZTestResult:
     """What :func:`z_test` found; true if the test passed.
 
     Attributes:
-        max_z: the largest |z| of a block; `where` is its index (row, column, ..., channel) among the blocks.
-        mean_z: |z| of the mean over each channel, the largest of them.
+        max_z: the largest ``|z|`` of a block; `where` is its index (row, column, ..., channel) among the blocks.
+        mean_z: ``|z|`` of the mean over each channel, the largest of them.
         threshold, mean_threshold: above them a z rejects.
         message: the outcome in words.
         z: of every block.

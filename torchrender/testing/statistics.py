@@ -23,12 +23,12 @@ def chi2_p_value(statistic: float, dof: int) -> float:
 
 
 def normal_p_value(z: torch.Tensor) -> torch.Tensor:
-    """Two-sided probability of a standard normal variable larger than |z|, entry by entry, as float64."""
+    """Two-sided probability of a standard normal variable larger than `z` in magnitude, entry by entry, as float64."""
     return torch.special.erfc(z.double().abs() / math.sqrt(2))
 
 
 def student_p_value(t: torch.Tensor, dof: float) -> torch.Tensor:
-    """Two-sided probability of a Student variable with `dof` >= 1 degrees of freedom larger than |t|, as float64.
+    """Two-sided probability of a Student variable with `dof` >= 1 degrees of freedom beyond ``|t|``, as float64.
 
     `dof` is rounded down to an integer, for which the distribution has a finite series (Abramowitz and Stegun 26.7.3
     and 26.7.4). Above 200 the normal distribution is used, at t (1 - 1 / (4 dof)) / sqrt(1 + t^2 / (2 dof)) (26.7.8).

@@ -1,0 +1,135 @@
+"""Run the tutorials and keep what a page about each needs: its pictures, what it printed, the time it takes.
+
+    make docs-tutorials                                # all of them: about half an hour on two cores
+    python docs/site/run_tutorials.py cornell_box smoke    # these
+
+Pictures become `docs/images/tutorials/NAME.jpg`, the rest is in `docs/site/tutorials.json`; `make docs` runs none.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+ROOT = Path(__file__).resolve().parents[2]
+PROGRAMS = ROOT / "tutorials"
+RECORDS = Path(__file__).with_name("tutorials.json")
+PICTURES = ROOT / "docs" / "images" / "tutorials"
+HEIGHT, WIDTH, QUALITY = 256, 1280, 82  # of the pictures that are kept: JPEG, at most so large
+
+
+@dataclass(frozen=True)
+class Run:
+    """How a tutorial is run for its page, and which of the pictures that it writes are shown, row by row."""
+
+    options: str = ""
+    rows: tuple[str, ...] = ("start result target",)
+
+
+# Those that are not named are run without options and show the usual pictures.
+RUNS = {
+    "camera_calibration": Run("--demo", ("start result target derivative_turn",)),
+    "caustics": Run("--iterations 150", ("target result heights",)),
+    "cornell_box": Run("--demo", ("start result target derivative_red_wall",)),
+    "environment_map": Run("--demo", ("map_target map_result", "target_front result_front relit_target relit_result")),
+    "glass_ball": Run("--demo", ("start result target derivative_eta",)),
+    "grin_cube": Run("", ("target result", "index")),
+    "grin_lens": Run("", ("loss",)),
+    "luneburg": Run("", ("loss",)),
+    "mesh_from_pictures": Run("--demo", ("turntable",)),
+    "neural_bsdf": Run("--demo", ("target", "start", "result")),
+    "neural_texture": Run("--demo", ("target result texture_target texture_result",)),
+    "pose": Run("--demo"),
+    "room": Run("--demo", ("start result target0",)),
+    "shadow_art": Run("--demo", ("target", "result")),
+    "paint_spectra": Run("", ("loss",)),
+    "schlieren": Run("", ("progress",)),
+    "smoke": Run("--iterations 30", ("target result held_back_target held_back_result",)),
+    "svbrdf": Run("--demo", ("target_first target_new result_new",)),
+    "textured_monkey": Run("--demo", ("start result target texture_result",)),
+    "which_glass": Run("", ("loss",)),
+}
+
+
+@cache
+def programs() -> tuple[str, ...]:
+    """Names of the tutorials: the programs in `tutorials/` whose docstring says how they are run."""
+    found = [path.stem for path in sorted(PROGRAMS.glob("*.py")) if f"python tutorials/{path.name}" in docstring(path)]
+    return tuple(name for name in found if not name.startswith("make_"))
+
+
+def docstring(path: Path) -> str:
+    return ast.get_docstring(ast.parse(path.read_text())) or ""
+
+
+def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
+    """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width."""
+    from PIL import Image
+
+    strips = []
+    for row in rows:
+        parts = [Image.open(folder / f"{name}.png").convert("RGB") for name in row.split()]
+        parts = [p.resize((round(p.width * HEIGHT / p.height), HEIGHT), Image.Resampling.LANCZOS) for p in parts]
+        gap = 8
+        strip = Image.new("RGB", (sum(p.width for p in parts) + gap * (len(parts) - 1), HEIGHT), "white")
+        x = 0
+        for part in parts:
+            strip.paste(part, (x, 0))
+            x += part.width + gap
+        strips.append(strip)
+    width = min(WIDTH, max(s.width for s in strips))
+    strips = [s.resize((width, round(s.height * width / s.width)), Image.Resampling.LANCZOS) for s in strips]
+    sheet = Image.new("RGB", (width, sum(s.height for s in strips)), "white")
+    y = 0
+    for strip in strips:
+        sheet.paste(strip, (0, y))
+        y += strip.height
+    return sheet
+
+
+def run(name: str) -> dict[str, object]:
+    """Run a tutorial; its record."""
+    folder = ROOT / "output" / "docs" / name
+    options = RUNS.get(name, Run()).options.split()
+    command = [sys.executable, str(PROGRAMS / f"{name}.py"), *options, "--output", str(folder)]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, env=os.environ | {"COLUMNS": "100"})
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(command)} failed:\n{done.stderr}")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    joined(folder, RUNS.get(name, Run()).rows).save(PICTURES / f"{name}.jpg", quality=QUALITY)
+    printed = done.stdout.replace(str(ROOT) + "/", "")
+    return {
+        "command": " ".join(["python", f"tutorials/{name}.py", *options]),
+        # of the processor, so that other programs do not count
+        "seconds": round(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, 1),
+        "date": time.strftime("%Y-%m-%d"),
+        "printed": printed,
+    }
+
+
+def main(names: list[str]) -> None:
+    for name in names or programs():
+        print(name, flush=True)
+        record = run(name)
+        print(record["seconds"], flush=True)
+        records = json.loads(RECORDS.read_text()) if RECORDS.exists() else {}
+        records[name] = record
+        RECORDS.write_text(json.dumps(dict(sorted(records.items())), indent=1, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
