@@ -139,7 +139,7 @@ class WavefrontTracer:
             throughput that never vanishes, and every layer is met.
     """
 
-    # What of radiance has each colour: nothing here, four components in the oracle of polarised light.
+    # The shape of what light has of each colour: a number here, four in the oracle of polarised light.
     components: ClassVar[tuple[int, ...]] = ()
 
     def __init__(self, world: World, config: Mapping[str, Any], random: numbers.Numbers, derivative: bool) -> None:
