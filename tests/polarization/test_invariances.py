@@ -1,4 +1,4 @@
-"""What holds of all Stokes images: they do not depend on how the world is turned, and no light exceeds its intensity."""
+"""What holds of all Stokes images: turning the world changes nothing, and no light is polarised by more than 1."""
 
 from __future__ import annotations
 
