@@ -57,7 +57,10 @@ def for_site(text: str, page: Path, name: str) -> str:
         target, anchor = match[1], match[2] or ""
         if not target or "://" in target or target.startswith("mailto:"):
             return match[0]
-        return f"]({os.path.relpath(target_on_site(target, page), here)}{anchor})"
+        to = target_on_site(target, page)
+        if to == "index.md" and anchor.removeprefix("#") in FROM_README:  # a section of the README that is a page
+            to, anchor = f"{anchor.removeprefix('#')}.md", ""
+        return f"]({os.path.relpath(to, here)}{anchor})"
 
     def program(match: re.Match[str]) -> str:
         if match[1] not in programs():
