@@ -27,6 +27,8 @@ BENCHMARKS = {
     "visibility": "derivatives by what moves: efficiency and bias of silhouettes, shadows and indirect light",
     "caustics": "one iteration of a refractive height field that throws a picture",
     "gradient_index": "rays through a medium whose index varies: time, memory, and PyTorch alone beside it",
+    "distributed": "image and gradient by several processes: speed, bytes, a model of many machines",
+    "fuzz": "damaged files of every kind: crashes, hangs, memory, and what errors say",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
     "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",
 }
