@@ -28,6 +28,7 @@ BENCHMARKS = {
     "caustics": "one iteration of a refractive height field that throws a picture",
     "gradient_index": "rays through a medium whose index varies: time, memory, and PyTorch alone beside it",
     "distributed": "image and gradient by several processes: speed, bytes, a model of many machines",
+    "endurance": "resident memory over a million steps with changing textures, vertices and scene edits",
     "fuzz": "damaged files of every kind: crashes, hangs, memory, and what errors say",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
     "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",

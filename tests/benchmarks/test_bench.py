@@ -168,6 +168,12 @@ def test_distributed(tmp_path):
         main(["distributed", "--processes", "2"])
 
 
+def test_endurance(tmp_path):
+    (table,) = run(tmp_path, "endurance", "--steps", "220")["tables"]
+    assert len(table["rows"]) == 20 and all(row["resident MB"] > 50 for row in table["rows"])
+    assert table["rows"][-1]["steps"] == 220 and "over 220 steps" in table["notes"][0]
+
+
 def test_fuzz(tmp_path):
     (table,) = run(tmp_path, "fuzz", "--only", "vol", "--count", "20")["tables"]
     (row,) = table["rows"]

@@ -6,13 +6,16 @@ be anything: single bits of pixels do not show. And that the long form notices w
 
 from __future__ import annotations
 
+import re
 import resource
 import sys
 import time
 import warnings
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
 from bench.fuzz import hunt
 from bench.fuzz_inputs import KINDS
@@ -67,6 +70,32 @@ def test_damaged_dicts():
                 assert verdict(error, names, (ValueError, TypeError, OSError)) is None, number
                 refused += 1
     assert refused > INPUTS / 2
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"type": np.zeros((2, 2))}, "load_dict: type: expected a word, got a ndarray"),
+        ({"ball": {"type": np.zeros((2, 2))}}, "ball.type: expected a word, got a ndarray"),
+        (
+            {"ball": {"type": "sphere", "bsdf": {"type": torch.zeros(3)}}},
+            "ball.bsdf.type: expected a word, got a Tensor",
+        ),
+        ({"ball": {"type": "sphere", 3: 1.0}}, "ball: expected names, got 3 (int)"),
+        (
+            {"ball": {"type": "sphere", "bsdf": {"type": "conductor", "material": np.zeros((2, 2))}}},
+            "ball.bsdf.material: the conductor",
+        ),
+        (
+            {"camera": {"type": "perspective", "film": {"type": "hdrfilm", "width": torch.zeros(2, 2)}}},
+            "camera.film.width: expected an integer, got a Tensor of shape (2, 2)",
+        ),
+    ],
+)
+def test_arrays_and_numbers_in_the_place_of_words(change, message):
+    """What `python -m bench fuzz --only dict` has found."""
+    with pytest.raises(ValueError, match=f"^{re.escape(message)}"):
+        load_dict({"type": "scene", **change})
 
 
 FAULTY = """
