@@ -36,6 +36,7 @@ BENCHMARKS = {
 # Others, which have a result of their own: `main(arguments) -> status`.
 COMMANDS = {
     "compare": "which figures became slower by more than their spread (compare A.json B.json)",
+    "kills": "whether tutorials with checkpoints that are killed at random moments end with the same bits",
     "same": "whether another state of torchrender renders and differentiates everything alike",
 }
 
