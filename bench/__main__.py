@@ -27,6 +27,9 @@ BENCHMARKS = {
     "visibility": "derivatives by what moves: efficiency and bias of silhouettes, shadows and indirect light",
     "caustics": "one iteration of a refractive height field that throws a picture",
     "gradient_index": "rays through a medium whose index varies: time, memory, and PyTorch alone beside it",
+    "distributed": "image and gradient by several processes: speed, bytes, a model of many machines",
+    "endurance": "resident memory over a million steps with changing textures, vertices and scene edits",
+    "fuzz": "damaged files of every kind: crashes, hangs, memory, and what errors say",
     "rays": "rays a second of Embree alone: camera, bounce and shadow rays, single and in packets",
     "build": "seconds of the compilers by file and module, wall time of the last build, sizes of the modules",
 }
@@ -34,6 +37,7 @@ BENCHMARKS = {
 COMMANDS = {
     "compare": "which figures became slower by more than their spread (compare A.json B.json)",
     "verification": "whether Mitsuba still differs as docs/verification.md says (--peer mitsuba=PATH)",
+    "kills": "whether tutorials with checkpoints that are killed at random moments end with the same bits",
     "same": "whether another state of torchrender renders and differentiates everything alike",
 }
 

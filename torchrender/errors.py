@@ -47,12 +47,12 @@ class RenderError(RuntimeError):
     """A rendering failed: non-finite samples with ``nan="raise"``, or a broken native library."""
 
 
-def nearest(word: str, known: Iterable[str]) -> str:
-    """A clause naming the known words nearest to `word`, or listing all of them when none is near."""
+def nearest(word: object, known: Iterable[str]) -> str:
+    """A clause naming the known words nearest to `word`, or listing all of them when none is near or it is no word."""
     names = sorted(set(known))
     if not names:
         return "none is accepted here"
-    close = difflib.get_close_matches(word, names, n=3, cutoff=0.6)
+    close = difflib.get_close_matches(word, names, n=3, cutoff=0.6) if isinstance(word, str) else []
     if close:
         return "did you mean " + " or ".join(repr(c) for c in close) + "?"
     return "known here: " + ", ".join(names)

@@ -169,7 +169,7 @@ CASES = [
     (camera(sampler={"type": "sobol", "jitter": True}), "cam.sampler: sobol has no parameter 'jitter'"),
     (camera(sampler={"type": "stratified", "jitter": 1.0}), "cam.sampler.jitter: expected True or False"),
     (camera(sampler={"type": "sobel"}), "cam.sampler: unknown sampler 'sobel'.*; did you mean 'sobol'"),
-    (camera(sampler={"type": ["sobol"]}), "cam.sampler: unknown sampler"),
+    (camera(sampler={"type": ["sobol"]}), "cam.sampler.type: expected a word, got"),
     (camera(sampler={}), "cam.sampler: unknown sampler None"),
 ]  # fmt: skip
 

@@ -151,6 +151,37 @@ def test_spectral_alone(tmp_path, capsys):
         main(["spectral", *TINY, "--rounds", "1"])
 
 
+def test_distributed(tmp_path):
+    options = ["--resolution", "16", "--spp", "2", "--rounds", "1", "--warmup", "0", "--only", "Cornell"]
+    speed, sums, model = run(tmp_path, "distributed", *options)["tables"]
+    one, two = speed["rows"]
+    assert (one["processes"], two["processes"]) == (1, 2)
+    # image and 15 albedos, and seven numbers that processes agree about
+    assert one["bytes a process sends a step"] == 0
+    assert two["bytes a process sends a step"] == 4 * (16 * 16 * 3 + 15) + 8 * 7
+    assert two["speed / 1, by time"] == pytest.approx(one["step s"]["median"] / two["step s"]["median"])
+    assert [row["bytes"] for row in sums["rows"]] == [1 << 10, 1 << 16, 1 << 20, 1 << 24]
+    assert [row["machines"] for row in model["rows"]] == 2 * [1, 8, 64]
+    for row in model["rows"]:
+        assert row["step s"] == pytest.approx(row["samples s"] + row["by each alone s"] + row["sums s"])
+    with pytest.raises(SystemExit, match="--processes: two numbers or more"):
+        main(["distributed", "--processes", "2"])
+
+
+def test_endurance(tmp_path):
+    (table,) = run(tmp_path, "endurance", "--steps", "220")["tables"]
+    assert len(table["rows"]) == 20 and all(row["resident MB"] > 50 for row in table["rows"])
+    assert table["rows"][-1]["steps"] == 220 and "over 220 steps" in table["notes"][0]
+
+
+def test_fuzz(tmp_path):
+    (table,) = run(tmp_path, "fuzz", "--only", "vol", "--count", "20")["tables"]
+    (row,) = table["rows"]
+    assert row["kind"] == "vol" and row["inputs"] == 20 and 0 < row["refused"] <= 20 and row["found"] == 0
+    with pytest.raises(SystemExit, match="--only: no kind's name contains 'tiff'"):
+        main(["fuzz", "--only", "tiff"])
+
+
 def test_table2_alone_with_settings(tmp_path):
     result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--set", "correlated=True", "--set", "nan=raise")
     (row,) = result["tables"][0]["rows"]

@@ -1,6 +1,7 @@
 """Radiance pictures (.hdr, .pic): RGBE pixels with a shared exponent, run-length encoded by scanline.
 
-The format is that of G. Ward, "Real Pixels", Graphics Gems II (1991), and of the Radiance documentation.
+Pillow does not read them, imageio by way of further packages alone. The format is that of G. Ward, "Real Pixels",
+Graphics Gems II (1991), and of the Radiance documentation.
 """
 
 from __future__ import annotations

@@ -1,4 +1,7 @@
-"""Portable float maps (PFM): a three-line text header, then rows of 32-bit floats from bottom to top."""
+"""Portable float maps (PFM): a three-line text header, then rows of 32-bit floats from bottom to top.
+
+Pillow reads those of one channel alone, from version 10.3 on.
+"""
 
 from __future__ import annotations
 

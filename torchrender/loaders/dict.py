@@ -13,6 +13,7 @@ from .. import backends
 from ..errors import describe, nearest
 from ..integrators import TYPES, from_dict
 from ..scene import registry
+from ..scene.container import check_names
 from ..scene.context import LONGEST, SHORTEST, Context
 from ..scene.film import film_from
 from ..scene.scene import POLARIZED, VARIANTS, Scene, operation
@@ -117,7 +118,10 @@ def load_dict(
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}{hint}")
     if description.get("type") is None:
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
+    if not isinstance(description["type"], str):
+        raise ValueError(f"load_dict: type: expected a word, got {describe(description['type'])}")
     ctx = Context(variant.removesuffix(POLARIZED), dtype, made_device, (), _folder, wavelength=wavelength)
+    check_names(description, ctx)
     if description["type"] == "scene":
         description = expand_compounds(description, ctx)
     if _substituting("load_dict", unsupported):

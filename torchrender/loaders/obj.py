@@ -1,4 +1,8 @@
-"""The geometry of Wavefront OBJ files: positions, texture coordinates, normals and faces."""
+"""The geometry of Wavefront OBJ files: positions, texture coordinates, normals and faces, as one mesh.
+
+trimesh's reader makes a mesh of each material, gives corners without texture coordinates those of others, and does not
+say where in a file a mistake is.
+"""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
 """PLY files (ascii, binary little and big endian) as arrays by element and property.
 
-Format: G. Turk, "The PLY Polygon File Format" (1994).
+Format: G. Turk, "The PLY Polygon File Format" (1994). trimesh's reader leaves out normals and the values that vertices
+carry, and takes an index out of range, or a file that ends too early, for a mesh.
 """
 
 from __future__ import annotations

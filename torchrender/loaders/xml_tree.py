@@ -1,5 +1,7 @@
 """Reads XML into a tree of elements that know their file and line; nothing here knows about scenes.
 
+The parser is the standard library's expat, whose `xml.etree` keeps no lines.
+
 Document type declarations are refused, so that no entity is ever expanded and no outside file is fetched.
 """
 

@@ -37,6 +37,7 @@ class Container(nn.Module):
         above, ctx, key = ctx, ctx.at(name), name
         meters: dict[str, Any] = {}
         if isinstance(value, Mapping):
+            check_names(value, ctx)
             identifier = value.get("id")
             if isinstance(identifier, str) and value.get("type") != "ref" and "." not in identifier and identifier:
                 name = identifier
@@ -177,3 +178,14 @@ def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | 
             f"; supported are: {', '.join(TYPES)}"
         )
     return value
+
+
+def check_names(value: Mapping[Any, Any], ctx: Context) -> None:
+    """ValueError for keys of a description, at any depth, that are no strings, and types that are none."""
+    for key, content in value.items():
+        if not isinstance(key, str):
+            ctx.error(f"expected names, got {describe(key)}")
+        if key == "type" and not isinstance(content, str):
+            ctx.at(key).error(f"expected a word, got {describe(content)}")
+        if isinstance(content, Mapping):
+            check_names(content, ctx.at(key))

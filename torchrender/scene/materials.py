@@ -176,7 +176,7 @@ class Conductor(Plugin):
 
     def prepare(self, properties: dict[str, Any], ctx: Context) -> dict[str, Any]:
         material = properties.pop("material", "none")
-        if material != "none":
+        if not isinstance(material, str) or material != "none":
             if "eta" in properties or "k" in properties:
                 ctx.error(f"{self.type}: give material, or eta and k, but not both")
             if not isinstance(material, str) or material not in CONDUCTORS:

@@ -144,7 +144,7 @@ def voxels(value: Any, ctx: Context) -> torch.Tensor:
 def integer(value: Any, ctx: Context, minimum: int | None = None) -> int:
     """An integer; booleans are refused."""
     number = single(value)
-    if not is_whole(number):
+    if getattr(number, "ndim", 0) or not is_whole(number):
         ctx.error(f"expected an integer, got {describe(value)}")
     result = int(number)
     if minimum is not None and result < minimum:

@@ -158,8 +158,8 @@ class Polarizer(Plate):
     """It absorbs what is along one axis, as the ray sees that: Korger et al., Optics Express 21(22), 2013."""
 
     def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
-        theta = torch.deg2rad(self.world.tensor("bsdf", self.record, "theta"))
-        absorbed = torch.stack([torch.sin(theta), torch.cos(theta), 0 * theta]).expand_as(wi)
+        theta = torch.deg2rad(self.scalar("theta"))
+        absorbed = torch.stack([torch.sin(theta), torch.cos(theta), 0 * theta], 1)
         one = torch.ones(1, 1, dtype=wi.dtype)
         return absorbed, mueller.amplitudes(0 * one, one)
 
@@ -170,9 +170,10 @@ class Retarder(Plate):
     share = 1.0
 
     def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
-        theta, delta = (torch.deg2rad(self.world.tensor("bsdf", self.record, name)) for name in ("theta", "delta"))
-        fast = torch.stack([torch.cos(theta), torch.sin(theta), 0 * theta]).expand_as(wi)
-        return fast, mueller.amplitudes(torch.ones_like(delta), torch.exp(-1j * delta))[None, None]
+        theta, delta = (torch.deg2rad(self.scalar(name)) for name in ("theta", "delta"))
+        fast = torch.stack([torch.cos(theta), torch.sin(theta), 0 * theta], 1)
+        delta = delta[:, None]
+        return fast, mueller.amplitudes(torch.ones_like(delta), torch.exp(-1j * delta))
 
 
 class CircularPolarizer(Plate):
