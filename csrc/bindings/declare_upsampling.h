@@ -30,15 +30,15 @@ void upsample_colours(const std::string &what, const std::map<std::string, uintp
 }
 
 inline void declare_upsampling(Functions &f) {
-    f.add("upsample", [](const std::string &what, const std::string &dtype,
-                         const std::map<std::string, uintptr_t> &arrays, int32_t size, bool light, int threads,
-                         size_t n) {
-        if (dtype == "float32") return upsample_colours<float>(what, arrays, size, light, threads, n);
+    f.add("upsample",
+          [](const std::string &what, const std::string &dtype, const std::map<std::string, uintptr_t> &arrays,
+             int32_t size, bool light, int threads, size_t n) {
+              if (dtype == "float32") return upsample_colours<float>(what, arrays, size, light, threads, n);
 #if !TR_HAS_PACKETS
-        if (dtype == "float64") return upsample_colours<double>(what, arrays, size, light, threads, n);
+              if (dtype == "float64") return upsample_colours<double>(what, arrays, size, light, threads, n);
 #endif
-        throw std::invalid_argument("upsample: dtype: this module does not compute in " + dtype);
-    });
+              throw std::invalid_argument("upsample: dtype: this module does not compute in " + dtype);
+          });
 }
 
 }  // namespace tr

@@ -26,7 +26,7 @@ _PART = 2048  # colours at a time, so that they stay in the cache
 
 
 def lookup(rgb: torch.Tensor, size: int, light: bool = False) -> torch.Tensor:
-    """Coefficients and scales (..., 4) of colours (..., 3), see `upsample`, trilinear in a table of `size` nodes an axis.
+    """Coefficients and scales (..., 4) of colours (..., 3), see `upsample`: trilinear in a table of `size`^3 nodes.
 
     Differentiable as what it is, once. The derivative at black is that of grey.
     """

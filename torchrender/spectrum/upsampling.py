@@ -36,8 +36,8 @@ def upsample(rgb: torch.Tensor, *, light: bool = False, exact: bool = True) -> t
         light: the scale is twice the largest channel, so that spectra keep their shape at any brightness; black is
             grey with the scale 0. Else it is 1, or the largest channel above that.
         exact: find each colour's coefficients as `rgb_to_coefficients` does. Else by a table of 64^3 for each largest
-            channel, made in about a second when it is first used: some 10 ms for 1024 x 1024 texels; back again, colours
-            are as they were to 1e-3, and the derivative, of which there is the first, is that of the table.
+            channel, made in about a second when it is first used: some 10 ms for 1024 x 1024 texels; back again,
+            colours are as they were to 1e-3, and the derivative, of which there is the first, is that of the table.
 
     Returns:
         (..., 4): three coefficients, and the scale.
