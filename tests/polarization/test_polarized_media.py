@@ -259,7 +259,7 @@ EXACT = [
     "air.albedo.value.value",
     "air.emission.value.value",
     "gold.bsdf.k.value",
-    "wave.bsdf.theta",
+    "wave.bsdf.theta.value",
     "sky.scale",
     "lamp.intensity.value",
 ]
