@@ -69,8 +69,8 @@ def unwrapped(tensor: torch.Tensor) -> torch.Tensor:
         return tensor.detach()
 
 
-def refuse_batches(tensor: Any) -> None:
-    """NotDifferentiableError for a tensor that is batched by `vmap`.
+def refuse_batches(tensor: Any, said: str = BATCHED) -> None:
+    """NotDifferentiableError, which says this, for a tensor that is batched by `vmap`.
 
     torch itself would say less clearly what is wrong with random seeds inside of `vmap`, and with ``is_grads_batched``
     and ``vectorize=True``, which use a vmap that asks no `Function` whether it has a rule.
@@ -78,4 +78,4 @@ def refuse_batches(tensor: Any) -> None:
     for name in ("is_batchedtensor", "is_legacy_batchedtensor"):
         is_batched = getattr(functorch, name, None)
         if is_batched is not None and isinstance(tensor, torch.Tensor) and is_batched(tensor):
-            raise NotDifferentiableError(BATCHED)
+            raise NotDifferentiableError(said)

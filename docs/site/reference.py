@@ -50,7 +50,7 @@ CATEGORIES = {
     "phase": "media",
 }
 MODULES = (
-    "backends constraints daylight gradientindex heightfield integrators io optim polarization rotation sdfgrid "
+    "backends constraints daylight distributed gradientindex heightfield integrators io optim polarization rotation sdfgrid "
     "spectrum testing typing"
 ).split()
 

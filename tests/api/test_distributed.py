@@ -88,18 +88,19 @@ def test_a_group_is_needed():
 
 
 FAILING = """
-import datetime, sys, torch, torchrender as tr
+import datetime, os, sys, torch, torchrender as tr
 folder, rank = sys.argv[1], int(sys.argv[2])
 torch.distributed.init_process_group("gloo", init_method=f"file://{folder}/store", rank=rank, world_size=2,
                                      timeout=datetime.timedelta(seconds=20))
 scene = tr.load_dict({"type": "scene", "camera": {"type": "perspective"}, "sky": {"type": "constant"}})
 tr.distributed.render(scene, spp=2, seed=0, size=(4, 4))
 if rank == 1:
-    import os; os._exit(3)
+    os._exit(3)
 try:
     tr.distributed.render(scene, spp=2, seed=0, size=(4, 4))
 except RuntimeError as error:
-    print(type(error).__name__)
+    print(type(error).__name__, flush=True)
+    os._exit(0)  # gloo may abort where a group is let go whose connections are broken
 """
 
 

@@ -65,7 +65,7 @@ def test_a_polariser_between_crossed_ones(angle):
         f"filter{i}": surface({"type": "polarizer", "theta": t}, to_world=T.translate([0, 0, -0.1 * i]))
         for i, t in enumerate((0.0, angle, 90.0))
     }
-    light = stokes(bench("unpolarised", 180, 0, **plates), params={"filter1.bsdf.theta": theta})[0]
+    light = stokes(bench("unpolarised", 180, 0, **plates), params={"filter1.bsdf.theta.value": theta})[0]
     light.backward()
     assert abs(float(light.detach()) - math.sin(math.radians(2 * angle)) ** 2 / 8) < 1e-9
     assert abs(float(theta.grad) - math.sin(math.radians(4 * angle)) / 4 * math.pi / 180) < 1e-9

@@ -13,6 +13,7 @@ from torch.autograd import Function
 
 from .. import backends
 from ..errors import NotDifferentiableError
+from ..functions import refuse_batches
 from .cached import made_once
 from .sigmoids import nodes
 from .solving import levenberg, newton, reachable
@@ -20,6 +21,7 @@ from .solving import levenberg, newton, reachable
 FINE, COARSE = 64, 16  # nodes an axis: for images, and to begin the search for a constant's coefficients
 BINS = 1024  # as the core has them
 SECOND = "upsample: exact=False has first derivatives only; exact=True has others, too"
+BATCHED = "upsample: exact=False: is_grads_batched and vectorize=True do not reach into it, but torch.func.vmap does"
 BLACK = 1e-6  # what is not brighter than this is black
 _END = 5e-4  # how near colours of the table come to the ends of ratios and values, but for dark ones
 _PART = 2048  # colours at a time, so that they stay in the cache
@@ -91,10 +93,11 @@ class TexelsDerivative(Function):
 
 def call_core(what: str, rgb: torch.Tensor, given: torch.Tensor | None, size: int, light: bool) -> torch.Tensor:
     """A call of the core: csrc/cpu/upsampling.h; on the processor, and in double precision if the colours are."""
+    refuse_batches(rgb if given is None else given, BATCHED)
     dtype = torch.float64 if rgb.dtype == torch.float64 else torch.float32
-    arrays = _table(size, dtype) | {"rgb": rgb.detach().to("cpu", dtype).contiguous()}
+    arrays = _table(size, dtype) | {"rgb": rgb.to("cpu", dtype).contiguous()}
     if given is not None:
-        arrays["given"] = given.detach().to("cpu", dtype).contiguous()
+        arrays["given"] = given.to("cpu", dtype).contiguous()
     arrays["out"] = out = torch.empty((*rgb.shape[:-1], 3 if what == "reverse" else 4), dtype=dtype)
     core, addresses = backends.core(dtype), {name: tensor.data_ptr() for name, tensor in arrays.items()}
     core.use_large_pages(out.data_ptr(), out.nbytes)

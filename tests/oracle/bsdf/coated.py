@@ -9,7 +9,8 @@ import torch
 from torchrender.warp import cosine_hemisphere
 from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
 
-from .common import above, fresnel_dielectric, mirrored
+from .. import mueller
+from .common import Polarised, Polarising, above, fresnel_dielectric, mirrored
 from .rough import MicrofacetReflection, Microfacets, reflect
 from .rough_transmittance import COSINES, rough_transmittance
 
@@ -43,10 +44,21 @@ class Coated(Bsdf):
         return self.diffuse / (1 - (self.diffuse * internal if self.nonlinear else internal))
 
 
-class Plastic(Coated):
+class Plastic(Polarising, Coated):
     """Lobe 0 is the diffuse base, lobe 1 the mirror reflection."""
 
     delta = True
+
+    def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
+        """Along the normal, which is across that of Fresnel's equations. The base forgets what polarisation arrives."""
+        eta = self.eta.reshape(1, 1).to(torch.complex128)
+        inside = mueller.refracted(wi[:, 2:], eta) / eta
+        into, out = mueller.refraction(wo[:, 2:], eta), mueller.refraction(inside.real, 1 / eta)
+        base = out @ mueller.DEPOLARISER @ into
+        coat = mueller.reflection(wi[:, 2:], eta)
+        turned = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=wi.dtype))
+        matrix = turned @ torch.where((lobe != 0)[:, None, None, None], coat, base) @ turned
+        return wi.new_tensor([0.0, 0.0, 1.0]).expand_as(wi), matrix
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         reflected = fresnel_dielectric(wi[:, 2], self.eta)[0]
