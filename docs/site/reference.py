@@ -50,8 +50,8 @@ CATEGORIES = {
     "phase": "media",
 }
 MODULES = (
-    "backends constraints daylight distributed gradientindex heightfield integrators io optim polarization rotation sdfgrid "
-    "spectrum testing typing"
+    "backends constraints daylight distributed gradientindex heightfield integrators io optim polarization rotation "
+    "sdfgrid spectrum testing typing"
 ).split()
 
 

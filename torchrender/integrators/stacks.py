@@ -33,6 +33,10 @@ class Stack(Integrator):
         """One image of the outputs by name, channels last."""
         raise NotImplementedError
 
+    def channel_names(self, channels: int = 3) -> list[str]:
+        """Names of the image's channels; `channels` is the number of a colour's."""
+        raise NotImplementedError
+
 
 class Moment(Stack):
     """An image and, as further channels, the second moment of its samples: (H, W, 2 C).
