@@ -82,6 +82,7 @@ def main() -> None:
         started = time.monotonic()
         subprocess.run([*pip, *options.torch, str(options.wheel)], check=True)
         print(f"the wheel and what it needs besides torch: {time.monotonic() - started:.0f} s")
+        subprocess.run([*pip, "matplotlib"], check=True)  # what the tutorials draw with
         subprocess.run([python, "-m", "pip", "check", "--disable-pip-version-check"], check=True)
         use(python, f"{folder}/bin")
 

@@ -48,7 +48,7 @@ def check(wheel: Path, archive: Path, machine: str) -> None:
     package = tracked("torchrender", ".py", ".pyi", ".npz", "py.typed")
     libraries = {f"torchrender/_core_{isa}.so" for isa in LIBRARIES[machine]}
     with zipfile.ZipFile(wheel) as file:
-        inside = {name for name in file.namelist() if ".dist-info/" not in name}
+        inside = {name for name in file.namelist() if ".dist-info/" not in name and not name.endswith("/")}
     if inside != package | libraries:
         raise SystemExit(f"torchrender: {wheel.name} differs in {sorted(inside ^ (package | libraries))}")
     size = wheel.stat().st_size / 1e6
@@ -72,7 +72,7 @@ def main() -> None:
     setup = [sys.executable, "setup.py", "-q"]
     run([*setup, "sdist", "--dist-dir", str(DIST)])
     build = ["build", "--build-base", str(BUILD / "base"), "build_ext", "--build-temp", str(ROOT / "build" / "native")]
-    wheel = ["bdist_wheel", "--bdist-dir", str(BUILD / "tree"), "--dist-dir", str(BUILD)]
+    wheel = ["bdist_wheel", "--skip-build", "--bdist-dir", str(BUILD / "tree"), "--dist-dir", str(BUILD)]
     isas = ",".join(LIBRARIES[machine])
     run([*setup, *build, *wheel], TORCHRENDER_BUILD_ISA=isas, TORCHRENDER_PORTABLE="1")
     (raw,) = BUILD.glob("*.whl")
