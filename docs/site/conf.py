@@ -57,7 +57,7 @@ autosummary_generate = False
 nitpicky = True
 # Aliases of types are explained in torchrender.typing; T is a type variable; the rest is other packages'.
 ALIASES = r".*(Like|Name|Names|Mode|Settings|Images?|Outputs|Dict|T)"
-OTHERS = r"((tqdm|trimesh|PIL|types|torchrender\.scene\.context)\b|[\w.]+\[).*"
+OTHERS = r"((tqdm|trimesh|PIL|types|torchrender\.scene\.context|torchrender\.library|torch\.distributed)\b|[\w.]+\[).*"
 nitpick_ignore_regex = [("py:obj", r".*"), ("py:class", ALIASES), ("py:class", OTHERS)]
 
 # The network is not needed: names that signatures have are in two small inventories of our own.
