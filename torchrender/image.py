@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
@@ -149,9 +150,7 @@ def show(image: Images, exposure: float = 0.0, *, tonemap: TonemapName = "srgb")
 
     picture = PILImage.fromarray(side_by_side(image, exposure, tonemap).numpy())
     if in_notebook():
-        from IPython.display import display  # pyright: ignore[reportMissingImports] (a notebook has it)
-
-        display(picture)
+        importlib.import_module("IPython.display").display(picture)  # a notebook has it, other environments may not
         return None
     return picture
 
