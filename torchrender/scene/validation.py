@@ -44,10 +44,10 @@ def check_range(tensor: torch.Tensor, field: Field, ctx: Context, constant: bool
     low, high = float(low), float(high)
     if not (abs(low) < float("inf") and abs(high) < float("inf")):
         ctx.error("has values that are not finite")
-    if field.name == "stokes" and float(tensor.detach().norm()) > 1 + 1e-6:
-        ctx.error(f"expected a vector of length 1 at most, the degree of polarisation, got {tensor.tolist()}")
     minimum = -float("inf") if field.min is None else field.min
     maximum = float("inf") if field.max is None else field.max
+    if field.kind == "vector" and float(tensor.detach().norm()) > maximum + 1e-6:  # of vectors it bounds the length
+        ctx.error(f"expected a vector of length {maximum:g} at most, got {tensor.tolist()}")
     slack = 0.0 if field.kind == "volume" else 1e-6 * max(1.0, abs(maximum) if maximum < float("inf") else 1.0)
     if low >= minimum and high <= maximum + slack:
         return

@@ -18,15 +18,15 @@ TR_INLINE auto contracted(Polarization kind, const M &m, const Stokes<F> &a, con
            m.y * (a.at[3][c] * r.at[2][c] - a.at[2][c] * r.at[3][c]) + a.at[0][c] * r.at[0][c];
 }
 
-// A column, on the axis of what arrives, behind the matrices.
+// Through the matrices of a way, or their transposes, onto an axis on the other side.
 template <class F>
-TR_INLINE Stokes<F> scattered(Polarization kind, const PolarizedWay<F> &way, const Stokes<F> &arriving) {
+TR_INLINE Stokes<F> through(Polarization kind, const PolarizedWay<F> &way, bool transposed, const Stokes<F> &from) {
     Stokes<F> s = no_stokes<F>();
-    s.axis = way.out;
+    s.axis = transposed ? way.in : way.out;
     for (int c = 0; c < SpectrumSize; ++c) {
-        const auto &m = way.matrix[c];
-        const F i = arriving.at[0][c] * way.factor[c], q = arriving.at[1][c] * way.factor[c],
-                u = arriving.at[2][c] * way.factor[c], v = arriving.at[3][c] * way.factor[c];
+        const MuellerMatrix<F> m = transposed ? way.matrix[c].transposed() : way.matrix[c];
+        const F i = from.at[0][c] * way.factor[c], q = from.at[1][c] * way.factor[c], u = from.at[2][c] * way.factor[c],
+                v = from.at[3][c] * way.factor[c];
         if (kind == Polarization::Circular) {
             s.at[0][c] = i + m.out * v, s.at[3][c] = m.out * i + v;
             continue;
@@ -37,23 +37,16 @@ TR_INLINE Stokes<F> scattered(Polarization kind, const PolarizedWay<F> &way, con
     return s;
 }
 
+// A column, on the axis of what arrives, behind the matrices.
+template <class F>
+TR_INLINE Stokes<F> scattered(Polarization kind, const PolarizedWay<F> &way, const Stokes<F> &arriving) {
+    return through(kind, way, false, arriving);
+}
+
 // A row, on the axis of what leaves, before the matrices.
 template <class F>
 TR_INLINE Stokes<F> gathered(Polarization kind, const PolarizedWay<F> &way, const Stokes<F> &leaving) {
-    Stokes<F> a = no_stokes<F>();
-    a.axis = way.in;
-    for (int c = 0; c < SpectrumSize; ++c) {
-        const auto &m = way.matrix[c];
-        const F i = leaving.at[0][c] * way.factor[c], q = leaving.at[1][c] * way.factor[c],
-                u = leaving.at[2][c] * way.factor[c], v = leaving.at[3][c] * way.factor[c];
-        if (kind == Polarization::Circular) {
-            a.at[0][c] = i + m.out * v, a.at[3][c] = m.out * i + v;
-            continue;
-        }
-        a.at[0][c] = i + m.out * q, a.at[1][c] = m.in * i + m.both * q;
-        a.at[2][c] = m.x * u + m.y * v, a.at[3][c] = m.x * v - m.y * u;
-    }
-    return a;
+    return through(kind, way, true, leaving);
 }
 
 template <class F>

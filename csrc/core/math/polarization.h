@@ -45,6 +45,11 @@ struct MuellerMatrix {
     TR_INLINE MuellerMatrix() = default;
     TR_INLINE MuellerMatrix(const FacetMatrix<T> &m) : out(m.b), in(m.b), both(T(1)), x(m.x), y(m.y) {}
     TR_INLINE MuellerMatrix(const T &out_, const T &in_) : out(out_), in(in_), both(out_ * in_), x(T(0)), y(T(0)) {}
+    TR_INLINE MuellerMatrix transposed() const {
+        MuellerMatrix r = *this;
+        r.out = in, r.in = out, r.y = -y;
+        return r;
+    }
 };
 
 template <class T>
