@@ -132,10 +132,12 @@ class DirectionalAreaLight(Plugin):
         *,
         radiance: TextureLike = 1.0,
         sampling_weight: Number = 1.0,
+        stokes: Vector | None = None,
         **properties: Any,
     ) -> None: ...
     radiance: Any
     sampling_weight: torch.Tensor
+    stokes: torch.Tensor
 
 class HenyeyGreenstein(Plugin):
     """Henyey and Greenstein's phase function."""

@@ -11,7 +11,7 @@ import torch
 from . import polarization
 from .errors import warn_once
 from .first_hit_call import STOKES_OUTPUTS
-from .integrators import ParticleTracer, Stack, VolumetricPathTracer, WavefrontPathTracer
+from .integrators import Stack, VolumetricPathTracer, WavefrontPathTracer
 from .render_call import RenderCall
 from .scene.packing import Layout
 
@@ -24,10 +24,10 @@ def check_polarized(
     integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool, warned: set[str]
 ) -> None:
     """ValueError for what has no polarised light; one warning about what should polarise and does not."""
-    if isinstance(integrator, (ParticleTracer, WavefrontPathTracer, Stack)):
+    if isinstance(integrator, (WavefrontPathTracer, Stack)):
         raise ValueError(
             f"render: outputs: {type(integrator).__name__} has no polarised light ({', '.join(STOKES_OUTPUTS)}); "
-            "PathTracer, VolumetricPathTracer and DirectIllumination have it"
+            "PathTracer, VolumetricPathTracer, DirectIllumination and ParticleTracer have it"
         )
     if packed.bending:
         raise ValueError("render: outputs: light that gradientindex media bend has no polarisation")

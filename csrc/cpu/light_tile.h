@@ -5,8 +5,7 @@
 
 #include <utility>
 
-#include "core/adjoint/sweep.h"
-#include "core/integrator/light.h"
+#include "core/adjoint/polarized_light_path.h"
 #include "wavefront.h"
 
 namespace tr {
@@ -22,6 +21,7 @@ public:
     Wavefront<F> wavefront;
     SlotColumns<S> &slots = wavefront.slots;
     RenderStats take_stats() { return wavefront.take_stats(); }
+    bool numbers() const { return wavefront.needs().numbers(); }
 
     LightTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> *derivative)
         : wavefront(call, capacity, derivative, true),
@@ -49,22 +49,35 @@ public:
 
     // Over the tape from its end. What `visit` has written into it are the connections' adjoints.
     void sweep(GradientSink<F> &sink) {
-        Tape<S> &tape = wavefront.tape;
-        const SweepContext<F> c{wavefront.scene(),   config_, slots, wavefront.needs(), S(call_.film_width),
-                                S(call_.film_height)};
-        for (int l = tape.size() - 1; l >= 0; --l) {
-            const TapeLevel<S> &level = tape[l];
-            const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
-            for (const KindRange &range : level.ranges)
-                for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
-                    M active = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
-                    sweep_light_vertex(c, sensor_, level.columns, parents, range.kind, i, active, sink);
-                }
-        }
+        const SweepContext<F> c = sweep_context();
+        for (int l = wavefront.tape.size() - 1; l >= 0; --l)
+            for_vertices(l, [&](const TapeColumns<S> &tape, const TapeColumns<S> *parents, int kind, uint32_t i,
+                                const M &active) {
+                if (config_.stokes)
+                    sweep_polarized_light_vertex(c, sensor_, tape, parents, kind, i, active, sink);
+                else
+                    sweep_light_vertex(c, sensor_, tape, parents, kind, i, active, sink);
+            });
         wavefront.count_non_finite(sink);
     }
 
 private:
+    SweepContext<F> sweep_context() {
+        return {wavefront.scene(), config_, slots, wavefront.needs(), S(call_.film_width), S(call_.film_height)};
+    }
+
+    // Packets of the tape's vertices on a level.
+    template <class Visit>
+    void for_vertices(int number, Visit &&visit) {
+        Tape<S> &tape = wavefront.tape;
+        const TapeLevel<S> &level = tape[number];
+        const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
+        for (const KindRange &range : level.ranges)
+            for (uint32_t i = range.begin; i < range.begin + range.count; i += W)
+                visit(level.columns, parents, range.kind, i,
+                      mask<F>(lane_index<F>() < U(range.begin + range.count - i)));
+    }
+
     TapeLevel<S> &add_level() {
         Tape<S> &tape = wavefront.tape;
         return tape.add(tape.size() - 1, true);
@@ -99,7 +112,19 @@ private:
     template <class Visit>
     void finish_connections(bool recording, Visit &visit) {
         ShadowQueue<S> &connections = wavefront.shadows;
-        if (connections.n == 0) return;
+        if (connections.n > 0) keep_free(recording);
+        const int level = wavefront.tape.size() - 1;
+        if (config_.stokes) {
+            const SweepContext<F> c = sweep_context();
+            for_vertices(level, [&](const TapeColumns<S> &tape, const TapeColumns<S> *parents, int kind, uint32_t i,
+                                    const M &active) { hand_light(c, sensor_, tape, parents, kind, i, active); });
+        }
+        if (connections.n > 0) visit(level, std::as_const(connections));
+        connections.n = 0;
+    }
+
+    void keep_free(bool recording) {
+        ShadowQueue<S> &connections = wavefront.shadows;
         uint8_t *occluded = wavefront.queries.occluded;
         if (sensor_.meter >= 0)
             std::fill_n(occluded, connections.n, uint8_t(0));
@@ -118,8 +143,6 @@ private:
                 std::copy_n(occluded + i, W, blocked);
                 return mask<F>(load_uint<F>(blocked) == U(0u));
             });
-        visit(wavefront.tape.size() - 1, std::as_const(connections));
-        connections.n = 0;
     }
 
     // Connections of an image without lights: these do not stand in the way.

@@ -43,7 +43,7 @@ struct TapeLevel {
             add(columns.stack, groups.stack), add(columns.tangent, groups.tangent);
             add(columns.segment, groups.segment), add(columns.motion, groups.motion);
             add(columns.connection, groups.connection), add(columns.bent, groups.bent);
-            add(columns.stokes, groups.stokes);
+            add(columns.stokes, groups.stokes), add(columns.connected, groups.stokes && groups.connection);
         });
     }
 

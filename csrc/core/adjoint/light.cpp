@@ -132,7 +132,7 @@ TR_LARGE Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const Light
                               hit, sink);
         if (bsdf.connected) {
             wi_bar = wi_bar + bsdf.light.wi_bar;
-            Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + camera_bar;
+            Vec3<F> w_bar = frame.into(v.wo_light, bsdf.light.wo_bar) + camera_bar + v.way.d;
             Vec3<F> p_bar = sweep_camera_connection(scene, sensor, v.p, MaskOf<F>(false), w_bar, brought, connection,
                                                     zero, needs.camera, lit, sink);
             hit.p = select(lit, hit.p + p_bar, hit.p);
@@ -173,7 +173,7 @@ TR_LARGE void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf
         origin_bar = select(on_shape, o_bar, zero);
     }
     auto infinite = active && flags.has(IsInfinite);
-    Vec3<F> p_bar = sweep_camera_connection(scene, sensor, select(infinite, -v.d, v.p), infinite, zero, seen,
+    Vec3<F> p_bar = sweep_camera_connection(scene, sensor, select(infinite, -v.d, v.p), infinite, v.way.d, seen,
                                             e.connection, origin_bar, needs.camera, lit, sink);
     if (any(on_shape)) sweep_position(scene, v.light.at, v.p, p_bar, on_shape, sink);
 }

@@ -1,7 +1,7 @@
 #include "polarization.h"
 
 #include "../bsdf/dielectric_microfacet.h"
-#include "scattering.h"
+#include "light.h"
 
 namespace tr {
 
@@ -156,36 +156,49 @@ TR_INLINE MuellerMatrix<T> matrix_of(const PolarizedVertex<F> &v, const Polarize
 template <class F>
 TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wavelengths<F> &waves, int bsdf_kind,
                                              const VertexRecord<F> &v, const GradientNeeds &needs,
-                                             const MaskOf<F> &active)
+                                             const MaskOf<F> &active, const PolarizedConnection<F> *connection_)
     : bsdf(bsdf_kernels<F>(bsdf_kind)),
       kind(bsdf.polarizes),
       n_lobes(kind == Polarization::Coat && !bsdf.is(HasDeltaLobes) ? 2 : 1),
       z(v.wi.z),
-      lamp(scene, v.light, active && mask<F>(v.light_weight > F(0)) && MaskOf<F>(kind != Polarization::None)) {
+      lamp(scene, v.light,
+           active && mask<F>(v.light_weight > F(0)) && MaskOf<F>(kind != Polarization::None && !connection_)),
+      connection(connection_) {
     load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
     const Spectrum<F> one = uniform_spectrum(F(1)), none = uniform_spectrum(F(0));
     const MaskOf<F> lit = active && mask<F>(v.light_weight > F(0)), goes_on = active && mask<F>(v.inverse_pdf > F(0));
     const bool connected = bsdf.is(HasSmoothLobes) && any(lit);
+    const Transport transport = connection ? Transport::Importance : Transport::Radiance;
+    sent = connection ? connection->film : lamp.of(one);
     Spectrum<F> path_factor = uniform_spectrum(v.inverse_pdf),
-                light_factor = apply(v.through, v.emitted) * v.light_weight;
+                light_factor = (connection ? one : apply(v.through, v.emitted)) * v.light_weight;
+    StackAdjoint<F> stack;
     if (scene.has_stacks) {
-        const StackAdjoint<F> stack(scene, waves, v, needs, Transport::Radiance, active);
+        stack = StackAdjoint<F>(scene, waves, v, needs, transport, active);
         path_factor = path_factor * stack.bsdf.stack.weight * stack.path_factor;
         light_factor = light_factor * stack.bsdf.stack.weight * stack.light_factor;
+        if (connection) light_factor = light_factor * stack.bsdf.stack.inverse_probability;
     }
     Frame<F> frame = vertex_frame(scene, v);
     frame.n = frame.n * v.mirror;
     wi = frame.to_world(v.wi), n = frame.n;
+    if (connection) {
+        auto interpolated =
+            has_shading_normal(ShapeLanes<F>(scene.shapes, v.at.shape, active), stack.bsdf.stack, active);
+        const auto correction = [&](const Vec3<F> &wo) {
+            return shading_correction(wi, frame.to_world(wo), v.normal, connection->record.ng, interpolated);
+        };
+        path_factor = path_factor * correction(v.wo), light_factor = light_factor * correction(v.wo_light);
+    }
     for (int l = 0; l < n_lobes; ++l) {
         PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
         BsdfDerivative<F> value;
         const IntOf<F> part(n_lobes == 2 ? l + 1 : 0);
-        bsdf.vjp(params, v.wi, v.wo, n_lobes == 2 ? part : v.lobe, Transport::Radiance, one, one, {false, false},
-                 value);
+        bsdf.vjp(params, v.wi, v.wo, n_lobes == 2 ? part : v.lobe, transport, one, one, {false, false}, value);
         path.factor = select(goes_on, apply(value.f, path_factor), none);
         light.factor = none;
         if (connected) {
-            bsdf.vjp(params, v.wi, v.wo_light, part, Transport::Radiance, one, one, {false, false}, value);
+            bsdf.vjp(params, v.wi, v.wo_light, part, transport, one, one, {false, false}, value);
             light.factor = select(lit, apply(value.f, light_factor), none);
         }
         if (kind == Polarization::None) return;
@@ -212,7 +225,8 @@ template <class F>
 TR_LARGE Stokes<F> PolarizedVertex<F>::column(const Stokes<F> &arriving) const {
     Stokes<F> r = no_stokes<F>();
     if (kind == Polarization::None) {
-        r.at[0] = apply(lobes[0].path.factor, arriving.at[0]) + lobes[0].light.factor, r.axis = arriving.axis;
+        r.at[0] = apply(lobes[0].path.factor, arriving.at[0]) + apply(lobes[0].light.factor, sent.at[0]);
+        r.axis = arriving.axis;
         return r;
     }
     r.axis = lobes[0].path.out;
@@ -220,8 +234,7 @@ TR_LARGE Stokes<F> PolarizedVertex<F>::column(const Stokes<F> &arriving) const {
         const PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
         add(r, turned_column(scattered(kind, path, turned_column(arriving, path.in, -path.to)), r.axis, wi));
         if (!bsdf.is(HasSmoothLobes)) continue;
-        const Stokes<F> sent = turned_column(lamp.of(uniform_spectrum(F(1))), light.in, -light.to);
-        add(r, turned_column(scattered(kind, light, sent), r.axis, wi));
+        add(r, turned_column(scattered(kind, light, turned_column(sent, light.in, -light.to)), r.axis, wi));
     }
     return r;
 }
@@ -242,13 +255,28 @@ TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving) const {
 }
 
 template <class F>
+TR_LARGE Stokes<F> PolarizedVertex<F>::connected_row(const Stokes<F> &leaving) const {
+    Stokes<F> a = no_stokes<F>();
+    if (kind == Polarization::None) {
+        a.at[0] = pull(leaving.at[0], lobes[0].light.factor), a.axis = leaving.axis;
+        return a;
+    }
+    if (!bsdf.is(HasSmoothLobes)) return a;
+    a.axis = lobes[0].light.in;
+    for (int l = 0; l < n_lobes; ++l) {
+        const PolarizedWay<F> &light = lobes[l].light;
+        add(a, turned_row(gathered(kind, light, turned_row(leaving, light.out, wi)), a.axis, -light.to));
+    }
+    return a;
+}
+
+template <class F>
 TR_LARGE Spectrum<F> PolarizedVertex<F>::direct(const Stokes<F> &leaving) const {
     if (kind == Polarization::None) return pull(leaving.at[0], lobes[0].light.factor);
     Spectrum<F> r = uniform_spectrum(F(0));
     for (int l = 0; l < n_lobes && bsdf.is(HasSmoothLobes); ++l) {
         const PolarizedWay<F> &light = lobes[l].light;
-        const Stokes<F> sent = turned_column(lamp.of(uniform_spectrum(F(1))), light.in, -light.to);
-        r = r + number_between(leaving, scattered(kind, light, sent), wi);
+        r = r + number_between(leaving, scattered(kind, light, turned_column(sent, light.in, -light.to)), wi);
     }
     return r;
 }
@@ -336,6 +364,19 @@ TR_HD void PolarizedVertex<F>::sweep_lamp(const SceneOf<F> &scene, const VertexR
     hit.p = hit.p + sweep_direct(scene, g, lit, sink);
 }
 
+// Of a connection to the camera: the film's axis, which turns with the camera and with where it is seen from.
+template <class F>
+TR_HD void PolarizedVertex<F>::sweep_film(const SceneOf<F> &scene, const PolarizedWay<F> &way, const Stokes<F> &leaving,
+                                          const GradientNeeds &needs, const MaskOf<F> &active, Vec3<F> &to_bar,
+                                          GradientSink<F> &sink) const {
+    const Stokes<F> row = turned_row(gathered(kind, way, turned_row(leaving, way.out, wi)), sent.axis, -way.to);
+    Vec3<F> k_bar{F(0), F(0), F(0)};
+    // the column turns against its axis
+    sweep_film_axis(scene, connection->sensor_index, -way.to, -component_sum(by_angle(row, sent)), needs.camera, active,
+                    k_bar, sink);
+    to_bar = to_bar - k_bar;
+}
+
 template <class F>
 TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, const VertexRecord<F> &vertex,
                                      const Stokes<F> &leaving, const Stokes<F> &arriving, const NextVertex<F> &behind,
@@ -343,33 +384,46 @@ TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, con
                                      Vec3<F> &d_bar, GradientSink<F> &sink) const {
     const bool connected = bsdf.is(HasSmoothLobes),
                depends = needs.bsdf || needs.numbers() || (needs.emitter && scene.polarized_lights);
-    const Stokes<F> sent = lamp.of(uniform_spectrum(F(1)));
     const Vec3<F> zero{F(0), F(0), F(0)};
+    ConnectionRecord<F> record;
+    if (connection) record = connection->record;
+    const auto sweep_unpolarized = [&](const VertexRecord<F> &v, const Spectrum<F> &a, const NextVertex<F> &next) {
+        return connection ? sweep_light_scattering(scene, connection->sensor, bsdf_kind, v, record, a, next, needs,
+                                                   active, hit, d_bar, sink)
+                          : sweep_scattering(scene, bsdf_kind, v, a, next, needs, active, hit, d_bar, sink);
+    };
     F sum(0);
     for (int l = 0; l < n_lobes; ++l) {
         const PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
         VertexRecord<F> v = vertex;
         NextVertex<F> next = behind;
         if (n_lobes == 2) v.lobe = IntOf<F>(l + 1);
-        if (l > 0) next.ray = {zero, zero}, v.way = {};  // once is enough
+        if (l > 0) next.ray = {zero, zero}, v.way = {}, record.x_bar = record.y_bar = F(0);  // once is enough
         if (kind == Polarization::None) {
             next.radiance = arriving.at[0];
-            const Spectrum<F> &a = leaving.at[0];
-            return contract(a, sweep_scattering(scene, bsdf_kind, v, a, next, needs, active, hit, d_bar, sink));
+            if (connection) v.emitted = sent.at[0];
+            return contract(leaving.at[0], sweep_unpolarized(v, leaving.at[0], next));
         }
         const Stokes<F> a = turned_row(leaving, path.out, wi), r = turned_column(arriving, path.in, -path.to);
         for (int c = 0; c < SpectrumSize; ++c) next.radiance[c] = contracted(kind, path.matrix[c], a, r, c);
         if (connected) {
             const Stokes<F> row = turned_row(leaving, light.out, wi), column = turned_column(sent, light.in, -light.to);
-            for (int c = 0; c < SpectrumSize; ++c)
-                v.through[c] = v.through[c] * contracted(kind, light.matrix[c], row, column, c);
+            for (int c = 0; c < SpectrumSize; ++c) {
+                const F number = contracted(kind, light.matrix[c], row, column, c);
+                if (connection)
+                    v.emitted[c] = number;
+                else
+                    v.through[c] = v.through[c] * number;
+            }
         }
         if (depends) {
             Adjoints bar{zero, zero, zero, zero, {}};
             for (int i = 0; i < bsdf.n_variables; ++i) bar.by_variable[i] = uniform_spectrum(F(0));
             sweep_way(path, leaving, arriving, needs, bar.path, bar);
             if (connected) sweep_way(light, leaving, sent, needs, bar.light, bar);
-            if (connected && scene.polarized_lights)
+            if (connected && connection && needs.geometry)
+                sweep_film(scene, light, leaving, needs, active, bar.light, sink);
+            if (connected && !connection && scene.polarized_lights)
                 sweep_lamp(scene, v, light, leaving, needs, active, hit, bar.light, sink);
             if (is_plate(kind)) {
                 const Stokes<F> left = turned_column(scattered(kind, path, r), leaving.axis, wi);
@@ -385,8 +439,7 @@ TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, con
                 d_bar = d_bar - bar.wi;
             }
         }
-        const Spectrum<F> one = uniform_spectrum(F(1));
-        sum = sum + component_sum(sweep_scattering(scene, bsdf_kind, v, one, next, needs, active, hit, d_bar, sink));
+        sum = sum + component_sum(sweep_unpolarized(v, uniform_spectrum(F(1)), next));
     }
     return sum;
 }

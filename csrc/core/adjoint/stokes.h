@@ -33,6 +33,13 @@ TR_INLINE Stokes<F> turned_row(Stokes<F> a, const Vec3<F> &axis, const Vec3<F> &
     return turned_column(a, axis, k);  // a rotation's inverse is its transpose
 }
 
+// Of light that travels the other way: U is seen from behind.
+template <class F>
+TR_INLINE Stokes<F> seen_from_behind(Stokes<F> s) {
+    s.at[2] = s.at[2] * F(-1);
+    return s;
+}
+
 // The number between a row and a column, colour by colour.
 template <class F>
 TR_INLINE Spectrum<F> number_between(const Stokes<F> &row, const Stokes<F> &column, const Vec3<F> &k) {

@@ -10,10 +10,12 @@ struct DirectionalAreaEmitter {
         {"sampling_weight", Kind::Float, 1, 0, INFINITY,
          "none: a probability; images do not depend on it in expectation",
          "relative probability of choosing this emitter"},
+        {"stokes", Kind::Vector, 0, -1, 1, "interior",
+         "(3,) Q, U and V of the light's Stokes vector over I, Q along dp/du across the ray", nullptr, Optional},
     };
     static constexpr int Radiance = field_index(fields, "radiance");
     static constexpr Model model = {
-        "emitter",          "directionalarea",     "A shape that emits along its normal.", fields, 2,
+        "emitter",          "directionalarea",     "A shape that emits along its normal.", fields, 3,
         IsOnShape | IsBeam, "DirectionalAreaLight"};
 };
 

@@ -189,7 +189,7 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
     PacketSamples<F> samples(c, slot, active);
     if (c.tape) {
         write_vertex(c, i, slot, lanes(in.parent), beta, si.at, no_emission<F>());
-        if (c.needs->geometry) {
+        if (c.keeps_arrivals()) {
             Vec3<F> segment = si.p - lanes(in.from);
             write_arrival(c, i, ray.d, si.p, segment, norm(segment), arrival_of<F>(lanes(in.pdf)));
         }

@@ -49,6 +49,9 @@ namespace tr {
     X(Spectrum, row_i) X(Spectrum, row_q) X(Spectrum, row_u) X(Spectrum, row_v) X(Vector, row_axis) \
     X(Spectrum, column_q) X(Spectrum, column_u) X(Spectrum, column_v) X(Vector, column_axis) \
     X(Vector, differential_light) X(Vector, differential_shares) X(Vector, differential_axis)
+// ... of light paths: what a connection brings to the film, on its axis, and then its adjoint; the intensity is that of
+// `emitted`.
+#define TR_CONNECTED_COLUMNS(X) X(Spectrum, q) X(Spectrum, u) X(Spectrum, v)
 // clang-format on
 
 TR_PACKET(VertexPacket, TR_VERTEX_COLUMNS)
@@ -78,6 +81,7 @@ TR_TAPE_GROUP(Segment, TR_SEGMENT_COLUMNS)
 TR_TAPE_GROUP(Motion, TR_MOTION_COLUMNS)
 TR_TAPE_GROUP(Connection, TR_CONNECTION_COLUMNS)
 TR_TAPE_GROUP(Stokes, TR_STOKES_COLUMNS)
+TR_TAPE_GROUP(Connected, TR_CONNECTED_COLUMNS)
 #undef TR_TAPE_GROUP
 
 template <class S>
@@ -94,6 +98,7 @@ struct TapeColumns {
     ConnectionColumns<S> connection{};
     BentColumns<S> bent{};
     StokesColumns<S> stokes{};
+    ConnectedColumns<S> connected{};
 };
 
 // How a ray came to a vertex: from something glued to its surface; along a ray that moves with what it comes from, so
