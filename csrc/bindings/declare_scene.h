@@ -110,6 +110,7 @@ inline void declare_scene(py::module_ &m) {
         .def("render", rendering(&NativeScene::render))
         .def("render_vjp", rendering(&NativeScene::reverse))
         .def("render_jvp", rendering(&NativeScene::forward))
+        .def("response_vjp", rendering(&NativeScene::response_reverse))
         .def("find_outlines",
              [](NativeScene &self, const py::dict &config, const Addresses &params, const std::vector<bool> &dirty,
                 uintptr_t moves, SceneOutlines &outlines) {

@@ -1,8 +1,10 @@
 // What samples of outlines have in common, whichever way they are found: vertices of paths from which light is looked
 // up, rays beside outlines, radiance along rays, and the sums that a moving outline adds to.
 //
-// A sample's rate n.(dB - ...) has a weight for each component of the spectrum. In reverse mode the film's adjoint
-// makes one number of them; forward mode has a sweep a component (see GradientSink).
+// A sample's rate n.(dB - ...) has a weight for each channel of the film and, of polarised light, for each component of
+// the Stokes vector (a `part`). In reverse mode the film's adjoint makes one number of them; forward mode has a sweep a
+// channel and part (see GradientSink). Whatever belongs to one sample has the same wavelengths (share_wavelengths).
+// What polarised light does before it reaches the chosen vertex of a path is there as rows, one a part.
 //
 // Of `glued` samples, which are for light paths, both ends S and E of a segment past an outline move with their
 // surfaces, wherever they are; then no more than what the outline uncovers counts, its rate being n.(dB - (1 - tau) dS
@@ -45,6 +47,7 @@ protected:
     PathTile<F> paths_, light_;
     AnchorColumns<S> anchors_;
     GluedColumns<S> glued_;
+    RowColumns<S> leaving_[4], arriving_[4];  // at chosen vertices, for what leaves these, and for what arrives from d
 
 public:
     static constexpr size_t Capacity = 1024;
@@ -58,6 +61,9 @@ public:
           paths_(path_call_, Capacity, &derivative),
           light_(call, 2 * Capacity, nullptr) {
         arena_.allocate(Capacity + 2 * W, anchors_);
+        if (polarized())
+            row_arena_.allocate(Capacity + 2 * W, leaving_[0], leaving_[1], leaving_[2], leaving_[3], arriving_[0],
+                                arriving_[1], arriving_[2], arriving_[3]);
         glued_arena_.allocate(2 * Capacity + 2 * W, glued_);
     }
 
@@ -68,6 +74,23 @@ public:
     }
 
 protected:
+    bool polarized() const { return call_.config.stokes; }
+    int parts() const { return polarized() ? 4 : 1; }
+    // The slots with a component of the Stokes vector in the place of radiance.
+    static SlotColumns<S> of_part(SlotColumns<S> slots, int part) {
+        const SpectrumColumn<S> columns[] = {slots.radiance, slots.q, slots.u, slots.v};
+        slots.radiance = columns[part];
+        return slots;
+    }
+    Wavelengths<F> waves_of(const U &slot, const M &active) const {
+        Gathered<F> from(slot, active);
+        return wavelengths_of<F>(call_.config, from(paths_.slots.pixel), from(paths_.slots.sample));
+    }
+    // What a spectrum at a sample's wavelengths adds to the film.
+    Spectrum<S> to_channels(uint32_t slot, const Spectrum<S> &x) const {
+        return SampleColors<S>(call_.config, paths_.slots.pixel[slot], paths_.slots.sample[slot]).channels(x);
+    }
+
     // ------------------------------------------------------------------------------------------- vertices of paths
     // Which samples the slots are: `first` .. `first` + n of the call.
     void identify(uint64_t first, uint32_t n) {
@@ -147,22 +170,23 @@ protected:
     // Calls visit(columns, kind, i, slot, active) for packets of chosen vertices.
     template <class Visit>
     void for_chosen(Visit &&visit) {
-        Tape<S> &tape = paths_.wavefront.tape;
-        for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
-            const auto &columns = tape[int(l)].columns;
-            for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
-                M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
-                U slot = select(mask<U>(there), load_uint<F>(columns.vertex.slot.at + i), U(0u));
-                Gathered<F> from(slot, there);
-                M active = there && mask<F>(from(anchors_.level) == U(l)) &&
-                           mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
-                if (any(active)) visit(columns, range.kind, i, slot, active);
-            }
-        });
+        for_smooth(paths_, [&](uint32_t l, const KindRange &range) { for_chosen_of(l, range, visit); });
+    }
+    template <class Visit>
+    void for_chosen_of(uint32_t l, const KindRange &range, Visit &&visit) {
+        const auto &columns = paths_.wavefront.tape[int(l)].columns;
+        for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
+            M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
+            U slot = select(mask<U>(there), load_uint<F>(columns.vertex.slot.at + i), U(0u));
+            Gathered<F> from(slot, there);
+            M active = there && mask<F>(from(anchors_.level) == U(l)) &&
+                       mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
+            if (any(active)) visit(columns, range.kind, i, slot, active);
+        }
     }
     void find_lobes() {
         for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            ScatteringLobe<F> lobe = scattering_lobe<F>(scene_, kind, columns, i, active);
+            ScatteringLobe<F> lobe = scattering_lobe<F>(scene_, waves_of(slot, active), kind, columns, i, active);
             put(anchors_.n, slot, lobe.n, active), put(anchors_.axis, slot, lobe.axis, active);
             scatter_lanes<F>(anchors_.k.at, slot, lobe.k, active);
             scatter_lanes<F>(anchors_.share.at, slot, lobe.share, active);
@@ -173,14 +197,73 @@ protected:
             put(anchors_.ng, slot, geometric_normal<F>(scene_, columns, i, active), active);
         });
     }
-    // f and pdf from d.
+    // f and pdf from d; of polarised light also the rows for what arrives from there.
     void scatter_chosen() {
         for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            Vec3<F> d = Gathered<F>(slot, active)(anchors_.d);
-            BsdfValue<F> value = scatter_towards<F>(scene_, kind, columns, i, d, paths_.wavefront.needs(), active);
+            Gathered<F> from(slot, active);
+            Vec3<F> d = from(anchors_.d);
+            const Wavelengths<F> waves = waves_of(slot, active);
+            BsdfValue<F> value =
+                scatter_towards<F>(scene_, waves, kind, columns, i, d, paths_.wavefront.needs(), active);
             for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(anchors_.f[c], slot, value.f[c], active);
             scatter_lanes<F>(anchors_.pdf.at, slot, value.pdf, active);
+            for (int part = 0; polarized() && part < 4; ++part) {
+                const RowColumns<S> &of = leaving_[part];
+                const Stokes<F> leaving{{from(of.i), from(of.q), from(of.u), from(of.v)}, from(of.axis)};
+                put(arriving_[part], slot, row_towards<F>(scene_, waves, kind, columns, i, d, value.f, leaving, active),
+                    active);
+            }
         });
+    }
+    // The rows of paths, and those for what leaves their chosen vertices.
+    void find_rows(uint32_t n) {
+        if (!polarized()) return;
+        const auto &slots = paths_.slots;
+        const SpectrumColumn<S> adjoints[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
+        const SweepContext<F> c = paths_.sweep_context(slots, false);
+        Tape<S> &tape = paths_.wavefront.tape;
+        for (int part = 0; part < 4; ++part) {
+            for (int k = 0; k < 4; ++k)
+                for (int j = 0; j < SpectrumSize; ++j) std::fill_n(adjoints[k][j], n, S(k == part ? 1 : 0));
+            paths_.hand_rows(slots);
+            for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
+                const TapeLevel<S> &level = tape[int(l)];
+                const TapeColumns<S> *parents = level.parent_level >= 0 ? &tape[level.parent_level].columns : nullptr;
+                for_chosen_of(
+                    l, range, [&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
+                        put(leaving_[part], slot, leaving_row<F>(c, columns, parents, kind, i, active), active);
+                    });
+            });
+        }
+    }
+    StokesRows<S> rows_towards(uint32_t slot) const {
+        return {arriving_[0].get(slot), arriving_[1].get(slot), arriving_[2].get(slot), arriving_[3].get(slot)};
+    }
+    // The film's axis for what travels along k.
+    V axis_on_film(const V &k) const { return film_axis<S>(scene_, call_.config.sensor, k); }
+    // What a column along k that is on this axis adds to each part of the film.
+    static void contract_rows(const StokesRows<S> &rows, const Stokes<S> &column, const V &k, Spectrum<S> (&sums)[4]) {
+        for (size_t part = 0; part < 4; ++part) {
+            const Stokes<S> turned = turned_column(column, rows[part].axis, k);
+            sums[part] = uniform_spectrum(S(0));
+            for (int j = 0; j < 4; ++j) sums[part] = sums[part] + rows[part].at[j] * turned.at[j];
+        }
+    }
+    // Whether a chosen vertex is reached by the first of the wavelengths alone.
+    bool is_single(uint32_t slot) {
+        if (!call_.config.spectral.positions) return false;
+        Tape<S> &tape = paths_.wavefront.tape;
+        uint32_t e = anchors_.entry[slot];
+        for (int l = int(anchors_.level[slot]), before = tape[l].parent_level; before >= 0;
+             l = before, before = tape[l].parent_level) {
+            e = tape[l].columns.vertex.parent[e];
+            if (!(tape[before].columns.outgoing.lobe[e] == RefractsFirst)) continue;
+            for (const KindRange &range : tape[before].ranges)
+                if (e >= range.begin && e < range.begin + range.count && range.kind < MissKind &&
+                    bsdf_kernels<F>(range.kind).turned_by >= 0)
+                    return true;
+        }
+        return false;
     }
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
     V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
@@ -305,11 +388,13 @@ protected:
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
 
-    // Radiance along rays behind `depth` vertices, into the slots of `light_`; `traced`: their hits are known; pdf:
-    // with which density their directions are sampled beside lights, 0 where they alone find the light.
+    // Radiance, at the wavelengths of their samples, along rays behind `depth` vertices, into the slots of `light_`, of
+    // polarised light on axes that are the film's; `traced`: their hits are known; pdf: with which density their
+    // directions are sampled beside lights, 0 where they alone find the light; `seen`: see PathQueue.
     template <class Stop>
     void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
-                 const std::vector<uint32_t> &key, int depth, bool traced, Stop &&stop) {
+                 const std::vector<uint32_t> &key, const std::vector<uint32_t> &seen, int depth, bool traced,
+                 Stop &&stop) {
         const uint32_t n = uint32_t(rays.size());
         light_.begin(n);
         auto &slots = light_.slots;
@@ -319,9 +404,10 @@ protected:
             slots.alpha[k] = 0;
             for (int c = 0; c < SpectrumSize; ++c)
                 slots.radiance[c][k] = 0, queue.beta[c][k] = 1, queue.survival[c][k] = 1;
+            for (int c = 0; polarized() && c < SpectrumSize; ++c) slots.q[c][k] = slots.u[c][k] = slots.v[c][k] = 0;
             queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.from.set(k, rays[k].o);
             queue.length[k] = lengths[k], queue.pdf[k] = pdf[k], queue.eta[k] = 1;
-            queue.slot[k] = k, queue.parent[k] = queue.seen[k] = 0;
+            queue.slot[k] = k, queue.parent[k] = 0, queue.seen[k] = seen[k];
         }
         queue.n = n;
         const HitColumns<S> &hits = queries().hits;
@@ -330,8 +416,8 @@ protected:
             hits.at.shape[k] = at.shape, hits.at.primitive[k] = at.primitive;
             hits.at.b1[k] = at.b1, hits.at.b2[k] = at.b2, hits.t[k] = rays[k].t;
         }
-        light_.run(false, stop, depth, traced, boundary_.glued && depth == 0);
-        light_.to_channels();
+        light_.run(polarized(), stop, depth, traced, boundary_.glued && depth == 0);
+        if (polarized()) light_.sweep_columns();
     }
 
     // ------------------------------------------------------------------------------------------------------- sums
@@ -348,11 +434,37 @@ protected:
         return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
                y < S(call_.crop.y1) + reach;
     }
-    // Forward mode: what the sample of a slot adds to the film.
+    // The number that the film's adjoint of a place makes of jumps, by part.
+    template <class Jump>
+    S contracted(S x, S y, Jump &&jump) const {
+        bool some = false;
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) some |= jump(part)[c] != 0;
+        if (!some) return 0;
+        double adjoint[MostBoundaryChannels], sum = 0;
+        collect(x, y, adjoint);
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) sum += adjoint[part * call_.values + c] * double(jump(part)[c]);
+        return S(sum);
+    }
+    // Forward mode: calls add(part, channel, slots) for all of them, the slots' radiance being what it adds to.
+    template <class Add>
+    void for_parts(uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink, Add &&add) const {
+        for (int part = 0; part < parts(); ++part) {
+            const SlotColumns<S> to = of_part(slots, part);
+            for (int c = 0; c < SpectrumSize; ++c) std::fill_n(to.radiance[c], n, S(0));
+            for (int c = 0; c < call_.values; ++c) {
+                sink.component = c;
+                add(part, c, to);
+            }
+        }
+    }
+    // ... what the sample of a slot adds to the film.
     void write_value(uint64_t row, const SlotColumns<S> &slots, uint32_t slot) const {
         double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(boundary_.channels) * row;
         place[0] = double(slots.film_x[slot]), place[1] = double(slots.film_y[slot]);
-        for (int c = 0; c < call_.values; ++c) value[c] = double(slots.radiance[c][slot]);
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) *value++ = double(of_part(slots, part).radiance[c][slot]);
     }
 
     void add_to_outline(int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
@@ -388,15 +500,14 @@ protected:
         glued_.n = 0;
     }
     // ... those of the chosen vertices of paths.
-    void sweep_paths(GradientSink<F> &sink) {
+    void sweep_paths(GradientSink<F> &sink, const SlotColumns<S> &slots) {
         auto nothing = [](const U &, const Vec3<F> &, const M &) {};
-        sweep_places(paths_, paths_.slots, sink, true, nothing,
-                     [&](int level, uint32_t i, const U &slot, const M &there) {
-                         Gathered<F> from(slot, there);
-                         M chosen = there && mask<F>(from(anchors_.level) == U(uint32_t(level))) &&
-                                    mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
-                         return select(chosen, from(anchors_.p_bar), Vec3<F>{F(0), F(0), F(0)});
-                     });
+        sweep_places(paths_, slots, sink, true, nothing, [&](int level, uint32_t i, const U &slot, const M &there) {
+            Gathered<F> from(slot, there);
+            M chosen = there && mask<F>(from(anchors_.level) == U(uint32_t(level))) &&
+                       mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
+            return select(chosen, from(anchors_.p_bar), Vec3<F>{F(0), F(0), F(0)});
+        });
     }
     // From the last level of the tape to the first; own(level, i, slot, there): the adjoint of a vertex's place.
     // Derivatives go to `slots`, adjoints of where rays began that are not the camera's to begin(slot, o_bar, active).
@@ -448,8 +559,15 @@ protected:
         scatter_lanes<F>(column.z, slot, v.z, active);
     }
 
+    static void put(const RowColumns<S> &to, const U &slot, const Stokes<F> &row, const M &active) {
+        const SpectrumColumn<S> columns[] = {to.i, to.q, to.u, to.v};
+        for (int k = 0; k < 4; ++k)
+            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(columns[k][c], slot, row.at[k][c], active);
+        put(to.axis, slot, row.axis, active);
+    }
+
 private:
-    Arena arena_, glued_arena_;
+    Arena arena_, glued_arena_, row_arena_;
 };
 
 }  // namespace tr

@@ -120,6 +120,18 @@ public:
             });
     }
 
+    // ... and the rows, of the slots' adjoints.
+    void hand_rows(const SlotColumns<S> &of) {
+        const SweepContext<F> c = sweep_context(of, false);
+        for_vertices(false,
+                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
+                         const M &active) { hand_row(c, level.columns, parents, kind, level.scatters, i, active); });
+    }
+    SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
+        return {wavefront.scene(),    config_, of,          wavefront.needs(), S(call_.film_width),
+                S(call_.film_height), nullptr, unit_adjoint};
+    }
+
     // Runs over the tape from its end. `unit_adjoint`: the radiance itself is differentiated, in all components.
     void sweep(GradientSink<F> &sink, bool unit_adjoint) {
         if (config_.stokes) return sweep_polarized(sink, unit_adjoint);
@@ -293,11 +305,6 @@ private:
         }
     }
 
-    SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
-        return {wavefront.scene(),    config_, of,          wavefront.needs(), S(call_.film_width),
-                S(call_.film_height), nullptr, unit_adjoint};
-    }
-
     // ----------------------------------------------------------------------------------------------- polarised light
     // Those of Q, U and V only where they are rendered.
     std::vector<SpectrumColumn<S>> of_stokes(const SpectrumColumn<S> &i, const SpectrumColumn<S> &q,
@@ -345,10 +352,8 @@ private:
     }
 
     void sweep_rows(const SlotColumns<S> &of, GradientSink<F> &sink) {
+        hand_rows(of);
         const SweepContext<F> c = sweep_context(of, false);
-        for_vertices(false,
-                     [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i,
-                         const M &active) { hand_row(c, level.columns, parents, kind, level.scatters, i, active); });
         for_vertices(
             true, [&](const TapeLevel<S> &level, const TapeColumns<S> *parents, int kind, uint32_t i, const M &active) {
                 sweep_polarized_vertex(c, level.columns, parents, kind, level.scatters, i, active, sink);

@@ -10,7 +10,10 @@ import torch
 from .. import backends
 from .packing import Layout
 
-_WITH_CONFIG = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp", "find_outlines", "boundary")
+_WITH_CONFIG = (
+    *("render", "render_vjp", "render_jvp", "response_vjp"),
+    *("render_aov", "aov_vjp", "aov_jvp", "find_outlines", "boundary"),
+)
 
 
 class NativeScene:

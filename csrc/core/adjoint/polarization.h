@@ -10,6 +10,7 @@
 
 #include "../bsdf/bsdf.h"
 #include "../math/polarization.h"
+#include "../sensor/perspective.h"
 #include "../state/tape.h"
 #include "gradient_sink.h"
 #include "needs.h"
@@ -56,6 +57,17 @@ TR_INLINE Vec3<F> axis_between(const Vec3<F> &a, const Vec3<F> &b) {
     Vec3<F> m = cross(a, b), s, t;
     coordinate_system(a, s, t);
     return select(mask<F>(squared_norm(m) > F(1e-12)), m, s);
+}
+
+// The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
+template <class F>
+TR_INLINE Vec3<F> camera_up(const SceneOf<F> &scene, uint32_t sensor) {
+    const ScalarOf<F> *m = scene.values.constants + scene.sensors[sensor].field[Perspective::ToWorld];
+    return {F(m[1]), F(m[5]), F(m[9])};
+}
+template <class F>
+TR_INLINE Vec3<F> film_axis(const SceneOf<F> &scene, uint32_t sensor, const Vec3<F> &k) {
+    return axis_between(camera_up<F>(scene, sensor), k);
 }
 
 // Adds to the adjoints of a and b what the angle of a x b makes of `angle_bar`, seen along k.

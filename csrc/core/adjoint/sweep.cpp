@@ -221,15 +221,8 @@ struct PolarizedEntry {
         }
         LaneSet<F> from(slot, active);
         const auto &s = c.slots;
-        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, wi)};
-    }
-    // The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
-    TR_INLINE static Vec3<F> film_axis(const SweepContext<F> &c, const Vec3<F> &k) {
-        return axis_between(camera_up(c), k);
-    }
-    TR_INLINE static Vec3<F> camera_up(const SweepContext<F> &c) {
-        const ScalarOf<F> *m = c.scene.values.constants + c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
-        return {F(m[1]), F(m[5]), F(m[9])};
+        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)},
+                film_axis(c.scene, c.config.sensor, wi)};
     }
     TR_INLINE Vec3<F> leaving(const SweepContext<F> &c) const {
         Frame<F> frame = vertex_frame(c.scene, v);
@@ -243,7 +236,7 @@ template <class F>
 TR_INLINE void sweep_film_axis(const SweepContext<F> &c, const Vec3<F> &leaving, const Stokes<F> &row,
                                const Stokes<F> &column, const MaskOf<F> &active, Vec3<F> &d_bar,
                                GradientSink<F> &sink) {
-    const Vec3<F> up = PolarizedEntry<F>::camera_up(c);
+    const Vec3<F> up = camera_up<F>(c.scene, c.config.sensor);
     Vec3<F> up_bar{F(0), F(0), F(0)}, leaving_bar = up_bar;
     const F angle_bar = component_sum(by_angle(row, turned_column(column, row.axis, leaving)));
     sweep_axis(up, leaving, leaving, angle_bar, up_bar, leaving_bar);
@@ -331,7 +324,8 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
     Stokes<F> s = no_stokes<F>();
     if (entry.surface) {
         s = entry.vertex(c, kind, active).column(entry.column(tape, i));
-        if (!parents) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving(c)), entry.leaving(c));
+        const Vec3<F> k = entry.leaving(c);
+        if (!parents) s = turned_column(s, film_axis(c.scene, c.config.sensor, k), k);
     }
     s.at[0] = s.at[0] + entry.v.emission_radiance;
     if (parents) {
@@ -361,6 +355,13 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
     write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
     write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
     write(to.row_axis, i, row.axis);
+}
+
+template <class F>
+TR_LARGE Stokes<F> leaving_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                               const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i, const MaskOf<F> &active) {
+    const PolarizedEntry<F> entry(c, tape, kind, true, i, active);
+    return entry.row(c, parents, entry.leaving(c), active);
 }
 
 template <class F>
@@ -481,6 +482,8 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
                               uint32_t, const MaskOf<F> &);                                                            \
     template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,         \
                            uint32_t, const MaskOf<F> &);                                                               \
+    template Stokes<F> leaving_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int,       \
+                                   uint32_t, const MaskOf<F> &);                                                       \
     template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, \
                                          bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE_POLARIZED)

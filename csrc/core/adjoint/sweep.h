@@ -38,6 +38,10 @@ template <class F>
 TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                        const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
                        const MaskOf<F> &active);
+// (after hand_row of the vertices before) the row for what leaves a vertex that scatters.
+template <class F>
+TR_LARGE Stokes<F> leaving_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                               const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i, const MaskOf<F> &active);
 template <class F>
 TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                                      const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
