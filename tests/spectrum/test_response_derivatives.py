@@ -38,7 +38,7 @@ def tables(count: int) -> dict[str, torch.Tensor]:
 
 def of_samples(scene: tr.Scene, **settings) -> torch.Tensor:
     """With the derivative of the image's own samples."""
-    return tr.render(scene, spp=8, seed=3, spp_grad=8, seed_grad=3, **settings)
+    return tr.render(scene, spp=8, seed=3, correlated=True, **settings)
 
 
 @pytest.mark.parametrize("film", [{}, FILTER], ids=["box", "gaussian"])
