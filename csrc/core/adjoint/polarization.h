@@ -9,12 +9,24 @@
 #pragma once
 
 #include "../bsdf/bsdf.h"
+#include "../sensor/perspective.h"
 #include "../state/tape.h"
 #include "gradient_sink.h"
 #include "needs.h"
 #include "polarized_light.h"
 
 namespace tr {
+
+// The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
+template <class F>
+TR_INLINE Vec3<F> camera_up(const SceneOf<F> &scene, uint32_t sensor) {
+    const ScalarOf<F> *m = scene.values.constants + scene.sensors[sensor].field[Perspective::ToWorld];
+    return {F(m[1]), F(m[5]), F(m[9])};
+}
+template <class F>
+TR_INLINE Vec3<F> film_axis(const SceneOf<F> &scene, uint32_t sensor, const Vec3<F> &k) {
+    return axis_between(camera_up<F>(scene, sensor), k);
+}
 
 // From `to`, where light comes from, through the BSDF.
 template <class F>
