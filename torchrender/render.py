@@ -57,7 +57,7 @@ from .render_types import (
 )
 from .scene.bands import check_bands, groups, joined
 from .scene.boundaries import warn_of_glass_on_curves
-from .scene.gather import gather, replace_placeholder
+from .scene.gather import gather, has_derivative, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
@@ -295,7 +295,7 @@ def render(
         if packed.spectral:
             seen["spectral"], held = wavelength_config(scene, packed, tensors, sensor_weights(None, camera.srf))
         alpha = "alpha" in names or (stack is not None and not light and stack.wants_alpha(film))
-        outlined = outlines and not polarized and not isinstance(camera, IrradianceMeter)
+        outlined = outlines and not isinstance(camera, IrradianceMeter)
         call = RenderCall(
             native=native,
             config={
@@ -357,7 +357,7 @@ def render(
             trace = functools.partial(_traced, wavefront_call(scene, call, integrator_config, of_torch))
         radiance = functools.partial(_radiance, scene, call, used, camera, trace, outlined)
         if polarized:
-            parts = _parts(scene, polarized_call(call), used, camera, trace, outlined=False)
+            parts = _parts(scene, polarized_call(call), used, camera, trace, outlined)
             stokes = stokes_image(parts, len(film.channels or "rgb"[: native.channels]))
             of_stokes = stokes_outputs(stokes, names)
             rest = [n for n in names if n not in of_stokes]
@@ -452,12 +452,15 @@ def _parts(
     """What paths are traced for: one time, or for each group of the film's bands."""
     parts = []
     for weights in groups(call.film):
-        part = call
+        part, own = call, sensor_weights(weights, camera.srf)
         if weights is not None:
-            own = sensor_weights(weights, camera.srf)
             wavelengths, held = wavelength_config(scene, call.layout, tensors, own)
             part = replace(call, config={**call.config, "spectral": wavelengths}, held=held)
         found = trace(part, tensors)
+        if own is not None and has_derivative(own):
+            from .film_responses import with_responses  # when it is needed
+
+            found = with_responses(part, tensors, call.share.replicated([own])[0], found)
         whole = call.share.averaged(part, tensors, found if isinstance(found, tuple) else (found,))
         found = whole if isinstance(found, tuple) else whole[0]
         parts.append(_with_outlines(part, tensors, found) if outlined else found)

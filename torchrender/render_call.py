@@ -162,7 +162,12 @@ class RenderCall:
         return configs if store is None else [{**c, "hits": (store, i)} for i, c in enumerate(configs)]
 
     def shape(self) -> tuple[int, ...]:
-        return (*self.size, (4 if self.stokes else 1) * self.native.channels)
+        return (*self.size, self.numbers)
+
+    @property
+    def numbers(self) -> int:
+        """Of a pixel of the image."""
+        return (4 if self.stokes else 1) * self.native.channels
 
 
 @dataclass

@@ -54,7 +54,7 @@ def polarized_call(call: RenderCall) -> RenderCall:
         variance=False,
         second_moment=False,
         keep_hits=False,
-        requirements=replace(call.requirements, alpha=False, outlines=False),
+        requirements=replace(call.requirements, alpha=False),
     )
 
 

@@ -91,6 +91,7 @@ inline void declare_scene(Functions &f) {
     f.add("Scene.render", &Rendering<&NativeScene::render>::call);
     f.add("Scene.render_vjp", &Rendering<&NativeScene::reverse>::call);
     f.add("Scene.render_jvp", &Rendering<&NativeScene::forward>::call);
+    f.add("Scene.response_vjp", &Rendering<&NativeScene::response_reverse>::call);
     f.add("Scene.pixel_weights", &Rendering<&NativeScene::weights>::call);
     f.add("Scene.render_aov", &Rendering<&NativeScene::aov>::call);
     f.add("Scene.aov_vjp", &Rendering<&NativeScene::aov_reverse>::call);

@@ -6,6 +6,7 @@
 #include "core/sensor/camera.h"
 #include "cpu/aovs.h"
 #include "cpu/packet_rows.h"
+#include "cpu/render_response.h"
 #include "probes.h"
 
 namespace tr {
@@ -101,6 +102,14 @@ public:
         return pixel_weights<S>(call(c), outputs(c, {}), {at("samples"), at("hits")});
     }
 
+    RenderStats response_reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
+                                 uintptr_t gradient) override {
+        std::lock_guard<std::mutex> lock(mutex_);
+        update(values);
+        return tr::response_reverse<S>(call(c), reinterpret_cast<const S *>(adjoint),
+                                       reinterpret_cast<double *>(gradient));
+    }
+
     RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
@@ -145,6 +154,7 @@ public:
         layouts.reserve(requests.size());
         for (size_t i = 0; i < requests.size(); ++i) {
             calls.push_back(call(configs[i]));
+            share_wavelengths(calls.back());
             boundaries.push_back(boundary_call(configs[i], requests[i], outlines, calls[i], layouts));
         }
         const Config &c = configs[0];
@@ -354,7 +364,7 @@ private:
         const AovOutput<S> seen = outputs(c, given.outputs);
         const AovLayout &layout = layouts.emplace_back(layout_of(seen, channels_));
         const bool of_outputs = b.part == BoundaryPart::Outputs;
-        b.layout = &layout, b.channels = (of_outputs ? layout.n : channels_) + 1;
+        b.layout = &layout, b.channels = (of_outputs ? layout.n : call.numbers()) + 1;
         b.filter = of_outputs ? filter_of(seen, call.filter) : call.filter;
         b.outlines = &outlines.set, b.pieces = &outlines.pieces;
         b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));

@@ -54,6 +54,9 @@ public:
                                 uintptr_t image) = 0;
     // See PixelWeights.
     virtual RenderStats weights(const Config &, const ParameterValues &, const Arrays &out) = 0;
+    // By the responses of the film's channels, see response_reverse: added to `gradient`.
+    virtual RenderStats response_reverse(const Config &, const ParameterValues &, uintptr_t adjoint,
+                                         uintptr_t gradient) = 0;
     // Outputs besides radiance, by name; shape_id, prim_id and material_id are int32.
     virtual RenderStats aov(const Config &, const ParameterValues &, const Arrays &out) = 0;
     virtual RenderStats aov_reverse(const Config &, const ParameterValues &, const Arrays &adjoints,

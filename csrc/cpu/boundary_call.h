@@ -11,12 +11,21 @@ namespace tr {
 // camera sees them.
 enum class BoundaryPart { Silhouettes, Outputs, Reflections, Shadows, Pilot };
 
-constexpr int MostBoundaryChannels = std::max(SpectrumSize, MaxAovChannels) + 1;
+constexpr int MostBoundaryChannels = std::max(4 * SpectrumSize, MaxAovChannels) + 1;
+
+// Look-ups of light whose pixels' numbers differ from this bit on, or whose samples' do, belong to one sample.
+constexpr int CopyBit = 27;
+// ... and have the same wavelengths.
+template <class S>
+void share_wavelengths(RenderCall<S> &call) {
+    call.config.spectral.pixel_bits = (1u << CopyBit) - 1, call.config.spectral.sample_bits = 0;
+}
 
 template <class S>
 struct BoundaryCall {
     BoundaryPart part;
-    // Of a place on the film: radiance and alpha; or the channels of other outputs, and whether there is anything.
+    // Of a place on the film: radiance, or Stokes vectors, and alpha; or the channels of other outputs, and whether
+    // there is anything.
     int channels;
     Filter filter;
     const AovLayout *layout = nullptr;  // of other outputs

@@ -1,8 +1,11 @@
 // What samples of outlines are kept in, and where single numbers of their derivatives go.
 #pragma once
 
+#include <array>
+
 #include "arena.h"
 #include "boundary_call.h"
+#include "core/adjoint/polarization.h"
 
 namespace tr {
 
@@ -23,6 +26,25 @@ struct GluedColumns {
     TR_COLUMNS(TR_GLUED_COLUMNS)
     uint32_t n = 0;
 };
+
+// By slot, of polarised light: a row at the chosen vertex, for one of the film's Stokes components.
+// clang-format off
+#define TR_ROW_COLUMNS(X) X(Spectrum, i) X(Spectrum, q) X(Spectrum, u) X(Spectrum, v) X(Vector, axis)
+// clang-format on
+template <class S>
+struct RowColumns {
+    TR_COLUMNS(TR_ROW_COLUMNS)
+    Stokes<S> get(size_t slot) const {
+        Stokes<S> r{{}, axis.get(slot)};
+        const SpectrumColumn<S> columns[] = {i, q, u, v};
+        for (int k = 0; k < 4; ++k)
+            for (int c = 0; c < SpectrumSize; ++c) r.at[k][c] = columns[k][c][slot];
+        return r;
+    }
+};
+// One for each of them.
+template <class S>
+using StokesRows = std::array<Stokes<S>, 4>;
 
 constexpr uint32_t NoVertex = 0xFFFFFFFFu;
 // How far beyond the rim of interpolated normals a ray passes, in widths of it.

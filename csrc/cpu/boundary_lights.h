@@ -41,7 +41,7 @@ class ShadowTile : public BoundaryTile<F> {
     // What the camera, or a vertex of the path, gets of an edge.
     struct Connection {
         uint32_t edge;
-        Spectrum<S> jump;
+        Spectrum<S> jump[4];  // by part
     };
     std::vector<Edge> edges_;
     std::vector<Connection> connections_;
@@ -184,7 +184,7 @@ private:
             const uint32_t k = edges_[e].slot;
             if (!(at_.ratio[k] > 0)) continue;
             const S mis = at_.mis[k] < 0 ? S(1) : at_.mis[k];
-            connect(e, at_.ratio[k] * edges_[e].weight * mis / area[k], {S(1), S(1), S(1)});
+            connect(e, at_.ratio[k] * edges_[e].weight * mis / area[k], {S(1), S(1), S(1)}, nullptr);
         }
     }
 
@@ -198,15 +198,18 @@ private:
             r[k] = Base::length(towards);
             anchors_.d.set(k, Base::unit(towards));
         }
+        this->find_rows(n);
         this->scatter_chosen();
         PathQueue<S> &queue = begin_ends(n, 0x80000000u);
         carried_.assign(n, V{S(0), S(0), S(0)});
+        std::vector<S> factors(n, S(0));
         for (const Edge &x : edges_) {
             const uint32_t k = x.slot;
             if (anchors_.level[k] == NoVertex || !(r[k] > 0) || !(anchors_.pdf[k] > 0)) continue;
             const auto &beta = this->level_of(k).columns.vertex.beta;
             const uint32_t e = anchors_.entry[k];
             const S factor = S(inverse_[k]) * S(boundary_.n_cells) / (r[k] * r[k]);
+            factors[k] = factor;
             S c[SpectrumSize];
             for (int i = 0; i < SpectrumSize; ++i) c[i] = anchors_.f[i][k] * beta[i][e] * factor;
             carried_[k] = {c[0], c[1], c[2]};
@@ -222,7 +225,13 @@ private:
             if (!(at_.ratio[k] > 0)) continue;
             // close to the vertex a part of it is found from there
             const S near = at_.mis[k] < 0 ? S(1) : S(this->apart(double(r[k]))) * at_.mis[k];
-            connect(e, at_.ratio[k] * edges_[e].weight * near, carried_[k]);
+            const S number = at_.ratio[k] * edges_[e].weight * near;
+            if (!this->polarized()) {
+                connect(e, number, carried_[k], nullptr);
+                continue;
+            }
+            const StokesRows<S> rows = this->rows_towards(k);
+            connect(e, number * factors[k], {S(1), S(1), S(1)}, &rows);
         }
     }
 
@@ -262,10 +271,13 @@ private:
         const Vec3<F> apart = p - s;
         M meets = there && mask<F>(squared_norm(apart) < sqr(F(S(1e-3)) * (from(at_.distance) + max_abs(s))));
         if (!any(meets)) return;
-        BsdfValue<F> found = scatter_towards<F>(scene_, kind, columns, i, d, ends_.wavefront.needs(), meets);
+        const Wavelengths<F> waves = this->waves_of(slot, meets);
+        BsdfValue<F> found = scatter_towards<F>(scene_, waves, kind, columns, i, d, ends_.wavefront.needs(), meets);
         Vec3<F> ng = geometric_normal<F>(scene_, columns, i, meets);
+        EmitterPoint<F> light;
         F density;
-        Spectrum<F> value = found.f * lights_.arriving(at_, p, d, from, meets, density);
+        const Spectrum<F> radiance = lights_.arriving(at_, waves, p, d, from, meets, light, density),
+                          value = found.f * radiance;
         const bool first = depth == 0;
         if (first) density = density * F(S(boundary_.in_view));
         F n_light(S(first ? call_.config.emitter_samples : 1)), n_bsdf(S(first ? call_.config.bsdf_samples : 1));
@@ -273,22 +285,45 @@ private:
         F ratio = abs(dot(ng, c)) / max(abs(dot(ng, d)), F(S(1e-6)));
         meets = meets && is_finite(value) && mask<F>(found.pdf > F(0));
         for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(at_.value[k], slot, value[k], meets);
+        if (this->polarized())
+            put_column(
+                column_towards<F>(scene_, waves, kind, columns, i, d, light, radiance, ends_.wavefront.needs(), meets),
+                c, slot, meets);
         scatter_lanes<F>(at_.mis.at, slot, mis, meets);
         scatter_lanes<F>(at_.ratio.at, slot, ratio, meets);
     }
     static F sqr(const F &x) { return x * x; }
+    // What leaves S against c, on the film's axis.
+    void put_column(Stokes<F> column, const Vec3<F> &c, const U &slot, const M &meets) {
+        column = turned_column(column, film_axis<F>(scene_, call_.config.sensor, -c), -c);
+        const SpectrumColumn<S> to[] = {at_.q, at_.u, at_.v};
+        for (int i = 0; i < 3; ++i)
+            for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(to[i][k], slot, column.at[i + 1][k], meets);
+    }
 
     // ------------------------------------------------------------------------------------------------------- the sum
-    // The connection's jump: -(what arrives) times a number and colours.
-    void connect(uint32_t edge, S number, const V &colours) {
+    // The connection's jump: -(what arrives) times a number and colours or, of polarised light, rows; null: the
+    // camera's.
+    void connect(uint32_t edge, S number, const V &colours, const StokesRows<S> *rows) {
         const uint32_t k = edges_[edge].slot;
         const S by[3] = {colours.x, colours.y, colours.z};
-        Connection connection{edge, uniform_spectrum(S(0))};
+        Connection connection{edge, {}};
+        const SpectrumColumn<S> columns[] = {at_.value, at_.q, at_.u, at_.v};
+        for (int part = 0; part < this->parts(); ++part)
+            for (int c = 0; c < SpectrumSize; ++c) connection.jump[part][c] = -columns[part][c][k] * number * by[c];
+        if (rows) {
+            const V along = -anchors_.d.get(k);
+            Stokes<S> column{{}, this->axis_on_film(along)};
+            std::copy_n(connection.jump, 4, column.at);
+            Base::contract_rows(*rows, column, along, connection.jump);
+        }
         bool some = false;
-        for (int c = 0; c < SpectrumSize; ++c) {
-            const S x = -at_.value[c][k] * number * by[c];
-            if (!std::isfinite(x)) return;
-            connection.jump[c] = x, some |= x != 0;
+        for (int part = 0; part < this->parts(); ++part) {
+            connection.jump[part] = this->to_channels(k, connection.jump[part]);
+            for (int c = 0; c < SpectrumSize; ++c) {
+                if (!std::isfinite(connection.jump[part][c])) return;
+                some |= connection.jump[part][c] != 0;
+            }
         }
         if (some) connections_.push_back(connection);
     }
@@ -298,17 +333,12 @@ private:
                 bool camera) {
         if (!sink.forward)
             return add(n, slots, sink, camera, [&](const Connection &x) {
-                double adjoint[SpectrumSize + 1], sum = 0;
                 const uint32_t k = edges_[x.edge].slot;
-                this->collect(slots.film_x[k], slots.film_y[k], adjoint);
-                for (int c = 0; c < call_.values; ++c) sum += adjoint[c] * double(x.jump[c]);
-                return S(sum);
+                return this->contracted(slots.film_x[k], slots.film_y[k], [&](int part) { return x.jump[part]; });
             });
-        for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.radiance[c], n, S(0));
-        for (int component = 0; component < call_.values; ++component) {
-            sink.component = component;
-            add(n, slots, sink, camera, [&](const Connection &x) { return x.jump[component]; });
-        }
+        this->for_parts(n, slots, sink, [&](int part, int c, const SlotColumns<S> &to) {
+            add(n, to, sink, camera, [&](const Connection &x) { return x.jump[part][c]; });
+        });
         for (const Connection &x : connections_)
             this->write_value(2 * (first + edges_[x.edge].slot) + which, slots, edges_[x.edge].slot);
     }
@@ -342,7 +372,7 @@ private:
                 Base::put(anchors_.p_bar, slot, o_bar, active);
             },
             ends);
-        if (!camera) this->sweep_paths(sink);
+        if (!camera) this->sweep_paths(sink, slots);
     }
 
     // Of the pilot: whether there is an edge, and where the camera sees it if it does.

@@ -33,13 +33,15 @@ class ReflectionTile : public BoundaryTile<F> {
         S tau[2];
         SurfacePoint<S> end[2];
         V end_p[2];
-        Spectrum<S> jump[2];
+        Spectrum<S> jump[2][4];  // on both sides, by part
+        uint32_t rows;           // their number, of polarised light
     };
     std::vector<Sight> sights_;
     size_t first_ = 0;  // of those that are looked for
     std::vector<OutlineRay> rays_;
     std::vector<double> u_, inverse_, total_;
     std::vector<uint32_t> copies_;
+    std::vector<StokesRows<S>> rows_;  // for what arrives past an outline
 
 public:
     using Base::Base;
@@ -48,20 +50,15 @@ public:
     template <class Stop>
     void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
         trace(first, n, stop);
-        if (!sink.forward) {
-            add(sink, [](const double *adjoint, const Spectrum<S> &jump, int values) {
-                double sum = 0;
-                for (int c = 0; c < values; ++c) sum += adjoint[c] * double(jump[c]);
-                return S(sum);
+        const auto &slots = paths_.slots;
+        if (!sink.forward)
+            return add(slots, sink, [&](const Sight &x, size_t h) {
+                return this->contracted(slots.film_x[x.slot], slots.film_y[x.slot],
+                                        [&](int part) { return x.jump[h][part]; });
             });
-            return;
-        }
-        auto &slots = paths_.slots;
-        for (int c = 0; c < SpectrumSize; ++c) std::fill_n(slots.radiance[c], n, S(0));
-        for (int component = 0; component < call_.values; ++component) {
-            sink.component = component;
-            add(sink, [component](const double *, const Spectrum<S> &jump, int) { return jump[component]; });
-        }
+        this->for_parts(n, slots, sink, [&](int part, int c, const SlotColumns<S> &to) {
+            add(to, sink, [&](const Sight &x, size_t h) { return x.jump[h][part][c]; });
+        });
         for (uint32_t k = 0; k < n; ++k) this->write_value(first + k, slots, k);
     }
 
@@ -75,8 +72,9 @@ private:
         this->choose_vertices(n, u_, inverse_, total_);
         this->find_lobes();
         this->find_normals();
+        this->find_rows(n);
         share_out(n);
-        sights_.clear();
+        sights_.clear(), rows_.clear();
         for (uint32_t copy = 0; choose_outlines(n, copy); ++copy) {
             this->scatter_chosen();
             weigh();
@@ -152,12 +150,19 @@ private:
             Sight &x = sights_[k];
             const TapeLevel<S> &level = this->level_of(x.slot);
             const uint32_t e = anchors_.entry[x.slot];
+            const S geometry = x.carried[0];
             bool some = false, finite = true;
             for (int c = 0; c < SpectrumSize; ++c) {
                 x.carried[c] = x.carried[c] * level.columns.vertex.beta[c][e] * anchors_.f[c][x.slot];
                 some |= x.carried[c] != 0, finite &= bool(std::isfinite(x.carried[c]));
             }
             if (!some || !finite || (boundary_.glued && x.front == 0)) continue;
+            if (this->polarized()) {
+                x.rows = uint32_t(rows_.size());
+                rows_.push_back(this->rows_towards(x.slot));
+                for (Stokes<S> &row : rows_.back())
+                    for (Spectrum<S> &part : row.at) part = part * geometry;
+            }
             // what lights find, too: what a smooth vertex, or the camera, sees, and not too close to it
             const S pdf = anchors_.pdf[x.slot];
             if (anchors_.level[x.slot] == 0)
@@ -215,35 +220,58 @@ private:
     void look_up(Stop &&stop) {
         std::vector<OutlineRay> rays;
         std::vector<S> pdf, length;
-        std::vector<uint32_t> key, which;
+        std::vector<uint32_t> key, which, seen;
         for (uint32_t level = 0, left = uint32_t(sights_.size()); left > 0 && !stop(); ++level) {
-            rays.clear(), pdf.clear(), key.clear(), which.clear();
+            rays.clear(), pdf.clear(), key.clear(), which.clear(), seen.clear();
             for (uint32_t k = 0; k < sights_.size(); ++k) {
                 const Sight &x = sights_[k];
                 if (anchors_.level[x.slot] != level) continue;
                 which.push_back(k);
                 for (size_t h = 0; h < 2; ++h) {
                     rays.push_back(rays_[2 * k + h]);
-                    pdf.push_back(x.density), key.push_back(paths_.slots.pixel[x.slot] ^ x.copy << 27);
+                    pdf.push_back(x.density), key.push_back(paths_.slots.pixel[x.slot] ^ x.copy << CopyBit);
+                    seen.push_back(this->is_single(x.slot) ? SingleWave : 0u);
                 }
             }
             left -= uint32_t(which.size());
             if (which.empty()) continue;
             length.assign(rays.size(), S(INFINITY));
-            Base::look_up(rays, length, pdf, key, int(level) + 1, true, stop);
+            Base::look_up(rays, length, pdf, key, seen, int(level) + 1, true, stop);
             for (size_t j = 0; j < which.size(); ++j) {
                 Sight &x = sights_[which[j]];
                 for (size_t h = 0; h < 2; ++h) {
                     const S sign = h == 0 ? S(1) : S(-1);
                     // what hides something, or is a crease, moves with its own outline
                     const bool counts = !(x.has_end[h] || boundary_.glued) || x.front * sign == S(1);
-                    for (int c = 0; c < SpectrumSize; ++c) {
-                        const S light = light_.slots.radiance[c][2 * j + h];
-                        x.jump[h][c] = counts && std::isfinite(light) ? x.carried[c] * light * sign : S(0);
+                    const size_t k = 2 * j + h;
+                    if (this->polarized()) {
+                        polarized_jump(x, h, rays[k], k, counts ? sign : S(0));
+                        continue;
                     }
+                    for (int c = 0; c < SpectrumSize; ++c) {
+                        const S light = light_.slots.radiance[c][k];
+                        x.jump[h][0][c] = counts && std::isfinite(light) ? x.carried[c] * light * sign : S(0);
+                    }
+                    x.jump[h][0] = this->to_channels(x.slot, x.jump[h][0]);
                 }
             }
         }
+    }
+
+    // Of light that has been looked up, in entry k.
+    void polarized_jump(Sight &x, size_t h, const OutlineRay &ray, size_t k, S sign) const {
+        const auto &slots = light_.slots;
+        const SpectrumColumn<S> columns[] = {slots.radiance, slots.q, slots.u, slots.v};
+        Stokes<S> light{{}, this->axis_on_film(-ray.d)};
+        bool finite = true;
+        for (int i = 0; i < 4; ++i)
+            for (int c = 0; c < SpectrumSize; ++c) {
+                light.at[i][c] = columns[i][c][k];
+                finite &= bool(std::isfinite(light.at[i][c]));
+            }
+        Base::contract_rows(rows_[x.rows], light, -ray.d, x.jump[h]);
+        for (Spectrum<S> &jump : x.jump[h])
+            jump = finite ? this->to_channels(x.slot, jump) * sign : uniform_spectrum(S(0));
     }
 
     // The adjoints of vertices to their surfaces.
@@ -257,19 +285,17 @@ private:
         }
     }
 
-    // Hands the adjoints of all rates on, each with weight(adjoint of the film, jump, values).
+    // Hands the adjoints of all rates on, each with weight(sight, side); derivatives go to `slots`.
     template <class Weight>
-    void add(GradientSink<F> &sink, Weight &&weight) {
+    void add(const SlotColumns<S> &slots, GradientSink<F> &sink, Weight &&weight) {
         const uint32_t n = uint32_t(u_.size());
         const V zero{S(0), S(0), S(0)};
         for (uint32_t k = 0; k < n; ++k) anchors_.p_bar.set(k, zero);
         PointSink<F> points{sink};
         for (const Sight &x : sights_) {
-            double adjoint[SpectrumSize + 1] = {};
-            if (!sink.forward) this->collect(paths_.slots.film_x[x.slot], paths_.slots.film_y[x.slot], adjoint);
             V b_bar = zero, s_bar = zero;
             for (size_t h = 0; h < 2; ++h) {
-                const S w = weight(adjoint, x.jump[h], call_.values);
+                const S w = weight(x, h);
                 if (w == 0 || !std::isfinite(w)) continue;
                 const V g = x.n * w;
                 b_bar = b_bar + g;
@@ -279,11 +305,11 @@ private:
             anchors_.p_bar.set(x.slot, anchors_.p_bar.get(x.slot) + s_bar);
             points.derivative = 0;
             this->add_to_outline(x.element, x.s, x.b, b_bar, points);
-            if (sink.forward) paths_.slots.radiance[sink.component][x.slot] += points.derivative;
+            if (sink.forward) slots.radiance[sink.component][x.slot] += points.derivative;
         }
         if (boundary_.glued) glue_vertices(n);
-        this->sweep_glued(sink, paths_.slots);
-        if (!boundary_.glued) this->sweep_paths(sink);
+        this->sweep_glued(sink, slots);
+        if (!boundary_.glued) this->sweep_paths(sink, slots);
     }
 };
 

@@ -253,7 +253,7 @@ private:
     }
 };
 
-// Of radiance and coverage.
+// Of radiance, or Stokes vectors, and coverage.
 template <class F>
 class SilhouetteTile : public SightTile<F> {
     using Base = SightTile<F>;
@@ -272,12 +272,13 @@ private:
     void look_up(Stop &&stop) {
         using S = ScalarOf<F>;
         std::vector<S> pdf(rays_.size(), S(0));
-        std::vector<uint32_t> key(rays_.size());
+        std::vector<uint32_t> key(rays_.size()), seen(rays_.size(), 0u);
         for (size_t i = 0; i < rays_.size(); ++i) key[i] = paths_.slots.pixel[sights_[i / 2].slot];
-        BoundaryTile<F>::look_up(rays_, lengths_, pdf, key, 0, !call_.config.hide_emitters, stop);
-        const auto &slots = light_.slots;
-        for (int c = 0; c <= call_.values; ++c) {
-            const S *values = c < call_.values ? slots.radiance[c] : slots.alpha.at;
+        BoundaryTile<F>::look_up(rays_, lengths_, pdf, key, seen, 0, !call_.config.hide_emitters, stop);
+        light_.to_channels();
+        for (int c = 0; c <= call_.numbers(); ++c) {
+            const auto slots = this->of_part(light_.slots, c < call_.numbers() ? c / call_.values : 0);
+            const S *values = c < call_.numbers() ? slots.radiance[c % call_.values] : slots.alpha.at;
             for (size_t k = 0; k < sights_.size(); ++k)
                 this->set_jump(k, size_t(c), double(values[2 * k]), double(values[2 * k + 1]));
         }

@@ -1,63 +1,38 @@
-// What samples of outlines have in common, whichever way they are found: vertices of paths from which light is looked
-// up, rays beside outlines, radiance along rays, and the sums that a moving outline adds to.
+// What samples of outlines have in common, whichever way they are found: rays beside outlines, radiance along rays, and
+// the sums that a moving outline adds to; and the paths of boundary_paths.h.
 //
-// A sample's rate n.(dB - ...) has a weight for each component of the spectrum. In reverse mode the film's adjoint
-// makes one number of them; forward mode has a sweep a component (see GradientSink).
+// A sample's rate n.(dB - ...) has a weight for each channel of the film and, of polarised light, for each component of
+// the Stokes vector (a `part`). In reverse mode the film's adjoint makes one number of them; forward mode has a sweep a
+// channel and part (see GradientSink).
 //
 // Of `glued` samples, which are for light paths, both ends S and E of a segment past an outline move with their
 // surfaces, wherever they are; then no more than what the outline uncovers counts, its rate being n.(dB - (1 - tau) dS
 // - tau dE), tau = |B - S| / |E - S|: see docs/theory/light_tracing.md.
 #pragma once
 
-#include <cmath>
-
-#include "boundary_columns.h"
-#include "core/adjoint/revisit.h"
-#include "path_tile.h"
+#include "boundary_paths.h"
 
 namespace tr {
 
 template <class F>
-class BoundaryTile {
+class BoundaryTile : public BoundaryPaths<F> {
 protected:
-    using S = ScalarOf<F>;
-    using U = UIntOf<F>;
-    using M = MaskOf<F>;
-    using V = Vec3<S>;
-    static constexpr uint32_t W = uint32_t(Lanes<F>::Width);
+    using Paths = BoundaryPaths<F>;
+    using Paths::anchors_, Paths::boundary_, Paths::call_, Paths::of_part, Paths::parts, Paths::path_call_,
+        Paths::paths_, Paths::polarized, Paths::scene_, Paths::W;
+    using typename Paths::M, typename Paths::S, typename Paths::U, typename Paths::V;
 
-    const RenderCall<S> &call_;
-    const BoundaryCall<S> &boundary_;
-    const SceneView<S> &scene_;
     const Outlines<S> outlines_;
-
-    // Paths look for no lights: what they are for is their vertices.
-    static RenderCall<S> without_lights(const RenderCall<S> &call, BoundaryPart part) {
-        RenderCall<S> r = call;
-        r.config.emitter_samples = 0, r.config.bsdf_samples = 1;
-        r.config.sampler = {};
-        // the last vertex of paths to lights is one that lights have found
-        if (part == BoundaryPart::Shadows && r.config.max_depth > 0) --r.config.max_depth;
-        r.ray_record = nullptr;
-        return r;
-    }
-    const RenderCall<S> path_call_;
-    PathTile<F> paths_, light_;
-    AnchorColumns<S> anchors_;
+    PathTile<F> light_;
     GluedColumns<S> glued_;
 
 public:
-    static constexpr size_t Capacity = 1024;
+    using Paths::Capacity;
 
     BoundaryTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
-        : call_(call),
-          boundary_(boundary),
-          scene_(*call.scene),
+        : Paths(call, boundary, derivative),
           outlines_(*call.scene, *boundary.outlines),
-          path_call_(without_lights(call, boundary.part)),
-          paths_(path_call_, Capacity, &derivative),
           light_(call, 2 * Capacity, nullptr) {
-        arena_.allocate(Capacity + 2 * W, anchors_);
         glued_arena_.allocate(2 * Capacity + 2 * W, glued_);
     }
 
@@ -68,178 +43,6 @@ public:
     }
 
 protected:
-    // ------------------------------------------------------------------------------------------- vertices of paths
-    // Which samples the slots are: `first` .. `first` + n of the call.
-    void identify(uint64_t first, uint32_t n) {
-        auto &slots = paths_.slots;
-        const double each = double(boundary_.n_cells) / boundary_.samples;  // cells that a sample stands for
-        for (uint32_t k = 0; k < n; ++k) {
-            const uint64_t sample = boundary_.first + first + k;
-            slots.pixel[k] = uint32_t(sample), slots.sample[k] = uint32_t(sample >> 32);
-            const double u = double(uniform_of<S>(bits(k, PlaceBlock).bits[1]));
-            const double at = (double(sample % uint64_t(boundary_.samples)) + u) * each;
-            const int64_t *cell = boundary_.cells + 2 * std::min(size_t(at), boundary_.n_cells - 1);
-            slots.column[k] = uint32_t(int32_t(cell[0])), slots.row[k] = uint32_t(int32_t(cell[1]));
-        }
-        std::fill_n(anchors_.level.at, n, NoVertex);
-    }
-    // Their paths from the camera.
-    template <class Stop>
-    void trace_paths(uint32_t n, Stop &&stop) {
-        paths_.start(n, false);
-        const auto &slots = paths_.slots;
-        for (uint32_t k = 0; k < n; ++k) {  // a place that was rounded up is in another pixel
-            slots.film_x[k] = std::min(slots.film_x[k], std::nextafter(S(int32_t(slots.column[k]) + 1), S(-INFINITY)));
-            slots.film_y[k] = std::min(slots.film_y[k], std::nextafter(S(int32_t(slots.row[k]) + 1), S(-INFINITY)));
-        }
-        paths_.run(true, stop, 0, false, boundary_.glued);
-    }
-    // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
-    static constexpr uint32_t OutlineBlock = 0x60000000u, PlaceBlock = OutlineBlock + 1;
-    RandomBits4<S> bits(uint32_t slot, uint32_t block = OutlineBlock) const {
-        return random_bits4<S>(call_.config.seed, call_.config.sensor, paths_.slots.pixel[slot],
-                               paths_.slots.sample[slot], UIntOf<S>(block));
-    }
-    S number(uint32_t slot, int which) const { return uniform_of<S>(bits(slot).bits[which]); }
-    uint64_t tree_seed(uint32_t slot, uint32_t copy = 0) const {
-        const RandomBits4<S> r = bits(slot);
-        return (uint64_t(r.bits[2]) << 32 | r.bits[3]) + copy * 0xD1B54A32D192ED03ull;
-    }
-
-    // Calls visit(level, range) for the vertices that scatter smoothly.
-    template <class Visit>
-    void for_smooth(PathTile<F> &tile, Visit &&visit) {
-        Tape<S> &tape = tile.wavefront.tape;
-        for (int l = 0; l < tape.size(); ++l) {
-            if (!tape[l].scatters) continue;
-            for (const KindRange &range : tape[l].ranges)
-                if (range.kind < MissKind && bsdf_kernels<F>(range.kind).is(HasSmoothLobes)) visit(uint32_t(l), range);
-        }
-    }
-
-    // One vertex of each path, in proportion to its throughput; `inverse` becomes one over the probability, `total`
-    // what all of its vertices have.
-    void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse,
-                         std::vector<double> &total) {
-        Tape<S> &tape = paths_.wavefront.tape;
-        const size_t values = size_t(call_.values);
-        std::vector<double> before(n, 0);
-        total.assign(n, 0);
-        auto each = [&](auto &&visit) {
-            for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
-                const auto &v = tape[int(l)].columns.vertex;
-                for (uint32_t e = range.begin; e < range.begin + range.count; ++e) {
-                    double weight = 0;
-                    for (size_t c = 0; c < values; ++c) weight += std::fabs(double(v.beta[int(c)][e]));
-                    if (weight > 0 && std::isfinite(weight)) visit(v.slot[e], l, e, weight);
-                }
-            });
-        };
-        each([&](uint32_t slot, uint32_t, uint32_t, double weight) { total[slot] += weight; });
-        each([&](uint32_t slot, uint32_t l, uint32_t e, double weight) {
-            const double at = u[slot] * total[slot];
-            if (at >= before[slot] && at < before[slot] + weight)
-                anchors_.level[slot] = l, anchors_.entry[slot] = e, inverse[slot] = total[slot] / weight;
-            before[slot] += weight;
-        });
-    }
-
-    // Calls visit(columns, kind, i, slot, active) for packets of chosen vertices.
-    template <class Visit>
-    void for_chosen(Visit &&visit) {
-        Tape<S> &tape = paths_.wavefront.tape;
-        for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
-            const auto &columns = tape[int(l)].columns;
-            for (uint32_t i = range.begin; i < range.begin + range.count; i += W) {
-                M there = mask<F>(lane_index<F>() < U(range.begin + range.count - i));
-                U slot = select(mask<U>(there), load_uint<F>(columns.vertex.slot.at + i), U(0u));
-                Gathered<F> from(slot, there);
-                M active = there && mask<F>(from(anchors_.level) == U(l)) &&
-                           mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
-                if (any(active)) visit(columns, range.kind, i, slot, active);
-            }
-        });
-    }
-    void find_lobes() {
-        for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            ScatteringLobe<F> lobe = scattering_lobe<F>(scene_, kind, columns, i, active);
-            put(anchors_.n, slot, lobe.n, active), put(anchors_.axis, slot, lobe.axis, active);
-            scatter_lanes<F>(anchors_.k.at, slot, lobe.k, active);
-            scatter_lanes<F>(anchors_.share.at, slot, lobe.share, active);
-        });
-    }
-    void find_normals() {
-        for_chosen([&](const TapeColumns<S> &columns, int, uint32_t i, const U &slot, const M &active) {
-            put(anchors_.ng, slot, geometric_normal<F>(scene_, columns, i, active), active);
-        });
-    }
-    // f and pdf from d.
-    void scatter_chosen() {
-        for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            Vec3<F> d = Gathered<F>(slot, active)(anchors_.d);
-            BsdfValue<F> value = scatter_towards<F>(scene_, kind, columns, i, d, paths_.wavefront.needs(), active);
-            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(anchors_.f[c], slot, value.f[c], active);
-            scatter_lanes<F>(anchors_.pdf.at, slot, value.pdf, active);
-        });
-    }
-    TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
-    V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
-    static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
-    // The weight of outlines that rest, as what moves or rests sees them: they count to the latter where light of what
-    // moves ends there.
-    static float still(bool moves) { return moves ? 1.f : 0.05f; }
-    // Whether a vertex moves: with its shape, or because one before it does.
-    bool vertex_moves(uint32_t slot) {
-        Tape<S> &tape = paths_.wavefront.tape;
-        uint32_t e = anchors_.entry[slot];
-        for (int l = int(anchors_.level[slot]); l >= 0; l = tape[l].parent_level) {
-            if (boundary_.moves[tape[l].columns.vertex.at.shape[e]]) return true;
-            e = tape[l].columns.vertex.parent[e];
-        }
-        return false;
-    }
-    OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) {
-        OutlineAnchor a{};
-        a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
-        a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = false, a.own = int32_t(shape), a.still = still(vertex_moves(slot));
-        return a;
-    }
-
-    // ------------------------------------------------------------------------------------------------- the camera
-    CameraSample<S> lens_of(uint32_t slot) const {
-        CameraSample<S> sample{S(0), S(0)};
-        const auto &slots = paths_.slots;
-        if (uses_lens(sensor()))
-            sample.choose_lens(draw4<S>(path_call_.config, slots.pixel[slot], slots.sample[slot], 0, 4));
-        return sample;
-    }
-    const Record &sensor() const { return scene_.sensors[call_.config.sensor]; }
-
-    // Area perpendicular to a camera ray along d, at that distance from where it comes from, of what a pixel sees.
-    S pixel_area(const CameraSample<S> &place, const V &d, S distance) const {
-        const S width = S(call_.film_width), height = S(call_.film_height);
-        if (is_pinhole(sensor())) {
-            const Perspective::FilmPoint<S, S> film(scene_, sensor(), place.x, place.y, width, height);
-            const S cosine = rsqrt(squared_norm(film.direction()));
-            return distance * distance * cosine * cosine * cosine * 4 * film.slope * film.rise / (width * height);
-        }
-        if (sensor().kind == kind_of_model<Distant>(Sensors{})) {
-            const S radius = DistantBase<S>(scene_, sensor()).radius;
-            return S(Pi) * radius * radius;
-        }
-        const S step = S(0.05);
-        auto end = [&](S x, S y) {
-            CameraSample<S> moved = place;
-            moved.x += x, moved.y += y;
-            const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), moved, width, height);
-            return ray.center + ray.ray.d * distance;
-        };
-        const V x = (end(step, 0) - end(-step, 0)) * (1 / (2 * step)),
-                y = (end(0, step) - end(0, -step)) * (1 / (2 * step));
-        return std::fabs(dot(cross(x, y), d));
-    }
-
     // ---------------------------------------------------------------------------------------------- rays and light
     struct OutlineRay {
         V o, d;
@@ -305,11 +108,13 @@ protected:
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
 
-    // Radiance along rays behind `depth` vertices, into the slots of `light_`; `traced`: their hits are known; pdf:
-    // with which density their directions are sampled beside lights, 0 where they alone find the light.
+    // Radiance, at the wavelengths of their samples, along rays behind `depth` vertices, into the slots of `light_`, of
+    // polarised light on axes that are the film's; `traced`: their hits are known; pdf: with which density their
+    // directions are sampled beside lights, 0 where they alone find the light; `seen`: see PathQueue.
     template <class Stop>
     void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
-                 const std::vector<uint32_t> &key, int depth, bool traced, Stop &&stop) {
+                 const std::vector<uint32_t> &key, const std::vector<uint32_t> &seen, int depth, bool traced,
+                 Stop &&stop) {
         const uint32_t n = uint32_t(rays.size());
         light_.begin(n);
         auto &slots = light_.slots;
@@ -319,9 +124,10 @@ protected:
             slots.alpha[k] = 0;
             for (int c = 0; c < SpectrumSize; ++c)
                 slots.radiance[c][k] = 0, queue.beta[c][k] = 1, queue.survival[c][k] = 1;
+            for (int c = 0; polarized() && c < SpectrumSize; ++c) slots.q[c][k] = slots.u[c][k] = slots.v[c][k] = 0;
             queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.from.set(k, rays[k].o);
             queue.length[k] = lengths[k], queue.pdf[k] = pdf[k], queue.eta[k] = 1;
-            queue.slot[k] = k, queue.parent[k] = queue.seen[k] = 0;
+            queue.slot[k] = k, queue.parent[k] = 0, queue.seen[k] = seen[k];
         }
         queue.n = n;
         const HitColumns<S> &hits = queries().hits;
@@ -330,8 +136,8 @@ protected:
             hits.at.shape[k] = at.shape, hits.at.primitive[k] = at.primitive;
             hits.at.b1[k] = at.b1, hits.at.b2[k] = at.b2, hits.t[k] = rays[k].t;
         }
-        light_.run(false, stop, depth, traced, boundary_.glued && depth == 0);
-        light_.to_channels();
+        light_.run(polarized(), stop, depth, traced, boundary_.glued && depth == 0);
+        if (polarized()) light_.sweep_columns();
     }
 
     // ------------------------------------------------------------------------------------------------------- sums
@@ -348,11 +154,37 @@ protected:
         return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
                y < S(call_.crop.y1) + reach;
     }
-    // Forward mode: what the sample of a slot adds to the film.
+    // The number that the film's adjoint of a place makes of jumps, by part.
+    template <class Jump>
+    S contracted(S x, S y, Jump &&jump) const {
+        bool some = false;
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) some |= jump(part)[c] != 0;
+        if (!some) return 0;
+        double adjoint[MostBoundaryChannels], sum = 0;
+        collect(x, y, adjoint);
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) sum += adjoint[part * call_.values + c] * double(jump(part)[c]);
+        return S(sum);
+    }
+    // Forward mode: calls add(part, channel, slots) for all of them, the slots' radiance being what it adds to.
+    template <class Add>
+    void for_parts(uint32_t n, const SlotColumns<S> &slots, GradientSink<F> &sink, Add &&add) const {
+        for (int part = 0; part < parts(); ++part) {
+            const SlotColumns<S> to = of_part(slots, part);
+            for (int c = 0; c < SpectrumSize; ++c) std::fill_n(to.radiance[c], n, S(0));
+            for (int c = 0; c < call_.values; ++c) {
+                sink.component = c;
+                add(part, c, to);
+            }
+        }
+    }
+    // ... what the sample of a slot adds to the film.
     void write_value(uint64_t row, const SlotColumns<S> &slots, uint32_t slot) const {
         double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(boundary_.channels) * row;
         place[0] = double(slots.film_x[slot]), place[1] = double(slots.film_y[slot]);
-        for (int c = 0; c < call_.values; ++c) value[c] = double(slots.radiance[c][slot]);
+        for (int part = 0; part < parts(); ++part)
+            for (int c = 0; c < call_.values; ++c) *value++ = double(of_part(slots, part).radiance[c][slot]);
     }
 
     void add_to_outline(int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
@@ -388,15 +220,14 @@ protected:
         glued_.n = 0;
     }
     // ... those of the chosen vertices of paths.
-    void sweep_paths(GradientSink<F> &sink) {
+    void sweep_paths(GradientSink<F> &sink, const SlotColumns<S> &slots) {
         auto nothing = [](const U &, const Vec3<F> &, const M &) {};
-        sweep_places(paths_, paths_.slots, sink, true, nothing,
-                     [&](int level, uint32_t i, const U &slot, const M &there) {
-                         Gathered<F> from(slot, there);
-                         M chosen = there && mask<F>(from(anchors_.level) == U(uint32_t(level))) &&
-                                    mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
-                         return select(chosen, from(anchors_.p_bar), Vec3<F>{F(0), F(0), F(0)});
-                     });
+        sweep_places(paths_, slots, sink, true, nothing, [&](int level, uint32_t i, const U &slot, const M &there) {
+            Gathered<F> from(slot, there);
+            M chosen = there && mask<F>(from(anchors_.level) == U(uint32_t(level))) &&
+                       mask<F>(from(anchors_.entry) == U(i) + lane_index<F>());
+            return select(chosen, from(anchors_.p_bar), Vec3<F>{F(0), F(0), F(0)});
+        });
     }
     // From the last level of the tape to the first; own(level, i, slot, there): the adjoint of a vertex's place.
     // Derivatives go to `slots`, adjoints of where rays began that are not the camera's to begin(slot, o_bar, active).
@@ -443,13 +274,8 @@ protected:
                     std::fill_n(p + range.begin, range.count, S(0));
     }
 
-    static void put(const VectorColumn<S> &column, const U &slot, const Vec3<F> &v, const M &active) {
-        scatter_lanes<F>(column.x, slot, v.x, active), scatter_lanes<F>(column.y, slot, v.y, active);
-        scatter_lanes<F>(column.z, slot, v.z, active);
-    }
-
 private:
-    Arena arena_, glued_arena_;
+    Arena glued_arena_;
 };
 
 }  // namespace tr

@@ -6,7 +6,7 @@
 #include <optional>
 #include <utility>
 
-#include "core/adjoint/sweep.h"
+#include "core/adjoint/polarized_sweep.h"
 #include "core/integrator/camera.h"
 #include "medium_stage.h"
 
@@ -126,6 +126,12 @@ public:
     void sweep_columns() {
         const SweepContext<F> c = sweep_context(slots, false);
         for_blocks([&](size_t block) { hand_columns(c, block); });
+    }
+    // ... and, of paths that are on the tape from beginning to end, the rows of these slots' adjoints.
+    void hand_rows(const SlotColumns<S> &of) { hand_rows(sweep_context(of, false), nullptr); }
+    SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
+        return {wavefront.scene(),    config_, of,          wavefront.needs(), S(call_.film_width),
+                S(call_.film_height), nullptr, unit_adjoint};
     }
 
     // Runs over the tape from its end. Without an adjoint in the call the radiance itself is differentiated, in all
@@ -326,11 +332,6 @@ private:
                                  i, active, sink);
                 }
         }
-    }
-
-    SweepContext<F> sweep_context(const SlotColumns<S> &of, bool unit_adjoint) {
-        return {wavefront.scene(),    config_, of,          wavefront.needs(), S(call_.film_width),
-                S(call_.film_height), nullptr, unit_adjoint};
     }
 
     // ----------------------------------------------------------------------------------------------- polarised light

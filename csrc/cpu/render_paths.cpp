@@ -1,7 +1,7 @@
 // Paths of the items of a schedule, and their derivatives.
+#include "adjoint_film.h"
 #include "allocation.h"
 #include "path_tile.h"
-#include "work_items.h"
 
 namespace tr {
 
@@ -72,29 +72,6 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     return stats;
 }
 
-// The adjoints of the radiances of a batch.
-template <class S>
-void collect_adjoints(const RenderCall<S> &call, const std::vector<FilmBlock> &blocks, const std::vector<Span> &spans,
-                      const SlotColumns<S> &slots) {
-    const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
-    const SpectrumColumn<S> parts[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
-    const int n_parts = call.config.stokes ? 4 : 1;
-    for (const Span &span : spans)
-        for (size_t k = span.begin; k < span.end; ++k) {
-            if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
-                for (int p = 0; p < n_parts; ++p)
-                    for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
-                continue;
-            }
-            double d[4 * SpectrumSize] = {};
-            blocks[span.unit].collect(call.filter, int32_t(slots.row[k]), int32_t(slots.column[k]),
-                                      double(slots.film_y[k]), double(slots.film_x[k]), d);
-            for (int p = 0; p < n_parts; ++p)
-                for (int c = 0; c < SpectrumSize; ++c)
-                    parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
-        }
-}
-
 template <class F>
 RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
     using S = ScalarOf<F>;
@@ -106,19 +83,8 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
         const int values = call.numbers();
         if (derivative.adaptive) allocate(schedule, call.filter, derivative.adjoint, values);
         const size_t capacity = 512;
-        // d loss / d (sum of weighted radiances) of every wanted pixel
-        Film adjoint(schedule, values);
-        {
-            std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
-            if (stats.interrupted) return stats;
-            for (size_t i = 0; i < schedule.n_results(); ++i) {  // a pixel that was asked for twice has two
-                size_t target = schedule.target_of(i);
-                double total = *weights->at(target);
-                if (total == 0) continue;
-                for (int c = 0; c < values; ++c)
-                    adjoint.at(target)[c] += double(derivative.adjoint[i * size_t(values) + size_t(c)]) / total;
-            }
-        }
+        const std::unique_ptr<Film> adjoint = adjoint_film<F>(call, schedule, derivative.adjoint, stats);
+        if (stats.interrupted) return stats;
         std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
         auto make = [&](int thread) {
             locals[size_t(thread)].allocate(derivative, thread);
@@ -128,7 +94,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             schedule.n_items(), call, Assignment::Interleaved, stats, make,
             [&](Tile &tile, size_t item, int thread, auto &&stop) {
                 const auto &slots = tile.slots;
-                std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, values);
+                std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, *adjoint, values);
                 size_t done = 0;  // paths of the item
                 for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);

@@ -13,12 +13,13 @@ namespace tr {
 
 // By slot: a place on a light, the direction to it from the end S of a ray past an outline, and what S gets: the BSDF
 // times what arrives, the weight of the power heuristic (negative: nothing else finds the light), |n.c| / |n.d|, and
-// the adjoint of S.
+// the adjoint of S; of polarised light the rest of the Stokes vector of which `value` is the intensity.
 // clang-format off
 #define TR_SHADOW_EDGE_COLUMNS(X) \
     X(Integer, emitter) X(Point, at) X(Vector, y) X(Vector, yn) X(Number, left) X(Number, inverse_pmf) \
     X(Number, inverse_pdf) X(Vector, travel) X(Vector, d) X(Vector, s) X(Number, distance) X(Spectrum, value) \
-    X(Number, mis) X(Number, ratio) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar)
+    X(Number, mis) X(Number, ratio) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar) \
+    X(Spectrum, q) X(Spectrum, u) X(Spectrum, v)
 // clang-format on
 template <class S>
 struct ShadowEdgeColumns {
@@ -87,12 +88,12 @@ public:
     }
 
     // What the lights of these slots send to points p in the directions d to them: radiance, of points intensity, of
-    // parallel light irradiance across it; and the density of d for emitter samples, 0 where no ray finds the light.
-    Spectrum<F> arriving(const Columns &c, const Vec3<F> &p, const Vec3<F> &d, const Gathered<F> &from, const M &active,
-                         F &density) const {
-        const Wavelengths<F> waves{};
+    // parallel light irradiance across it; where on the light; and the density of d for emitter samples, 0 where no ray
+    // finds the light.
+    Spectrum<F> arriving(const Columns &c, const Wavelengths<F> &waves, const Vec3<F> &p, const Vec3<F> &d,
+                         const Gathered<F> &from, const M &active, EmitterPoint<F> &point, F &density) const {
         IntOf<F> emitter = select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(lights_[0]));
-        EmitterPoint<F> point{emitter, from(c.at)};
+        point = {emitter, from(c.at)};
         const Vec3<F> y = from(c.y), yn = from(c.yn);
         IntOf<F> kind = emitter_kind<F>(scene_, emitter, active);
         density = F(0);

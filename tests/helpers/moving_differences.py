@@ -25,8 +25,13 @@ def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
     return torch.randn(value.shape, generator=generator, dtype=torch.float64)
 
 
-def compare(scene, parameter: str, seeds: int, spp: int, step: float, **settings) -> tuple[torch.Tensor, torch.Tensor]:
-    """Derivatives, with these settings, and finite differences of the weighted mean of the image, by seed."""
+def compare(
+    scene, parameter: str, seeds: int, spp: int, step: float, show=None, **settings
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Derivatives, with these settings, and finite differences of the weighted mean of the image, by seed.
+
+    `show`: makes an image of what is rendered with these settings.
+    """
     film = scene.sensors[0].film
     weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
     value = scene.get_parameter(parameter).detach()
@@ -34,6 +39,7 @@ def compare(scene, parameter: str, seeds: int, spp: int, step: float, **settings
 
     def f(x, seed, **more):
         image = tr.render(scene, seed=seed, params={parameter: x}, **more)
+        image = image if show is None else show(image)
         return (image * weight).mean()
 
     derivatives, differences = [], []
@@ -43,7 +49,8 @@ def compare(scene, parameter: str, seeds: int, spp: int, step: float, **settings
         (gradient,) = torch.autograd.grad(f(x, seeds + seed, spp=1, spp_grad=spp, seed_grad=seed, **settings), x)
         derivatives.append(float((gradient * direction).sum()))
         with torch.no_grad():
-            change = f(value + step * direction, seed, spp=spp) - f(value - step * direction, seed, spp=spp)
+            ahead, back = (f(value + sign * step * direction, seed, spp=spp, **settings) for sign in (1, -1))
+            change = ahead - back
         differences.append(float(change) / (2 * step))
     return torch.tensor(derivatives), torch.tensor(differences)
 

@@ -36,14 +36,21 @@ BOX_FACES = [
 ]  # fmt: skip
 
 
-def room(light: str, depth: int = 2, floor: dict | None = None, sensor: dict | None = None) -> tr.Scene:
+def room(
+    light: str,
+    depth: int = 2,
+    floor: dict | None = None,
+    sensor: dict | None = None,
+    variant: str = "rgb",
+    box_colour=(0.8, 0.5, 0.3),
+) -> tr.Scene:
     """A turned box and a plate above a floor."""
     film = {"type": "hdrfilm", "width": 12, "height": 12, "rfilter": {"type": "gaussian"}}
     camera = {"type": "perspective", "fov": 50, **(sensor or {})}
     matrix = T.translate([-0.3, 0.2, 0.7]) @ T.rotate([0, 0.3, 1], 30) @ T.scale(0.35)
     corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0])] * 3).double() @ matrix.matrix[:3, :3].T
     box = tr.Mesh((corners + matrix.matrix[:3, 3]).numpy(), BOX_FACES)
-    box.bsdf = diffuse({"type": "rgb", "value": [0.8, 0.5, 0.3]})
+    box.bsdf = diffuse({"type": "rgb", "value": list(box_colour)})
     tilted = T.translate([0.9, -0.7, 0.6]) @ T.rotate([1, 0.3, 0], 30) @ T.scale(0.45)
     return tr.load_dict(
         {
@@ -55,5 +62,6 @@ def room(light: str, depth: int = 2, floor: dict | None = None, sensor: dict | N
             "plate": {"type": "disk", "to_world": tilted, "bsdf": diffuse(0.6)},
             "lamp": LIGHTS[light],
         },
+        variant=variant,
         dtype=torch.float64,
     )

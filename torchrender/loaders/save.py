@@ -348,7 +348,7 @@ class _Writer:
 
 def _pairs(table: torch.Tensor) -> str:
     """A table as wavelengths in nm and values."""
-    return ", ".join(f"{SHORTEST + i:g}:{number(value)}" for i, value in enumerate(table))
+    return ", ".join(f"{SHORTEST + i:g}:{number(value)}" for i, value in enumerate(table.detach()))
 
 
 def _inline(module: Any) -> bool:

@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from ..errors import describe
+from ..functions import unwrapped
 from . import spectra
 from .context import SAMPLES, Context
+from .values import has_tangent
 
 if TYPE_CHECKING:
     from .film import Film
@@ -19,14 +21,26 @@ COMPONENTS = 3  # bands that are rendered together, as many as a path has wavele
 
 
 def response(value: Any, ctx: Context) -> torch.Tensor:
-    """A response by wavelength as a table (471,) in float64, from a number, a spectrum's dict or a table."""
+    """A response by wavelength as a table (471,) in float64, from a number, a spectrum's dict or a table.
+
+    A table with a derivative stays the tensor that it is, so that steps of an optimiser are seen.
+    """
+    if isinstance(value, torch.Tensor) and value.shape == (SAMPLES,) and (value.requires_grad or has_tangent(value)):
+        _check(unwrapped(value), value, ctx)
+        return value
     ctx = replace(ctx, color="spectral", dtype=torch.float64, emission=True, bounded=False)
     table = spectra.spectrum(value, ctx).detach()
     if table.shape not in ((), (SAMPLES,)):
         ctx.error(f"expected a spectrum or a table of {SAMPLES} numbers, got {describe(value)}")
+    _check(table, value, ctx)
+    return table.expand(SAMPLES).clone()
+
+
+def _check(table: torch.Tensor, value: Any, ctx: Context) -> None:
+    if not table.is_floating_point():
+        ctx.error(f"expected a floating-point table, got {describe(value)}")
     if not bool(torch.isfinite(table).all()) or bool((table < 0).any()) or not bool((table > 0).any()):
         ctx.error("expected a response that is finite, not negative, and somewhere positive")
-    return table.expand(SAMPLES).clone()
 
 
 def bands(value: Any, ctx: Context) -> dict[str, torch.Tensor] | None:
@@ -52,7 +66,7 @@ def groups(film: Film) -> list[torch.Tensor | None]:
     """What is rendered together: weights (471, 3) of up to three bands a group, or None for red, green and blue."""
     if film.bands is None:
         return [None]
-    tables = list(film.bands.values())
+    tables = [table.double() for table in film.bands.values()]
     tables += [torch.zeros_like(tables[0])] * (-len(tables) % COMPONENTS)
     return [torch.stack(tables[i : i + COMPONENTS], 1) for i in range(0, len(tables), COMPONENTS)]
 

@@ -103,7 +103,8 @@ class Film(Settings):
         formats: what the dict said about file formats; kept, but rendering does not depend on it.
         bands: responses by name, in a spectral scene: the image is (H, W, J) with the integrals of the radiance times
             each, over wavelengths in nm. Each is a table (471,) of numbers from 360 to 830 nm, a spectrum's dict, or a
-            number. None is the standard observer's red, green and blue. Three bands at a time are rendered.
+            number. None is the standard observer's red, green and blue. Three bands at a time are rendered. Gradients
+            of images reach a table that requires one.
     """
 
     width: int = 768

@@ -35,7 +35,7 @@ def moving_caveat(
     voxels = _named("of jumps of", layout, "volume", _has_nearest) if volumetric else []
     if not outlines:
         return ", and ".join([NONE, *voxels]) + ZERO
-    missing = (UNSEEN if volumetric or layout.bending or layout.spectral else []) + ([OWN] if OWN in caveat else [])
+    missing = (UNSEEN if volumetric or layout.bending else []) + ([OWN] if OWN in caveat else [])
     if OTHERS in caveat:
         missing += _named("of silhouettes of", layout, "shape", lambda kind, _: kind in WITHOUT_OUTLINES)
     if BORDER in caveat:

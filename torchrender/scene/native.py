@@ -12,8 +12,8 @@ from ..library import Watch
 from .packing import Layout
 
 _WITH_CONFIG = (
-    *("render", "render_vjp", "render_jvp", "pixel_weights", "render_aov", "aov_vjp", "aov_jvp"),
-    *("find_outlines", "boundary"),
+    *("render", "render_vjp", "render_jvp", "response_vjp", "pixel_weights"),
+    *("render_aov", "aov_vjp", "aov_jvp", "find_outlines", "boundary"),
 )
 
 

@@ -74,9 +74,8 @@ def boundary_of(
     placed = [camera or asked(placing) for _, placing, _ in shapes]
     moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]
     lights = any(asked(slots) for k, slots, _ in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
-    # of those that the camera sees alone: of rims there are no others; beside media, and where there are wavelengths,
-    # others have no such term
-    limited = call.config.get("volumetric") or call.layout.bending or call.layout.spectral
+    # of those that the camera sees alone: of rims there are no others; beside media others have no such term
+    limited = call.config.get("volumetric") or call.layout.bending
     seen_alone = (bool(limited) and outputs is None) or not (any(placed) or lights)
     if seen_alone and not any(moves):
         return None

@@ -23,7 +23,7 @@ class FilmPlaces:
         self.filter, self.magnitude = call.film.filter, magnitude
         self.reach = 0 if self.filter.type == "box" else max(1, math.ceil(self.filter.reach - 0.5))
         self.y0, self.x0, self.height, self.width = call.config["crop"]
-        self.channels = call.native.channels + 1 if channels is None else channels
+        self.channels = call.numbers + 1 if channels is None else channels
         self.where: torch.Tensor | None = None
         if call.pixels is not None:
             chosen = torch.as_tensor(call.pixels, dtype=torch.int64)

@@ -30,7 +30,7 @@ class Radiance:
         image, alpha = (*adjoints, None)[:2]
         film = self.film.empty()
         if image is not None:
-            self.film.add(film, image.detach().reshape(-1, self.call.native.channels), slice(None, -1))
+            self.film.add(film, image.detach().reshape(-1, self.call.numbers), slice(None, -1))
         if alpha is not None:
             self.film.add(film, alpha.detach().reshape(-1, 1), slice(-1, None))
         return film / self.film.normal

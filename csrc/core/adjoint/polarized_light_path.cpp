@@ -49,18 +49,6 @@ struct LightPathEntry {
     TR_INLINE PolarizedLight<F> lamp(const SweepContext<F> &c, const MaskOf<F> &active) const {
         return {c.scene, v.light, active};
     }
-    // Of the light that arrives.
-    TR_INLINE Stokes<F> row(const TapeColumns<ScalarOf<F>> &parents, const MaskOf<F> &active) const {
-        Gathered<F> from(parent, active);
-        const auto &s = parents.stokes;
-        return {{from(s.row_i), from(s.row_q), from(s.row_u), from(s.row_v)}, from(s.row_axis)};
-    }
-    // From the path behind.
-    TR_INLINE Stokes<F> column(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) const {
-        Entries<F> from(i);
-        const auto &s = tape.stokes;
-        return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
-    }
     // The film's row for what the connection brings along k.
     TR_INLINE Stokes<F> film(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
                              const Vec3<F> &k) const {
@@ -83,7 +71,7 @@ TR_INLINE void sweep_polarized_emission(const SweepContext<F> &c, const LightSen
     VertexRecord<F> &v = e.v;
     const PolarizedLight<F> lamp = entry.lamp(c, active);
     const Vec3<F> to_camera = entry.emitted_to_camera(sensor), zero{F(0), F(0), F(0)};
-    const Stokes<F> behind = seen_from_behind(entry.column(tape, i)), film = entry.film(c, tape, i, to_camera);
+    const Stokes<F> behind = seen_from_behind(column_behind<F>(tape, i)), film = entry.film(c, tape, i, to_camera);
     next.radiance = lamp.contracted(behind, v.d);
     v.emitted = lamp.contracted(film, to_camera);
     if (scene.polarized_lights && (needs.emitter || needs.geometry)) {
@@ -138,17 +126,14 @@ TR_LARGE void hand_light(const SweepContext<F> &c, const LightSensor<ScalarOf<F>
         brought = lamp.of(v.beta * v.light_weight);
     } else {
         k = entry.scattered_to_camera(c.scene);
-        const Stokes<F> arriving = entry.row(*parents, active);
+        const Stokes<F> arriving = row_before(*parents, entry.parent, active);
         const PolarizedConnection<F> connection{sensor, c.config.sensor, entry.connection, no_stokes<F>()};
         const PolarizedVertex<F> vertex(c.scene, entry.waves, kind, v, c.needs, active, &connection);
         row = vertex.row(arriving);
         brought = seen_from_behind(vertex.connected_row(arriving));
     }
     brought = turned_column(brought, film_axis(c.scene, c.config.sensor, k), k);
-    const auto &to = tape.stokes;
-    write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
-    write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
-    write(to.row_axis, i, row.axis);
+    write_row(tape, i, row);
     write(tape.outgoing.emitted, i, brought.at[0]), write(tape.connected.q, i, brought.at[1]);
     write(tape.connected.u, i, brought.at[2]), write(tape.connected.v, i, brought.at[3]);
 }
@@ -166,7 +151,7 @@ TR_LARGE void sweep_polarized_light_vertex(const SweepContext<F> &c, const Light
     if (entry.begins) {
         sweep_polarized_emission(c, sensor, tape, entry, i, next, active, sink);
     } else {
-        const Stokes<F> arriving = entry.row(*parents, active), behind = entry.column(tape, i);
+        const Stokes<F> arriving = row_before(*parents, entry.parent, active), behind = column_behind<F>(tape, i);
         const Vec3<F> k = entry.scattered_to_camera(c.scene);
         const PolarizedConnection<F> connection{sensor, c.config.sensor, entry.connection,
                                                 seen_from_behind(entry.film(c, tape, i, k))};

@@ -37,13 +37,13 @@ TR_LARGE Vec3<F> geometric_normal(const SceneOf<F> &scene, const TapeColumns<Sca
 }
 
 template <class F>
-TR_LARGE ScatteringLobe<F> scattering_lobe(const SceneOf<F> &scene, int kind, const TapeColumns<ScalarOf<F>> &tape,
-                                           uint32_t i, const MaskOf<F> &active) {
+TR_LARGE ScatteringLobe<F> scattering_lobe(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind,
+                                           const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const MaskOf<F> &active) {
     const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
     VertexRecord<F> v = read_surface<F>(tape, i);
     const Frame<F> frame = model_frame(scene, v);
     BsdfParameters<F> params;
-    load_parameters(scene, Wavelengths<F>{}, bsdf, v.bsdf, v.at, active, params);
+    load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
     const Vec3<F> mirrored{-v.wi.x, -v.wi.y, v.wi.z};
     BsdfValue<F> peak, up;
     bsdf.eval_pdf(params, v.wi, mirrored, Transport::Radiance, peak);
@@ -61,12 +61,11 @@ TR_LARGE ScatteringLobe<F> scattering_lobe(const SceneOf<F> &scene, int kind, co
 }
 
 template <class F>
-TR_LARGE BsdfValue<F> scatter_towards(const SceneOf<F> &scene, int kind, const TapeColumns<ScalarOf<F>> &tape,
-                                      uint32_t i, const Vec3<F> &d, const GradientNeeds &needs,
-                                      const MaskOf<F> &active) {
+TR_LARGE BsdfValue<F> scatter_towards(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind,
+                                      const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const Vec3<F> &d,
+                                      const GradientNeeds &needs, const MaskOf<F> &active) {
     const BsdfKernels<F> &bsdf = bsdf_kernels<F>(kind);
     VertexRecord<F> v = read_surface<F>(tape, i);
-    const Wavelengths<F> waves{};
     BsdfParameters<F> params;
     load_parameters(scene, waves, bsdf, v.bsdf, v.at, active, params);
     v.wo_light = v.wo = model_frame(scene, v).to_local(d);
@@ -82,12 +81,58 @@ TR_LARGE BsdfValue<F> scatter_towards(const SceneOf<F> &scene, int kind, const T
     return {select(usable, value.f, uniform_spectrum(F(0))), select(usable, value.pdf, F(0))};
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                      \
-    template Vec3<F> geometric_normal(const SceneView<S> &, const TapeColumns<S> &, uint32_t, const MaskOf<F> &); \
-    template ScatteringLobe<F> scattering_lobe(const SceneView<S> &, int, const TapeColumns<S> &, uint32_t,       \
-                                               const MaskOf<F> &);                                                \
-    template BsdfValue<F> scatter_towards(const SceneView<S> &, int, const TapeColumns<S> &, uint32_t,            \
-                                          const Vec3<F> &, const GradientNeeds &, const MaskOf<F> &);
+namespace {
+
+// A vertex whose path and whose light come from d, by smooth lobes. `chosen`: 1 over the probability with which its
+// BSDF was found in its stack.
+template <class F>
+TR_INLINE VertexRecord<F> turned_vertex(const SceneOf<F> &scene, const Wavelengths<F> &waves,
+                                        const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const Vec3<F> &d,
+                                        const GradientNeeds &needs, const MaskOf<F> &active, F &chosen) {
+    VertexRecord<F> v = read_surface<F>(tape, i);
+    v.wo_light = v.wo = model_frame(scene, v).to_local(d);
+    v.lobe = IntOf<F>(0);
+    v.inverse_pdf = v.light_weight = F(0), chosen = F(1);
+    if (scene.has_stacks)
+        chosen = StackAdjoint<F>(scene, waves, v, needs, Transport::Radiance, active).bsdf.stack.inverse_probability;
+    return v;
+}
+
+}  // namespace
+
+template <class F>
+TR_LARGE Stokes<F> row_towards(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind,
+                               const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const Vec3<F> &d,
+                               const Stokes<F> &leaving, const GradientNeeds &needs, const MaskOf<F> &active) {
+    F chosen;
+    VertexRecord<F> v = turned_vertex(scene, waves, tape, i, d, needs, active, chosen);
+    v.inverse_pdf = chosen;
+    return PolarizedVertex<F>(scene, waves, kind, v, needs, active).row(leaving);
+}
+
+template <class F>
+TR_LARGE Stokes<F> column_towards(const SceneOf<F> &scene, const Wavelengths<F> &waves, int kind,
+                                  const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const Vec3<F> &d,
+                                  const EmitterPoint<F> &light, const Spectrum<F> &radiance, const GradientNeeds &needs,
+                                  const MaskOf<F> &active) {
+    F chosen;
+    VertexRecord<F> v = turned_vertex(scene, waves, tape, i, d, needs, active, chosen);
+    v.light = light, v.emitted = radiance, v.light_weight = chosen;
+    return PolarizedVertex<F>(scene, waves, kind, v, needs, active).column(no_stokes<F>());
+}
+
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template Vec3<F> geometric_normal(const SceneView<S> &, const TapeColumns<S> &, uint32_t, const MaskOf<F> &);    \
+    template ScatteringLobe<F> scattering_lobe(const SceneView<S> &, const Wavelengths<F> &, int,                    \
+                                               const TapeColumns<S> &, uint32_t, const MaskOf<F> &);                 \
+    template BsdfValue<F> scatter_towards(const SceneView<S> &, const Wavelengths<F> &, int, const TapeColumns<S> &, \
+                                          uint32_t, const Vec3<F> &, const GradientNeeds &, const MaskOf<F> &);      \
+    template Stokes<F> row_towards(const SceneView<S> &, const Wavelengths<F> &, int, const TapeColumns<S> &,        \
+                                   uint32_t, const Vec3<F> &, const Stokes<F> &, const GradientNeeds &,              \
+                                   const MaskOf<F> &);                                                               \
+    template Stokes<F> column_towards(const SceneView<S> &, const Wavelengths<F> &, int, const TapeColumns<S> &,     \
+                                      uint32_t, const Vec3<F> &, const EmitterPoint<F> &, const Spectrum<F> &,       \
+                                      const GradientNeeds &, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -1,76 +1,20 @@
 #include "sweep.h"
 
-#include "../integrator/camera.h"
-#include "../integrator/classify.h"
 #include "../medium/medium.h"
 #include "bend.h"
-#include "camera.h"
+#include "sweep_parts.h"
 
 namespace tr {
 
 namespace {
 
-// Every entry has at most one child.
-template <class F>
-TR_INLINE void hand_radiance(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const Spectrum<F> &r,
-                             const MaskOf<F> &active) {
-    for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(parents.vertex.suffix[k], parent, r[k], active);
-}
-
-// `u`, `p` and `at`: see NextVertex.
-template <class F>
-TR_INLINE void hand_motion(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const RayAdjoint<F> &ray,
-                           const Vec3<F> &u, const Vec3<F> &p, const SurfacePoint<F> &at, const MaskOf<F> &active) {
-    const auto &to = parents.next;
-    auto number = [&](auto *column, const auto &value) { scatter_lanes<F>(column, parent, value, active); };
-    auto vector = [&](const auto &column, const Vec3<F> &value) {
-        number(column.x, value.x), number(column.y, value.y), number(column.z, value.z);
-    };
-    vector(to.ray_o_bar, ray.o), vector(to.ray_d_bar, ray.d);
-    vector(to.next_segment, u), vector(to.next_p, p);
-    number(to.next_at.shape, at.shape), number(to.next_at.primitive, at.primitive);
-    number(to.next_at.b1, at.b1), number(to.next_at.b2, at.b2);
-}
-
-// D / r^2 of the segment to a vertex that is glued to its surface, else 0.
-template <class F>
-TR_INLINE Vec3<F> glued_segment(const VertexRecord<F> &v, const MaskOf<F> &active) {
-    F squared = squared_norm(v.segment);
-    auto glued = active && !v.attached && !v.parallel && mask<F>(squared > F(0));
-    return v.segment * select(glued, F(1) / squared, F(0));
-}
-
-template <class F>
-TR_INLINE Arrival<F> arrival_of(const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar) {
-    return {v.attached, v.d, v.t, v.segment, d_bar, log_bar, v.parallel};
-}
-
-// The segments from whose differential sample a path goes on.
-template <class F>
-TR_INLINE MaskOf<F> has_branch(const SweepContext<F> &c, uint32_t level, uint32_t i, const UIntOf<F> &slot,
-                               const MaskOf<F> &active) {
-    using U = UIntOf<F>;
-    if (!c.branches) return MaskOf<F>(false);
-    Gathered<F> from(slot, active);
-    return active && mask<F>(from(c.branches->level) == U(level)) &&
-           mask<F>(from(c.branches->entry) == U(i) + lane_index<F>());
-}
-// What that path has brought; 0 where there is none.
+// What the path has brought that goes on from a segment's differential sample; 0 where there is none.
 template <class F>
 TR_INLINE Spectrum<F> branch_radiance(const SweepContext<F> &c, uint32_t level, uint32_t i, const UIntOf<F> &slot,
                                       const MaskOf<F> &active) {
     const MaskOf<F> here = has_branch(c, level, i, slot, active);
     if (!any(here)) return uniform_spectrum(F(0));
     return Gathered<F>(slot, here)(c.branches->radiance);
-}
-
-// Of a camera ray.
-template <class F>
-TR_NOINLINE void sweep_start(const SweepContext<F> &c, const UIntOf<F> &slot, const RayAdjoint<F> &ray,
-                             const MaskOf<F> &active, GradientSink<F> &sink) {
-    const Record &sensor = c.scene.sensors[c.config.sensor];
-    CameraSample<F> at = camera_sample<F>(c.config, sensor, c.slots, LaneSet<F>(slot, active));
-    sweep_camera(c.scene, sensor, at, c.width, c.height, ray, F(0), active, sink);
 }
 
 // Of the ray to a vertex: straight, or bent by a medium. `log_bar`: see Arrival; `emitted_bar`: the adjoint of the
@@ -122,17 +66,16 @@ TR_NOINLINE F sweep_absorption(const SceneOf<F> &scene, const TapeColumns<Scalar
     return length_bar;
 }
 
-// A vertex of a path through media that moves, and the segment that ends at it: what they hand to the one before, which
-// is otherwise as elsewhere. `hit` and `d_bar` are those of the vertex, `next` what came from behind, `arrived` the
-// radiance there and `branch` see sweep_segment. Returns the radiance at the segment's beginning.
+}  // namespace
+
 template <class F>
-TR_NOINLINE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                             const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
-                                             const VertexRecord<F> &v, const NextVertex<F> &next,
-                                             const SegmentPacket<F> &packet, const Spectrum<F> &delta,
-                                             const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> hit,
-                                             Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
-                                             const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_LARGE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
+                                          const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
+                                          const VertexRecord<F> &v, const NextVertex<F> &next,
+                                          const SegmentPacket<F> &packet, const Spectrum<F> &delta,
+                                          const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> hit,
+                                          Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
+                                          const MaskOf<F> &active, GradientSink<F> &sink) {
     const Vec3<F> zero{F(0), F(0), F(0)};
     const bool passes = kind == NullKind, surface = kind < MissKind;
     const auto glued_behind = MaskOf<F>(passes) && active && mask<F>(squared_norm(next.segment) > F(0));
@@ -178,117 +121,6 @@ TR_NOINLINE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const Tap
     vector(parents->motion.rest_bar, rest), vector(parents->motion.from_bar, from);
     return r;
 }
-
-template <class F>
-TR_INLINE void begin(const SweepContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active, GradientSink<F> &sink) {
-    LaneSet<F> lanes(slot, active);
-    sink.begin(wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample)));
-}
-
-template <class F>
-TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active) {
-    return select(mask<UIntOf<F>>(active), index, UIntOf<F>(0u));
-}
-
-// What the polarised passes read of a vertex.
-template <class F>
-struct PolarizedEntry {
-    bool volumetric, collided, passes, surface;  // at most one of the last three
-    UIntOf<F> slot, parent;
-    VertexRecord<F> v;
-    SegmentPacket<F> segment;  // through media
-    Wavelengths<F> waves;
-    Vec3<F> leaving;  // where light travels from here
-
-    TR_INLINE PolarizedEntry(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, int kind, bool scatters,
-                             uint32_t i, const MaskOf<F> &active)
-        : volumetric(c.config.volumetric),
-          collided(kind == CollisionKind),
-          passes(volumetric && kind == NullKind),
-          surface(kind < MissKind && scatters && !passes),
-          v(read_vertex<F>(tape, i)) {
-        Entries<F> from(i);
-        slot = active_only<F>(from(tape.vertex.slot), active);
-        parent = active_only<F>(from(tape.vertex.parent), active);
-        if (surface) read_scattering(tape, i, v);
-        if (collided) read_outgoing(tape, i, v);
-        if (passes) v.inverse_pdf = from(tape.outgoing.inverse_pdf);
-        if (volumetric) {
-            read(tape.segment, from, segment);
-            v.through = segment.through;
-        }
-        read_arrival(tape, i, v);
-        leaving = -v.d;
-        LaneSet<F> lanes(slot, active);
-        waves = wavelengths_of<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample));
-    }
-    TR_INLINE PolarizedVertex<F> vertex(const SweepContext<F> &c, int kind, const MaskOf<F> &active) const {
-        return PolarizedVertex<F>(c.scene, waves, kind, v, c.needs, active);
-    }
-    TR_INLINE PolarizedCollision<F> collision(const SweepContext<F> &c, const MaskOf<F> &active) const {
-        return PolarizedCollision<F>(c.scene, waves, segment.medium, v, active);
-    }
-    // Of what arrives from behind.
-    TR_INLINE Stokes<F> column(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) const {
-        Entries<F> from(i);
-        const auto &s = tape.stokes;
-        return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
-    }
-    TR_INLINE PolarizedLight<F> emitter(const SweepContext<F> &c, const MaskOf<F> &active) const {
-        return {c.scene, v.emission, active && mask<F>(v.emission_weight > F(0))};
-    }
-    // Of all that leaves: of what is scattered, if anything polarises it, and of what is emitted.
-    TR_INLINE Stokes<F> sum(const Stokes<F> &scattered, bool polarized, const PolarizedLight<F> &emitter) const {
-        Stokes<F> s = emitter.of(v.emission_radiance);
-        if (polarized) s = turned_column(s, scattered.axis, leaving);
-        for (int i = 0; i < 4; ++i) s.at[i] = s.at[i] + scattered.at[i];
-        return s;
-    }
-    // What passes a boundary; without polarisation it has the axis of what is emitted there.
-    TR_INLINE Stokes<F> passed(const Stokes<F> &arriving, const PolarizedLight<F> &emitter) const {
-        Stokes<F> s = weighted(arriving, uniform_spectrum(v.inverse_pdf));
-        s.axis = select(mask<F>(squared_norm(s.axis) > F(0)), s.axis, emitter.axis);
-        return s;
-    }
-    // For what leaves: from the vertex before, or the film's.
-    TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents,
-                            const MaskOf<F> &active) const {
-        if (parents) {
-            Gathered<F> from(parent, active);
-            const auto &s = parents->stokes;
-            return {{from(s.row_i), from(s.row_q), from(s.row_u), from(s.row_v)}, from(s.row_axis)};
-        }
-        LaneSet<F> from(slot, active);
-        const auto &s = c.slots;
-        return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)}, film_axis(c, leaving)};
-    }
-    // The axis of the film's Stokes vectors, of light that comes along k: horizontal, by the camera's upward direction.
-    TR_INLINE static Vec3<F> film_axis(const SweepContext<F> &c, const Vec3<F> &k) {
-        return axis_between(camera_up(c), k);
-    }
-    TR_INLINE static Vec3<F> camera_up(const SweepContext<F> &c) {
-        const ScalarOf<F> *m = c.scene.values.constants + c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
-        return {F(m[1]), F(m[5]), F(m[9])};
-    }
-};
-
-// The film's axis turns with the camera, and with the direction from which light comes.
-template <class F>
-TR_INLINE void sweep_film_axis(const SweepContext<F> &c, const Vec3<F> &leaving, const Stokes<F> &row,
-                               const Stokes<F> &column, const MaskOf<F> &active, Vec3<F> &d_bar,
-                               GradientSink<F> &sink) {
-    const Vec3<F> up = PolarizedEntry<F>::camera_up(c);
-    Vec3<F> up_bar{F(0), F(0), F(0)}, leaving_bar = up_bar;
-    const F angle_bar = component_sum(by_angle(row, turned_column(column, row.axis, leaving)));
-    sweep_axis(up, leaving, leaving, angle_bar, up_bar, leaving_bar);
-    d_bar = d_bar - leaving_bar;
-    if (!c.needs.camera) return;
-    const int32_t to_world = c.scene.sensors[c.config.sensor].field[Perspective::ToWorld];
-    const F by_row[3] = {up_bar.x, up_bar.y, up_bar.z};
-    for (int i = 0; i < 3; ++i) sink.scalar(IntOf<F>(to_world + 4 * i + 1), by_row[i], active);
-}
-
-}  // namespace
 
 template <class F>
 TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
@@ -355,183 +187,6 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     }
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
     return r;
-}
-
-template <class F>
-TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                          const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                          const MaskOf<F> &active) {
-    const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    Stokes<F> s;
-    const PolarizedLight<F> emitter = entry.emitter(c, active);
-    if (entry.surface) {
-        const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
-        s = entry.sum(vertex.column(entry.column(tape, i)), vertex.kind != Polarization::None, emitter);
-    } else if (entry.collided) {
-        s = entry.collision(c, active).column(entry.column(tape, i));
-    } else if (entry.passes) {
-        s = entry.sum(entry.passed(entry.column(tape, i), emitter), true, emitter);
-    } else {
-        s = emitter.of(entry.v.emission_radiance);
-    }
-    if (entry.volumetric) {
-        s = weighted(s, entry.segment.weight);
-        s.at[0] = s.at[0] + segment_emission(c.scene, entry.waves, entry.segment, active);
-    }
-    if (!parents && !c.columns_to) s = turned_column(s, PolarizedEntry<F>::film_axis(c, entry.leaving), entry.leaving);
-    if (parents) {
-        const auto &to = parents->stokes;
-        hand_radiance(*parents, entry.parent, s.at[0], active);
-        const SpectrumColumn<ScalarOf<F>> columns[] = {to.column_q, to.column_u, to.column_v};
-        for (int k = 0; k < 3; ++k)
-            for (int j = 0; j < SpectrumSize; ++j)
-                scatter_lanes<F>(columns[k][j], entry.parent, s.at[k + 1][j], active);
-        scatter_lanes<F>(to.column_axis.x, entry.parent, s.axis.x, active);
-        scatter_lanes<F>(to.column_axis.y, entry.parent, s.axis.y, active);
-        scatter_lanes<F>(to.column_axis.z, entry.parent, s.axis.z, active);
-        return;
-    }
-    if (c.columns_to) {  // one path a slot
-        const auto &to = *c.columns_to;
-        const SpectrumColumn<ScalarOf<F>> columns[] = {to.radiance, to.q, to.u, to.v};
-        for (int k = 0; k < 4; ++k)
-            for (int j = 0; j < SpectrumSize; ++j) scatter_lanes<F>(columns[k][j], entry.slot, s.at[k][j], active);
-        scatter_lanes<F>(to.axis.x, entry.slot, s.axis.x, active);
-        scatter_lanes<F>(to.axis.y, entry.slot, s.axis.y, active);
-        scatter_lanes<F>(to.axis.z, entry.slot, s.axis.z, active);
-        return;
-    }
-    if (!c.to_slots) return;
-    const SpectrumColumn<ScalarOf<F>> columns[] = {c.slots.radiance, c.slots.q, c.slots.u, c.slots.v};
-    for (int k = 0; k < 4; ++k) add_to_entries<F>(columns[k], entry.slot, s.at[k], active);
-}
-
-template <class F>
-TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                       const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                       const MaskOf<F> &active) {
-    const PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    if (!entry.surface && !entry.collided && !entry.passes) return;
-    Stokes<F> row = entry.row(c, parents, active);
-    if (entry.volumetric) row = weighted(row, entry.segment.weight);
-    if (entry.surface) row = entry.vertex(c, kind, active).row(row);
-    if (entry.collided) row = entry.collision(c, active).row(row);
-    if (entry.passes) row = weighted(row, uniform_spectrum(entry.v.inverse_pdf));
-    const auto &to = tape.stokes;
-    write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
-    write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
-    write(to.row_axis, i, row.axis);
-}
-
-namespace {
-
-// The numbers of the segment's own derivative, which sweep_segment knows as products of throughput and radiance.
-// Returns that of the path that goes on from the differential sample.
-template <class F>
-TR_INLINE Spectrum<F> polarize_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t level,
-                                       uint32_t i, PolarizedEntry<F> &entry, const Stokes<F> &row,
-                                       const MaskOf<F> &active) {
-    SegmentPacket<F> &segment = entry.segment;
-    const Spectrum<F> none = uniform_spectrum(F(0)), one = uniform_spectrum(F(1));
-    const Vec3<F> &d = entry.v.d;
-    segment.first = row.at[0];
-    if (!c.branches) return none;
-    const MaskOf<F> lit =
-        active && mask<F>(segment.medium >= 0) && mask<F>(max_component(segment.differential_value) > F(0));
-    if (any(lit)) {
-        Entries<F> from(i);
-        const auto &s = tape.stokes;
-        Stokes<F> light{{one, none, none, none}, {F(0), F(0), F(0)}};
-        if (c.scene.polarized_lights) {
-            const Vec3<F> shares = from(s.differential_shares);
-            light = {{one, one * shares.x, one * shares.y, one * shares.z}, from(s.differential_axis)};
-        }
-        segment.differential_value = differential_number(c.scene, segment, d, from(s.differential_light),
-                                                         segment.differential_value, light, row, lit);
-    }
-    const MaskOf<F> here = has_branch(c, level, i, entry.slot, active);
-    if (!any(here)) return none;
-    Gathered<F> from(entry.slot, here);
-    const BranchColumns<ScalarOf<F>> &b = *c.branches;
-    const Stokes<F> brought{{from(b.radiance), from(b.q), from(b.u), from(b.v)}, from(b.axis)};
-    return differential_number(c.scene, segment, d, from(b.wo), from(b.factor), brought, row, here);
-}
-
-}  // namespace
-
-template <class F>
-TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                     const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
-                                     uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
-    const GradientNeeds &needs = c.needs;
-    PolarizedEntry<F> entry(c, tape, kind, scatters, i, active);
-    const bool volumetric = entry.volumetric;
-    const Spectrum<F> one = uniform_spectrum(F(1));
-    VertexRecord<F> &v = entry.v;
-    SegmentPacket<F> &segment = entry.segment;
-    sink.begin(entry.waves);
-    const Stokes<F> first = entry.row(c, parents, active), row = volumetric ? weighted(first, segment.weight) : first;
-    HitAdjoint<F> hit;
-    Vec3<F> d_bar{F(0), F(0), F(0)};
-    NextVertex<F> next = read_next<F>(tape, i, needs.geometry && (entry.surface || entry.collided || entry.passes));
-    auto lit = active && mask<F>(v.emission_weight > F(0));
-    const PolarizedLight<F> emitter = entry.emitter(c, active);
-    const Spectrum<F> a = emitter.contracted(row, entry.leaving);
-    if ((needs.emitter || needs.geometry) && any(lit)) {
-        sweep_emitter(c.scene, v.emission, v.d, a * v.emission_weight, needs, lit, hit.at, d_bar, sink);
-        if (c.scene.polarized_lights) {
-            Vec3<F> travel_bar{F(0), F(0), F(0)};
-            hit.tangent = emitter.sweep(c.scene, v.emission, entry.leaving, row, v.emission_radiance, needs, lit,
-                                        travel_bar, sink);
-            d_bar = d_bar - travel_bar;
-        }
-    }
-    F arrived = contract(a, v.emission_radiance);
-    Stokes<F> left = emitter.of(v.emission_radiance);
-    const auto scatter = [&](const auto &vertex, bool polarizes) {
-        const Stokes<F> behind = entry.column(tape, i);
-        left = entry.sum(vertex.column(behind), polarizes, emitter);
-        if (volumetric) segment.shadow_value = vertex.direct(row);
-        if (volumetric && needs.geometry) {
-            MotionPacket<F> motion;
-            read(tape.motion, Entries<F>(i), motion);
-            v.way = sweep_shadow_motion(c.scene, segment, motion, v.p, one, active, sink);
-            next.ray.o = next.ray.o + next.rest + next.from;
-        }
-        arrived = arrived + vertex.sweep(c.scene, kind, v, row, behind, next, needs, active, hit, d_bar, sink);
-    };
-    if (entry.surface) {
-        const PolarizedVertex<F> vertex = entry.vertex(c, kind, active);
-        scatter(vertex, vertex.kind != Polarization::None);
-    } else if (entry.collided) {
-        scatter(entry.collision(c, active), true);
-    } else if (entry.passes) {
-        left = entry.sum(entry.passed(entry.column(tape, i), emitter), true, emitter);
-    }
-    if (!parents && needs.geometry && kind != MissKind)
-        sweep_film_axis(c, entry.leaving, row, left, active, d_bar, sink);
-    if (volumetric) {
-        const Spectrum<F> end = number_between(row, left, entry.leaving),
-                          branch = polarize_segment(c, tape, level, i, entry, first, active);
-        v.beta = one;
-        if (needs.geometry)
-            sweep_moving_segment(c, tape, parents, kind, i, v, next, segment, one, end, branch, hit, d_bar, entry.slot,
-                                 entry.parent, active, sink);
-        else
-            sweep_segment(c.scene, segment, one, one, end, branch, needs.medium, active, sink);
-    } else if (needs.geometry) {
-        RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
-        Vec3<F> u{F(0), F(0), F(0)};
-        if (kind != MissKind) {
-            ray = sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, arrived), hit, active, sink);
-            u = glued_segment(v, active);
-        }
-        if (parents)
-            hand_motion(*parents, entry.parent, ray, u, v.p, v.at, active);
-        else if (needs.camera)
-            sweep_start(c, entry.slot, ray, active, sink);
-    }
-    if (sink.forward) add_to_entries<F>(c.slots.radiance, entry.slot, sink.derivative, active);
 }
 
 template <class F>
@@ -607,22 +262,18 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     if (sink.forward) add_to_entries<F>(c.slots.radiance, slot, sink.derivative, active);
 }
 
-#define TR_INSTANTIATE_POLARIZED(F, S)                                                                            \
-    template void hand_column(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
-                              uint32_t, const MaskOf<F> &);                                                       \
-    template void hand_row(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,    \
-                           uint32_t, const MaskOf<F> &);                                                          \
-    template void sweep_polarized_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
-                                         uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);
-TR_FOR_EACH_FLOAT(TR_INSTANTIATE_POLARIZED)
-#undef TR_INSTANTIATE_POLARIZED
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,       \
-                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);          \
-    template Vec3<F> sweep_place(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool, \
-                                 uint32_t, const Vec3<F> &, const MaskOf<F> &, GradientSink<F> &);                   \
-    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,        \
-                                     const TapeColumns<S> *, int, uint32_t, const MaskOf<F> &, GradientSink<F> &);
+#define TR_INSTANTIATE(F, S)                                                                                           \
+    template Spectrum<F> sweep_vertex(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *,         \
+                                      uint32_t, int, bool, uint32_t, const MaskOf<F> &, GradientSink<F> &);            \
+    template Vec3<F> sweep_place(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, int, bool,   \
+                                 uint32_t, const Vec3<F> &, const MaskOf<F> &, GradientSink<F> &);                     \
+    template void sweep_light_vertex(const SweepContext<F> &, const LightSensor<S> &, const TapeColumns<S> &,          \
+                                     const TapeColumns<S> *, int, uint32_t, const MaskOf<F> &, GradientSink<F> &);     \
+    template Spectrum<F> sweep_moving_segment(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
+                                              int, uint32_t, const VertexRecord<F> &, const NextVertex<F> &,           \
+                                              const SegmentPacket<F> &, const Spectrum<F> &, const Spectrum<F> &,      \
+                                              const Spectrum<F> &, HitAdjoint<F>, Vec3<F>, const UIntOf<F> &,          \
+                                              const UIntOf<F> &, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

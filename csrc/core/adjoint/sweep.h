@@ -3,7 +3,6 @@
 
 #include "light.h"
 #include "medium.h"
-#include "polarized_medium.h"
 
 namespace tr {
 
@@ -30,21 +29,6 @@ template <class F>
 TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                                   const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
                                   uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
-
-// Of polarised light: the column for the vertex before, or what the path brings; the row for the vertex behind; and,
-// with both, the derivative.
-template <class F>
-TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                          const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                          const MaskOf<F> &active);
-template <class F>
-TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                       const TapeColumns<ScalarOf<F>> *parents, int kind, bool scatters, uint32_t i,
-                       const MaskOf<F> &active);
-template <class F>
-TR_LARGE void sweep_polarized_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
-                                     const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
-                                     uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // The place alone of a vertex that a smooth BSDF's or the camera's ray has found: hands its adjoint `p_bar`, with those
 // of places behind it, to what moves it, the vertex before included. Directions after smooth BSDFs are at rest. Returns

@@ -15,7 +15,7 @@ TR_INLINE void hand_radiance(const TapeColumns<ScalarOf<F>> &parents, const UInt
     for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(parents.vertex.suffix[k], parent, r[k], active);
 }
 
-// The column of polarised light.
+// Of polarised light: the column of what arrives from the vertex behind, which that vertex hands on,
 template <class F>
 TR_INLINE void hand_stokes(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const Stokes<F> &s,
                            const MaskOf<F> &active) {
@@ -27,6 +27,27 @@ TR_INLINE void hand_stokes(const TapeColumns<ScalarOf<F>> &parents, const UIntOf
     scatter_lanes<F>(to.column_axis.x, parent, s.axis.x, active);
     scatter_lanes<F>(to.column_axis.y, parent, s.axis.y, active);
     scatter_lanes<F>(to.column_axis.z, parent, s.axis.z, active);
+}
+template <class F>
+TR_INLINE Stokes<F> column_behind(const TapeColumns<ScalarOf<F>> &tape, uint32_t i) {
+    Entries<F> from(i);
+    const auto &s = tape.stokes;
+    return {{from(tape.vertex.suffix), from(s.column_q), from(s.column_u), from(s.column_v)}, from(s.column_axis)};
+}
+// ... and the row that a vertex has for it.
+template <class F>
+TR_INLINE void write_row(const TapeColumns<ScalarOf<F>> &tape, uint32_t i, const Stokes<F> &row) {
+    const auto &to = tape.stokes;
+    write(to.row_i, i, row.at[0]), write(to.row_q, i, row.at[1]);
+    write(to.row_u, i, row.at[2]), write(to.row_v, i, row.at[3]);
+    write(to.row_axis, i, row.axis);
+}
+template <class F>
+TR_INLINE Stokes<F> row_before(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent,
+                               const MaskOf<F> &active) {
+    Gathered<F> from(parent, active);
+    const auto &s = parents.stokes;
+    return {{from(s.row_i), from(s.row_q), from(s.row_u), from(s.row_v)}, from(s.row_axis)};
 }
 
 // `u`, `p` and `at`: see NextVertex.

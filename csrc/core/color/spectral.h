@@ -26,6 +26,8 @@ struct SpectralConfig {
     const void *positions;
     int32_t intervals;
     const void *weights;  // (SpectrumSamples, 3): what a wavelength adds to the channels of the film
+    // The bits of both by which samples of a pixel choose their own; what differs in others alone has the same.
+    uint32_t pixel_bits = 0xFFFFFFFFu, sample_bits = 0xFFFFFFFFu;
 };
 
 // Blocks of random numbers of paths are smaller, see integrator/config.h.
@@ -46,10 +48,11 @@ TR_NOINLINE ChosenWavelengths<F> choose_wavelengths(const SpectralConfig &config
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     using I = IntOf<F>;
-    const RandomBits4<F> hash = random_bits4<F>(seed, sensor, pixel, U(0u), U(WavelengthBlock));
-    F place = uniform_of<F>(hash.bits[0] + sample * 0x9E3779B9u) * F(S(config.intervals));
+    const U own = sample & config.sample_bits;
+    const RandomBits4<F> hash = random_bits4<F>(seed, sensor, pixel & config.pixel_bits, U(0u), U(WavelengthBlock));
+    F place = uniform_of<F>(hash.bits[0] + own * 0x9E3779B9u) * F(S(config.intervals));
     F below = floor(place), within = place - below;
-    U k = sample + (hash.bits[1] >> 1);  // may wrap around: a jump of the order of thirds
+    U k = own + (hash.bits[1] >> 1);  // may wrap around: a jump of the order of thirds
     U third = k - (mul_hi(k, U(0xAAAAAAABu)) >> 1) * 3u;
     const S *positions = static_cast<const S *>(config.positions);
     ChosenWavelengths<F> r;

@@ -31,7 +31,7 @@ def wavelength_config(
     """What the core's settings say of wavelengths, addresses, and the tensors at these addresses.
 
     `tensors` are those for the core. Of lights that change there are new densities. `weights` (471, 3) are the film's,
-    see `film_weights`, which None means.
+    see `film_weights`, which None means; densities have no derivative by them.
     """
     lights = [
         (i, unwrapped(tensors[i]))
@@ -67,9 +67,9 @@ def film_weights() -> torch.Tensor:
 def sensor_weights(responses: torch.Tensor | None, srf: torch.Tensor | None) -> torch.Tensor | None:
     """The same of up to three `responses` (471, 3), None for the standard observer, and a sensor's response (471,)."""
     if responses is None:
-        return None if srf is None else film_weights() * srf[:, None]
+        return None if srf is None else film_weights() * srf.double()[:, None]
     if srf is not None:
-        responses = responses * srf[:, None]
+        responses = responses * srf.double()[:, None]
     return responses * spectrum.d65(responses)[:, None]
 
 

@@ -1,0 +1,48 @@
+// The adjoint of an image as paths see it.
+#pragma once
+
+#include "work_items.h"
+
+namespace tr {
+
+// d loss / d (sum of weighted radiances) of every wanted pixel, of that of the image: (n, numbers).
+template <class F>
+std::unique_ptr<Film> adjoint_film(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
+                                   const ScalarOf<F> *given, RenderStats &stats) {
+    const int values = call.numbers();
+    auto adjoint = std::make_unique<Film>(schedule, values);
+    std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
+    for (size_t i = 0; i < schedule.n_results() && !stats.interrupted; ++i) {
+        size_t target = schedule.target_of(i);  // a pixel that was asked for twice has two results
+        double total = *weights->at(target);
+        if (total == 0) continue;
+        for (int c = 0; c < values; ++c)
+            adjoint->at(target)[c] += double(given[i * size_t(values) + size_t(c)]) / total;
+    }
+    return adjoint;
+}
+
+// The adjoints of the radiances of a batch.
+template <class S>
+void collect_adjoints(const RenderCall<S> &call, const std::vector<FilmBlock> &blocks, const std::vector<Span> &spans,
+                      const SlotColumns<S> &slots) {
+    const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
+    const SpectrumColumn<S> parts[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
+    const int n_parts = call.config.stokes ? 4 : 1;
+    for (const Span &span : spans)
+        for (size_t k = span.begin; k < span.end; ++k) {
+            if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
+                for (int p = 0; p < n_parts; ++p)
+                    for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
+                continue;
+            }
+            double d[4 * SpectrumSize] = {};
+            blocks[span.unit].collect(call.filter, int32_t(slots.row[k]), int32_t(slots.column[k]),
+                                      double(slots.film_y[k]), double(slots.film_x[k]), d);
+            for (int p = 0; p < n_parts; ++p)
+                for (int c = 0; c < SpectrumSize; ++c)
+                    parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
+        }
+}
+
+}  // namespace tr
