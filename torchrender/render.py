@@ -357,8 +357,9 @@ def render(
             trace = functools.partial(_traced, wavefront_call(scene, call, integrator_config, of_torch))
         radiance = functools.partial(_radiance, scene, call, used, camera, trace, outlined)
         if polarized:
-            parts = _parts(scene, polarized_call(call), used, camera, trace, outlined)
-            stokes = stokes_image(parts, len(film.channels or "rgb"[: native.channels]))
+            of_vectors = polarized_call(call, packed)
+            parts = _parts(scene, of_vectors, used, camera, trace, outlined)
+            stokes = stokes_image(parts, len(film.channels or "rgb"[: native.channels]), of_vectors.stokes)
             of_stokes = stokes_outputs(stokes, names)
             rest = [n for n in names if n not in of_stokes]
             views.append({**(_view(scene, call, rest, stack, used, radiance) if rest else {}), **of_stokes})

@@ -19,6 +19,21 @@ from .scene.packing import Layout
 GLOSSY = ("principled", "principledthin", "hair", "redner")
 PARTICLES = ("tabphase",)
 
+# What polarises nothing, nor changes what is polarised otherwise than by its weight.
+UNPOLARIZED = {
+    "bsdf": ("diffuse", "null", *GLOSSY, "twosided", "blendbsdf", "mask", "normalmap", "bumpmap"),
+    "phase": ("isotropic", "hg", *PARTICLES, "blendphase"),
+}
+
+
+def polarizes(packed: Layout) -> bool:
+    """Whether anything of the scene may polarise light. If not, its Stokes vectors are (I, 0, 0, 0)."""
+    return any(
+        kind not in unpolarized
+        for category, unpolarized in UNPOLARIZED.items()
+        for kind, _, _ in packed.objects[category]
+    ) or any(slot.name.endswith(".stokes") for slot in packed.slots)
+
 
 def check_polarized(
     integrator: Any, packed: Layout, names: Sequence[str], adaptive_grad: bool, warned: set[str]
@@ -44,22 +59,28 @@ def check_polarized(
         warn_once(warned, "depolarised", text)
 
 
-def polarized_call(call: RenderCall) -> RenderCall:
-    """The call that renders the Stokes vectors of this rendering."""
+def polarized_call(call: RenderCall, packed: Layout) -> RenderCall:
+    """The call that renders the Stokes vectors of this rendering, or intensities, where nothing polarises."""
+    stokes = polarizes(packed)
     return replace(
         call,
-        config={**call.config, "stokes": True},
-        stokes=True,
+        config={**call.config, "stokes": stokes},
+        stokes=stokes,
         alpha=False,
         variance=False,
         second_moment=False,
-        keep_hits=False,
+        keep_hits=call.keep_hits and not stokes,
         requirements=replace(call.requirements, alpha=False),
     )
 
 
-def stokes_image(parts: Sequence[torch.Tensor], channels: int) -> torch.Tensor:
-    """The Stokes vectors (..., C, 4) of all groups of bands, each (..., 4 C'), of which the first C are wanted."""
+def stokes_image(parts: Sequence[torch.Tensor], channels: int, stokes: bool) -> torch.Tensor:
+    """The Stokes vectors (..., C, 4) of all groups of bands, of which the first C are wanted.
+
+    Each group is (..., 4 C'), or, without `stokes`, (..., C') of unpolarised light.
+    """
+    if not stokes:
+        return torch.nn.functional.pad(torch.cat(list(parts), -1)[..., :channels, None], (0, 3))
     split = [part.unflatten(-1, (4, -1)).transpose(-1, -2) for part in parts]
     return torch.cat(split, -2)[..., :channels, :]
 

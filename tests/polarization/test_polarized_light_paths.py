@@ -6,7 +6,9 @@ import math
 
 import pytest
 import torch
+from moving_differences import agrees, compare
 from polarized_derivatives import along, check, image, modes, turning
+from shadow_scenes import room
 
 import torchrender as tr
 
@@ -152,6 +154,18 @@ def test_indices():
     scene = over_floor("metal")
     for name in ("ball.bsdf.eta.value", "ball.bsdf.k.value", "floor.bsdf.k.value", "lamp.intensity.value"):
         check(scene, name, along(scene, name))
+
+
+def test_edges():
+    """Silhouettes and shadows in Stokes vectors that light paths bring, found by paths from the camera."""
+    scene = room("rectangle", 2, {**GOLD, "alpha": 0.3})
+    scene.integrator = tr.ParticleTracer(max_depth=3)
+    weights = torch.tensor([0, 1.0, -1.5, 2.0], dtype=torch.float64)
+    settings = {"show": lambda out: (out.stokes * weights).sum(-1), "outputs": ("stokes",)}
+    derivatives, differences = compare(scene, "plate.to_world", 6, 512, 2e-2, **settings)
+    passed, text = agrees(derivatives, differences, 0.02, 1)  # at 1 %
+    assert passed, text
+    assert float(differences.mean().abs()) > 5 * float(differences.std()) / len(differences) ** 0.5
 
 
 def test_a_part_of_the_film():

@@ -126,14 +126,14 @@ TR_LARGE void hand_light(const SweepContext<F> &c, const LightSensor<ScalarOf<F>
         brought = lamp.of(v.beta * v.light_weight);
     } else {
         k = entry.scattered_to_camera(c.scene);
-        const Stokes<F> arriving = row_before(*parents, entry.parent, active);
+        const Stokes<F> arriving = row_before<F>(*parents, entry.parent, active);
         const PolarizedConnection<F> connection{sensor, c.config.sensor, entry.connection, no_stokes<F>()};
         const PolarizedVertex<F> vertex(c.scene, entry.waves, kind, v, c.needs, active, &connection);
         row = vertex.row(arriving);
         brought = seen_from_behind(vertex.connected_row(arriving));
     }
     brought = turned_column(brought, film_axis(c.scene, c.config.sensor, k), k);
-    write_row(tape, i, row);
+    write_row<F>(tape, i, row);
     write(tape.outgoing.emitted, i, brought.at[0]), write(tape.connected.q, i, brought.at[1]);
     write(tape.connected.u, i, brought.at[2]), write(tape.connected.v, i, brought.at[3]);
 }
@@ -151,7 +151,7 @@ TR_LARGE void sweep_polarized_light_vertex(const SweepContext<F> &c, const Light
     if (entry.begins) {
         sweep_polarized_emission(c, sensor, tape, entry, i, next, active, sink);
     } else {
-        const Stokes<F> arriving = row_before(*parents, entry.parent, active), behind = column_behind<F>(tape, i);
+        const Stokes<F> arriving = row_before<F>(*parents, entry.parent, active), behind = column_behind<F>(tape, i);
         const Vec3<F> k = entry.scattered_to_camera(c.scene);
         const PolarizedConnection<F> connection{sensor, c.config.sensor, entry.connection,
                                                 seen_from_behind(entry.film(c, tape, i, k))};
@@ -159,7 +159,7 @@ TR_LARGE void sweep_polarized_light_vertex(const SweepContext<F> &c, const Light
         HitAdjoint<F> hit;
         Vec3<F> d_bar{F(0), F(0), F(0)};
         const F arrived = vertex.sweep(c.scene, kind, v, arriving, behind, next, needs, active, hit, d_bar, sink);
-        hand_stokes(*parents, entry.parent, vertex.column(behind), active);
+        hand_stokes<F>(*parents, entry.parent, vertex.column(behind), active);
         if (needs.geometry) {
             const RayAdjoint<F> ray =
                 sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, arrived), hit, active, sink);

@@ -3,6 +3,7 @@
 // columns.
 #pragma once
 
+#include "polarization.h"
 #include "sweep.h"
 
 namespace tr {

@@ -63,7 +63,7 @@ struct PolarizedEntry {
     // For what leaves: from the vertex before, or the film's.
     TR_INLINE Stokes<F> row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> *parents,
                             const MaskOf<F> &active) const {
-        if (parents) return row_before(*parents, parent, active);
+        if (parents) return row_before<F>(*parents, parent, active);
         LaneSet<F> from(slot, active);
         const auto &s = c.slots;
         return {{from(s.delta), from(s.delta_q), from(s.delta_u), from(s.delta_v)},
@@ -96,7 +96,7 @@ TR_LARGE void hand_column(const SweepContext<F> &c, const TapeColumns<ScalarOf<F
     }
     if (!parents && !c.columns_to)
         s = turned_column(s, film_axis(c.scene, c.config.sensor, entry.leaving), entry.leaving);
-    if (parents) return hand_stokes(*parents, entry.parent, s, active);
+    if (parents) return hand_stokes<F>(*parents, entry.parent, s, active);
     if (c.columns_to) {  // one path a slot
         const auto &to = *c.columns_to;
         const SpectrumColumn<ScalarOf<F>> columns[] = {to.radiance, to.q, to.u, to.v};
@@ -123,7 +123,7 @@ TR_LARGE void hand_row(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> 
     if (entry.surface) row = entry.vertex(c, kind, active).row(row);
     if (entry.collided) row = entry.collision(c, active).row(row);
     if (entry.passes) row = weighted(row, uniform_spectrum(entry.v.inverse_pdf));
-    write_row(tape, i, row);
+    write_row<F>(tape, i, row);
 }
 
 template <class F>

@@ -4,6 +4,7 @@
 #include "../integrator/camera.h"
 #include "../integrator/classify.h"
 #include "camera.h"
+#include "stokes.h"
 #include "sweep.h"
 
 namespace tr {
