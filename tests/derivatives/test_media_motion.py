@@ -20,7 +20,7 @@ from moving_differences import direction_of
 import torchrender as tr
 from torchrender.scene.training import parameters_by_every_name
 
-SEEDS = range(12)
+SEEDS = range(8)
 NULL = {"type": "null"}
 STEP = 1e-4
 

@@ -194,7 +194,7 @@ CASES = {
 def test_against_differences(name):
     case = CASES[name]
     scene = case.scene()
-    settings = {"spp": case.spp, "differences_spp": case.differences_spp, "step": case.step, "seeds": 8}
+    settings = {"spp": case.spp, "differences_spp": case.differences_spp, "step": case.step, "seeds": 6}
     settings |= {"weight": case.weight, "spp_visibility": case.spp_visibility}
     check(*by_theta(scene, case.directions(scene), **settings), case.rtol, len(CASES))
 

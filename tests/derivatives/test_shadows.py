@@ -108,7 +108,7 @@ def test_a_disk_before_a_disk(occluder):
         },
     )
     names = ["plate.vertex_positions" if occluder == "mesh" else "plate.to_world", "lamp.to_world", "floor.to_world"]
-    found = gradients(scene, *names, spp=4096)
+    found = gradients(scene, *names, spp=2048)
     factor = ALBEDO * radiance
     by_a, by_b = factor * 2 * a * top**2 / (a**2 + top**2) ** 2, -factor * 2 * b * h**2 / (b**2 + h**2) ** 2
     by_top, by_h = -factor * 2 * a**2 * top / (a**2 + top**2) ** 2, factor * 2 * b**2 * h / (b**2 + h**2) ** 2
@@ -136,7 +136,7 @@ def test_a_sphere_under_the_sky():
         ball={"type": "sphere", "center": centre.tolist(), "radius": radius, "bsdf": diffuse(0.0)},
         sky={"type": "constant", "radiance": sky},
     )
-    found = gradients(scene, "ball.radius", "ball.center", "floor.to_world", spp=4096)
+    found = gradients(scene, "ball.radius", "ball.center", "floor.to_world", spp=2048)
     place = centre.clone().requires_grad_()
     size = torch.tensor(radius, dtype=DOUBLE, requires_grad=True)
     taken = -ALBEDO * sky * size**2 * place[2] / place.norm() ** 3

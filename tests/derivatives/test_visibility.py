@@ -83,7 +83,7 @@ SHAPES = ("box.vertex_positions", "leaf.vertex_positions", "ball.center", "ball.
           "pipe.p0", "pipe.radius", "wall.to_world")  # fmt: skip
 
 
-def check(scene: tr.Scene, parameter: str, rtol: float = 0.02, step: float = 5e-3, spp: int = 400) -> None:
+def check(scene: tr.Scene, parameter: str, rtol: float = 0.02, step: float = 5e-3, spp: int = 256) -> None:
     derivatives, differences = compare(scene, parameter, SEEDS, spp, step)
     passed, text = agrees(derivatives, differences, rtol, CASES)
     assert passed, f"{parameter}: {text}"
@@ -113,7 +113,7 @@ def test_sensors(kind):
 def test_lenses(kind, parameter, step):
     scene = emitters()
     scene["camera"] = camera(SENSORS[kind].get("type", kind), **SENSORS[kind])
-    check(tr.load_dict(scene, dtype=DOUBLE), f"camera.{parameter}", step=step, spp=1000)
+    check(tr.load_dict(scene, dtype=DOUBLE), f"camera.{parameter}", step=step, spp=600)
 
 
 @pytest.mark.parametrize("rfilter", FILTERS[1:], ids=lambda f: f["type"])
@@ -156,7 +156,7 @@ def measured(sensor: dict) -> tr.Scene:
 )
 def test_sensors_of_one_pixel(sensor, parameter):
     """What moves on the way to a single point is a jump of its derivative, but light there comes from a whole sky."""
-    check(measured(sensor), parameter, spp=40000)
+    check(measured(sensor), parameter, spp=20000)
 
 
 def test_the_direction_of_distant_lacks_outlines():
@@ -205,7 +205,7 @@ def shaded(bsdf: dict, kind: str) -> tr.Scene:
 )  # fmt: skip
 def test_shaded_bodies(kind, parameter):
     """Silhouettes, and creases between faces of other brightness."""
-    check(shaded({"type": "diffuse", "reflectance": 0.8}, kind), parameter, spp=1000)
+    check(shaded({"type": "diffuse", "reflectance": 0.8}, kind), parameter, spp=600)
 
 
 # ----------------------------------------------------------------------------------------------------- closed forms

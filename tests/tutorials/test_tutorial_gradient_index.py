@@ -15,7 +15,7 @@ import torchrender as tr
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 LUNEBURG = {"levels": 2, "iterations": 40, "rays": 60}
-CUBE = {"size": 40, "resolution": 32, "iterations": 60, "smoothness": 0.5, "verification_spp": 64}
+CUBE = {"size": 40, "resolution": 32, "iterations": 40, "smoothness": 0.5, "verification_spp": 64}
 SCHLIEREN = {"size": 20, "resolution": 20, "views": 12, "iterations": 4}
 
 
@@ -54,7 +54,7 @@ def test_grin_cube(tutorial, tmp_path, capsys):
     assert drawn(tmp_path / "whole", "loss", "index")
     assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (40, 40, 40, 1)
     assert tr.io.read_image(tmp_path / "whole" / "result.exr").shape == (32, 64, 3)
-    goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=25, total=60)
+    goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=15, total=40)
 
 
 def test_pictures_of_a_cube_have_equal_light_and_no_rim(tutorial):
