@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-
 import pytest
 import torch
+from tutorial_pictures import drawn
 
 import torchrender as tr
-
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return importlib.import_module
-
-
-def drawn(folder: Path, *names: str) -> bool:
-    return all((folder / f"{name}.png").stat().st_size > 2000 for name in names)
 
 
 def test_polarised_ball(tutorial, tmp_path, capsys):
@@ -95,16 +78,10 @@ def test_a_flint_in_place_of_a_crown_is_refused(tutorial, tmp_path):
         tutorial("achromat").run(tmp_path, crown="SF10")
 
 
-def test_sizes(tutorial, monkeypatch, tmp_path):
-    found = {}
-    for name in ("polarised_ball", "shape_from_polarisation", "achromat"):
-        monkeypatch.setattr(tutorial(name), "run", lambda folder, name=name, **settings: found.update({name: settings}))
-        tutorial(name).main(["--output", str(tmp_path), "--iterations", "3"])
-    assert found == {
-        "polarised_ball": {"iterations": 3},
-        "shape_from_polarisation": {"iterations": 3, "restart": False},
-        "achromat": {"iterations": 3},
-    }
-    tutorial("shape_from_polarisation").main(["--output", str(tmp_path), "--full", "--material", "Cu", "--restart"])
+def test_sizes(settings_of):
+    three = ("--iterations", "3")
+    for name in ("polarised_ball", "achromat"):
+        assert settings_of(name, *three) == {"iterations": 3}
+    assert settings_of("shape_from_polarisation", *three) == {"iterations": 3, "restart": False}
     full = {"size": 128, "resolution": 128, "iterations": 400, "material": "Cu", "restart": True}
-    assert found["shape_from_polarisation"] == full
+    assert settings_of("shape_from_polarisation", "--full", "--material", "Cu", "--restart") == full
