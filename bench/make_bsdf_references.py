@@ -11,36 +11,17 @@ weights, times the probability with which each was chosen, of reflection and tra
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
+from mitsuba_bsdfs import DATA, delta_samples, evaluated
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests" / "helpers"))
-
-import bsdf_cases as cases  # noqa: E402
-
-
-def surface(wi: np.ndarray) -> mi.SurfaceInteraction3f:
-    si = dr.zeros(mi.SurfaceInteraction3f, len(wi))
-    si.t, si.wi, si.n = 1.0, mi.Vector3f(wi.T), mi.Normal3f(0, 0, 1)
-    si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))
-    si.wavelengths = []
-    return si
-
-
-def evaluate(bsdf: mi.BSDF, wi: np.ndarray, wo: np.ndarray) -> np.ndarray:
-    return np.array(bsdf.eval(mi.BSDFContext(), surface(wi), mi.Vector3f(wo.T))).T
+import bsdf_cases as cases  # isort: skip
 
 
 def delta_lobes(bsdf: mi.BSDF, wi: np.ndarray) -> np.ndarray:
     found = []
-    for kind in (mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.Null):
-        context = mi.BSDFContext()
-        context.type_mask = int(kind)
-        sample, weight = bsdf.sample(context, surface(wi), mi.Float(0.5), mi.Point2f(0.5, 0.5))
+    for _, sample, weight in delta_samples(bsdf, wi):
         value = np.array(weight * sample.pdf).T
         found.append(np.broadcast_to(np.where(np.array(sample.pdf)[:, None] > 0, value, 0.0), (len(wi), 3)))
     return np.stack(found)
@@ -54,10 +35,10 @@ def main() -> None:
             continue
         stored = {}
         for name, description in smooth.items():
-            stored[f"{name}.eval"] = evaluate(mi.load_dict(description), wi, wo).astype(np.float32)
+            stored[f"{name}.eval"] = np.array(evaluated(mi.load_dict(description), wi, wo)).T.astype(np.float32)
         for name, description in delta.items():
             stored[f"{name}.delta"] = delta_lobes(mi.load_dict(description), wi).astype(np.float32)
-        np.savez_compressed(ROOT / "tests" / "data" / file, **stored)
+        np.savez_compressed(DATA / file, **stored)
 
 
 if __name__ == "__main__":

@@ -10,25 +10,11 @@ the cosine; of delta lobes, reflection and transmission, the weight times the pr
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-import drjit as dr
 import mitsuba as mi
 import numpy as np
+from mitsuba_bsdfs import DATA, delta_samples, evaluated
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT / "tests" / "helpers"))
-
-import mueller_cases as cases  # noqa: E402
-
-
-def surface(wi: np.ndarray) -> mi.SurfaceInteraction3f:
-    si = dr.zeros(mi.SurfaceInteraction3f, len(wi))
-    si.t, si.wi, si.n = 1.0, mi.Vector3f(wi.T), mi.Normal3f(0, 0, 1)
-    si.sh_frame = mi.Frame3f(mi.Normal3f(0, 0, 1))
-    si.dp_du, si.dp_dv = mi.Vector3f(1, 0, 0), mi.Vector3f(0, 1, 0)
-    return si
+import mueller_cases as cases  # isort: skip
 
 
 def entries(matrix: object, n: int) -> np.ndarray:
@@ -40,10 +26,7 @@ def entries(matrix: object, n: int) -> np.ndarray:
 
 def delta_lobes(bsdf: mi.BSDF, wi: np.ndarray) -> np.ndarray:
     found = []
-    for kind in (mi.BSDFFlags.DeltaReflection, mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.Null):
-        context = mi.BSDFContext()
-        context.type_mask = int(kind)
-        sample, weight = bsdf.sample(context, surface(wi), mi.Float(0.5), mi.Point2f(0.5, 0.5))
+    for kind, sample, weight in delta_samples(bsdf, wi):
         pdf, z = (np.broadcast_to(np.array(x), len(wi)) for x in (sample.pdf, sample.wo.z))
         # (plates do not look at the mask)
         meant = (pdf > 0) & ((z * wi[:, 2] > 0) == (kind == mi.BSDFFlags.DeltaReflection))
@@ -58,12 +41,11 @@ def main() -> None:
         wi, wo = cases.directions(name)
         bsdf = mi.load_dict(description)
         if name in cases.SMOOTH:
-            value = bsdf.eval(mi.BSDFContext(), surface(wi), mi.Vector3f(wo.T))
-            stored[name] = entries(value, len(wi))[None].astype(np.float32)
+            stored[name] = entries(evaluated(bsdf, wi, wo), len(wi))[None].astype(np.float32)
         else:
             stored[name] = delta_lobes(bsdf, wi).astype(np.float32)
         print(name, abs(stored[name]).max((0, 1)).round(3).tolist(), flush=True)
-    np.savez_compressed(ROOT / "tests" / "data" / "mueller_references.npz", **stored)
+    np.savez_compressed(DATA / "mueller_references.npz", **stored)
 
 
 if __name__ == "__main__":

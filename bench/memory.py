@@ -23,12 +23,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.set_defaults(rounds=3, warmup=0)
 
 
-def peer_memory(asked: tuple[str, str], row: Row, spp: int, options: argparse.Namespace, versions: dict) -> float:
+def our_memory(row: Row, spp: int, options: argparse.Namespace, **more: Any) -> dict[str, float]:
+    """MiB in a fresh process, see `fresh.peak_memory`; `more` are further settings of `Ours`."""
+    settings = {"row": ROWS.index(row), "threads": options.threads, "resolution": options.resolution}
+    return measure("memory", spp=spp, steps=STEPS, renderer={**dict(options.renderer), **more}, **settings)
+
+
+def peer_memory(
+    asked: tuple[str, str], row: Row, spp: int, options: argparse.Namespace, versions: dict, **loading: Any
+) -> float:
     """MiB that the steps of a peer add, at their peak, to its process with the scene loaded."""
     peer = Peer(*asked, options.threads, settings=dict(options.renderer))
     try:
         versions[peer.key] = peer.version
-        load_peer(peer, row, options.resolution, spp)
+        load_peer(peer, row, options.resolution, spp, **loading)
         before = peer.ask("settle")["memory"]
         for seed in range(STEPS):
             peer.ask("step", seed=seed)
@@ -39,9 +47,7 @@ def peer_memory(asked: tuple[str, str], row: Row, spp: int, options: argparse.Na
 
 def measure_row(row: Row, spp: int, options: argparse.Namespace, versions: dict) -> dict[str, Any]:
     """Memory of all programs for one scene; the versions of peers are added to `versions`."""
-    settings = {"row": ROWS.index(row), "threads": options.threads, "resolution": options.resolution}
-    settings["renderer"] = dict(options.renderer)
-    runs = [measure("memory", spp=spp, steps=STEPS, **settings) for _ in range(options.rounds)]
+    runs = [our_memory(row, spp, options) for _ in range(options.rounds)]
     gradients = runs[0]["gradients"]
     buffers = gradients * (1 + options.threads)
     result = {

@@ -1,8 +1,10 @@
-"""Polarised light beside intensity: time of images and gradients of the scenes of `table2`, and of Mitsuba's images.
+"""Polarised light beside intensity: images and gradients of the scenes of `table2`, their time and their memory.
 
 Polarised images are those of the variants ``rgb_polarized`` and ``mono_polarized``, whose Stokes vectors are rendered
-whole; the loss is of their intensity. With ``--peer mitsuba=PYTHON`` the image of ``llvm_ad_mono_polarized`` is timed
-beside that of ``mono_polarized``, by the integrator `path`; its adjoint integrators have no polarised light.
+whole; the loss is of their intensity. With ``--peer mitsuba=PYTHON`` those of ``llvm_ad_mono_polarized`` stand beside
+those of ``mono_polarized``: by the integrator `stokes` over `path`, which Dr.Jit differentiates as it stands, with all
+that its loop has computed in memory (Mitsuba's adjoint integrators have no polarised light); the loss is of all
+components.
 """
 
 from __future__ import annotations
@@ -12,19 +14,28 @@ from typing import Any
 
 import torch
 
-from .arguments import peer_argument
+from .arguments import counts_argument, peer_argument
 from .measured import Measured, rounds
+from .memory import our_memory, peer_memory
 from .ours import Ours, chosen
-from .peers import Peer, PeerError, Peers
+from .peers import KNOWN, Peer, PeerError, Peers
 from .report import Result, Table
 from .rows import Row
 from .scene_arrays import load_peer
 
 VARIANTS = ("rgb", "rgb_polarized", "mono_polarized")
+PARTS = ("time", "memory", "all")
+# what a peer loads
+POLARIZED = {
+    "variant": "llvm_ad_mono_polarized",
+    "integrator": {"type": "stokes", "nested": {"type": "path", "max_depth": 5, "rr_depth": 100}},
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
+    parser.add_argument("--part", choices=PARTS, default="all", help="which tables (default %(default)s)")
+    counts_argument(parser, "--samples", [4, 16], "samples a pixel of the table of memory")
 
 
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -39,11 +50,12 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
 
         programs[variant] = run_ours
     for peer in peers:
-        load_peer(peer, row, options.resolution, options.spp, variant="llvm_ad_mono_polarized")
+        load_peer(peer, row, options.resolution, options.spp, **POLARIZED)
 
         def run(seed: int, peer: Peer = peer) -> dict[str, float]:
             peer.ask("forward", seed=seed)
-            return {"image": peer.ask("forward", seed=seed)["forward"]}
+            image = peer.ask("forward", seed=seed)["forward"]
+            return {"image": image, "gradient": peer.ask("step", seed=seed)["backward"]}
 
         programs[peer.title] = run
     seconds: dict[str, Any] = {"scene": row.name}
@@ -58,10 +70,19 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
     ratios["polarised gradient / two polarised images"] = polarized["gradient"] / (2 * polarized["image"])
     ratios["polarised gradient / rgb"] = polarized["gradient"] / plain["gradient"]
     for peer in peers:
-        ratios[f"{peer.title} image / mono_polarized"] = (
-            medians[peer.title]["image"] / medians["mono_polarized"]["image"]
-        )
+        for what, value in medians["mono_polarized"].items():
+            ratios[f"{peer.title} {what} / mono_polarized"] = medians[peer.title][what] / value
     return seconds, ratios
+
+
+def measure_memory(row: Row, spp: int, options: argparse.Namespace, versions: dict[str, str]) -> dict[str, Any]:
+    """Peak memory of image and gradient above the loaded scene, MiB; the versions of peers are added to `versions`."""
+    runs = [our_memory(row, spp, options, variant="mono_polarized")["peak"] for _ in range(options.rounds)]
+    result: dict[str, Any] = {"scene": row.name, "spp": spp, "mono_polarized MiB": Measured.of(runs)}
+    for asked in options.peer:
+        runs = [peer_memory(asked, row, spp, options, versions, **POLARIZED) for _ in range(options.rounds)]
+        result[f"{KNOWN[asked[0]].title} MiB"] = Measured.of(runs)
+    return result
 
 
 def run(options: argparse.Namespace) -> Result:
@@ -69,13 +90,18 @@ def run(options: argparse.Namespace) -> Result:
     strangers = [name for name, _ in options.peer if name != "mitsuba"]
     if strangers:
         raise PeerError(f"--peer: {strangers[0]} has no polarised variant that is known here; mitsuba has")
-    with Peers(options.peer, options.threads, options.renderer) as peers:
-        measured = [measure_row(row, peers, options) for row in chosen(options)]
-        versions = {peer.key: peer.version for peer in peers}
-    size = f"{options.resolution}x{options.resolution}, {options.spp} spp, {options.threads} threads"
-    title = f"{size}, depth 5, medians of {options.rounds} alternating rounds"
-    tables = [
-        Table(title, ["scene"], [seconds for seconds, _ in measured], part="time"),
-        Table("Ratios of the medians", ["scene"], [ratios for _, ratios in measured], part="ratios"),
-    ]
+    size = f"{options.resolution}x{options.resolution}, {options.threads} threads"
+    tables, versions = [], {}
+    if options.part != "memory":
+        with Peers(options.peer, options.threads, options.renderer) as peers:
+            measured = [measure_row(row, peers, options) for row in chosen(options)]
+            versions = {peer.key: peer.version for peer in peers}
+        title = f"{size}, {options.spp} spp, depth 5, medians of {options.rounds} alternating rounds"
+        notes = ["Image: without derivatives. Gradient: backward alone."]
+        tables.append(Table(title, ["scene"], [seconds for seconds, _ in measured], notes, part="time"))
+        tables.append(Table("Ratios of the medians", ["scene"], [ratios for _, ratios in measured], part="ratios"))
+    if options.part != "time":
+        rows = [measure_memory(row, spp, options, versions) for row in chosen(options) for spp in options.samples]
+        title = f"Peak memory above the loaded scene, {size}, medians of {options.rounds} fresh processes"
+        tables.append(Table(title, ["scene", "spp"], rows, part="memory"))
     return Result(tables, versions)

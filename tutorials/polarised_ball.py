@@ -3,6 +3,7 @@
     python tutorials/polarised_ball.py
     python tutorials/polarised_ball.py --material W
     python tutorials/polarised_ball.py --material glass
+    python tutorials/polarised_ball.py --material plastic
 
 A rough ball of metal mirrors a sky. How much light it sends to a pixel, and how that is polarised, follows from its
 index of refraction eta - i k, three of each in red, green and blue, and from its roughness alpha. The sky is known from
@@ -12,7 +13,8 @@ spherical harmonics, whose coefficients are unknown, too. Pixels beside the ball
 A camera of intensities takes one for the other: a ball that mirrors less at its middle than at its rim looks like one
 under a sky that is darker behind the camera. Its loss is a valley, and noise decides where in the valley one ends. The
 degree of polarisation is a ratio, which the brightness of unpolarised light does not change; a camera of Stokes vectors
-(I, Q, U, V) sees index and sky apart.
+(I, Q, U, V) sees index and sky apart. A ball of rough glass, or of plastic, of whose base three colours are unknown, is
+another choice.
 
 The same optimisation, Adam from the same start, runs on the Stokes picture and on its intensity alone; derivatives of
 all four components come from one pass. Adam scales each number by itself, and does well where these are what is seen
@@ -40,6 +42,7 @@ import torchrender as tr
 CAMERAS = {"Stokes": slice(0, 4), "intensity": slice(0, 1)}  # the components that a camera has
 CHANGE = torch.tensor([-0.1, 0.15, -0.1, 0.12, 0.1, -0.08, 0.07, 0.1, -0.12])  # of the sky, true
 ROUGHNESS = 0.15  # true
+PAINT = [0.55, 0.2, 0.1]  # of plastic's base, true
 SKY_HEIGHT = 64  # texels of the panorama
 
 
@@ -139,7 +142,32 @@ class Glass:
     @staticmethod
     def plane(unknown: torch.Tensor, first: float, second: float) -> torch.Tensor:
         """The unknown with other eta - 1 and alpha, so many times as large."""
-        return unknown + torch.tensor([first, second]).log()
+        return unknown + torch.nn.functional.pad(torch.tensor([first, second]).log(), (0, len(unknown) - 2))
+
+
+class Plastic(Glass):
+    """What of the unknown is of plastic: that of its coat, and logits of its base's reflectance in three colours."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bsdf |= {"type": "pplastic", "diffuse_reflectance": {"type": "rgb", "value": PAINT}}
+        self.start = torch.cat([self.start, torch.full((3,), 0.3).logit()])
+
+    def true(self, scene: tr.Scene) -> torch.Tensor:
+        return torch.cat([super().true(scene), torch.tensor(PAINT).logit()])
+
+    @staticmethod
+    def numbers(unknown: torch.Tensor) -> dict[str, torch.Tensor]:
+        """eta and alpha (), base (3,)."""
+        return {**Glass.numbers(unknown), "base": torch.sigmoid(unknown[2:5])}
+
+    @staticmethod
+    def params(unknown: torch.Tensor) -> dict[str, torch.Tensor]:
+        base = Plastic.numbers(unknown)["base"]
+        return {**Glass.params(unknown), "ball.bsdf.diffuse_reflectance.value": base}
+
+
+MATERIALS = {"glass": Glass, "plastic": Plastic}  # all others are metals
 
 
 class Experiment:
@@ -267,7 +295,7 @@ def run(
 
     Args:
         folder: where pictures go.
-        material: a metal's name, or "glass".
+        material: a metal's name, "glass" or "plastic".
         resolution: pixels along either side of the photograph.
         spp, spp_photograph: samples a pixel of a step, of the photograph.
         iterations: steps of the optimiser for each camera.
@@ -276,7 +304,7 @@ def run(
         points: of the losses' pictures along either side; 0 for none.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    chosen = Glass() if material == "glass" else Metal(material)
+    chosen = MATERIALS[material]() if material in MATERIALS else Metal(material)
     experiment = Experiment(chosen, resolution)
     chance = torch.Generator().manual_seed(0)
     with torch.no_grad():
@@ -330,7 +358,7 @@ def told(numbers: dict[str, torch.Tensor]) -> str:
 
 def main(argv: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--material", help="a metal, such as Cr (the default), W, Au, or glass")
+    parser.add_argument("--material", help="a metal, such as Cr (the default), W, Au, or glass, plastic")
     parser.add_argument("--iterations", type=at_least_one, help="steps for each camera (default 200)")
     parser.add_argument("--output", type=Path, default=Path("output/polarised_ball"), help="folder for the results")
     options = parser.parse_args(argv)

@@ -43,6 +43,7 @@ RUNS = {
     "camera_calibration": Run("--demo", ("start result target derivative_turn",)),
     "caustics": Run("--iterations 150", ("target result heights",)),
     "cornell_box": Run("--demo", ("start result target derivative_red_wall",)),
+    "ellipsometer": Run("", ("fit",)),
     "environment_map": Run("--demo", ("map_target map_result", "target_front result_front relit_target relit_result")),
     "glass_ball": Run("--demo", ("start result target derivative_eta",)),
     "grin_cube": Run("", ("target result", "index")),

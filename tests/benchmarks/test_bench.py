@@ -112,14 +112,16 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
 
 def test_polarized_with_a_peer(tmp_path, fake_peer):
     options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
-    seconds, ratios = run(tmp_path, "polarized", *TINY, *options)["tables"]
-    (row,), (ratio,) = seconds["rows"], ratios["rows"]
+    tables = run(tmp_path, "polarized", *TINY, *options, "--samples", "3")["tables"]
+    (row,), (ratio,), (memory,) = (table["rows"] for table in tables)
     image = row["rgb_polarized image s"]["median"]
     assert ratio["polarised image / rgb"] == pytest.approx(image / row["rgb image s"]["median"])
     expected = row["rgb_polarized gradient s"]["median"] / (2 * image)
     assert ratio["polarised gradient / two polarised images"] == pytest.approx(expected)
-    expected = row["Mitsuba image s"]["median"] / row["mono_polarized image s"]["median"]
-    assert ratio["Mitsuba image / mono_polarized"] == pytest.approx(expected)
+    for what in ("image", "gradient"):
+        expected = row[f"Mitsuba {what} s"]["median"] / row[f"mono_polarized {what} s"]["median"]
+        assert ratio[f"Mitsuba {what} / mono_polarized"] == pytest.approx(expected)
+    assert memory["spp"] == 3 and memory["mono_polarized MiB"]["median"] > 0 <= memory["Mitsuba MiB"]["median"]
 
 
 def test_spectral_with_a_peer(tmp_path, fake_peer):

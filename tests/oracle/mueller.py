@@ -2,7 +2,8 @@
 
 Light that travels along k has the field Re (x, y) exp(i omega t) along an axis and k x axis, and the Stokes vector
 I = |x|^2 + |y|^2, Q = |x|^2 - |y|^2, U = 2 Re x y*, V = -2 Im x y*, to the right circular as its receiver sees it. An
-index of refraction is eta - i k. At an interface the axis is that of s polarisation.
+index of refraction is eta - i k. At an interface the axis is that of s polarisation. Directions count, not their
+lengths: no length has a derivative.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ DEPOLARISER = torch.diag(torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
 
 def implicit_axis(k: torch.Tensor) -> torch.Tensor:
     """Where no other is known, the axis of light that travels along k (N, 3): a function of k alone."""
-    return Frame.about(k).s
+    return Frame.about(normalize(k)).s
 
 
 def across(k: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
     """The part of axes (N, 3) that is perpendicular to k, of unit length; where there is none, the implicit axis."""
+    k = normalize(k)
     part = axis - k * dot(k, axis)[:, None]
     usable = (dot(part, part) > 1e-24).detach()[:, None]
     return torch.where(usable, normalize(torch.where(usable, part, 1.0)), implicit_axis(k))
@@ -31,7 +33,7 @@ def across(k: torch.Tensor, axis: torch.Tensor) -> torch.Tensor:
 
 def rotation(k: torch.Tensor, before: torch.Tensor, after: torch.Tensor) -> torch.Tensor:
     """Of Stokes vectors of light along k, all (N, 3), from one axis to another: (N, 1, 4, 4)."""
-    angle = 2 * torch.atan2(dot(k, torch.linalg.cross(before, after)), dot(before, after))
+    angle = 2 * torch.atan2(dot(normalize(k), torch.linalg.cross(before, after)), dot(before, after))
     c, s, zero, one = torch.cos(angle), torch.sin(angle), torch.zeros_like(angle), torch.ones_like(angle)
     rows = [[one, zero, zero, zero], [zero, c, s, zero], [zero, -s, c, zero], [zero, zero, zero, one]]
     return torch.stack([torch.stack(row, -1) for row in rows], -2)[:, None]

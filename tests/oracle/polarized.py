@@ -8,32 +8,44 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import torch
 
 import torchrender as tr
 from torchrender.scene.camera import Rays
+from torchrender.wavefront.emitters import Area
 from torchrender.wavefront.numbers import Numbers
 from torchrender.wavefront.path import Paths, Vertices, WavefrontTracer
+from torchrender.wavefront.world import World as Traced
 
 from .bsdf import in_pytorch
-from .bsdf.common import Polarising
+from .bsdf.common import Part, Polarising
 from .film import camera_samples, splat
 from .mueller import DEPOLARISER, across, implicit_axis, rotation
+from .polarized_lights import PolarizedLights
 from .world import World
 
 
-def on_implicit_axes(axis: torch.Tensor, matrix: torch.Tensor, wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
-    """What `Polarising.polarised` finds, for light from wo towards wi (N, 3), with a first entry of 1: (N, C, 4, 4)."""
-    after = rotation(wi, across(wi, axis), implicit_axis(wi))
-    before = rotation(-wo, implicit_axis(-wo), across(-wo, axis))
-    return after @ (matrix / matrix[..., :1, :1]) @ before
+def on_implicit_axes(parts: list[Part], wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:
+    """What `Polarising.parts` finds, for light from wo towards wi (N, 3), with a first entry of 1: (N, C, 4, 4)."""
+
+    def turned(axis: torch.Tensor, matrix: torch.Tensor) -> torch.Tensor:
+        after = rotation(wi, across(wi, axis), implicit_axis(wi))
+        before = rotation(-wo, implicit_axis(-wo), across(-wo, axis))
+        return after @ (matrix / matrix[..., :1, :1]) @ before
+
+    return torch.stack([share[..., None, None] * turned(axis, matrix) for share, axis, matrix in parts]).sum(0)
 
 
 class PolarizedTracer(WavefrontTracer):
     """Paths whose throughput is a Mueller matrix of each colour, (N, C, 4, 4)."""
 
     components = (4,)
+
+    def __init__(self, world: Traced, *settings: Any) -> None:
+        super().__init__(world, *settings)
+        self.lights: PolarizedLights = PolarizedLights(world)
 
     def first_points(self, rays: Rays) -> Paths:
         paths = super().first_points(rays)
@@ -48,12 +60,19 @@ class PolarizedTracer(WavefrontTracer):
     ) -> torch.Tensor:
         bsdf, matrix = self.bsdf(number, vertices), DEPOLARISER
         if isinstance(bsdf, Polarising):
-            axis, matrix = bsdf.polarised(vertices.wi, vertices.to_local(d), lobe)
-            matrix = on_implicit_axes(vertices.to_world(axis), matrix, -vertices.paths.d, d)
+            parts = bsdf.parts(vertices.wi, vertices.to_local(d), lobe)
+            parts = [(share, vertices.to_world(axis), matrix) for share, axis, matrix in parts]
+            matrix = on_implicit_axes(parts, -vertices.paths.d, d)
         return vertices.paths.beta @ (value[..., None, None] * matrix)
 
+    def met(self, light: Area, paths: Paths) -> torch.Tensor:
+        return self.lights.met(light, paths)
+
     def arriving(self, beta: torch.Tensor, radiance: torch.Tensor) -> torch.Tensor:
-        return beta[..., 0] * radiance[..., None]
+        """What arrives of Stokes vectors (N, C, 4), or of unpolarised light (N, C)."""
+        if radiance.ndim == 2:
+            return beta[..., 0] * radiance[..., None]
+        return (beta @ radiance[..., None])[..., 0]
 
 
 def stokes_image(

@@ -7,30 +7,13 @@ import math
 
 import pytest
 import torch
+from optical_bench import under_sky
 
 import torchrender as tr
 from torchrender import polarization as pol
 
 pytestmark = pytest.mark.core
 T = tr.Transform
-
-
-def mirror_view(angle: float, bsdf: dict, **more) -> tr.Scene:
-    """A plane seen at an angle of incidence in degrees, under a sky of radiance 1; the camera's axis is horizontal."""
-    a = math.radians(angle)
-    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
-    pose = T.look_at([0, -4 * math.sin(a), 4 * math.cos(a)], [0, 0, 0], [0, 0, 1])
-    return tr.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 3},
-            "sensor": {"type": "perspective", "fov": 1e-3, "to_world": pose, "film": film},
-            "sky": {"type": "constant"},
-            "plane": {"type": "rectangle", "to_world": T.scale(1000), "bsdf": bsdf},
-            **more,
-        },
-        dtype=torch.float64,
-    )
 
 
 def stokes(scene: tr.Scene, **settings) -> torch.Tensor:
@@ -45,7 +28,7 @@ def amplitudes(angle: float, index: complex) -> tuple[complex, complex]:
 
 @pytest.mark.parametrize("angle", [20, 50, 75])
 def test_a_metal_reflects_as_fresnel_says(angle):
-    found = stokes(mirror_view(angle, {"type": "conductor", "eta": 0.183, "k": 3.43}))
+    found = stokes(under_sky(angle, {"type": "conductor", "eta": 0.183, "k": 3.43}))
     r_s, r_p = amplitudes(angle, 0.183 - 3.43j)
     mean, half = (abs(r_s) ** 2 + abs(r_p) ** 2) / 2, (abs(r_s) ** 2 - abs(r_p) ** 2) / 2
     assert torch.allclose(found, torch.tensor([mean, half, 0, 0], dtype=torch.float64), atol=1e-6)
@@ -54,7 +37,7 @@ def test_a_metal_reflects_as_fresnel_says(angle):
 def test_brewster():
     """At arctan(1.5) glass reflects 0.1479289 of s alone; what passes is 1 / 1.5^2 of the rest."""
     angle = math.degrees(math.atan(1.5))
-    scene = mirror_view(angle, {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0})
+    scene = under_sky(angle, {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0})
     found = tr.render(scene, spp=40000, seed=1, outputs=("stokes",)).stokes[0, 0, 0]
     reflected, passed = 0.1479289 / 2, (1 - 0.1479289 / 2) / 1.5**2
     # Q of what is reflected or passes, by chance: standard deviation below 0.3 / sqrt(40000); five of them
@@ -137,7 +120,7 @@ def test_matrices_and_analysers():
 
 def test_outputs_and_variants():
     gold = {"type": "conductor", "material": "Au"}
-    scene = mirror_view(60, gold)
+    scene = under_sky(60, gold)
     image = tr.render(scene, spp=4, seed=0)
     out = tr.render(scene, spp=4, seed=0, outputs=("rgb", "stokes", "dolp", "alpha", "depth"), layout="chw")
     assert out.stokes.shape == (4, 3, 1, 1) and out.dolp.shape == (3, 1, 1) and out.alpha.item() == 1
@@ -170,7 +153,7 @@ def test_outputs_and_variants():
 
 
 def test_glossy_surfaces_that_do_not_polarise_are_named():
-    scene = mirror_view(30, {"type": "principled"})
+    scene = under_sky(30, {"type": "principled"})
     with pytest.warns(UserWarning, match=r"plane.bsdf \(principled\): what this scatters is unpolarised"):
         assert float(stokes(scene)[1:].abs().max()) == 0
 
@@ -197,4 +180,4 @@ def test_where_nothing_polarises():
 )
 def test_what_there_is_not(settings, message):
     with pytest.raises(ValueError, match=message):
-        tr.render(mirror_view(30, {"type": "conductor"}), **{"outputs": ("stokes",), "spp": 1, **settings})
+        tr.render(under_sky(30, {"type": "conductor"}), **{"outputs": ("stokes",), "spp": 1, **settings})

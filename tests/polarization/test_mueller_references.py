@@ -40,7 +40,7 @@ def bsdf_of(description: dict, n: int) -> Bsdf:
 def mueller(bsdf: Bsdf, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
     matrix = DEPOLARISER
     if isinstance(bsdf, Polarising):
-        matrix = on_implicit_axes(*bsdf.polarised(wi, wo, lobe), wi, wo)[:, 0]
+        matrix = on_implicit_axes(bsdf.parts(wi, wo, lobe), wi, wo)[:, 0]
     return bsdf.eval(wi, wo, lobe)[..., None] * matrix
 
 

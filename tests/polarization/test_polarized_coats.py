@@ -7,6 +7,7 @@ import math
 
 import pytest
 import torch
+from optical_bench import under_sky
 from polarized_derivatives import modes, room, two_means
 from torch.autograd import forward_ad
 
@@ -22,23 +23,6 @@ COATS = {
 }
 
 
-def view(angle: float, bsdf: dict, sky: float = 1.0) -> tr.Scene:
-    """A plane under a sky, seen at an angle in degrees; Q is along the horizontal of the plane."""
-    a = math.radians(angle)
-    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
-    pose = T.look_at([0, -4 * math.sin(a), 4 * math.cos(a)], [0, 0, 0], [0, 0, 1])
-    return tr.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 2},
-            "sensor": {"type": "perspective", "fov": 1e-3, "to_world": pose, "film": film},
-            "sky": {"type": "constant", "radiance": sky},
-            "plane": {"type": "rectangle", "to_world": T.scale(1000), "bsdf": bsdf},
-        },
-        dtype=torch.float64,
-    )
-
-
 def shares(angle: float, index: float = 1.5) -> tuple[float, float]:
     """(s - p) / (s + p) of what an interface reflects and of what it lets through."""
     c = math.cos(math.radians(angle))
@@ -50,7 +34,7 @@ def shares(angle: float, index: float = 1.5) -> tuple[float, float]:
 @pytest.mark.parametrize("angle", [30, 60, 80])
 @pytest.mark.parametrize("coat", COATS)
 def test_a_base_is_polarised_by_what_it_leaves_through(coat, angle):
-    scene = view(angle, {**COATS[coat], "specular_reflectance": 0.0})
+    scene = under_sky(angle, {**COATS[coat], "specular_reflectance": 0.0})
     i, q, u, v = tr.render(scene, spp=256, seed=1, outputs=("stokes",)).stokes[0, 0, 0].tolist()
     assert i > 0.05 and q < 0
     # light comes from everywhere, unpolarised: what it gains on its way in is lost in the base
@@ -60,7 +44,7 @@ def test_a_base_is_polarised_by_what_it_leaves_through(coat, angle):
 
 @pytest.mark.parametrize("angle", [30, 60, 80])
 def test_a_smooth_coat_reflects_as_glass(angle):
-    scene = view(angle, {**COATS["plastic"], "diffuse_reflectance": 0.0})
+    scene = under_sky(angle, {**COATS["plastic"], "diffuse_reflectance": 0.0})
     i, q, u, v = tr.render(scene, spp=16, seed=1, outputs=("stokes",)).stokes[0, 0, 0].tolist()
     assert abs(q / i - shares(angle)[0]) < 1e-5 and abs(u / i) < 1e-5 and v == 0
 
@@ -69,8 +53,8 @@ def test_a_smooth_coat_reflects_as_glass(angle):
 def test_a_rough_coat_reflects_as_rough_glass(coat):
     """The mirrored part alone, before a sky that is black below: the same directions, the same facets."""
     scenes = [
-        view(50, {"type": "roughdielectric", "alpha": 0.2, "specular_transmittance": 0.0, **INDEX}),
-        view(50, {**COATS[coat], "diffuse_reflectance": 0.0}),
+        under_sky(50, {"type": "roughdielectric", "alpha": 0.2, "specular_transmittance": 0.0, **INDEX}),
+        under_sky(50, {**COATS[coat], "diffuse_reflectance": 0.0}),
     ]
     runs = [
         torch.stack([tr.render(s, spp=4096, seed=seed, outputs=("stokes",)).stokes[0, 0, 0] for seed in range(8)])
@@ -85,7 +69,7 @@ def test_a_rough_coat_reflects_as_rough_glass(coat):
 @pytest.mark.parametrize("coat", COATS)
 def test_intensities_are_those_of_unpolarised_light(coat):
     """Behind one scattering of unpolarised light; the lobes' sum is the BSDF."""
-    scene = view(50, COATS[coat])
+    scene = under_sky(50, COATS[coat])
     polarised = tr.render(scene, spp=64, seed=3, outputs=("stokes",)).stokes[..., 0]
     torch.testing.assert_close(polarised, tr.render(scene, spp=64, seed=3), rtol=1e-12, atol=1e-14)
 
@@ -122,7 +106,7 @@ def test_means_of_derivatives(coat):
 
 def test_normals_turn_the_axes_of_the_base():
     """A plane that is tilted under a constant sky: only the angle at which its base is seen changes, and its axis."""
-    scene = view(55, {**COATS["pplastic"], "specular_reflectance": 0.0})
+    scene = under_sky(55, {**COATS["pplastic"], "specular_reflectance": 0.0})
     matrix = scene.plane.to_world.detach().clone()
     turn = torch.zeros_like(matrix)
     turn[:3, :3] = torch.tensor([[0.0, 0.3, 0.8], [-0.3, 0.0, 0.5], [-0.8, -0.5, 0.0]]).double() @ matrix[:3, :3]

@@ -4,12 +4,12 @@ numbers: images, and gradients by autograd, are equal to rounding."""
 from __future__ import annotations
 
 import pytest
-import reference_scenes as r
 import torch
 from in_torch import SPP, differentiable
 from oracle.polarized import stokes_image
-from oracle.scene_parts import small, tube
+from oracle.scene_parts import small
 from oracle.scenes import SCENES
+from oracle.stokes_scenes import lamps, panes
 
 import torchrender as tr
 
@@ -20,36 +20,8 @@ pytestmark = [
 SEED = 5
 
 
-def panes() -> dict:
-    """Tilted plates one behind the other, panes of glass and films of air, some of which reflect all, before metals."""
-
-    def plate(x: float, y: float, z: float, angle: float, bsdf: dict) -> dict:
-        place = r.translate(x, y, z) @ r.rotate("y", angle) @ r.rotate("x", 10) @ r.scale(0.5)
-        return {"type": "rectangle", "to_world": place, "bsdf": bsdf}
-
-    gold, aluminium = ({"type": "conductor", "eta": eta, "k": k} for eta, k in ((0.18, 3.4), (1.4, 7.6)))
-    glass = {"type": "thindielectric", "int_ior": 1.5, "ext_ior": 1.0}
-    air = {"type": "thindielectric", "int_ior": 1.0, "ext_ior": 1.5}
-    return r._scene(
-        {"type": "path", "max_depth": 9, "rr_depth": 100},
-        r._camera(fov=45),
-        ball={"type": "sphere", "center": [0.1, 0.2, -0.3], "radius": 0.8, "bsdf": gold},
-        tube=tube(to_world=r.translate(1.3, -0.4, 0.4) @ r.scale(0.5), bsdf={"type": "twosided", "bsdf": aluminium}),
-        floor={"type": "rectangle", "to_world": r.FLOOR, "bsdf": {**aluminium, "type": "roughconductor", "alpha": 0.3}},
-        filter=plate(-0.6, 0.5, 1.6, 25, {"type": "polarizer", "theta": 20.0}),
-        wave=plate(-0.4, 0.4, 1.9, -40, {"type": "retarder", "theta": 35.0, "delta": 70.0}),
-        second=plate(-0.5, 0.5, 2.2, 190, {"type": "retarder", "theta": -10.0, "delta": 120.0}),
-        circle=plate(-0.1, 0.3, 2.5, 10, {"type": "circular", "left_handed": True}),
-        pane=plate(0.5, 0.4, 1.9, 50, glass),
-        before=plate(0.4, 0.3, 2.3, 35, glass),
-        film=plate(0.3, 0.2, 1.4, -30, air),
-        mirror=plate(0.9, 0.7, 1.2, 60, air),
-        sky={"type": "envmap", "data": r._noise(38, 6, 8, 0.1, 1.0), "to_world": r.rotate("y", 40)},
-    )
-
-
 DESCRIPTIONS = {name: SCENES[name] for name in ("glass", "rough", "layers", "normals", "brushed")}
-DESCRIPTIONS["panes"] = lambda: small(panes())
+DESCRIPTIONS.update(panes=lambda: small(panes()), lamps=lambda: small(lamps()))
 
 
 def scene_of(name: str) -> tr.Scene:

@@ -2,29 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
-from pathlib import Path
 
 import pytest
 import torch
-
-ROOT = Path(__file__).resolve().parents[2]
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(ROOT / "tutorials"))
-    return importlib.import_module
-
-
-def check_pictures(folder: Path, names: list[str]) -> None:
-    for name in names:
-        for suffix in ("png", "exr"):
-            file = folder / f"{name}.{suffix}"
-            assert file.stat().st_size > 100, file
-    assert (folder / "loss.png").stat().st_size > 1000
+from tutorial_pictures import check_pictures
 
 
 def test_environment_map(tutorial, tmp_path, capsys):

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from killed_tutorials import checkpoint_in, goes_on_after_a_kill
 
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 SMALL = {
     "size": 64,
     "resolution": 32,
@@ -25,14 +21,6 @@ SMALL = {
     "width_mm": 50.0,
     "verification_spp": 64,
 }
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return importlib.import_module
 
 
 def test_caustics(tutorial, tmp_path, capsys):
@@ -92,24 +80,16 @@ def test_distance_does_not_know_brightness(tutorial):
     assert caustics.distance(3 * a, a).item() == pytest.approx(0, abs=1e-10)
 
 
-def test_sizes(tutorial, monkeypatch, tmp_path):
+def test_sizes(tutorial, settings_of):
     module = tutorial("caustics")
     defaults = {key: value.default for key, value in inspect.signature(module.run).parameters.items()}
     seed = {"size": 2048, "resolution": 128, "colour": True, "spp": 256, "spp_grad": 64, "passes": 10}
     assert defaults | seed | {"iterations": 1500} == defaults
-    found: dict = {}
-
-    def run(folder, **settings):
-        found.clear()
-        found.update(settings)
-
-    monkeypatch.setattr(module, "run", run)
-    module.main(["--full", "--output", str(tmp_path)])
-    assert found == {"restart": False, "colour": True, "width_mm": 100.0}
-    module.main(["--size", "512", "--grey", "--width-mm", "60", "--output", str(tmp_path)])
+    assert settings_of("caustics", "--full") == {"restart": False, "colour": True, "width_mm": 100.0}
+    found = settings_of("caustics", "--size", "512", "--grey", "--width-mm", "60")
     peers = {"size": 512, "spp": 64, "spp_grad": 32, "passes": 1, "iterations": 1000, "colour": False}
     assert found | peers | {"width_mm": 60.0} == found
-    module.main(["--iterations", "3", "--restart", "--output", str(tmp_path)])
+    found = settings_of("caustics", "--iterations", "3", "--restart")
     assert found["iterations"] == 3 and found["restart"] is True and found["size"] == 128
 
 

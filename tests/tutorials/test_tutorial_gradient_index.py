@@ -2,33 +2,18 @@
 
 from __future__ import annotations
 
-import importlib
 import math
-import sys
-from pathlib import Path
 
 import pytest
 import torch
 from killed_tutorials import checkpoint_in, goes_on_after_a_kill
+from tutorial_pictures import drawn
 
 import torchrender as tr
 
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 LUNEBURG = {"levels": 2, "iterations": 40, "rays": 60}
 CUBE = {"size": 40, "resolution": 32, "iterations": 40, "smoothness": 0.5, "verification_spp": 64}
 SCHLIEREN = {"size": 20, "resolution": 20, "views": 12, "iterations": 4}
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return importlib.import_module
-
-
-def drawn(folder: Path, *names: str) -> bool:
-    return all((folder / f"{name}.png").stat().st_size > 5000 for name in names)
 
 
 def test_luneburg(tutorial, tmp_path, capsys):
@@ -162,16 +147,13 @@ def test_mirage(tutorial, tmp_path, capsys):
     assert 0.6 < part < 0.95 and counted.shape == (48, 72, 3)
 
 
-def test_sizes(tutorial, monkeypatch, tmp_path):
-    found = {}
-    for name in ("luneburg", "schlieren", "grin_lens", "grin_cube", "mirage"):
-        monkeypatch.setattr(tutorial(name), "run", lambda folder, name=name, **settings: found.update({name: settings}))
-        tutorial(name).main(["--output", str(tmp_path), "--iterations", "3"])
-    assert found["luneburg"] == {"restart": False, "iterations": 3} and found["grin_lens"] == {"iterations": 3}
-    assert found["schlieren"] == {"restart": False, "size": 32, "resolution": 48, "iterations": 3}
-    assert found["grin_cube"] == {"restart": False, "size": 40, "resolution": 64, "iterations": 3, "cubic": False}
-    assert found["mirage"] == {"iterations": 3, "large": False}
-    tutorial("schlieren").main(["--output", str(tmp_path), "--full"])
-    assert found["schlieren"] == {"restart": False}
-    tutorial("grin_cube").main(["--output", str(tmp_path), "--full", "--cubic"])
-    assert found["grin_cube"] == {"restart": False, "cubic": True}
+def test_sizes(settings_of):
+    three = ("--iterations", "3")
+    assert settings_of("luneburg", *three) == {"restart": False, "iterations": 3}
+    assert settings_of("grin_lens", *three) == {"iterations": 3}
+    small = {"restart": False, "iterations": 3}
+    assert settings_of("schlieren", *three) == {**small, "size": 32, "resolution": 48}
+    assert settings_of("grin_cube", *three) == {**small, "size": 40, "resolution": 64, "cubic": False}
+    assert settings_of("mirage", *three) == {"iterations": 3, "large": False}
+    assert settings_of("schlieren", "--full") == {"restart": False}
+    assert settings_of("grin_cube", "--full", "--cubic") == {"restart": False, "cubic": True}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import importlib
 import json
 import os
 import signal
@@ -34,9 +33,8 @@ if os.environ["RANK"] == "0":
 
 
 @pytest.fixture
-def tutorial(monkeypatch):
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    return importlib.import_module("many_machines")
+def tutorial(tutorial):
+    return tutorial("many_machines")
 
 
 def start(folder: Path, processes: int) -> subprocess.Popen[str]:

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
-import sys
-from pathlib import Path
 
 import pytest
 import torch
 from killed_tutorials import goes_on_after_a_kill, same_checkpoints
+from tutorial_pictures import check_pictures
 
-ROOT = Path(__file__).resolve().parents[2]
-TUTORIALS = ROOT / "tutorials"
 SMOKE = {
     "size": 16,
     "resolution": 24,
@@ -35,21 +31,6 @@ SLAB = {
     "target_spp": 128,
     "max_depth": 128,
 }
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return importlib.import_module
-
-
-def check_pictures(folder: Path, names: list[str]) -> None:
-    for name in names:
-        for suffix in ("png", "exr"):
-            assert (folder / f"{name}.{suffix}").stat().st_size > 100, name
-    assert (folder / "loss.png").stat().st_size > 1000
 
 
 def test_smoke(tutorial, tmp_path, capsys):
@@ -99,7 +80,7 @@ def test_slab(tutorial, tmp_path, capsys, monkeypatch):
 
 
 @pytest.mark.parametrize("name", ["smoke", "slab"])
-def test_full_size(tutorial, name, monkeypatch, tmp_path):
+def test_full_size(tutorial, name, settings_of):
     module = tutorial(name)
     defaults = {key: value.default for key, value in inspect.signature(module.run).parameters.items()}
     seed = {
@@ -107,11 +88,8 @@ def test_full_size(tutorial, name, monkeypatch, tmp_path):
         "slab": {"size": (64, 256, 256), "spp": 16, "spp_grad": 4, "passes": 6, "iterations": 170},
     }[name]
     assert defaults | seed | {"resolution": 128} == defaults
-    found = {}
-    monkeypatch.setattr(module, "run", lambda folder, **settings: found.update(settings))
-    module.main(["--full", "--output", str(tmp_path)])
-    assert found == {"restart": False, "iterations": seed["iterations"]}
-    module.main(["--output", str(tmp_path), "--iterations", "3", "--restart"])
+    assert settings_of(name, "--full") == {"restart": False, "iterations": seed["iterations"]}
+    found = settings_of(name, "--iterations", "3", "--restart")
     assert found["iterations"] == 3 and found["restart"] is True and found["resolution"] == 64
 
 

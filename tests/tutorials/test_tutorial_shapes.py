@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 from pathlib import Path
 
@@ -14,7 +13,6 @@ from killed_tutorials import checkpoint_in, goes_on_after_a_kill
 
 import torchrender as tr
 
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
 MESH = {
     "subdivisions": 3,
@@ -28,13 +26,6 @@ MESH = {
     "points": 4000,
 }
 POSE = {"resolution": 32, "spp": 8, "iterations": 60, "target_spp": 256, "rate": 0.04}
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    return importlib.import_module
 
 
 def test_mesh_from_pictures(tutorial, tmp_path, capsys):

@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
-from pathlib import Path
-
 import pytest
 import torch
+from tutorial_pictures import drawn
 
 import torchrender as tr
-
-TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    return importlib.import_module
-
-
-def drawn(folder: Path, *names: str) -> bool:
-    return all((folder / f"{name}.png").stat().st_size > 5000 for name in names)
 
 
 def test_which_glass(tutorial, tmp_path, capsys):
@@ -71,11 +54,7 @@ def test_made_up_paints_are_possible_and_some_look_alike(tutorial):
         assert float((apart[one] / apart[other] - 1).abs().max()) > 0.05
 
 
-def test_sizes(tutorial, monkeypatch, tmp_path):
-    found = {}
+def test_sizes(settings_of):
     for name in ("which_glass", "paint_spectra"):
-        monkeypatch.setattr(tutorial(name), "run", lambda folder, name=name, **settings: found.update({name: settings}))
-        tutorial(name).main(["--output", str(tmp_path), "--iterations", "3"])
-    assert found == {"which_glass": {"iterations": 3}, "paint_spectra": {"iterations": 3}}
-    tutorial("which_glass").main(["--output", str(tmp_path), "--glass", "F2"])
-    assert found["which_glass"] == {"glass": "F2"}
+        assert settings_of(name, "--iterations", "3") == {"iterations": 3}
+    assert settings_of("which_glass", "--glass", "F2") == {"glass": "F2"}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import importlib
 import json
 import re
 import runpy
@@ -12,25 +11,11 @@ from pathlib import Path
 
 import pytest
 import torch
+from tutorial_pictures import check_pictures
 
 import torchrender as tr
 
 TUTORIALS = Path(__file__).resolve().parents[2] / "tutorials"
-
-
-@pytest.fixture
-def tutorial(monkeypatch):
-    """Imports a tutorial as it is when it is run: with its own folder first on the path."""
-    monkeypatch.syspath_prepend(str(TUTORIALS))
-    return importlib.import_module
-
-
-def check_pictures(folder: Path, names: list[str]) -> None:
-    for name in names:
-        for suffix in ("png", "exr"):
-            file = folder / f"{name}.{suffix}"
-            assert file.stat().st_size > 100, file
-    assert (folder / "loss.png").stat().st_size > 1000
 
 
 COUNTED = sorted(p.stem for p in TUTORIALS.glob("*.py") if '"--iterations"' in p.read_text())

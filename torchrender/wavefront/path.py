@@ -24,7 +24,7 @@ from ..surface import OFFSET, dot, normalize
 from . import layers, numbers
 from .bsdf import Bsdf
 from .bsdfs import BSDFS
-from .emitters import Lights
+from .emitters import Area, Lights
 from .geometry import Frame, Rows, glue, reattach
 from .layers import BsdfStack
 from .world import At, World
@@ -277,7 +277,11 @@ class WavefrontTracer:
                 lit = paths[rows]
                 pdf = light.hit_pdf(lit.previous, lit.position.detach(), lit.normal.detach())
                 weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index], depth)
-                self.add(lit, lit.beta, light.radiance(lit.at) * weight[:, None])
+                self.add(lit, lit.beta, torch.einsum("n,n...->n...", weight, self.met(light, lit)))
+
+    def met(self, light: Area, paths: Paths) -> torch.Tensor:
+        """What a light that paths have met sends along them, (N, C)."""
+        return light.radiance(paths.at)
 
     def scatter(
         self, vertices: Vertices, ue: torch.Tensor, ub: torch.Tensor, number: int, depth: int, index: int

@@ -10,8 +10,8 @@ from torchrender.warp import cosine_hemisphere
 from torchrender.wavefront.bsdf import Bsdf, BsdfSample, Color, one_lobe
 
 from .. import mueller
-from .common import Polarised, Polarising, above, fresnel_dielectric, mirrored
-from .rough import MicrofacetReflection, Microfacets, reflect
+from .common import Part, Polarised, Polarising, above, fresnel_dielectric, mirrored
+from .rough import MicrofacetReflection, Microfacets, off_facets, reflect
 from .rough_transmittance import COSINES, rough_transmittance
 
 
@@ -32,6 +32,40 @@ def specular_sampling_weight(
     return torch.where(some, coat / torch.where(some, coat + base, 1.0), 0.5).clamp(0.1, 0.9).detach()
 
 
+TURNED = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))  # by 90 degrees
+
+
+def below_coat(eta: torch.Tensor, wi: torch.Tensor, wo: torch.Tensor) -> Polarised:
+    """Of a base below a smooth interface: along the normal, which is across the axis of Fresnel's equations.
+
+    The base forgets what polarisation arrives.
+    """
+    index = eta.reshape(1, 1).to(torch.complex128)
+    inside = mueller.refracted(wi[:, 2:], index) / index
+    into, out = mueller.refraction(wo[:, 2:], index), mueller.refraction(inside.real, 1 / index)
+    return wi.new_tensor([0.0, 0.0, 1.0]).expand_as(wi), TURNED @ out @ mueller.DEPOLARISER @ into @ TURNED
+
+
+class RoughlyCoated(Polarising, Bsdf):
+    """Microfacets over a diffuse base: two lobes that go the same ways."""
+
+    eta: torch.Tensor
+
+    def lobes(self, wi: torch.Tensor, wo: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Values (N, C) of the coat and of the base."""
+        raise NotImplementedError
+
+    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+        coat, base = self.lobes(wi, wo)
+        return coat + base
+
+    def parts(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> list[Part]:
+        coat, base = self.lobes(wi, wo)
+        some = coat + base > 0
+        share = torch.where(some, coat / torch.where(some, coat + base, 1.0), 1.0)
+        return [(share, *off_facets(wi, wo, self.eta.reshape(1, 1))), (1 - share, *below_coat(self.eta, wi, wo))]
+
+
 class Coated(Bsdf):
     """A diffuse base below a dielectric coating."""
 
@@ -50,15 +84,9 @@ class Plastic(Polarising, Coated):
     delta = True
 
     def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
-        """Along the normal, which is across that of Fresnel's equations. The base forgets what polarisation arrives."""
-        eta = self.eta.reshape(1, 1).to(torch.complex128)
-        inside = mueller.refracted(wi[:, 2:], eta) / eta
-        into, out = mueller.refraction(wo[:, 2:], eta), mueller.refraction(inside.real, 1 / eta)
-        base = out @ mueller.DEPOLARISER @ into
-        coat = mueller.reflection(wi[:, 2:], eta)
-        turned = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=wi.dtype))
-        matrix = turned @ torch.where((lobe != 0)[:, None, None, None], coat, base) @ turned
-        return wi.new_tensor([0.0, 0.0, 1.0]).expand_as(wi), matrix
+        axis, base = below_coat(self.eta, wi, wo)
+        coat = TURNED @ mueller.reflection(wi[:, 2:], self.eta.reshape(1, 1)) @ TURNED
+        return axis, torch.where((lobe != 0)[:, None, None, None], coat, base)
 
     def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
         reflected = fresnel_dielectric(wi[:, 2], self.eta)[0]
@@ -84,7 +112,7 @@ class Plastic(Polarising, Coated):
         return BsdfSample(wo, torch.where(wi[:, 2] > 0, pdf, 0.0), torch.ones_like(p), mirrors.long())
 
 
-class RoughPlastic(Coated):
+class RoughPlastic(RoughlyCoated, Coated):
     """A coating of microfacets, of which one roughness applies everywhere."""
 
     def read(self, color: Color, number: Color) -> None:
@@ -99,11 +127,12 @@ class RoughPlastic(Coated):
         low, high = self.table.index_select(0, cell), self.table.index_select(0, cell + 1)
         return low + (x - cell) * (high - low)
 
-    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+    def lobes(self, wi: torch.Tensor, wo: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         r = MicrofacetReflection(self.microfacets, wi, wo)
         coat = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
         through = self.transmittance(wi[:, 2]) * self.transmittance(wo[:, 2]) * wo[:, 2] / math.pi / self.eta.square()
-        return torch.where(r.possible[:, None], coat + self.base(self.internal) * through[:, None], 0.0)
+        base, possible = self.base(self.internal) * through[:, None], r.possible[:, None]
+        return torch.where(possible, coat, 0.0), torch.where(possible, base, 0.0)
 
     def specular_probability(self, wi: torch.Tensor) -> torch.Tensor:
         """Of sampling the coating."""
@@ -119,7 +148,7 @@ class RoughPlastic(Coated):
         return one_lobe(wo, self.pdf(wi, wo))
 
 
-class PPlastic(Bsdf):
+class PPlastic(RoughlyCoated):
     """Microfacets that reflect, and diffuse light through a smooth interface."""
 
     def read(self, color: Color, number: Color) -> None:
@@ -127,12 +156,12 @@ class PPlastic(Bsdf):
         self.microfacets = Microfacets(self.scalar("alpha"), self.record.field["distribution"] == 1)
         self.diffuse, self.specular = color("diffuse_reflectance"), color("specular_reflectance")
 
-    def eval(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> torch.Tensor:
+    def lobes(self, wi: torch.Tensor, wo: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         r = MicrofacetReflection(self.microfacets, wi, wo)
-        specular = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
+        coat = self.specular * (r.value * fresnel_dielectric(r.cosine, self.eta)[0])[:, None]
         entering, leaving = (1 - fresnel_dielectric(w[:, 2], self.eta)[0] for w in (wi, wo))
-        diffuse = self.diffuse * (entering * leaving * wo[:, 2] / math.pi)[:, None]
-        return torch.where(r.possible[:, None], specular + diffuse, 0.0)
+        base, possible = self.diffuse * (entering * leaving * wo[:, 2] / math.pi)[:, None], r.possible[:, None]
+        return torch.where(possible, coat, 0.0), torch.where(possible, base, 0.0)
 
     def specular_probability(self, wi: torch.Tensor) -> torch.Tensor:
         """Of sampling the microfacets."""

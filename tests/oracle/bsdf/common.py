@@ -10,6 +10,7 @@ from torchrender.wavefront.bsdf import Bsdf
 from torchrender.wavefront.geometry import reattach, root
 
 Polarised: TypeAlias = "tuple[torch.Tensor, torch.Tensor]"
+Part: TypeAlias = "tuple[torch.Tensor, torch.Tensor, torch.Tensor]"
 
 
 class Delta(Bsdf):
@@ -19,7 +20,7 @@ class Delta(Bsdf):
 
 
 class Polarising:
-    """What polarises; all others scatter unpolarised light."""
+    """What polarises, as `polarised` or as `parts` say; all others scatter unpolarised light."""
 
     def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
         """Axes (N, 3), whose parts across both directions are meant, and Mueller matrices (N or 1, C or 1, 4, 4).
@@ -27,6 +28,10 @@ class Polarising:
         Of those only the ratios of their entries matter.
         """
         raise NotImplementedError
+
+    def parts(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> list[Part]:
+        """The same of lobes that go the same ways, each behind its share (N, C) of what is scattered."""
+        return [(torch.ones(1, 1, dtype=wi.dtype), *self.polarised(wi, wo, lobe))]
 
 
 def above(wi: torch.Tensor, wo: torch.Tensor) -> torch.Tensor:

@@ -117,6 +117,12 @@ def reflect(microfacets: Microfacets, wi: torch.Tensor, u: torch.Tensor) -> torc
     return normalize(2 * dot(seen, m)[:, None] * m - seen)
 
 
+def off_facets(wi: torch.Tensor, wo: torch.Tensor, index: torch.Tensor) -> Polarised:
+    """Of reflection from wi to wo by facets of this index (N or 1, C or 1)."""
+    cosine = torch.sqrt(0.5 + 0.5 * dot(wi, wo))[:, None]  # of half the angle
+    return torch.linalg.cross(wi + wo, wi), mueller.reflection(cosine, index)
+
+
 class DielectricMicrofacet:
     """Those between wi and wo, which they reflect (`reflects`) or refract, wi being above the surface (`outside`).
 
@@ -183,8 +189,7 @@ class RoughConductor(Polarising, MicrofacetBsdf):
         return one_lobe(wo, self.pdf(wi, wo))
 
     def polarised(self, wi: torch.Tensor, wo: torch.Tensor, lobe: torch.Tensor) -> Polarised:
-        cosine = torch.sqrt(0.5 + 0.5 * dot(wi, wo))[:, None]  # of half the angle
-        return torch.linalg.cross(wi + wo, wi), mueller.reflection(cosine, self.eta - 1j * self.k)
+        return off_facets(wi, wo, self.eta - 1j * self.k)
 
 
 class AnisotropicConductor(RoughConductor):
