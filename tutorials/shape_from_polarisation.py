@@ -25,7 +25,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -187,8 +186,6 @@ def run(
         restart: begin anew, whatever checkpoint there is.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    # The warning is of silhouettes and shadows, of which a picture from above has none.
-    warnings.filterwarnings("ignore", category=tr.MissingTermWarning)
     settings: dict[str, Any] = {"material": material, "size": size, "resolution": resolution, "spp": spp}
     settings |= {"iterations": iterations, "rate": rate, "smoothness": smoothness, "noise": noise}
     metal = {"type": "roughconductor", "material": material, "alpha": 0.25}
@@ -196,7 +193,8 @@ def run(
     truth = relief(2 * size)
 
     def picture(heights: torch.Tensor, samples: int, seed: int, passes: int = 1) -> torch.Tensor:
-        settings: dict[str, Any] = {"spp": samples, "passes": passes, "params": {HEIGHTS: heights}}
+        # A picture from above has no silhouettes or shadows that could move.
+        settings: dict[str, Any] = {"spp": samples, "passes": passes, "params": {HEIGHTS: heights}, "visibility": False}
         return tr.render(scene, seed=seed, outputs=("stokes",), **settings).stokes[:, :, 0]
 
     with torch.no_grad():

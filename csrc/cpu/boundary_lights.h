@@ -296,9 +296,9 @@ private:
     // What leaves S against c, on the film's axis.
     void put_column(Stokes<F> column, const Vec3<F> &c, const U &slot, const M &meets) {
         column = turned_column(column, film_axis<F>(scene_, call_.config.sensor, -c), -c);
-        const SpectrumColumn<S> to[] = {at_.q, at_.u, at_.v};
-        for (int i = 0; i < 3; ++i)
-            for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(to[i][k], slot, column.at[i + 1][k], meets);
+        const SpectrumColumn<S> to[] = {at_.value, at_.q, at_.u, at_.v};
+        for (int i = 0; i < 4; ++i)
+            for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(to[i][k], slot, column.at[i][k], meets);
     }
 
     // ------------------------------------------------------------------------------------------------------- the sum

@@ -36,7 +36,9 @@ def room(ball: dict, floor: dict, **more) -> tr.Scene:
 
 
 def image(scene: tr.Scene, name: str, value: torch.Tensor, seed: int = 3, spp: int = 16) -> torch.Tensor:
-    return tr.render(scene, params={name: value}, spp=spp, seed=seed, correlated=True, outputs=("stokes",)).stokes
+    """Of the same samples, whose differences do not have the motion of edges."""
+    settings = {"spp": spp, "seed": seed, "correlated": True, "visibility": False}
+    return tr.render(scene, params={name: value}, outputs=("stokes",), **settings).stokes
 
 
 def modes(scene: tr.Scene, name: str, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -14,13 +14,15 @@ def diffuse(reflectance) -> dict:
     return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": reflectance}}
 
 
-def area(shape: dict, radiance: float = 12.0) -> dict:
-    return {**shape, "emitter": {"type": "area", "radiance": radiance}}
+def area(shape: dict, **more) -> dict:
+    return {**shape, "emitter": {"type": "area", "radiance": 12.0, **more}}
 
 
+STOKES = [0.5, -0.4, 0.6]  # Q, U and V over I
 FROM_ABOVE = T.look_at([0.5, 0.3, 2.9], [0, 0, 0], [0, 1, 0])
+RECTANGLE = {"type": "rectangle", "to_world": T.translate([0.3, 0.2, 2.6]) @ DOWN @ T.scale(0.4)}
 LIGHTS = {
-    "rectangle": area({"type": "rectangle", "to_world": T.translate([0.3, 0.2, 2.6]) @ DOWN @ T.scale(0.4)}),
+    "rectangle": area(RECTANGLE),
     "ball": area({"type": "sphere", "center": [0.3, 0.2, 2.6], "radius": 0.3}),
     "tube": area({"type": "cylinder", "p0": [-0.5, 0, 2.5], "p1": [0.6, 0.2, 2.6], "radius": 0.15}),
     "point": {"type": "point", "position": [0.5, 0.3, 2.7], "intensity": 6.0},
@@ -28,6 +30,8 @@ LIGHTS = {
     "sun": {"type": "directional", "direction": [0.2, 0.1, -1], "irradiance": 3.0},
     "sky": {"type": "constant", "radiance": 1.0},
 }
+LIGHTS["polarised point"] = {**LIGHTS["point"], "stokes": STOKES}
+LIGHTS["polarised rectangle"] = area(RECTANGLE, stokes=STOKES)
 
 
 BOX_FACES = [

@@ -112,9 +112,8 @@ def test_normals_turn_the_axes_of_the_base():
     turn[:3, :3] = torch.tensor([[0.0, 0.3, 0.8], [-0.3, 0.0, 0.5], [-0.8, -0.5, 0.0]]).double() @ matrix[:3, :3]
 
     def image(value: torch.Tensor) -> torch.Tensor:
-        return tr.render(
-            scene, params={"plane.to_world": value}, spp=4096, seed=1, correlated=True, outputs=("stokes",)
-        ).stokes[0, 0, 0]
+        settings = {"spp": 4096, "seed": 1, "correlated": True, "visibility": False}
+        return tr.render(scene, params={"plane.to_world": value}, outputs=("stokes",), **settings).stokes[0, 0, 0]
 
     with forward_ad.dual_level():
         value, tangent = forward_ad.unpack_dual(image(forward_ad.make_dual(matrix, turn)))

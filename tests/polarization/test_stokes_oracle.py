@@ -53,7 +53,7 @@ def test_gradients(name):
     """Of a weighted mean of Q, U and V, by every parameter that has a derivative."""
     scene = scene_of(name)
     values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
-    native = {"spp": 1, "seed": 1, "spp_grad": SPP, "seed_grad": SEED, "params": values}
+    native = {"spp": 1, "seed": 1, "spp_grad": SPP, "seed_grad": SEED, "params": values, "visibility": False}
     found = tr.render(scene, outputs=("stokes",), **native).stokes
     expected = stokes_image(scene, spp=SPP, seed=SEED, params=values, derivative=True)
     weight = torch.rand(found.shape, generator=torch.Generator().manual_seed(2), dtype=torch.float64) - 0.5
@@ -65,6 +65,6 @@ def test_gradients_of_the_degree_of_polarisation():
     scene = scene_of("panes")
     values = {n: v.requires_grad_() for n, v in differentiable(scene).items()}
     settings = {"spp": SPP, "seed": SEED, "params": values}
-    found = tr.render(scene, outputs=("dolp",), correlated=True, **settings).dolp
+    found = tr.render(scene, outputs=("dolp",), correlated=True, visibility=False, **settings).dolp
     expected = tr.polarization.dolp(stokes_image(scene, derivative=True, **settings))
     assert_equal(scene, values, found.square().mean(), expected.square().mean())
