@@ -51,7 +51,7 @@ def bench(light: str, out: float, camera: float | None = None, *, center=(0.0, 0
     return tr.load_dict({"type": "scene", "integrator": integrator, **turned}, dtype=torch.float64)
 
 
-def under_sky(angle: float, bsdf: dict) -> tr.Scene:
+def under_sky(angle: float, bsdf: dict, **more) -> tr.Scene:
     """A plane seen at an angle of incidence in degrees, under a sky of radiance 1; the camera's axis is horizontal."""
     a = math.radians(angle)
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
@@ -63,6 +63,7 @@ def under_sky(angle: float, bsdf: dict) -> tr.Scene:
             "sensor": {"type": "perspective", "fov": 1e-3, "to_world": pose, "film": film},
             "sky": {"type": "constant"},
             "plane": {"type": "rectangle", "to_world": T.scale(1000), "bsdf": bsdf},
+            **more,
         },
         dtype=torch.float64,
     )

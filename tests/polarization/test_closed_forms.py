@@ -161,9 +161,9 @@ def test_glossy_surfaces_that_do_not_polarise_are_named():
 def test_where_nothing_polarises():
     """The image, and nothing else; to rounding what is traced as polarised light, of a lamp with a vector of zeros."""
     lamp = {"type": "sphere", "center": [2, -2, 6], "emitter": {"type": "area", "radiance": 3.0}}
-    scenes = [mirror_view(30, {"type": "diffuse"}, lamp=lamp)]
+    scenes = [under_sky(30, {"type": "diffuse"}, lamp=lamp)]
     lamp["emitter"] = {**lamp["emitter"], "stokes": [0, 0, 0]}
-    scenes.append(mirror_view(30, {"type": "diffuse"}, lamp=lamp))
+    scenes.append(under_sky(30, {"type": "diffuse"}, lamp=lamp))
     found = [tr.render(scene, spp=8, seed=2, outputs=("stokes",)).stokes for scene in scenes]
     assert torch.equal(found[0][..., 0], tr.render(scenes[0], spp=8, seed=2))
     torch.testing.assert_close(found[1], found[0], rtol=1e-12, atol=1e-14)

@@ -44,8 +44,9 @@ def test_differences(light, depth, parameter, floor):
 
 @pytest.mark.parametrize("light", ["rectangle", "sky"])
 @pytest.mark.parametrize("variant", ["rgb", "spectral"])
-def test_unpolarised_light_has_the_derivative_of_the_image(light, variant):
-    """Of the same samples: where nothing polarises, intensity is radiance, and the rest is zero."""
+def test_unpolarised_light_has_the_derivative_of_the_image(light, variant, monkeypatch):
+    """Of the same samples, traced as polarised light: intensity is radiance, and the rest is zero."""
+    monkeypatch.setattr("torchrender.render_polarized.polarizes", lambda packed: True)
     scene = room(light, 3, variant=variant)
     leaves = scene.train_only("plate.to_world", "box.vertex_positions")
     stokes = tr.render(scene, spp=4, seed=3, outputs=("stokes",)).stokes
