@@ -13,7 +13,6 @@ from typing import Any
 
 import torch
 
-from .errors import NotDifferentiableError
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from .progress import tracked
 from .render_call import RenderCall
@@ -22,11 +21,6 @@ from .scene.context import SAMPLES
 
 def with_responses(call: RenderCall, tensors: Sequence[torch.Tensor], weights: torch.Tensor, result: Any) -> Any:
     """`result`, an image or a tuple that begins with it, with the derivative by the film's weights (471, 3)."""
-    if call.config["integrator"] == "ptracer":
-        raise NotDifferentiableError(
-            "render: sensor: film: the particle tracer has no derivative by the film's bands or a sensor's srf; "
-            "the path tracer has"
-        )
     term = ResponseFunction.apply(call, weights, *tensors)
     return (result[0] + term, *result[1:]) if isinstance(result, tuple) else result + term
 

@@ -106,8 +106,9 @@ public:
                                  uintptr_t gradient) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
-        return tr::response_reverse<S>(call(c), reinterpret_cast<const S *>(adjoint),
-                                       reinterpret_cast<double *>(gradient));
+        const auto *from = reinterpret_cast<const S *>(adjoint);
+        auto *to = reinterpret_cast<double *>(gradient);
+        return c.light ? trace_light_responses<S>(call(c), from, to) : tr::response_reverse<S>(call(c), from, to);
     }
 
     RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {

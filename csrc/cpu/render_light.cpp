@@ -5,6 +5,7 @@
 #include <optional>
 
 #include "light_tile.h"
+#include "render_response.h"
 #include "splat.h"
 #include "work_items.h"
 
@@ -160,6 +161,11 @@ public:
     }
     // By connection; they hold until the next call. `level`: of the tape, null where none is recorded.
     const std::vector<Values> &brought(const TapeColumns<S> *level, const ShadowQueue<S> &free) {
+        for (const Values &part : spectra(level, free)) channels.to_channels(free.slot.at, free.n, part);
+        return values_;
+    }
+    // ... at the paths' wavelengths.
+    const std::vector<Values> &spectra(const TapeColumns<S> *level, const ShadowQueue<S> &free) {
         values_.clear();
         if (!call_.config.stokes) {
             values_.push_back(channels.arrays(free.contribution));
@@ -175,7 +181,6 @@ public:
                 }
             }
         }
-        for (const Values &part : values_) channels.to_channels(free.slot.at, free.n, part);
         return values_;
     }
 
@@ -367,6 +372,21 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     return stats;
 }
 
+// The gradient of an image's pixels as sums are splatted.
+template <class S>
+std::vector<SplatFilm<S>> adjoint_films(const RenderCall<S> &call, const S *adjoint) {
+    std::vector<SplatFilm<S>> films = empty_films<S>(call);
+    const LightScale<S> scale(call, call.spp);
+    for_results(call, [&](size_t i, int row, int column) {
+        const double s = scale(row, column);
+        const S *from = adjoint + i * size_t(call.numbers());
+        for (size_t p = 0; p < films.size(); ++p)
+            for (int c = 0; c < call.values; ++c)
+                films[p].at(row, column)[c] += S(double(from[int(p) * call.values + c]) * s);
+    });
+    return films;
+}
+
 template <class F>
 RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
     using S = ScalarOf<F>;
@@ -377,16 +397,7 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = schedule_of_light(call);
         const size_t capacity = 512;
-        std::vector<AdjointFilm> adjoint = empty_films<S>(call);
-        const LightScale<S> scale(call, call.spp);
-        const int values = call.values;
-        for_results(call, [&](size_t i, int row, int column) {
-            const double s = scale(row, column);
-            const S *from = derivative.adjoint + i * size_t(call.numbers());
-            for (size_t p = 0; p < adjoint.size(); ++p)
-                for (int c = 0; c < values; ++c)
-                    adjoint[p].at(row, column)[c] += S(double(from[int(p) * values + c]) * s);
-        });
+        const std::vector<AdjointFilm> adjoint = adjoint_films(call, derivative.adjoint);
         std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
         auto make = [&](int thread) {
             locals[size_t(thread)].allocate(derivative, thread);
@@ -431,8 +442,52 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
     return stats;
 }
 
+// See render_response.h.
+template <class F>
+RenderStats light_responses(const RenderCall<ScalarOf<F>> &call, const ScalarOf<F> *given, double *gradient) {
+    using S = ScalarOf<F>;
+    using Tile = SplattingTile<F>;
+    RenderStats stats;
+    Stopwatch watch(stats.seconds);
+    const TileSchedule schedule = schedule_of_light(call);
+    const size_t capacity = 512;
+    const std::vector<SplatFilm<S>> adjoint = adjoint_films(call, given);
+    std::vector<ResponseSums> sums{size_t(call.threads)};
+    auto make = [&](int) { return std::make_unique<Tile>(call, capacity, nullptr); };
+    run_tiles(
+        schedule.n_items(), call, Assignment::Interleaved, stats, make,
+        [&](Tile &tile, size_t item, int thread, auto &&stop) {
+            const SlotColumns<S> &slots = tile.paths.slots;
+            auto visit = [&](int level, const ShadowQueue<S> &free) {
+                const bool recorded = call.config.stokes;
+                const auto &spectra =
+                    tile.parts.spectra(recorded ? &tile.paths.wavefront.tape[level].columns : nullptr, free);
+                SplatAxes<F> &axes = tile.axes;
+                axes.for_places(call.filter, free.film_x.at, free.film_y.at, free.n, true, [&](size_t k, int lane) {
+                    const uint32_t slot = free.slot[k];
+                    const auto chosen = chosen_wavelengths<S>(call.config, slots.pixel[slot], slots.sample[slot]);
+                    for (size_t p = 0; p < spectra.size(); ++p) {
+                        typename SplatFilm<S>::Vector sum, by_x, by_y;
+                        adjoint[p].collect(axes.x, axes.y, lane, sum, by_x, by_y);
+                        sums[size_t(thread)].add(
+                            chosen, [&](int j) { return sum[j]; }, [&](int c) { return spectra[p][size_t(c)][k]; });
+                    }
+                });
+            };
+            for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &) {
+                tile.paths.run(n, call.config.stokes, stop, visit);
+            });
+        });
+    for (const ResponseSums &part : sums) part.add_to(gradient);
+    return stats;
+}
+
 }  // namespace
 
+template <class S>
+RenderStats trace_light_responses(const RenderCall<S> &call, const S *adjoint, double *gradient) {
+    return light_responses<PacketOf<S>>(call, adjoint, gradient);
+}
 template <class S>
 RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums) {
     return splat_light<PacketOf<S>>(call, nullptr, image, sums);
@@ -446,9 +501,10 @@ RenderStats trace_light_reverse(const RenderCall<S> &call, DerivativeCall<S> &de
     return reverse_light<PacketOf<S>>(call, derivative);
 }
 
-#define TR_INSTANTIATE(S)                                                                 \
-    template RenderStats trace_light(const RenderCall<S> &, S *, FilmSums *);             \
-    template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &); \
+#define TR_INSTANTIATE(S)                                                                   \
+    template RenderStats trace_light(const RenderCall<S> &, S *, FilmSums *);               \
+    template RenderStats trace_light_responses(const RenderCall<S> &, const S *, double *); \
+    template RenderStats trace_light_reverse(const RenderCall<S> &, DerivativeCall<S> &);   \
     template RenderStats trace_light_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

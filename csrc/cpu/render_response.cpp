@@ -9,22 +9,14 @@ namespace {
 
 // What the paths of a batch, whose adjoints are those of the film's channels, add to the gradient.
 template <class S>
-void add_responses(const RenderCall<S> &call, const SlotColumns<S> &slots, size_t n, double *gradient) {
+void add_responses(const RenderCall<S> &call, const SlotColumns<S> &slots, size_t n, ResponseSums &sums) {
     const SpectrumColumn<S> adjoints[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v},
                             values[] = {slots.radiance, slots.q, slots.u, slots.v};
     const int parts = call.config.stokes ? 4 : 1;
     for (size_t k = 0; k < n; ++k) {
         const ChosenWavelengths<S> chosen = chosen_wavelengths<S>(call.config, slots.pixel[k], slots.sample[k]);
-        for (int c = 0; c < SpectrumSize; ++c) {
-            const TablePlace<S> place(chosen.waves.at[c]);
-            double *to = gradient + size_t(place.index) * SpectrumSize;
-            for (int j = 0; j < SpectrumSize; ++j) {
-                double g = 0;
-                for (int p = 0; p < parts; ++p) g += double(adjoints[p][j][k]) * double(values[p][c][k]);
-                g *= double(chosen.inverse[c]);
-                to[j] += g * (1 - double(place.fraction)), to[SpectrumSize + j] += g * double(place.fraction);
-            }
-        }
+        for (int p = 0; p < parts; ++p)
+            sums.add(chosen, [&](int j) { return adjoints[p][j][k]; }, [&](int c) { return values[p][c][k]; });
     }
 }
 
@@ -40,8 +32,8 @@ RenderStats response_reverse(const RenderCall<S> &call, const S *given, double *
     const std::unique_ptr<Film> adjoint = adjoint_film<F>(call, schedule, given, stats);
     if (stats.interrupted) return stats;
     const int values = call.numbers();
-    const size_t capacity = 512, size = size_t(SpectrumSamples) * SpectrumSize;
-    std::vector<std::vector<double>> sums(size_t(call.threads), std::vector<double>(size, 0.0));
+    const size_t capacity = 512;
+    std::vector<ResponseSums> sums{size_t(call.threads)};
     auto make = [&](int) { return std::make_unique<Tile>(call, capacity, nullptr); };
     run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
               [&](Tile &tile, size_t item, int thread, auto &&stop) {
@@ -54,11 +46,10 @@ RenderStats response_reverse(const RenderCall<S> &call, const S *given, double *
                                   tile.start(n, true);
                                   tile.run(call.config.stokes, stop);
                                   if (call.config.stokes) tile.sweep_columns();
-                                  add_responses(call, slots, n, sums[size_t(thread)].data());
+                                  add_responses(call, slots, n, sums[size_t(thread)]);
                               });
               });
-    for (const std::vector<double> &sum : sums)
-        for (size_t i = 0; i < size; ++i) gradient[i] += sum[i];
+    for (const ResponseSums &part : sums) part.add_to(gradient);
     return stats;
 }
 

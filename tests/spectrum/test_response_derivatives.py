@@ -134,7 +134,28 @@ def test_steps_of_an_optimiser_are_seen():
     torch.testing.assert_close(of_samples(scene), 2 * before, rtol=1e-9, atol=0)
 
 
-def test_the_particle_tracer_has_none():
-    scene = scene_of(tables(1))
-    with pytest.raises(tr.NotDifferentiableError, match=r"particle tracer has no derivative by the film's bands"):
-        tr.render(scene, integrator=tr.ParticleTracer(max_depth=3), spp=1)
+@pytest.mark.parametrize("outputs", [("rgb",), ("stokes",)])
+def test_light_paths(outputs):
+    """As above, of what paths from the lights bring: images are linear in bands and in a sensor's response."""
+    bands = tables(2)
+    gold = {"type": "roughconductor", "material": "Au", "alpha": 0.3}
+    scene = scene_of(bands, floor=gold, **FILTER)
+    scene.integrator = tr.ParticleTracer(max_depth=3)
+    found = getattr(of_samples(scene, outputs=outputs), outputs[0])
+    channels = found.unsqueeze(-1) if outputs == ("rgb",) else found
+    weight = torch.rand(channels.shape, generator=torch.Generator().manual_seed(1), dtype=DOUBLE)
+    gradients = torch.autograd.grad((channels * weight).sum(), list(bands.values()))
+    for i, (gradient, table) in enumerate(zip(gradients, bands.values())):
+        expected = (channels * weight)[:, :, i].sum()
+        torch.testing.assert_close((gradient * table).sum(), expected, rtol=1e-10, atol=0)
+
+    def image(table):
+        scene = scene_of(srf=table)
+        scene.integrator = tr.ParticleTracer(max_depth=3)
+        return of_samples(scene)
+
+    table, change = waves(30, 0.2, 1.0), waves(31, -0.2, 0.2)
+    _, tangent = torch.func.jvp(image, (table,), (change,))
+    leaf = table.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad((image(leaf) * tangent).sum(), leaf)
+    torch.testing.assert_close((gradient * change).sum(), tangent.square().sum(), rtol=1e-10, atol=0)
