@@ -21,7 +21,8 @@ all four components come from one pass. Adam scales each number by itself, and d
 one by one. So a metal is given by its reflectance at right angles, which any picture shows, and by a number that tells
 metals of equal reflectance apart (Gulbrandsen, "Artist Friendly Metallic Fresnel", JCGT 3(4), 2014).
 
-With polarisation 200 steps are enough; without it they are far from the end of the valley. Beside what is found stands
+With polarisation 200 steps are enough; without it they are far from the end of the valley. (Of plastic they are too few
+for either camera: a brighter base under a darker sky is a valley for both.) Beside what is found stands
 what noise allows at best, however many steps there are, by derivatives in forward mode (the
 Cramér-Rao bound). Pictures show both losses over a plane of eta and k, each point with the sky that suits it best.
 """
