@@ -240,32 +240,18 @@ TR_LARGE Stokes<F> PolarizedVertex<F>::column(const Stokes<F> &arriving) const {
 }
 
 template <class F>
-TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving) const {
+TR_LARGE Stokes<F> PolarizedVertex<F>::row(const Stokes<F> &leaving, bool connected) const {
+    const auto along = [&](int l) -> const PolarizedWay<F> & { return connected ? lobes[l].light : lobes[l].path; };
     Stokes<F> a = no_stokes<F>();
     if (kind == Polarization::None) {
-        a.at[0] = pull(leaving.at[0], lobes[0].path.factor), a.axis = leaving.axis;
+        a.at[0] = pull(leaving.at[0], along(0).factor), a.axis = leaving.axis;
         return a;
     }
-    a.axis = lobes[0].path.in;
+    if (connected && !bsdf.is(HasSmoothLobes)) return a;
+    a.axis = along(0).in;
     for (int l = 0; l < n_lobes; ++l) {
-        const PolarizedWay<F> &path = lobes[l].path;
-        add(a, turned_row(gathered(kind, path, turned_row(leaving, path.out, wi)), a.axis, -path.to));
-    }
-    return a;
-}
-
-template <class F>
-TR_LARGE Stokes<F> PolarizedVertex<F>::connected_row(const Stokes<F> &leaving) const {
-    Stokes<F> a = no_stokes<F>();
-    if (kind == Polarization::None) {
-        a.at[0] = pull(leaving.at[0], lobes[0].light.factor), a.axis = leaving.axis;
-        return a;
-    }
-    if (!bsdf.is(HasSmoothLobes)) return a;
-    a.axis = lobes[0].light.in;
-    for (int l = 0; l < n_lobes; ++l) {
-        const PolarizedWay<F> &light = lobes[l].light;
-        add(a, turned_row(gathered(kind, light, turned_row(leaving, light.out, wi)), a.axis, -light.to));
+        const PolarizedWay<F> &way = along(l);
+        add(a, turned_row(gathered(kind, way, turned_row(leaving, way.out, wi)), a.axis, -way.to));
     }
     return a;
 }

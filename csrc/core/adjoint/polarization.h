@@ -91,10 +91,8 @@ struct PolarizedVertex {
 
     // The column of what comes from here, but for its own emission, from that which arrives.
     TR_LARGE Stokes<F> column(const Stokes<F> &arriving) const;
-    // The row for what arrives, from that for what leaves.
-    TR_LARGE Stokes<F> row(const Stokes<F> &leaving) const;
-    // The row for what arrives along the connection.
-    TR_LARGE Stokes<F> connected_row(const Stokes<F> &leaving) const;
+    // The row for what arrives along the path, or along the connection, from that for what leaves.
+    TR_LARGE Stokes<F> row(const Stokes<F> &leaving, bool connected = false) const;
     // The number that a row makes with the light of the emitter sample, colour by colour.
     TR_LARGE Spectrum<F> direct(const Stokes<F> &leaving) const;
     // The derivative, `next` being the vertex behind (whose radiance is the column `arriving`). Adds as

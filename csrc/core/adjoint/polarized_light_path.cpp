@@ -130,7 +130,7 @@ TR_LARGE void hand_light(const SweepContext<F> &c, const LightSensor<ScalarOf<F>
         const PolarizedConnection<F> connection{sensor, c.config.sensor, entry.connection, no_stokes<F>()};
         const PolarizedVertex<F> vertex(c.scene, entry.waves, kind, v, c.needs, active, &connection);
         row = vertex.row(arriving);
-        brought = seen_from_behind(vertex.connected_row(arriving));
+        brought = seen_from_behind(vertex.row(arriving, true));
     }
     brought = turned_column(brought, film_axis(c.scene, c.config.sensor, k), k);
     write_row<F>(tape, i, row);
