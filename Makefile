@@ -149,11 +149,12 @@ native-test: $(VENV)/.installed
 sanitize: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
 
-# For aarch64, by Debian's cross compiler, and run by qemu-user. There is no Embree for it in PyPI: AARCH64_EMBREE is one.
-# Without, only the cases that trace no rays can pass.
+# For aarch64, by Debian's cross compiler, and run by qemu-user. PyPI has no Embree for it. Debian 14 has: AARCH64_ROOT is a
+# folder with its packages libembree4-4, libtbb12, libc6, libgcc-s1 and libstdc++6 of arm64 (dpkg -x), AARCH64_EMBREE that
+# library in it. Without, only files of tests that trace no rays can pass.
 AARCH64_ROOT ?= /usr/aarch64-linux-gnu
 AARCH64_EMBREE ?= none
-AARCH64_CASES ?= $(if $(filter none,$(AARCH64_EMBREE)),math)
+AARCH64_CASES ?= $(if $(filter none,$(AARCH64_EMBREE)),test_math test_spectral test_tile_schedule test_zeros)
 aarch64: $(VENV)/.tools
 	@program=$$(TORCHRENDER_MACHINE=aarch64 CXX=aarch64-linux-gnu-g++ $(PY) setup.py -q native_tests --folder=aarch64) && \
 	  qemu-aarch64 -L $(AARCH64_ROOT) "$$program" "$(AARCH64_EMBREE)" $(AARCH64_CASES)

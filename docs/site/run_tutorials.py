@@ -47,8 +47,8 @@ RUNS = {
     "environment_map": Run("--demo", ("map_target map_result", "target_front result_front relit_target relit_result")),
     "glass_ball": Run("--demo", ("start result target derivative_eta",)),
     "grin_cube": Run("", ("target result", "index")),
-    "grin_lens": Run("", ("loss",)),
-    "luneburg": Run("", ("loss",)),
+    "grin_lens": Run("", ("spots", "lens")),
+    "luneburg": Run("", ("result",)),
     "many_machines": Run("--demo", ("result texture_target texture_result",)),
     "mesh_from_pictures": Run("--demo", ("turntable",)),
     "mirage": Run("", ("photograph start result", "temperature")),
@@ -58,7 +58,7 @@ RUNS = {
     "pose": Run("--demo"),
     "room": Run("--demo", ("start result target0",)),
     "shadow_art": Run("--demo", ("target", "result")),
-    "paint_spectra": Run("", ("loss",)),
+    "paint_spectra": Run("", ("charts", "reflectances")),
     "schlieren": Run("", ("progress",)),
     "shape_from_polarisation": Run("", ("photograph", "heights")),
     "slab": Run("", ("target start result albedo_result",)),
@@ -66,7 +66,7 @@ RUNS = {
     "svbrdf": Run("--demo", ("target_first target_new result_new",)),
     "textured_monkey": Run("--demo", ("start result target texture_result",)),
     "watch_training": Run("", ()),  # pictures go to TensorBoard
-    "which_glass": Run("", ("loss",)),
+    "which_glass": Run("", ("rainbows",)),
 }
 
 
