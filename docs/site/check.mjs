@@ -48,7 +48,7 @@ mkdirSync(pictures, { recursive: true });
 async function open(width, name) {
   const page = await browser.newPage({ viewport: { width, height: 900 } });
   const say = (what) => wrong.push(`${name} (${width}): ${what}`);
-  page.on("console", (message) => message.type() === "error" && say(message.text()));
+  page.on("console", (message) => message.type() === "error" && say(`${message.text()} ${message.location().url}`));
   page.on("pageerror", (error) => say(String(error)));
   page.on("request", (request) => request.url().startsWith(root) || request.url().startsWith("data:") || say(`asks for ${request.url()}`));
   await page.goto(`${root}${name}.html`, { waitUntil: "load" });

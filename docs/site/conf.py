@@ -34,6 +34,7 @@ html_theme = "furo"
 html_title = "torchrender"
 html_static_path = [str(SITE / "static")]
 html_css_files = ["site.css"]
+html_favicon = str(SITE / "static" / "icon.svg")
 html_show_sourcelink = False
 html_copy_source = False
 templates_path: list[str] = []

@@ -40,6 +40,7 @@ class Run:
 
 # Those that are not named are run without options and show the usual pictures.
 RUNS = {
+    "achromat": Run("", ("spots", "focus")),
     "camera_calibration": Run("--demo", ("start result target derivative_turn",)),
     "caustics": Run("--iterations 150", ("target result heights",)),
     "cornell_box": Run("--demo", ("start result target derivative_red_wall",)),
@@ -47,20 +48,26 @@ RUNS = {
     "environment_map": Run("--demo", ("map_target map_result", "target_front result_front relit_target relit_result")),
     "glass_ball": Run("--demo", ("start result target derivative_eta",)),
     "grin_cube": Run("", ("target result", "index")),
-    "grin_lens": Run("", ("loss",)),
-    "luneburg": Run("", ("loss",)),
+    "grin_lens": Run("", ("spots", "lens")),
+    "luneburg": Run("", ("result",)),
+    "many_machines": Run("--demo", ("result texture_target texture_result",)),
     "mesh_from_pictures": Run("--demo", ("turntable",)),
+    "mirage": Run("", ("photograph start result", "temperature")),
     "neural_bsdf": Run("--demo", ("target", "start", "result")),
     "neural_texture": Run("--demo", ("target result texture_target texture_result",)),
+    "polarised_ball": Run("", ("photograph", "error")),
     "pose": Run("--demo"),
     "room": Run("--demo", ("start result target0",)),
     "shadow_art": Run("--demo", ("target", "result")),
-    "paint_spectra": Run("", ("loss",)),
+    "paint_spectra": Run("", ("charts", "reflectances")),
     "schlieren": Run("", ("progress",)),
+    "shape_from_polarisation": Run("", ("photograph", "heights")),
+    "slab": Run("", ("target start result albedo_result",)),
     "smoke": Run("--iterations 30", ("target result held_back_target held_back_result",)),
     "svbrdf": Run("--demo", ("target_first target_new result_new",)),
     "textured_monkey": Run("--demo", ("start result target texture_result",)),
-    "which_glass": Run("", ("loss",)),
+    "watch_training": Run("", ()),  # pictures go to TensorBoard
+    "which_glass": Run("", ("rainbows",)),
 }
 
 
@@ -110,8 +117,10 @@ def run(name: str) -> dict[str, object]:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode:
         raise SystemExit(f"{' '.join(command)} failed:\n{done.stderr}")
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    joined(folder, RUNS.get(name, Run()).rows).save(PICTURES / f"{name}.jpg", quality=QUALITY)
+    rows = RUNS.get(name, Run()).rows
+    if rows:
+        PICTURES.mkdir(parents=True, exist_ok=True)
+        joined(folder, rows).save(PICTURES / f"{name}.jpg", quality=QUALITY)
     printed = done.stdout.replace(str(ROOT) + "/", "")
     return {
         "command": " ".join(["python", f"tutorials/{name}.py", *options]),

@@ -101,15 +101,26 @@ def test_quick_start(monkeypatch, tmp_path, capsys):
     assert written == {"result.exr", "result.png", "target.png", "scene.pt"}
 
 
-def test_notebook_is_the_script_and_has_its_pictures(tutorial):
-    file = TUTORIALS / "quick_start.ipynb"
+def test_colab(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    names = runpy.run_path(str(TUTORIALS / "colab.py"))
+    for name, found in names["found"].items():
+        assert found == pytest.approx(names["truth"][name], abs=0.03), name
+    assert not list(tmp_path.iterdir()) and "ball.bsdf.reflectance.value" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["quick_start", "colab"])
+def test_notebook_is_the_script_and_has_its_pictures(tutorial, name):
+    file = TUTORIALS / f"{name}.ipynb"
     assert file.stat().st_size < 500_000
     notebook = json.loads(file.read_text())
     found = [(cell["cell_type"], "".join(cell["source"])) for cell in notebook["cells"]]
-    script = (TUTORIALS / "quick_start.py").read_text()
+    script = (TUTORIALS / f"{name}.py").read_text()
     assert found == tutorial("make_notebook").cells(script), "make notebook brings the notebook up to date"
     code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
-    assert all(cell["execution_count"] for cell in code)
+    installs = [cell for cell in code if "".join(cell["source"]).startswith("%pip ")]
+    assert len(installs) == (name == "colab") and not any(cell["outputs"] for cell in installs)
+    assert all(cell["execution_count"] for cell in code if cell not in installs)
     outputs = [output for cell in code for output in cell["outputs"]]
     assert not [output for output in outputs if output["output_type"] == "error"]
     assert sum("image/jpeg" in output.get("data", {}) for output in outputs) == script.count("\ntr.show(")
@@ -119,6 +130,7 @@ def test_script_is_split_at_its_marks(tutorial):
     cells = tutorial("make_notebook").cells
     source = "# %% [markdown]\n# # Title\n#\n# Text\n\n# %%\nx = 1\n# a comment\n\n\n# %%\ny = x\n"
     assert cells(source) == [("markdown", "# Title\n\nText"), ("code", "x = 1\n# a comment"), ("code", "y = x")]
+    assert cells("# %%\n# %pip install -q x\n") == [("code", "%pip install -q x")]
     with pytest.raises(ValueError, match="begins with a cell"):
         cells("import torch\n# %%\n")
 
