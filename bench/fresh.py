@@ -59,11 +59,11 @@ def peak_memory(
     import torch
 
     from .ours import Ours
-    from .rows import ROWS
+    from .rows import ALL_ROWS
 
     torch.set_num_threads(threads)
     torch.ones(3, requires_grad=True).square().sum().backward()
-    ours = Ours.of_row(ROWS[row], resolution, spp, **renderer)
+    ours = Ours.of_row(ALL_ROWS[row], resolution, spp, **renderer)
     before = settled_memory()
     with torch.no_grad():
         ours.renderer(seed=0, spp=1, crop=(0, 0, 1, 1))

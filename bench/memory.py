@@ -11,7 +11,7 @@ from .measured import Measured
 from .ours import chosen
 from .peers import KNOWN, Peer
 from .report import Result, Table
-from .rows import ROWS, Row
+from .rows import ALL_ROWS, Row
 from .scene_arrays import load_peer
 
 STEPS = 3
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def our_memory(row: Row, spp: int, options: argparse.Namespace, **more: Any) -> dict[str, float]:
     """MiB in a fresh process, see `fresh.peak_memory`; `more` are further settings of `Ours`."""
-    settings = {"row": ROWS.index(row), "threads": options.threads, "resolution": options.resolution}
+    settings = {"row": ALL_ROWS.index(row), "threads": options.threads, "resolution": options.resolution}
     return measure("memory", spp=spp, steps=STEPS, renderer={**dict(options.renderer), **more}, **settings)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -69,9 +70,11 @@ class Ours:
         return [gradient.double().numpy() for gradient in gradients], time.perf_counter() - start
 
 
-def chosen(options: argparse.Namespace) -> list[Row]:
+def chosen(options: argparse.Namespace, all_rows: Sequence[Row] = ROWS) -> list[Row]:
     """The rows that `--only` leaves; ends the program if there are none."""
-    rows = [row for row in ROWS if options.only.lower() in row.name.lower()]
+    rows = [row for row in all_rows if options.only.lower() in row.name.lower()]
     if not rows:
-        raise SystemExit(f"--only: no scene's name contains {options.only!r}: {', '.join(row.name for row in ROWS)}")
+        raise SystemExit(
+            f"--only: no scene's name contains {options.only!r}: {', '.join(row.name for row in all_rows)}"
+        )
     return rows

@@ -1,5 +1,7 @@
 """Polarised light beside intensity: images and gradients of the scenes of `table2`, their time and their memory.
 
+Nothing polarises in those, so that their Stokes vectors are their images; a scene whose surfaces polarise is added.
+
 Polarised images are those of the variants ``rgb_polarized`` and ``mono_polarized``, whose Stokes vectors are rendered
 whole; the loss is of their intensity. With ``--peer mitsuba=PYTHON`` those of ``llvm_ad_mono_polarized`` stand beside
 those of ``mono_polarized``: by the integrator `stokes` over `path`, which Dr.Jit differentiates as it stands, with all
@@ -20,7 +22,7 @@ from .memory import our_memory, peer_memory
 from .ours import Ours, chosen
 from .peers import KNOWN, Peer, PeerError, Peers
 from .report import Result, Table
-from .rows import Row
+from .rows import ALL_ROWS, Row
 from .scene_arrays import load_peer
 
 VARIANTS = ("rgb", "rgb_polarized", "mono_polarized")
@@ -94,14 +96,16 @@ def run(options: argparse.Namespace) -> Result:
     tables, versions = [], {}
     if options.part != "memory":
         with Peers(options.peer, options.threads, options.renderer) as peers:
-            measured = [measure_row(row, peers, options) for row in chosen(options)]
+            measured = [measure_row(row, peers, options) for row in chosen(options, ALL_ROWS)]
             versions = {peer.key: peer.version for peer in peers}
         title = f"{size}, {options.spp} spp, depth 5, medians of {options.rounds} alternating rounds"
         notes = ["Image: without derivatives. Gradient: backward alone."]
         tables.append(Table(title, ["scene"], [seconds for seconds, _ in measured], notes, part="time"))
         tables.append(Table("Ratios of the medians", ["scene"], [ratios for _, ratios in measured], part="ratios"))
     if options.part != "time":
-        rows = [measure_memory(row, spp, options, versions) for row in chosen(options) for spp in options.samples]
+        rows = [
+            measure_memory(row, spp, options, versions) for row in chosen(options, ALL_ROWS) for spp in options.samples
+        ]
         title = f"Peak memory above the loaded scene, {size}, medians of {options.rounds} fresh processes"
         tables.append(Table(title, ["scene", "spp"], rows, part="memory"))
     return Result(tables, versions)

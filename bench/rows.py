@@ -42,3 +42,6 @@ ROWS = (
     _textured("monkey", 512),
     _textured("monkey", 1024),
 )
+
+# ... and a scene in which surfaces polarise: in the others Stokes vectors are images.
+ALL_ROWS = (*ROWS, Row("Gold over plastic", "polarising_sphere.xml", ("ground.bsdf.diffuse_reflectance.value",)))

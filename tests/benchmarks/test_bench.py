@@ -111,7 +111,7 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
 
 
 def test_polarized_with_a_peer(tmp_path, fake_peer):
-    options = ["--only", "sphere, texture 512", "--peer", f"mitsuba={sys.executable}"]
+    options = ["--only", "gold", "--peer", f"mitsuba={sys.executable}"]
     tables = run(tmp_path, "polarized", *TINY, *options, "--samples", "3")["tables"]
     (row,), (ratio,), (memory,) = (table["rows"] for table in tables)
     image = row["rgb_polarized image s"]["median"]
