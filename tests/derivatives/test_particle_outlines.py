@@ -61,7 +61,7 @@ BOARD = {
 BALL = {"type": "sphere", "center": [-0.2, 0, 0.1], "radius": 0.4, "bsdf": diffuse(0.4)}
 GLOW = {"emitter": {"type": "area", "radiance": texels(4, 4, 4.0)}}
 LIT = {"bsdf": diffuse(0.6)}
-LAMP = area({"type": "rectangle", "to_world": T.translate([0.4, -1.5, 2.2]) @ DOWN @ T.scale(0.5)}, 8.0)
+LAMP = area({"type": "rectangle", "to_world": T.translate([0.4, -1.5, 2.2]) @ DOWN @ T.scale(0.5)}, radiance=8.0)
 
 
 def light_tracer(scene: tr.Scene, **settings) -> tr.ParticleTracer:
@@ -256,7 +256,7 @@ def test_a_silhouette_before_a_caustic():
     lamp = {"type": "rectangle", "to_world": T.translate([-0.2, -1.6, 1.2]) @ T.rotate([1, 0, 0], -130) @ T.scale(0.3)}
     near = T.translate([0.1, -2.2, -0.15]) @ T.rotate([1, 0.2, 0.3], 70) @ T.scale([0.2, 0.15, 1])
     ball = {**BALL, "bsdf": {"type": "dielectric", "int_ior": 1.5}}
-    scene = view(LIT, ball=ball, board={**BOARD, "to_world": near}, lamp=area(lamp, 20.0))
+    scene = view(LIT, ball=ball, board={**BOARD, "to_world": near}, lamp=area(lamp, radiance=20.0))
     scene.integrator = tr.PathTracer(4, 99)
     check(scene, "board.to_world", images=light_tracer(scene), spp_visibility=(2048, 1))
 
