@@ -83,10 +83,10 @@ void check_way_back(int rays, int most) {
 
 template <class F>
 void check_ways_back() {
-    check_way_back<3, F>(10000, 40);
-    check_way_back<4, F>(10000, 40);
-    check_way_back<3, F>(200, 2000);
-    check_way_back<4, F>(200, 2000);
+    check_way_back<3, F>(4000, 40);
+    check_way_back<4, F>(4000, 40);
+    check_way_back<3, F>(64, 2000);
+    check_way_back<4, F>(64, 2000);
 }
 
 // Drifts are rounded to the nearest position on both sides of zero, so that none is left over.
