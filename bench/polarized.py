@@ -40,6 +40,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     counts_argument(parser, "--samples", [4, 16], "samples a pixel of the table of memory")
 
 
+def has_gradient(peer: Peer) -> bool:
+    """Mitsuba's scenes of one colour have one by the texels of a picture in three only once."""
+    try:
+        for seed in range(2):
+            peer.ask("step", seed=seed)
+    except PeerError as error:
+        if "no gradient reached" not in str(error):
+            raise
+        return False
+    return True
+
+
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any]]:
     """Seconds of a row, and ratios of their medians."""
     programs = {}
@@ -53,11 +65,14 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
         programs[variant] = run_ours
     for peer in peers:
         load_peer(peer, row, options.resolution, options.spp, **POLARIZED)
+        differentiates = has_gradient(peer)
 
-        def run(seed: int, peer: Peer = peer) -> dict[str, float]:
+        def run(seed: int, peer: Peer = peer, differentiates: bool = differentiates) -> dict[str, float]:
             peer.ask("forward", seed=seed)
-            image = peer.ask("forward", seed=seed)["forward"]
-            return {"image": image, "gradient": peer.ask("step", seed=seed)["backward"]}
+            times = {"image": peer.ask("forward", seed=seed)["forward"]}
+            if differentiates:
+                times["gradient"] = peer.ask("step", seed=seed)["backward"]
+            return times
 
         programs[peer.title] = run
     seconds: dict[str, Any] = {"scene": row.name}
@@ -72,8 +87,8 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
     ratios["polarised gradient / two polarised images"] = polarized["gradient"] / (2 * polarized["image"])
     ratios["polarised gradient / rgb"] = polarized["gradient"] / plain["gradient"]
     for peer in peers:
-        for what, value in medians["mono_polarized"].items():
-            ratios[f"{peer.title} {what} / mono_polarized"] = medians[peer.title][what] / value
+        for what, value in medians[peer.title].items():
+            ratios[f"{peer.title} {what} / mono_polarized"] = value / medians["mono_polarized"][what]
     return seconds, ratios
 
 
