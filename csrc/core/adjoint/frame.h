@@ -9,6 +9,14 @@
 
 namespace tr {
 
+// Its z is that of the model, which may be mirrored.
+template <class F>
+TR_INLINE Frame<F> model_frame(const SceneOf<F> &scene, const VertexRecord<F> &v) {
+    Frame<F> frame = vertex_frame(scene, v);
+    frame.n = frame.n * v.mirror;
+    return frame;
+}
+
 template <class F>
 struct VertexFrame {
     Frame<F> frame;
@@ -17,9 +25,7 @@ struct VertexFrame {
     F phi_bar{0};
 
     TR_INLINE VertexFrame(const SceneOf<F> &scene, const VertexRecord<F> &v, bool oriented_)
-        : frame(vertex_frame(scene, v)), oriented(oriented_ && scene.follows_tangent) {
-        frame.n = frame.n * v.mirror;
-    }
+        : frame(model_frame(scene, v)), oriented(oriented_ && scene.follows_tangent) {}
     // the adjoint of a world direction from that of its local coordinates
     TR_INLINE Vec3<F> into(const Vec3<F> &local, const Vec3<F> &local_bar) {
         n_bar = n_bar + frame.to_world(local) * local_bar.z - frame.s * (local_bar.x * local.z) -

@@ -179,8 +179,7 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
         light_factor = light_factor * stack.bsdf.stack.weight * stack.light_factor;
         if (connection) light_factor = light_factor * stack.bsdf.stack.inverse_probability;
     }
-    Frame<F> frame = vertex_frame(scene, v);
-    frame.n = frame.n * v.mirror;
+    const Frame<F> frame = model_frame(scene, v);
     wi = frame.to_world(v.wi), n = frame.n;
     if (connection) {
         auto interpolated =

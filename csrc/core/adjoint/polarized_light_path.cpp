@@ -42,9 +42,7 @@ struct LightPathEntry {
     }
     // ... and from a surface.
     TR_INLINE Vec3<F> scattered_to_camera(const SceneOf<F> &scene) const {
-        Frame<F> frame = vertex_frame(scene, v);
-        frame.n = frame.n * v.mirror;
-        return frame.to_world(v.wo_light);
+        return model_frame(scene, v).to_world(v.wo_light);
     }
     TR_INLINE PolarizedLight<F> lamp(const SweepContext<F> &c, const MaskOf<F> &active) const {
         return {c.scene, v.light, active};

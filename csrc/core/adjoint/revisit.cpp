@@ -1,6 +1,7 @@
 #include "revisit.h"
 
 #include "../bsdf/parameters.h"
+#include "frame.h"
 #include "stack.h"
 
 namespace tr {
@@ -13,14 +14,6 @@ TR_INLINE VertexRecord<F> read_surface(const TapeColumns<ScalarOf<F>> &tape, uin
     read_scattering(tape, i, v);
     read_arrival(tape, i, v);
     return v;
-}
-
-// Its z is that of the model, which may be mirrored.
-template <class F>
-TR_INLINE Frame<F> model_frame(const SceneOf<F> &scene, const VertexRecord<F> &v) {
-    Frame<F> frame = vertex_frame(scene, v);
-    frame.n = v.normal * v.mirror;
-    return frame;
 }
 
 }  // namespace

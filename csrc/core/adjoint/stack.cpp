@@ -1,5 +1,7 @@
 #include "stack.h"
 
+#include "frame.h"
+
 namespace tr {
 
 namespace {
@@ -15,8 +17,7 @@ TR_INLINE Vec3<D> seeded(const Vec3<F> &v, int i) {
 template <class F>
 TR_LARGE StackAdjoint<F>::StackAdjoint(const SceneOf<F> &scene, const Wavelengths<F> &waves, const VertexRecord<F> &v,
                                        const GradientNeeds &needs, Transport transport, const MaskOf<F> &active) {
-    Frame<F> frame = vertex_frame(scene, v);
-    frame.n = v.normal * v.mirror;
+    const Frame<F> frame = model_frame(scene, v);
     wi = frame.to_world(v.wi), wo = frame.to_world(v.wo), wo_light = frame.to_world(v.wo_light);
     auto back = mask<F>(dot(v.base_normal, wi) < F(0));
     ShapeLanes<F> shape(scene.shapes, v.at.shape, active);
