@@ -9,14 +9,20 @@
 
 namespace tr {
 
-// By slot: the vertex of the path that was chosen, how it scatters, and the adjoint of its place. By number, up to two
-// a slot: points on lights, glued to them.
+// By slot: the vertex of the path that was chosen, how it scatters, and the adjoint of its place. By number, up to
+// three a slot: points that are glued to surfaces.
 // clang-format off
 #define TR_ANCHOR_COLUMNS(X) \
     X(Index, level) X(Index, entry) X(Vector, n) X(Vector, axis) X(Vector, ng) X(Number, k) X(Number, share) \
     X(Vector, d) X(Spectrum, f) X(Number, pdf) X(Vector, p_bar)
 #define TR_GLUED_COLUMNS(X) X(Index, slot) X(Point, at) X(Vector, p) X(Vector, p_bar)
 // clang-format on
+// By slot: the place on the lens, of `distant`, which sees a point through one of them.
+#define TR_LENS_COLUMNS(X) X(Pair, lens)
+template <class S>
+struct LensColumns {
+    TR_COLUMNS(TR_LENS_COLUMNS)
+};
 template <class S>
 struct AnchorColumns {
     TR_COLUMNS(TR_ANCHOR_COLUMNS)

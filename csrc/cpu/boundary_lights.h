@@ -60,6 +60,7 @@ public:
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
         arena_.allocate(Base::Capacity + 2 * W, at_);
+        this->keep_lens(ends_.slots);
     }
 
     RenderStats take_stats() {
@@ -173,7 +174,7 @@ private:
             if (!std::isfinite(place.x) || !std::isfinite(place.y) || !this->near_film(place.x, place.y)) continue;
             const CameraRay<S> ray = camera_ray<S>(scene_, this->sensor(), place, width, height);
             if (!ray.exists) continue;
-            ends_.slots.film_x[k] = place.x, ends_.slots.film_y[k] = place.y;
+            this->keep_place(ends_.slots, k, place);
             at_.distance[k] = Base::length(s - ray.ray.o);
             area[k] = this->pixel_area(place, ray.ray.d, Base::length(s - ray.center));
             push_end(queue, k, ray.ray.o, ray.ray.d, ray.length, ray.center, S(0));
@@ -360,11 +361,12 @@ private:
                 at_.s_bar.set(edge.slot, s_bar);
             at_.e_bar.set(edge.slot, g * (edge.far ? edge.length : -edge.tau));
             points.derivative = 0;
-            this->add_to_outline(edge.element, edge.s, edge.b, g, points);
+            this->add_to_outline(edge.slot, edge.element, edge.s, edge.b, g, points);
             if (sink.forward) slots.radiance[sink.component][edge.slot] += points.derivative;
         }
         lights_.sweep(at_, n, slots, sink);
-        if (boundary_.glued) return this->sweep_glued(sink, slots);
+        this->sweep_glued(sink, slots);
+        if (boundary_.glued) return;
         auto ends = [&](int, uint32_t, const U &slot, const M &there) { return Gathered<F>(slot, there)(at_.s_bar); };
         this->sweep_places(
             ends_, slots, sink, camera,

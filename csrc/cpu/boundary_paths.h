@@ -273,9 +273,23 @@ protected:
     }
 
     // ------------------------------------------------------------------------------------------------- the camera
+    bool is_distant() const { return sensor().kind == kind_of_model<Distant>(Sensors{}); }
+    // Where the camera sees what a slot stands for, `place`; that is kept of a lens, too, if it was not drawn.
+    void keep_place(const SlotColumns<S> &slots, uint32_t slot, const CameraSample<S> &place) {
+        slots.film_x[slot] = place.x, slots.film_y[slot] = place.y;
+        if (slots.lens.x) slots.lens.x[slot] = place.lens_x, slots.lens.y[slot] = place.lens_y;
+    }
+    // Of slots whose places are kept, see there.
+    void keep_lens(SlotColumns<S> &slots) {
+        if (!is_distant()) return;
+        lens_arena_.allocate(Capacity + 2 * W, lens_);
+        slots.lens = lens_.lens;
+        for (uint32_t k = 0; k < Capacity + 2 * W; ++k) lens_.lens.x[k] = lens_.lens.y[k] = 0;
+    }
     CameraSample<S> lens_of(uint32_t slot) const {
         CameraSample<S> sample{S(0), S(0)};
         const auto &slots = paths_.slots;
+        if (slots.lens.x) return {S(0), S(0), slots.lens.x[slot], slots.lens.y[slot]};
         if (uses_lens(sensor()))
             sample.choose_lens(draw4<S>(path_call_.config, slots.pixel[slot], slots.sample[slot], 0, 4));
         return sample;
@@ -290,7 +304,7 @@ protected:
             const S cosine = rsqrt(squared_norm(film.direction()));
             return distance * distance * cosine * cosine * cosine * 4 * film.slope * film.rise / (width * height);
         }
-        if (sensor().kind == kind_of_model<Distant>(Sensors{})) {
+        if (is_distant()) {
             const S radius = DistantBase<S>(scene_, sensor()).radius;
             return S(Pi) * radius * radius;
         }
@@ -319,7 +333,8 @@ protected:
     }
 
 private:
-    Arena arena_, row_arena_;
+    Arena arena_, row_arena_, lens_arena_;
+    LensColumns<S> lens_;
 };
 
 }  // namespace tr

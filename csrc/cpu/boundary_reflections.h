@@ -304,7 +304,7 @@ private:
             }
             anchors_.p_bar.set(x.slot, anchors_.p_bar.get(x.slot) + s_bar);
             points.derivative = 0;
-            this->add_to_outline(x.element, x.s, x.b, b_bar, points);
+            this->add_to_outline(x.slot, x.element, x.s, x.b, b_bar, points);
             if (sink.forward) slots.radiance[sink.component][x.slot] += points.derivative;
         }
         if (boundary_.glued) glue_vertices(n);

@@ -72,7 +72,10 @@ protected:
     size_t channels() const { return size_t(boundary_.channels); }
 
 public:
-    using Base::Base;
+    SightTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
+        : Base(call, boundary, derivative) {
+        this->keep_lens(paths_.slots);
+    }
 
 private:
     std::vector<double> jumps_;
@@ -117,7 +120,7 @@ private:
             x.weight = S(double(turned) / double(area) / density / boundary_.total);
             if (!std::isfinite(x.weight)) continue;
             x.b = point.p, x.n = across * (1 / turned), x.front = point.front, x.origin = origin;
-            slots.film_x[k] = place.x, slots.film_y[k] = place.y;
+            this->keep_place(slots, k, place);
             const S beside = S(is_rim(x) ? BesideRim : Beside) * std::sqrt(area);
             const S side = std::max(std::min(beside, point.room / 8), Base::least_side(point.p, x.t, point.reach));
             x.reach = point.reach, x.resolved = point.room > S(1.25) * side;
@@ -231,13 +234,13 @@ private:
             if (is_rim(x)) {
                 add_to_rim(x, g, points);
             } else {
-                this->add_to_outline(x.element, x.s, x.b, g, points);
+                this->add_to_outline(x.slot, x.element, x.s, x.b, g, points);
                 p_bar.set(x.slot, boundary_.glued ? g * (1 - add_end(x, g)) : g);
                 if (!boundary_.glued) d_bar.set(x.slot, g * -x.distance);
             }
             if (sink.forward) paths_.slots.radiance[0][x.slot] += points.derivative;
         }
-        if (boundary_.glued) this->sweep_glued(sink, paths_.slots);
+        this->sweep_glued(sink, paths_.slots);
         if (!paths_.wavefront.needs().camera) return;
         for (uint32_t i = 0; i < n; i += W) {
             Entries<F> from(i);

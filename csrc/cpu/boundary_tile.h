@@ -33,7 +33,7 @@ public:
         : Paths(call, boundary, derivative),
           outlines_(*call.scene, *boundary.outlines),
           light_(call, 2 * Capacity, nullptr) {
-        glued_arena_.allocate(2 * Capacity + 2 * W, glued_);
+        glued_arena_.allocate(3 * Capacity + 2 * W, glued_);
     }
 
     RenderStats take_stats() {
@@ -187,7 +187,8 @@ protected:
             for (int c = 0; c < call_.values; ++c) *value++ = double(of_part(slots, part).radiance[c][slot]);
     }
 
-    void add_to_outline(int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
+    // Of a slot; what moves with a surface is handed on by sweep_glued().
+    void add_to_outline(uint32_t slot, int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
         outlines_.spread(
             element, s, p,
             [&](uint32_t shape, uint32_t index, S share) {
@@ -195,7 +196,8 @@ protected:
             },
             [&](uint32_t shape, const V &local) {
                 if (sink.wants(shape)) sink.matrix(shape, local, p_bar);
-            });
+            },
+            [&](const SurfacePoint<S> &at) { add_glued(slot, at, p, p_bar); });
     }
     void add_glued(uint32_t slot, const SurfacePoint<S> &at, const V &p, const V &p_bar) {
         const uint32_t k = glued_.n++;

@@ -147,6 +147,7 @@ private:
 
     // The lengths are not added up yet.
     void cut(int32_t element, float weight, OutlinePieces &to) const {
+        if (outlines_.is_contour_of_field(element)) return cut_contour(element, weight, to);
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
@@ -159,6 +160,16 @@ private:
             if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) continue;
             to.all.push_back({element, float(begin), float(end)});
             to.cdf.push_back(double(weight) * double(length));
+        }
+    }
+
+    // Contours of height fields are scattered over them, wherever their parameter is: all pieces may be seen.
+    void cut_contour(int32_t element, float weight, OutlinePieces &to) const {
+        if (!outlines_.may_have_contour(element, origin_, parallel_, lens_)) return;
+        constexpr int n = 64;
+        for (int i = 0; i < n; ++i) {
+            to.all.push_back({element, float(S(i) / S(n)), float(S(i + 1) / S(n))});
+            to.cdf.push_back(double(weight) * double(Pixels));
         }
     }
 

@@ -1,11 +1,11 @@
-// Points on outlines: where rays that pass an edge of a mesh, or the contour, rim or line of a quadric, touch it; on
+// Points on outlines: where rays that pass an edge of a mesh, or the contour, rim or line of a curved shape, touch it; on
 // which side of the ray something is that hides what is behind; and what gets the derivative of such a point.
 #pragma once
 
 #include <cmath>
 
 #include "core/adjoint/gradient_sink.h"
-#include "host/outline_set.h"
+#include "outline_fields.h"
 #include "outline_rims.h"
 
 namespace tr {
@@ -43,7 +43,10 @@ public:
             const RimPoint<S> found = rim_point(element, s, origin, parallel);
             return found.valid ? found.p : V{S(NAN), S(NAN), S(NAN)};
         }
-        if (!set_.is_edge(size_t(element))) return curve_point(set_.curve(size_t(element)), s, origin, parallel).p;
+        if (!set_.is_edge(size_t(element))) {
+            const OutlinePoint<S> found = curve_point(set_.curve(size_t(element)), s, origin, parallel);
+            return found.valid || !is_of_field(element) ? found.p : V{S(NAN), S(NAN), S(NAN)};
+        }
         const HalfEdge h = set_.half(scene_, size_t(element), 0);
         const V a = position(h.v0);
         return a + (position(h.v1) - a) * s;
@@ -54,13 +57,28 @@ public:
         return Rim<S>(scene_, set_.face(size_t(element)), origin, parallel).at(s);
     }
 
+    // Whether it is one of a height field.
+    bool is_of_field(int32_t element) const {
+        return set_.is_curve(size_t(element)) && set_.curve(size_t(element)).of_field();
+    }
+
+    // Whether it is a contour of one, and whether there may be any from there, and from up to `beside` away.
+    bool is_contour_of_field(int32_t element) const {
+        return is_of_field(element) && set_.curve(size_t(element)).kind == OutlineCurve::FieldContour;
+    }
+    bool may_have_contour(int32_t element, const V &origin, bool parallel, S beside) const {
+        return beside > 0 || FieldOutline<S>(scene_, set_.curve(size_t(element)), origin, parallel).possible();
+    }
+
     // Hands the adjoint of a point that is not of a rim on: `vertex(shape, index, share)` for every vertex of an edge,
-    // `matrix(shape, local)` of a quadric.
-    template <class Vertex, class Matrix>
-    void spread(int32_t element, S s, const V &p, Vertex &&vertex, Matrix &&matrix) const {
+    // `matrix(shape, local)` of a quadric, `surface(at)` of a height field.
+    template <class Vertex, class Matrix, class Surface>
+    void spread(int32_t element, S s, const V &p, Vertex &&vertex, Matrix &&matrix, Surface &&surface) const {
         if (!set_.is_edge(size_t(element))) {
             const uint32_t shape = uint32_t(set_.curve(size_t(element)).shape);
-            return matrix(shape, transform_point(scene_.shape_matrices + 24 * shape + 12, p));
+            const V local = transform_point(scene_.shape_matrices + 24 * shape + 12, p);
+            if (!is_of_field(element)) return matrix(shape, local);
+            return surface(SurfacePoint<S>{shape, 0, (local.x + 1) / 2, (local.y + 1) / 2});
         }
         const size_t n = set_.count(size_t(element));
         for (size_t k = 0; k < n; ++k) {  // copies of a vertex share its motion
@@ -132,7 +150,19 @@ private:
         return 0;
     }
 
+    OutlinePoint<S> field_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
+        const FieldPoint<S> found = FieldOutline<S>(scene_, curve, origin, parallel).at(s);
+        const S *m = scene_.shape_matrices + 24 * size_t(curve.shape);
+        OutlinePoint<S> r;
+        r.p = found.p, r.along = found.along, r.valid = found.valid;
+        r.front = sign(dot(cross(parallel ? origin : r.p - origin, r.along), found.hiding));
+        r.room = found.room;
+        r.reach = max_abs(transform_vector(m, V{S(2), S(2), S(0)}));
+        return r;
+    }
+
     OutlinePoint<S> curve_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
+        if (curve.of_field()) return field_point(curve, s, origin, parallel);
         const S *m = scene_.shape_matrices + 24 * size_t(curve.shape);
         const V o = parallel ? transform_vector(m + 12, origin) : transform_point(m + 12, origin);
         const bool round = curve.kind == OutlineCurve::Contour, line = curve.kind >= OutlineCurve::LeftLine;

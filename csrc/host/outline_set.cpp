@@ -46,6 +46,38 @@ constexpr size_t FewLeaves = 256;  // for a thread
 // Of a curve.
 Extent extent_of(const OutlineElement &e) { return {{e.a.x, e.a.y, e.a.z}, 2 * e.b.x}; }
 
+// Of control values of a spline, and of the corners of patches: neither is steeper than lines between them.
+template <class S>
+HeightBounds bounds_of(const SceneView<S> &scene, const ShapeInfo &info, int threads) {
+    const TensorView<S> &heights = scene.values.tensors[info.heights];
+    const size_t rows = size_t(heights.shape[0]), columns = size_t(heights.shape[2]);
+    std::vector<HeightBounds> parts(size_t(std::max(1, threads)), HeightBounds{0, 0, INFINITY, -INFINITY});
+    auto scan = [&](size_t begin, size_t end, int part) {
+        HeightBounds b{0, 0, INFINITY, -INFINITY};
+        for (size_t y = begin; y < end; ++y) {
+            const S *row = heights.data + y * columns, *next = row + (y + 1 < rows ? columns : 0);
+            for (size_t x = 0; x < columns; ++x) {
+                const float h = float(row[x]);
+                b.low = std::min(b.low, h), b.high = std::max(b.high, h);
+                b.slope_y = std::max(b.slope_y, std::fabs(float(next[x]) - h));
+            }
+            for (size_t x = 1; x < columns; ++x)
+                b.slope_x = std::max(b.slope_x, std::fabs(float(row[x]) - float(row[x - 1])));
+        }
+        parts[size_t(part)] = b;
+    };
+    constexpr size_t few = 64;
+    for_ranges(rows, threads, scan, few);
+    HeightBounds r = parts[0];
+    for (const HeightBounds &b : parts) {
+        r.slope_x = std::max(r.slope_x, b.slope_x), r.slope_y = std::max(r.slope_y, b.slope_y);
+        r.low = std::min(r.low, b.low), r.high = std::max(r.high, b.high);
+    }
+    constexpr float rounding = 1 + 1e-5f;
+    r.slope_x *= rounding * float(columns) / 2, r.slope_y *= rounding * float(rows) / 2;
+    return r;
+}
+
 // The largest factor by which the matrix of these columns stretches, by the power method.
 float stretch(const V &x, const V &y, const V &z) {
     V v{0.6f, 0.5f, 0.7f};
@@ -182,6 +214,10 @@ bool OutlineSet::find(const SceneView<S> &scene, const std::function<bool()> &in
     curves_.clear();
     for (int32_t s = 0; s < scene.n_shapes; ++s) {
         const int32_t flags = scene.shapes[s].flags;
+        if (flags & IsHeightField) {
+            for (int32_t kind : {OutlineCurve::FieldContour, OutlineCurve::FieldBorder}) curves_.push_back({s, kind});
+            if (scene.shapes[s].interpolation != 0) curves_.push_back({s, OutlineCurve::FieldCreases});
+        }
         if (flags & IsSphere) curves_.push_back({s, OutlineCurve::Contour});
         if (flags & IsDisk) curves_.push_back({s, OutlineCurve::Rim});
         for (int32_t k = OutlineCurve::LowerRim; k <= OutlineCurve::RightLine && (flags & IsCylinder); ++k)
@@ -212,6 +248,8 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, uint64_
         found_ = false;
         if (!find(scene, interrupted)) return false;
     }
+    for (OutlineCurve &curve : curves_)
+        if (curve.of_field()) curve.bounds = bounds_of(scene, scene.shapes[curve.shape], threads);
     // Of where things are now, so that what a call finds does not depend on earlier ones.
     if (groups_.empty())
         plant(scene, threads);
@@ -335,6 +373,16 @@ OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t eleme
     auto column = [&](size_t i) { return V{float(m[i]), float(m[4 + i]), float(m[8 + i])}; };
     const V x = column(0), y = column(1), z = column(2), place = column(3);
     const float across = std::max(norm(x), norm(y));
+    if (c.of_field()) {
+        // a ball around all of it, whose points may see its outlines
+        const float low = c.bounds.low, high = c.bounds.high;
+        OutlineElement e{};
+        e.kind = OutlineElement::Round, e.shape = -2, e.index = int32_t(element), e.moves = moves_[size_t(c.shape)] != 0;
+        e.bend = 1, e.weight = c.kind == OutlineCurve::FieldBorder ? 0.5f : 1.f;
+        e.a = place + z * ((low + high) / 2);
+        e.b.x = norm(x) + norm(y) + norm(z) * (high - low) / 2;
+        return e;
+    }
     const bool line = c.kind >= OutlineCurve::LeftLine;
     OutlineElement e{};
     e.kind = OutlineElement::Round, e.shape = c.shape, e.index = int32_t(element),

@@ -1,5 +1,5 @@
 // All that can be an outline in a scene: the edges of its meshes, with the faces that meet at each, and curves of its
-// quadrics. Which faces meet depends on the indices of the meshes and on which vertices are in one place, and is found
+// quadrics and height fields. Which faces meet depends on the indices of the meshes and on which vertices are in one place, and is found
 // once; where they are, and a tree to choose from, is brought up to date.
 #pragma once
 
@@ -17,10 +17,28 @@ struct HalfEdge {
     bool turned;
 };
 
-// What of a quadric is an outline.
+// How steep a height field is along x and y at most, and its least and largest height, in its own frame.
+struct HeightBounds {
+    float slope_x, slope_y, low, high;
+};
+
+// What of a quadric or a height field is an outline.
 struct OutlineCurve {
-    enum Kind : int32_t { Contour, Rim, LowerRim, UpperRim, LeftLine, RightLine };
+    enum Kind : int32_t {
+        Contour,
+        Rim,
+        LowerRim,
+        UpperRim,
+        LeftLine,
+        RightLine,
+        FieldContour,
+        FieldBorder,
+        FieldCreases
+    };
     int32_t shape, kind;
+    HeightBounds bounds{};  // of height fields
+
+    bool of_field() const { return kind >= FieldContour; }
 };
 
 class OutlineSet {

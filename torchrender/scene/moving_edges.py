@@ -15,7 +15,7 @@ JUMPS = "jumps of textures"
 OWN, OTHERS, BORDER = "of its silhouettes", "of silhouettes of curves", "of the image's border"
 SEEN = "of edges that are seen in or through"
 BEAM = "directionalarea"
-WITHOUT_OUTLINES = ("heightfield", "bsplinecurve", "linearcurve", "sdfgrid")
+WITHOUT_OUTLINES = ("bsplinecurve", "linearcurve", "sdfgrid")
 
 
 def moving_caveat(

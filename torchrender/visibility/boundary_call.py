@@ -17,7 +17,6 @@ from ..scene.packing import Layout
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
 SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "distant", "radiancemeter")
-STILL = "distant"  # where a ray of it begins is not a function of the film's place
 NORMALS = "normals"
 SHADING = (NORMALS, "texcoords")  # fields of meshes that place nothing
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
@@ -52,9 +51,9 @@ def placing_slots(layout: Layout, category: str) -> list[tuple[str, list[int], l
 
 
 def all_placing_slots(layout: Layout) -> set[int]:
-    """The slots of what may place shapes, rims, cameras and lights, but for cameras whose motion has no such term."""
+    """The slots of what may place shapes, rims, cameras and lights."""
     found = [row for category in ("shape", "sensor", "emitter") for row in placing_slots(layout, category)]
-    return {slot for kind, placing, normals in found if kind != STILL for slot in placing + normals}
+    return {slot for _, placing, normals in found for slot in placing + normals}
 
 
 def boundary_of(
@@ -69,7 +68,7 @@ def boundary_of(
     def asked(slots: Sequence[int]) -> bool:
         return any(has_derivative(tensors[n]) for n in slots)
 
-    camera = kind != STILL and asked(slots)
+    camera = asked(slots)
     shapes = placing_slots(call.layout, "shape")
     placed = [camera or asked(placing) for _, placing, _ in shapes]
     moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]

@@ -28,7 +28,11 @@ template <class F, class Columns, class From>
 TR_INLINE CameraSample<F> camera_sample(const PathConfig &config, const Record &sensor, const Columns &samples,
                                         const From &from) {
     CameraSample<F> r{from(samples.film_x), from(samples.film_y)};
-    if (uses_lens(sensor)) r.choose_lens(draw4<F>(config, from(samples.pixel), from(samples.sample), 0, 4));
+    if (samples.lens.x) {
+        const Vec2<F> lens = from(samples.lens);
+        r.lens_x = lens.x, r.lens_y = lens.y;
+    } else if (uses_lens(sensor))
+        r.choose_lens(draw4<F>(config, from(samples.pixel), from(samples.sample), 0, 4));
     return r;
 }
 

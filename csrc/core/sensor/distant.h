@@ -11,9 +11,9 @@ namespace tr {
 struct Distant {
     enum { ToWorld, Target };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Perspective::AllEdges,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Perspective::Edges,
          "its z axis is the direction in which rays travel; its place does not matter"},
-        {"target", Kind::Tensor, -1, -INFINITY, INFINITY, Perspective::AllEdges,
+        {"target", Kind::Tensor, -1, -INFINITY, INFINITY, Perspective::Edges,
          "(3,) the point that all rays meet; without it they cover the scene", nullptr, Optional},
     };
     static constexpr Model model = {

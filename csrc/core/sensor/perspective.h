@@ -8,13 +8,9 @@ namespace tr {
 struct Perspective {
     enum { ToWorld, Fov, OffsetX, OffsetY, Near, Far, Aspect, Medium, Distortion };
     static constexpr const char *Edges =
-        "interior, without the motion of silhouettes of curves, height fields and grids of distances, of edges that "
+        "interior, without the motion of silhouettes of curves and grids of distances, of edges that "
         "are seen in mirrors or through glass, and of jumps of textures; zero where these are out of view or both "
         "sides of them are of equal colour";
-    // of sensors that have no film on which outlines could be found
-    static constexpr const char *AllEdges =
-        "interior, without the motion of visible edges; zero where silhouettes, creases, shadows and jumps of textures "
-        "are out of view or both sides of them are of equal colour";
     static constexpr Field fields[] = {
         {"to_world", Kind::Transform, None, -INFINITY, INFINITY, Edges, "pose: camera frame to world, no scale"},
         {"x_fov", Kind::Float, None, 0, 180, Edges, "horizontal field of view of the full film, degrees"},

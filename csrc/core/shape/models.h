@@ -75,9 +75,9 @@ struct HeightFieldModel {
     static constexpr const char *Interpolations[] = {"bspline", "bilinear", nullptr};
     enum { ToWorld, Heights, Interpolation, Flip, BsdfIndex, EmitterIndex, Interior, Exterior };
     static constexpr Field fields[] = {
-        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, CurvedEdges,
+        {"to_world", Kind::Transform, None, -INFINITY, INFINITY, GeometryEdges,
          "from the square [-1, 1]^2 and heights along +z to the world"},
-        {"heights", Kind::Tensor, None, -INFINITY, INFINITY, CurvedEdges,
+        {"heights", Kind::Tensor, None, -INFINITY, INFINITY, GeometryEdges,
          "(H, W), over the square like the texels of a bitmap: row 0 at v = 0, clamped outside"},
         {"interpolation", Kind::Int, 0, 0, 1, "", "bspline: a cubic B-spline with these control values",
          Interpolations},

@@ -29,6 +29,7 @@ struct SampleColumns {
 template <class S>
 struct SlotColumns {
     TR_COLUMNS(TR_SLOT_COLUMNS)
+    PairColumn<S> lens{nullptr, nullptr};  // where on it, if that was not drawn
 };
 
 // ------------------------------------------------------------------------------------------------------------- paths
