@@ -139,12 +139,13 @@ public:
                        SceneOutlines &outlines) override {
         std::lock_guard<std::mutex> lock(mutex_);
         update(values);
+        outlines.shadows.reset();
         return tr::find_outlines<S>(call(c), reinterpret_cast<const uint8_t *>(moves), c.glued,
                                     data_.geometry_version(), outlines.set, outlines.pieces);
     }
 
     std::vector<RenderStats> boundary(const std::vector<Config> &configs, const ParameterValues &values,
-                                      const std::vector<BoundaryRequest> &requests, const SceneOutlines &outlines,
+                                      const std::vector<BoundaryRequest> &requests, SceneOutlines &outlines,
                                       const Addresses &slots, bool forward) override {
         std::lock_guard<std::mutex> lock(mutex_);
         data_.update(read_only<S>(values.addresses), values.dirty, false);  // find_outlines has looked
@@ -158,9 +159,18 @@ public:
             share_wavelengths(calls.back());
             boundaries.push_back(boundary_call(configs[i], requests[i], outlines, calls[i], layouts));
         }
+        auto look_for_shadows = [&](DerivativeCall<S> &d) {
+            for (size_t i = 0; i < calls.size(); ++i) {
+                const BoundaryPart part = boundaries[i].part;
+                const bool wanted = part == BoundaryPart::Shadows || part == BoundaryPart::Pilot;
+                if (wanted && !outlines.shadows) outlines.shadows = find_shadows<S>(calls[i], boundaries[i], d);
+                if (wanted) boundaries[i].shadows = &*outlines.shadows;
+            }
+        };
         const Config &c = configs[0];
         if (forward) {
             ForwardCall<S> d(data_, c.path, c.light, slots);
+            look_for_shadows(d.call);
             std::vector<RenderStats> stats;
             for (size_t i = 0; i < calls.size(); ++i) {
                 stats.push_back(boundary_forward<S>(calls[i], boundaries[i], d.call));
@@ -169,6 +179,7 @@ public:
             return stats;
         }
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
+        look_for_shadows(d);
         std::vector<RenderStats> stats = boundary_reverse<S>(calls, boundaries, d);
         add_gradients(data_, d, slots);
         return stats;

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <memory>
+#include <optional>
 
 #include "config.h"
 #include "cpu/boundary_call.h"
@@ -21,6 +22,7 @@ struct ParameterValues {
 struct SceneOutlines {
     OutlineSet set;
     OutlinePieces pieces;
+    std::optional<ShadowPieces> shadows;  // of the last time, once they were wanted
 };
 
 // A part of a BoundaryCall's members, by their names.
@@ -69,7 +71,7 @@ public:
     // The derivative of their motion: added to the gradients or, `forward`, along tangents.
     // Of several samples of parts at once, with a configuration each.
     virtual std::vector<RenderStats> boundary(const std::vector<Config> &, const ParameterValues &,
-                                              const std::vector<BoundaryRequest> &, const SceneOutlines &,
+                                              const std::vector<BoundaryRequest> &, SceneOutlines &,
                                               const Addresses &slots, bool forward) = 0;
 
     // Rays: origins and directions (n, 3) and lengths (n,).

@@ -2,14 +2,14 @@
 #pragma once
 
 #include "aovs.h"
-#include "outline_pieces.h"
+#include "shadow_pieces.h"
 
 namespace tr {
 
 // Which samples: of outlines that the camera sees, for radiance or other outputs; of those that vertices of paths see;
-// of those that lights see, which have two places on the film each; and of these, whether they are found and where the
-// camera sees them.
-enum class BoundaryPart { Silhouettes, Outputs, Reflections, Shadows, Pilot };
+// of those that lights see, which have two places on the film each; of these, whether they are found and where the
+// camera sees them; and how much it sees of each of the pieces of a light.
+enum class BoundaryPart { Silhouettes, Outputs, Reflections, Shadows, Pilot, Pieces };
 
 constexpr int MostBoundaryChannels = std::max(4 * SpectrumSize, MaxAovChannels) + 1;
 
@@ -35,6 +35,8 @@ struct BoundaryCall {
     // all pieces; others: a random cell of the part from i / samples to (i + 1) / samples.
     const OutlinePieces *pieces;
     double offset, samples;
+    const ShadowPieces *shadows;
+    int32_t emitter = -1;  // of the part `Pieces`, whose samples are those of its pieces
     const int64_t *cells;  // (n_cells, 2), x and y: squares of the film that reach wanted pixels
     size_t n_cells;
     uint64_t first, count;  // numbers of the samples, of `total` in all passes
@@ -43,7 +45,7 @@ struct BoundaryCall {
     double in_view;      // the share of the outlines that lights see which the camera sees
     bool glued = false;  // points move with their surfaces, as those of light paths do, see boundary_tile.h
     const FilmBlock *film = nullptr;  // reverse: the adjoint, set by the call
-    // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found.
+    // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found. Pieces: what is seen, as a number.
     // Reverse: the adjoint of the wanted pixels (height, width, channels) over the integral of their filter.
     // Forward: for each sample its place on the film (count, 2) and what it adds there (count, channels).
     const double *adjoint;
@@ -55,6 +57,9 @@ struct BoundaryCall {
 template <class S>
 bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, uint64_t version, OutlineSet &outlines,
                    OutlinePieces &pieces);
+// The pieces of shadows' edges, weighted by what the camera sees of them, where they are few beside so many samples.
+template <class S>
+ShadowPieces find_shadows(const RenderCall<S> &call, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative);
 // Of several calls, which add up what they find together, so that the gradients of a large mesh are made once. It ends
 // with one that is interrupted.
 template <class S>

@@ -1,9 +1,10 @@
 // Outlines that lights see: the edges of shadows.
 //
-// From a place on a light, or along a direction of one that is infinitely far away, an outline's point B is chosen; the
-// ray past it ends at S, which the camera sees at the place u of its film, at the end of a segment c. With the unit
-// direction d from S to the light, at S the BSDF f with its cosine, w pixels per area perpendicular to c, and the
-// density p of the light's place,
+// From a place on a light, or along a direction of one that is infinitely far away, an outline's point B is chosen, of
+// a small light from the pieces of shadow_pieces.h, else from the tree. Lights, places on them and pieces are those of
+// a lattice, so that they are spread evenly. The ray past it ends at S, which the camera sees at the place u of its
+// film, at the end of a segment c. With the unit direction d from S to the light, at S the BSDF f with its cosine, w
+// pixels per area perpendicular to c, and the density p of the light's place,
 //
 //     dI = - integral of h(p - u) / Z  w |n.c| / |n.d|  f L g  n.(dB - (1 - tau) dS - tau dE)  dl
 //
@@ -51,7 +52,9 @@ class ShadowTile : public BoundaryTile<F> {
     PathTile<F> ends_;
     ShadowLights<F> lights_;
     ShadowEdgeColumns<S> at_;
-    std::vector<V> carried_;  // of connections to vertices
+    std::vector<V> carried_;       // of connections to vertices
+    std::vector<double> numbers_;  // by slot, for a piece
+    uint64_t start_[3];            // of the lattice
 
 public:
     ShadowTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
@@ -60,6 +63,8 @@ public:
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
         arena_.allocate(Base::Capacity + 2 * W, at_);
+        const auto r = random_bits4<S>(call_.config.seed, call_.config.sensor, ~0u, ~0u, UIntOf<S>(LatticeBlock));
+        for (size_t i = 0; i < 3; ++i) start_[i] = uint64_t(r.bits[i]) << 32;
         this->keep_lens(ends_.slots);
     }
 
@@ -75,18 +80,15 @@ public:
     void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
         if (lights_.empty()) return;
         const int depth = call_.config.max_depth;
-        const bool deep = !pilot_ && (depth < 0 || depth > 2);
+        const bool pieces = boundary_.part == BoundaryPart::Pieces,
+                   deep = !pilot_ && !pieces && (depth < 0 || depth > 2);
         this->identify(first, n);
         if (deep) this->trace_paths(n, stop);
-        for (uint32_t k = 0; k < n; ++k) lights_.choose(at_, k, double(this->number(k, 1)));
-        lights_.find_places(at_, n, [&](uint32_t i) {
-            Entries<F> from(i);
-            return random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
-                              from(paths_.slots.sample), Base::PlaceBlock);
-        });
-        find_edges(n);
+        find_places(first, n);
+        find_edges(first, n);
         see_from_camera(n);
         if (pilot_) return tell(first, n);
+        if (pieces) return tell_pieces(first);
         settle(first, n, 0, ends_.slots, sink, true);
         if (!deep) return;
         u_.resize(n), inverse_.resize(n);
@@ -101,7 +103,51 @@ private:
     Arena arena_;
 
     // ------------------------------------------------------------------------------------- from the light to a surface
-    void find_edges(uint32_t n) {
+    // Number `which` of a sample, of a lattice: of the light and a piece, and two of a place on it. (Paths go by the
+    // samples' order over the film; whatever the lattice's start makes of one sample's numbers is independent of it.
+    // Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018: powers of the root of x^4 = x + 1.)
+    static constexpr uint32_t LatticeBlock = Base::PlaceBlock + 1;
+    double lattice(uint64_t sample, size_t which) const {
+        constexpr uint64_t steps[] = {0xD1B54A32D192ED03ull, 0xABC98388FB8FAC03ull, 0x8CB92BA72F3D8DD7ull};
+        return double((start_[which] + sample * steps[which]) >> 11) * 0x1p-53;
+    }
+    void find_places(uint64_t first, uint32_t n) {
+        numbers_.resize(n);
+        const uint64_t number = boundary_.first + first;
+        for (uint32_t k = 0; k < n; ++k) {
+            lights_.choose(at_, k, lattice(number + k, 0));
+            numbers_[k] = double(at_.left[k]);
+            at_.left[k] = uniform_of<S>(this->bits(k, LatticeBlock).bits[0]);
+            if (boundary_.part != BoundaryPart::Pieces) continue;
+            at_.emitter[k] = boundary_.emitter, at_.inverse_pmf[k] = S(1);
+        }
+        lights_.find_places(at_, n, [&](uint32_t i) {
+            Entries<F> from(i);
+            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
+                                      from(paths_.slots.sample), Base::PlaceBlock);
+            alignas(64) S place[2][W];
+            for (uint32_t k = 0; k < W; ++k)
+                for (size_t j = 0; j < 2; ++j)
+                    place[j][k] = std::min(S(lattice(number + i + k, j + 1)), std::nextafter(S(1), S(0)));
+            u.u[0] = load<F>(place[0]), u.u[1] = load<F>(place[1]);
+            return u;
+        });
+    }
+
+    // An outline before the light of a slot: its element, a place on it, and one over the density of both.
+    OutlineChoice choose_outline(uint64_t first, uint32_t k, const OutlineAnchor &from) const {
+        const OutlinePieces *pieces = boundary_.shadows->find(at_.emitter[k]);
+        if (!pieces) return boundary_.outlines->tree().choose(from, this->tree_seed(k));
+        if (boundary_.part == BoundaryPart::Pieces) {
+            const OutlinePiece &piece = pieces->all[size_t(boundary_.first + first + k)];
+            const float length = piece.end - piece.begin;
+            return {piece.element, piece.begin + length * float(numbers_[k]), length};
+        }
+        const ChosenPiece chosen(*pieces, numbers_[k]);
+        return {chosen.piece->element, float(chosen.place(chosen.left)), float(chosen.inverse_density)};
+    }
+
+    void find_edges(uint64_t first, uint32_t n) {
         edges_.clear(), rays_.clear();
         for (uint32_t k = 0; k < n; ++k) {
             const EmitterKernels<F> &light = lights_.kernels(at_, k);
@@ -114,7 +160,7 @@ private:
             anchor.still =
                 on_shape ? this->still(boundary_.moves[at_.at.shape[k]]) : 0.2f;  // lights at points may move
             anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
-            const OutlineChoice chosen = boundary_.outlines->tree().choose(anchor, this->tree_seed(k));
+            const OutlineChoice chosen = choose_outline(first, k, anchor);
             if (chosen.element < 0) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), origin, x.far);
             if (!point.valid || point.front == 0) continue;
@@ -375,6 +421,15 @@ private:
             },
             ends);
         if (!camera) this->sweep_paths(sink, slots);
+    }
+
+    // Of pieces: how much the camera gets.
+    void tell_pieces(uint64_t first) {
+        for (const Connection &x : connections_) {
+            double sum = 0;
+            for (int c = 0; c < call_.values; ++c) sum += std::fabs(double(x.jump[0][c]));
+            boundary_.value[first + edges_[x.edge].slot] = sum;
+        }
     }
 
     // Of the pilot: whether there is an edge, and where the camera sees it if it does.

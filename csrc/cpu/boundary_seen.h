@@ -89,20 +89,15 @@ private:
         if (boundary_.pieces->all.empty()) return;
         const S width = S(call_.film_width), height = S(call_.film_height);
         const auto &slots = paths_.slots;
-        const OutlinePieces &pieces = *boundary_.pieces;
-        const double *cdf = pieces.cdf.data(), *end = cdf + pieces.cdf.size(), total = pieces.total();
         for (uint32_t k = 0; k < n; ++k) {
             CameraSample<S> place = this->lens_of(k);
             place.x = width / 2, place.y = height / 2;
             const CameraRay<S> middle = camera_ray<S>(scene_, sensor(), place, width, height);
             // every sample has a part of the length of all pieces
             const double at = (double(boundary_.first + first + k) + boundary_.offset) / boundary_.samples;
-            const double *found = std::min(std::upper_bound(cdf, end, (at - std::floor(at)) * total), end - 1);
-            const OutlinePiece &piece = pieces.all[size_t(found - cdf)];
-            const double mass = *found - (found > cdf ? found[-1] : 0), from = piece.begin, to = piece.end;
+            const ChosenPiece chosen(*boundary_.pieces, at - std::floor(at));
             Sight x{};
-            x.slot = k, x.element = piece.element;
-            x.s = S(from + (to - from) * double(this->number(k, 0)));
+            x.slot = k, x.element = chosen.piece->element, x.s = S(chosen.place(double(this->number(k, 0))));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
             if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0 && !is_rim(x)))
@@ -116,8 +111,7 @@ private:
             const S turned = Base::length(across), area = this->pixel_area(place, d, x.distance);
             if (!ray.exists || !(turned > 0) || !(area > 0) || !(x.t > 0) || !(x.t < ray.length)) continue;
             if (!(Base::length(towards - d * x.t) < S(1e-3) * x.t)) continue;  // the lens does not show it there
-            const double density = mass / total / (to - from);                 // by the parameter
-            x.weight = S(double(turned) / double(area) / density / boundary_.total);
+            x.weight = S(double(turned) / double(area) * chosen.inverse_density / boundary_.total);
             if (!std::isfinite(x.weight)) continue;
             x.b = point.p, x.n = across * (1 / turned), x.front = point.front, x.origin = origin;
             this->keep_place(slots, k, place);

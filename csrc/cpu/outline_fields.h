@@ -1,12 +1,12 @@
 // Outlines of height fields: contours of splines and of bilinear patches, borders, and the creases between patches.
 //
-// All is in the frame of the shape, z = h(x, y), to which side and tangency are the same as in the world. With w towards
-// where rays come from, o - x, or minus their direction, the contour is g = N.w = 0 with N = (-h_x, -h_y, 1). A line of
-// constant v meets it where a polynomial of degree 3 a cell is zero, all of whose roots are found between those of its
-// derivative; one of constant u likewise. The parameter chooses one of these lines, and one of the n roots there: by
-// length, a contour with the unit tangent (t_u, t_v, ...) gets the density (|t_v| / n_u + |t_u| / n_v) / 2 of both ways
-// together. Where a spline touches a ray it has the curvature K = h_xx w_x^2 + 2 h_xy w_x w_y + h_yy w_y^2 along it, and
-// hides what is below if it is negative, else what is above.
+// All is in the frame of the shape, z = h(x, y), to which side and tangency are the same as in the world. With w
+// towards where rays come from, o - x, or minus their direction, the contour is g = N.w = 0 with N = (-h_x, -h_y, 1). A
+// line of constant v meets it where a polynomial of degree 3 a cell is zero, all of whose roots are found between those
+// of its derivative; one of constant u likewise. The parameter chooses one of these lines, and one of the n roots
+// there: by length, a contour with the unit tangent (t_u, t_v, ...) gets the density (|t_v| / n_u + |t_u| / n_v) / 2 of
+// both ways together. Where a spline touches a ray it has the curvature K = h_xx w_x^2 + 2 h_xy w_x w_y + h_yy w_y^2
+// along it, and hides what is below if it is negative, else what is above.
 //
 // Points move with the material: a contour slides over its surface, but not across the ray.
 #pragma once
@@ -54,9 +54,12 @@ public:
 
     FieldPoint<S> at(S s) const {
         switch (curve_.kind) {
-            case OutlineCurve::FieldBorder: return border(double(s));
-            case OutlineCurve::FieldCreases: return crease(double(s));
-            default: return contour(s);
+            case OutlineCurve::FieldBorder:
+                return border(double(s));
+            case OutlineCurve::FieldCreases:
+                return crease(double(s));
+            default:
+                return contour(s);
         }
     }
 
@@ -78,8 +81,8 @@ private:
     };
     Local local(double u, double v) const {
         const HeightPoint<S> h = height_at<S>(heights_, S(u), S(v), true);
-        return {{2 * u - 1, 2 * v - 1, double(h.z)},
-                double(h.u), double(h.v), double(h.uu), double(h.uv), double(h.vv)};
+        return {
+            {2 * u - 1, 2 * v - 1, double(h.z)}, double(h.u), double(h.v), double(h.uu), double(h.uv), double(h.vv)};
     }
     FieldPoint<S> point(const Local &at, const V &along, const V &hiding, bool valid, double room) const {
         FieldPoint<S> r;
@@ -100,7 +103,8 @@ private:
     // Calls visit(cell) for those where g may have a root, of the line of constant v (across = 1) or u (0).
     template <class Visit>
     void for_cells(int across, double fixed, Visit &&visit) const {
-        const int n = across == 1 ? heights_.columns : heights_.rows, m = across == 1 ? heights_.rows : heights_.columns;
+        const int n = across == 1 ? heights_.columns : heights_.rows,
+                  m = across == 1 ? heights_.rows : heights_.columns;
         const HeightAxis<double> axis(fixed, m, linear());
         const auto value = [&](int i, const double (&weight)[4]) {
             i = std::clamp(i, 0, n - 1);

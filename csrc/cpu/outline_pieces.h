@@ -1,5 +1,4 @@
-// Outlines that a camera may see, cut into pieces of some pixels' length, from which one is chosen by its length on the
-// film.
+// Outlines that a camera, or a small light, may see, cut into pieces, from which one is chosen by its length there.
 #pragma once
 
 #include <cmath>
@@ -24,9 +23,92 @@ struct OutlinePieces {
     double total() const { return cdf.empty() ? 0 : cdf.back(); }
 };
 
+// One of them, for a number in [0, 1): which, a number in [0, 1) that is left, and one over the density of a place on
+// it by the parameter.
+struct ChosenPiece {
+    const OutlinePiece *piece;
+    double left, inverse_density;
+
+    ChosenPiece(const OutlinePieces &pieces, double number) {
+        const double *cdf = pieces.cdf.data(), *end = cdf + pieces.cdf.size(), total = pieces.total();
+        const double at = number * total, *found = std::min(std::upper_bound(cdf, end, at), end - 1);
+        piece = &pieces.all[size_t(found - cdf)];
+        const double before = found > cdf ? found[-1] : 0, mass = *found - before;
+        left = std::clamp((at - before) / mass, 0.0, 1 - 0x1p-53);
+        inverse_density = total * (double(piece->end) - double(piece->begin)) / mass;
+    }
+    double place(double u) const { return piece->begin + (double(piece->end) - double(piece->begin)) * u; }
+};
+
 template <class S>
-class OutlineCutter {
+class OutlineCandidates {
+protected:
     using V = Vec3<S>;
+    const SceneView<S> &scene_;
+    const OutlineSet &set_;
+    const Outlines<S> outlines_;
+    const int threads_;
+    static constexpr int Scattered = 64;  // pieces of what is scattered over a shape
+
+    OutlineCandidates(const SceneView<S> &scene, const OutlineSet &set, int threads)
+        : scene_(scene), set_(set), outlines_(scene, set), threads_(threads) {}
+
+    // The pieces of all elements that may be outlines: cut(element, weight, pieces) appends those of one, with their
+    // lengths, which are not added up yet. `still`: the weight of those that rest. With `creases` these count, too.
+    template <class Cut>
+    OutlinePieces cut_all(const OutlineView<S> &view, float still, bool creases, Cut &&cut) const {
+        const OutlineTree &tree = set_.tree();
+        const Vec3<float> o{float(view.origin.x), float(view.origin.y), float(view.origin.z)};
+        OutlinePieces r;
+        collect(tree.n_leaves(), r, cut, [&](size_t leaf, auto &&add) {
+            tree.for_outlines(leaf, o, view.parallel, float(view.beside), still > 0, [&](int32_t i) {
+                const float weight = candidate(set_.element(scene_, size_t(i)), o, view, still, creases);
+                if (weight > 0) add(size_t(i), weight);
+            });
+        });
+        return r;
+    }
+
+    // Appends pieces of what visit(i, add) adds, an element and its weight, for i < n: in the same order for any number
+    // of threads.
+    template <class Cut, class Visit>
+    void collect(size_t n, OutlinePieces &to, Cut &&cut, Visit &&visit) const {
+        constexpr size_t few = 256;
+        std::vector<OutlinePieces> found(size_t(std::max(1, threads_)));
+        auto each = [&](size_t begin, size_t end, int range) {
+            auto add = [&](size_t i, float weight) { cut(int32_t(i), weight, found[size_t(range)]); };
+            for (size_t i = begin; i < end; ++i) visit(i, add);
+        };
+        for_ranges(n, threads_, each, few);
+        double sum = to.total();
+        for (const OutlinePieces &part : found) {
+            to.all.insert(to.all.end(), part.all.begin(), part.all.end());
+            for (double length : part.cdf) to.cdf.push_back(sum += length);
+        }
+    }
+
+private:
+    // Whether an element can be an outline or a crease from there: a weight.
+    static float candidate(const OutlineElement &e, const Vec3<float> &o, const OutlineView<S> &view, float still,
+                           bool creases) {
+        const float weight = e.moves ? 1.f : still;
+        if (!(weight > 0) || !(e.weight > 0)) return 0;
+        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return weight;
+        const Vec3<float> d = view.parallel ? o : e.a - o;
+        const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
+        const float margin = float(view.beside) + 1e-5f * std::sqrt(dot(d, d));
+        const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
+        if (!same) return weight;
+        if (!creases || e.kind != OutlineElement::Crease || !(e.bend > 1e-6f)) return 0;
+        return std::min(std::max(e.bend, 0.05f), 1.f);
+    }
+};
+
+template <class S>
+class OutlineCutter : OutlineCandidates<S> {
+    using Base = OutlineCandidates<S>;
+    using Base::outlines_, Base::scene_, Base::set_;
+    using typename Base::V;
     static constexpr S Pixels = 16;                // length of a piece on the film
     static constexpr S DistantPixels = 64;         // what counts as so many, of `distant`, whose one pixel sees all
     static constexpr float RimWeight = 0.25f;      // many are hidden, and narrow faces have long ones
@@ -35,14 +117,13 @@ class OutlineCutter {
 public:
     // `glued`: where what is behind an outline moves with its surface, those that rest count, too, and creases do not.
     OutlineCutter(const RenderCall<S> &call, const OutlineSet &set, bool glued)
-        : call_(call),
-          set_(set),
-          outlines_(*call.scene, set),
+        : Base(*call.scene, set, call.threads),
+          call_(call),
           record_(call.scene->sensors[call.config.sensor]),
           glued_(glued) {
         const S width = S(call.film_width), height = S(call.film_height);
         CameraSample<S> middle{width / 2, height / 2};
-        const CameraRay<S> ray = camera_ray<S>(*call.scene, record_, middle, width, height);
+        const CameraRay<S> ray = camera_ray<S>(scene_, record_, middle, width, height);
         parallel_ = is_parallel(record_), distant_ = record_.kind == kind_of_model<Distant>(Sensors{});
         origin_ = parallel_ ? ray.ray.d : ray.center;
         if (record_.kind == kind_of_model<ThinLens>(Sensors{}))
@@ -52,21 +133,14 @@ public:
     }
 
     OutlinePieces cut() const {
-        const OutlineTree &tree = set_.tree();
-        const Vec3<float> o{float(origin_.x), float(origin_.y), float(origin_.z)};
-        OutlinePieces r;
-        collect(tree.n_leaves(), r, [&](size_t leaf, auto &&add) {
-            tree.for_outlines(leaf, o, parallel_, float(lens_), glued_, [&](int32_t i) {
-                const float weight = candidate(set_.element(*call_.scene, size_t(i)), o);
-                if (weight > 0) add(size_t(i), weight);
-            });
-        });
-        for (int32_t s = 0; s < call_.scene->n_shapes; ++s) {
-            const ShapeInfo &info = call_.scene->shapes[s];
+        auto cut = [&](int32_t element, float weight, OutlinePieces &to) { this->cut(element, weight, to); };
+        OutlinePieces r = this->cut_all({origin_, parallel_, lens_}, glued_ ? 0.25f : 0.f, !glued_, cut);
+        for (int32_t s = 0; s < scene_.n_shapes; ++s) {
+            const ShapeInfo &info = scene_.shapes[s];
             if ((info.flags & IsCurved) || !(info.flags & HasNormals) || !set_.moves(uint32_t(s))) continue;
-            collect(size_t(info.n_faces), r, [&](size_t k, auto &&add) {
+            this->collect(size_t(info.n_faces), r, cut, [&](size_t k, auto &&add) {
                 const uint32_t face = uint32_t(info.face_offset) + uint32_t(k);
-                if (Rim<S>(*call_.scene, face, origin_, parallel_).possible(lens_))
+                if (Rim<S>(scene_, face, origin_, parallel_).possible(lens_))
                     add(set_.element_of_face(face), RimWeight);
             });
         }
@@ -75,46 +149,12 @@ public:
 
 private:
     const RenderCall<S> &call_;
-    const OutlineSet &set_;
-    const Outlines<S> outlines_;
     const Record &record_;
     const bool glued_;
     bool parallel_, distant_, panorama_;
     V origin_;  // of rays, or, `parallel_`, their direction
     S lens_ = 0;
     std::vector<uint32_t> near_;  // with a list of pixels: how many of it are above and to the left, in the crop
-
-    // Whether an element that moves can be an outline or a crease from the camera: a weight.
-    float candidate(const OutlineElement &e, const Vec3<float> &o) const {
-        if (!(e.moves || glued_) || !(e.weight > 0)) return 0;
-        const float weight = e.moves ? 1.f : 0.25f;
-        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return weight;
-        const Vec3<float> d = parallel_ ? o : e.a - o;
-        const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
-        const float margin = float(lens_) + 1e-5f * std::sqrt(dot(d, d));
-        const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
-        if (!same) return weight;
-        if (glued_) return 0;
-        return e.kind == OutlineElement::Crease && (e.bend > 1e-6f) ? std::min(std::max(e.bend, 0.05f), 1.f) : 0.f;
-    }
-
-    // Appends pieces of what visit(i, add) adds, an element and its weight, for i < n: in the same order for any number
-    // of threads.
-    template <class Visit>
-    void collect(size_t n, OutlinePieces &to, Visit &&visit) const {
-        constexpr size_t few = 256;
-        std::vector<OutlinePieces> found(size_t(std::max(1, call_.threads)));
-        auto each = [&](size_t begin, size_t end, int range) {
-            auto add = [&](size_t i, float weight) { cut(int32_t(i), weight, found[size_t(range)]); };
-            for (size_t i = begin; i < end; ++i) visit(i, add);
-        };
-        for_ranges(n, call_.threads, each, few);
-        double sum = to.total();
-        for (const OutlinePieces &part : found) {
-            to.all.insert(to.all.end(), part.all.begin(), part.all.end());
-            for (double length : part.cdf) to.cdf.push_back(sum += length);
-        }
-    }
 
     struct OnFilm {
         S length, x, y;  // of it, roughly, and the place of its middle
@@ -128,8 +168,8 @@ private:
         for (int i = 0; i <= steps; ++i) {
             const V p = outlines_.place(element, begin + (end - begin) * S(i) / S(steps), origin_, parallel_);
             CameraSample<S> at{S(0), S(0)};
-            const bool is = film_place<S>(*call_.scene, record_, p, width, height, at) && std::isfinite(at.x) &&
-                            std::isfinite(at.y);
+            const bool is =
+                film_place<S>(scene_, record_, p, width, height, at) && std::isfinite(at.x) && std::isfinite(at.y);
             if (distant_) at.x = at.lens_x * DistantPixels, at.y = at.lens_y * DistantPixels;
             if (i > 0 && is && was) {
                 S step = std::sqrt((at.x - before[0]) * (at.x - before[0]) + (at.y - before[1]) * (at.y - before[1]));
@@ -147,7 +187,7 @@ private:
 
     // The lengths are not added up yet.
     void cut(int32_t element, float weight, OutlinePieces &to) const {
-        if (outlines_.is_contour_of_field(element)) return cut_contour(element, weight, to);
+        if (outlines_.is_scattered(element)) return cut_scattered(element, weight, to);
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
@@ -163,12 +203,12 @@ private:
         }
     }
 
-    // Contours of height fields are scattered over them, wherever their parameter is: all pieces may be seen.
-    void cut_contour(int32_t element, float weight, OutlinePieces &to) const {
-        if (!outlines_.may_have_contour(element, origin_, parallel_, lens_)) return;
-        constexpr int n = 64;
+    // All pieces may be seen.
+    void cut_scattered(int32_t element, float weight, OutlinePieces &to) const {
+        if (!outlines_.may_be_seen(element, {origin_, parallel_, lens_}, !glued_)) return;
+        constexpr int n = Base::Scattered;
         for (int i = 0; i < n; ++i) {
-            to.all.push_back({element, float(S(i) / S(n)), float(S(i + 1) / S(n))});
+            to.all.push_back({element, float(i) / n, float(i + 1) / n});
             to.cdf.push_back(double(weight) * double(Pixels));
         }
     }

@@ -1,5 +1,5 @@
-// Points on outlines: where rays that pass an edge of a mesh, or the contour, rim or line of a curved shape, touch it; on
-// which side of the ray something is that hides what is behind; and what gets the derivative of such a point.
+// Points on outlines: where rays that pass an edge of a mesh, or the contour, rim or line of a curved shape, touch it;
+// on which side of the ray something is that hides what is behind; and what gets the derivative of such a point.
 #pragma once
 
 #include <cmath>
@@ -9,6 +9,15 @@
 #include "outline_rims.h"
 
 namespace tr {
+
+// From where outlines are seen: a place, or along the unit vector `origin` if `parallel`; rays begin up to `beside`
+// away.
+template <class S>
+struct OutlineView {
+    Vec3<S> origin;
+    bool parallel;
+    S beside;
+};
 
 template <class S>
 struct OutlinePoint {
@@ -62,12 +71,15 @@ public:
         return set_.is_curve(size_t(element)) && set_.curve(size_t(element)).of_field();
     }
 
-    // Whether it is a contour of one, and whether there may be any from there, and from up to `beside` away.
-    bool is_contour_of_field(int32_t element) const {
-        return is_of_field(element) && set_.curve(size_t(element)).kind == OutlineCurve::FieldContour;
+    // Whether it is scattered over one, wherever its parameter is; and whether some of that may be seen from there, as
+    // an outline or, with `creases`, as one of these.
+    bool is_scattered(int32_t element) const {
+        return is_of_field(element) && set_.curve(size_t(element)).kind != OutlineCurve::FieldBorder;
     }
-    bool may_have_contour(int32_t element, const V &origin, bool parallel, S beside) const {
-        return beside > 0 || FieldOutline<S>(scene_, set_.curve(size_t(element)), origin, parallel).possible();
+    bool may_be_seen(int32_t element, const OutlineView<S> &view, bool creases) const {
+        const OutlineCurve &curve = set_.curve(size_t(element));
+        if (view.beside > 0 || (creases && curve.kind == OutlineCurve::FieldCreases)) return true;
+        return FieldOutline<S>(scene_, curve, view.origin, view.parallel).possible();
     }
 
     // Hands the adjoint of a point that is not of a rim on: `vertex(shape, index, share)` for every vertex of an edge,
@@ -157,7 +169,7 @@ private:
         r.p = found.p, r.along = found.along, r.valid = found.valid;
         r.front = sign(dot(cross(parallel ? origin : r.p - origin, r.along), found.hiding));
         r.room = found.room;
-        r.reach = max_abs(transform_vector(m, V{S(2), S(2), S(0)}));
+        r.reach = 32 * max_abs(transform_vector(m, V{S(2), S(2), S(0)}));  // grazing rays miss it where they are closer
         return r;
     }
 

@@ -5,6 +5,8 @@
 #include "boundary_seen.h"
 #include "work_items.h"
 
+#include <numeric>
+
 namespace tr {
 
 namespace {
@@ -87,6 +89,41 @@ bool find_outlines(const RenderCall<S> &call, const uint8_t *moves, bool glued, 
     return true;
 }
 template <class S>
+ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &boundary, DerivativeCall<S> &derivative) {
+    using F = PacketOf<S>;
+    using Tile = ShadowTile<F>;
+    const LightPathCall<S> light(given, boundary.glued);
+    const RenderCall<S> &call = light.call;
+    derivative.needs.geometry = true;
+    constexpr size_t most = 4096;   // pieces that are looked at
+    constexpr double unseen = 0.2;  // share of what nobody has seen
+    ShadowPieces r = ShadowCutter<S>(call, *boundary.outlines, boundary.moves).cut();
+    for (size_t i = 0; i < r.of.size(); ++i) {
+        OutlinePieces &pieces = r.of[i];
+        const size_t n = pieces.all.size();
+        if (n == 0 || n > most || !(pieces.total() > 0)) continue;
+        std::vector<double> seen(n, 0.0);
+        BoundaryCall<S> looking = boundary;
+        looking.part = BoundaryPart::Pieces, looking.shadows = &r, looking.emitter = int32_t(i);
+        looking.first = 0, looking.count = n, looking.samples = looking.total = 1, looking.in_view = 1;
+        looking.value = seen.data();
+        auto make = [&](int) { return std::make_unique<Tile>(call, looking, derivative); };
+        run_boundary<Tile>(call, looking, make, [&](Tile &tile, uint64_t first, uint32_t count, int, auto &&stop) {
+            GradientSink<F> nothing;
+            tile.run(first, count, nothing, stop);
+        });
+        const double sum = std::accumulate(seen.begin(), seen.end(), 0.0), length = pieces.total();
+        if (!(sum > 0)) continue;
+        double before = 0, total = 0;
+        for (size_t k = 0; k < n; ++k) {
+            const double share = (pieces.cdf[k] - before) / length;
+            before = pieces.cdf[k];
+            pieces.cdf[k] = total += unseen * share + (1 - unseen) * seen[k] / sum;
+        }
+    }
+    return r;
+}
+template <class S>
 std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &calls,
                                           const std::vector<BoundaryCall<S>> &boundaries,
                                           DerivativeCall<S> &derivative) {
@@ -128,6 +165,7 @@ RenderStats boundary_forward(const RenderCall<S> &given, const BoundaryCall<S> &
 #define TR_INSTANTIATE(S)                                                                                          \
     template bool find_outlines(const RenderCall<S> &, const uint8_t *, bool, uint64_t, OutlineSet &,              \
                                 OutlinePieces &);                                                                  \
+    template ShadowPieces find_shadows(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);       \
     template std::vector<RenderStats> boundary_reverse(const std::vector<RenderCall<S>> &,                         \
                                                        const std::vector<BoundaryCall<S>> &, DerivativeCall<S> &); \
     template RenderStats boundary_forward(const RenderCall<S> &, const BoundaryCall<S> &, DerivativeCall<S> &);

@@ -377,7 +377,8 @@ OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t eleme
         // a ball around all of it, whose points may see its outlines
         const float low = c.bounds.low, high = c.bounds.high;
         OutlineElement e{};
-        e.kind = OutlineElement::Round, e.shape = -2, e.index = int32_t(element), e.moves = moves_[size_t(c.shape)] != 0;
+        e.kind = OutlineElement::Round, e.shape = -2, e.index = int32_t(element),
+        e.moves = moves_[size_t(c.shape)] != 0;
         e.bend = 1, e.weight = c.kind == OutlineCurve::FieldBorder ? 0.5f : 1.f;
         e.a = place + z * ((low + high) / 2);
         e.b.x = norm(x) + norm(y) + norm(z) * (high - low) / 2;

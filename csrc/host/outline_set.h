@@ -1,6 +1,6 @@
 // All that can be an outline in a scene: the edges of its meshes, with the faces that meet at each, and curves of its
-// quadrics and height fields. Which faces meet depends on the indices of the meshes and on which vertices are in one place, and is found
-// once; where they are, and a tree to choose from, is brought up to date.
+// quadrics and height fields. Which faces meet depends on the indices of the meshes and on which vertices are in one
+// place, and is found once; where they are, and a tree to choose from, is brought up to date.
 #pragma once
 
 #include <functional>

@@ -238,7 +238,8 @@ def test_gentle_height_fields_have_no_contours():
     """From above nothing of a gentle slope is an outline, and no ray is spent on it."""
     heights = torch.linspace(0, 0.1, 8, dtype=DOUBLE).expand(8, 8).clone()
     field = {"type": "heightfield", "heights": heights, "to_world": tr.Transform.scale(5)}
-    scene = tr.load_dict({"type": "scene", "camera": camera(), "field": field, "sky": {"type": "constant"}}, dtype=DOUBLE)
+    scene = {"type": "scene", "camera": camera(), "field": field, "sky": {"type": "constant"}}
+    scene = tr.load_dict(scene, dtype=DOUBLE)
     scene.train_only("field.heights")
     tr.render(scene, spp=1).sum().backward()
     assert scene.statistics["visibility"]["silhouettes"]["rays"] == 0
