@@ -79,7 +79,8 @@ public:
 
 private:
     // `g`: the adjoint of a volume at q. Returns that of q.
-    Vec3<F> add(const BendVolume<S> &of, const Vec3<F> &q, const Spectrum<F> &g, const M &active, MapAdjoint<F> &map) {
+    TR_HD Vec3<F> add(const BendVolume<S> &of, const Vec3<F> &q, const Spectrum<F> &g, const M &active,
+                      MapAdjoint<F> &map) {
         const Record &record = along.scene.volumes[of.volume];
         if (record.kind == int32_t(VolumeKind::Constant)) {
             sink.spectrum(IntOf<F>(record.field[ConstantVolume::Value]), g, active);
@@ -137,7 +138,8 @@ public:
     }
 
 private:
-    Spectrum<F> change(const BendVolume<S> &of, const S *map, const Vec3<F> &q, const Vec3<F> &d_q, const M &active) {
+    TR_HD Spectrum<F> change(const BendVolume<S> &of, const S *map, const Vec3<F> &q, const Vec3<F> &d_q,
+                             const M &active) {
         const Record &record = along.scene.volumes[of.volume];
         const int32_t slot = record.field[GridVolume::Data];
         const TensorView<S> &grid = along.scene.values.tensors[slot];
