@@ -2,6 +2,8 @@
 // meet a surface; their derivatives; and the field by itself.
 #pragma once
 
+#include <algorithm>
+
 #include "accel/accel.h"
 #include "core/medium/bend_medium.h"
 

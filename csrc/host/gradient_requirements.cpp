@@ -59,7 +59,7 @@ bool GradientRequirements::point_position() const {
 
 MediumNeeds GradientRequirements::medium(size_t index) const {
     const MediumInfo &m = layout_.media[index];
-    if (m.flags & Bends) return {};  // not of points that were sampled
+    if (m.flags & Bends) return {};  // no points are sampled in it, see motion()
     auto volume = [&](int32_t i) { return i >= 0 && values("volume", size_t(i)); };
     return {volume(m.extinction) || number(m.scale), volume(m.albedo), volume(m.emission),
             values("phase", size_t(m.phase))};
