@@ -291,6 +291,10 @@ def render(
                     "render: sensor: a camera with a medium has to be one of the scene's: scene['inside'] = camera"
                 )
         native = scene.native(packed, [tuple(t.shape) for t in used])
+        if bends:
+            from .gradientindex.places import check_places  # when it is needed: importing the package is to be quick
+
+            check_places(scene, packed, native, used, index, light)
         seen, held = {}, ()
         if packed.spectral:
             seen["spectral"], held = wavelength_config(scene, packed, tensors, sensor_weights(None, camera.srf))

@@ -10,7 +10,7 @@ import torch
 from .errors import NotDifferentiableError, warn_once
 from .integrators import Stack, WavefrontPathTracer
 from .scene.boundaries import check_phases, warn_of_open_boundaries
-from .scene.packing import Layout, bending_boundary, records
+from .scene.packing import Layout, bending_boundary, record, records
 from .scene.scene import Scene
 from .scene.sensor import IrradianceMeter, Sensor
 
@@ -40,7 +40,10 @@ def check_bending(packed: Layout, tensors: list[torch.Tensor], integrator: Any, 
         )
     for camera in records(packed, "sensor"):
         if camera.field.get("medium", -1) in packed.bending:
-            raise ValueError(f"render: {camera.path}.medium: a camera cannot be in a gradientindex medium")
+            raise ValueError(
+                f"render: {camera.path}.medium: a camera cannot be in a gradientindex medium: put it outside; "
+                "tr.gradientindex.trace follows rays that begin inside"
+            )
     for shape in records(packed, "shape"):
         if shape.field.get("exterior", -1) in packed.bending:
             raise ValueError(f"render: {shape.path}.exterior: a gradientindex medium has to be the interior of shapes")
@@ -55,6 +58,12 @@ def check_light(packed: Layout, names: Sequence[str], adaptive_grad: bool) -> No
             "render: integrator: ParticleTracer does not trace through media that scatter, which the scene has; "
             "VolumetricPathTracer ('volpath') does"
         )
+    for medium in (record(packed, "medium", number) for number in packed.bending):
+        if medium.field["emission"] >= 0:
+            raise ValueError(
+                f"render: {medium.path}.emission: light paths do not begin in a medium, so that ParticleTracer would "
+                "miss what it emits; PathTracer finds that"
+            )
     for name in ("alpha", "variance", "second_moment"):
         if name in names:
             raise ValueError(f"render: outputs: ParticleTracer has no {name!r}; a path tracer has it")

@@ -26,18 +26,48 @@ void bend(const SceneView<S> *scene, const Accel *accel, const BendRequest &requ
     if (what == "field") return evaluate_field<S>(rays, {at("value"), at("slope")});
     if (what == "field_reverse")
         return reverse_field<S>(rays, {at("value"), at("slope")}, at("q_bar"), given("values_bar"));
+    // grids by their names, a tensor (Z, Y, X, channels) each
+    constexpr const char *names[2] = {"extinction", "emission"};
+    auto array = [&](int k, const char *suffix) { return given((names[k] + std::string(suffix)).c_str()); };
+    auto view = [&](int k, const S *data) {
+        auto size = [&](const char *axis) { return int32_t(number((names[k] + std::string(axis)).c_str())); };
+        return TensorView<S>{data, {size("_y"), size("_x"), size("_channels"), size("_z")}, nullptr};
+    };
+    LightGrids<S> grids(S(request.numbers.count("step") ? number("step") : 0));
+    for (int k = 0; k < 2; ++k)
+        if (const S *data = array(k, "")) {
+            auto setting = [&](const char *of) { return int(number((names[k] + std::string(of)).c_str())); };
+            grids.set(k, view(k, data), setting("_filter"), setting("_wrap"), array(k, "_map"));
+            rays.light = &grids;
+        }
+    rays.depth = given("depth"), rays.emitted = given("emitted");
     const BendField<S> tangent = field(given("values_tangent"), "kick_tangent");
     if (what == "field_forward")
-        return forward_field<S>(rays, {tangent, at("q_tangent"), nullptr, nullptr, nullptr, nullptr},
-                                {at("value"), at("slope")});
+        return forward_field<S>(
+            rays, {tangent, at("q_tangent"), nullptr, nullptr, nullptr, nullptr, nullptr, nullptr, {}, {}},
+            {at("value"), at("slope")});
     rays.steps = integers("steps");
-    if (what == "forward")
-        return forward_bent<S>(rays,
-                               {tangent, at("q_tangent"), at("u_tangent"), at("last_q"), at("last_u"), at("sums")});
+    if (what == "forward") {
+        BentTangents<S> tangents{tangent, at("q_tangent"), at("u_tangent"), at("last_q"), at("last_u"), at("sums")};
+        tangents.depth = given("depth"), tangents.emitted = given("emitted");
+        for (int k = 0; k < 2 && rays.light; ++k) {
+            if (!array(k, "")) continue;
+            tangents.grids[k] = view(k, array(k, "_tangent")), tangents.maps[k] = array(k, "_map_tangent");
+        }
+        return forward_bent<S>(rays, tangents);
+    }
     rays.state = reinterpret_cast<BendInt<S> *>(request.arrays.at("state"));
-    if (what == "reverse")
-        return reverse_bent<S>(rays, {at("last_q"), at("last_u"), at("sums"), at("q_bar"), at("u_bar"),
-                                      given("values_bar"), reinterpret_cast<double *>(request.arrays.at("kick_bar"))});
+    if (what == "reverse") {
+        auto doubles = [&](const std::string &name) {
+            return reinterpret_cast<double *>(request.arrays.count(name) ? request.arrays.at(name) : 0);
+        };
+        BentAdjoints<S> adjoints{at("last_q"),       at("last_u"),         at("sums"),
+                                 given("depth_bar"), given("emitted_bar"), at("q_bar"),
+                                 at("u_bar"),        given("values_bar"),  doubles("kick_bar")};
+        for (int k = 0; k < 2; ++k)
+            adjoints.grids[k] = array(k, "_bar"), adjoints.maps[k] = doubles(names[k] + std::string("_map_bar"));
+        return reverse_bent<S>(rays, adjoints);
+    }
     if (what != "trace") throw std::invalid_argument("bend: unknown: " + what);
     rays.last_q = at("last_q"), rays.last_u = at("last_u"), rays.sums = at("sums");
     BendMedium<S> medium = scene->bends[size_t(number("medium"))];

@@ -37,7 +37,10 @@ public:
             if (queue.medium[i] >= 0 && scene_.media[queue.medium[i]].flags & Bends) queue.length[i] = -1;
     }
 
-    void run(const PathQueue<S> &queue, const HitColumns<S> &hits) {
+    // waves(slots, lanes): the wavelengths of paths. `radiance`: null, or where the light that media emit is added, by
+    // slot.
+    template <class Waves>
+    void run(const PathQueue<S> &queue, const HitColumns<S> &hits, Waves &&waves, const SpectrumColumn<S> *radiance) {
         std::fill_n(columns.medium.at, queue.n + W, -1);
         for (int32_t m = 0; m < scene_.n_media; ++m) {
             if (!(scene_.media[m].flags & Bends)) continue;
@@ -48,7 +51,8 @@ public:
                 LaneSet<F> lanes(order_ + k, found - k);
                 U entry = U(order_[k]);
                 entry = select(mask<U>(lanes.active), load_uint<F>(order_ + k), entry);
-                bend(scene_.bends[m], m, queue, hits, lanes, entry);
+                const Wavelengths<F> at = waves(lanes(queue.slot), lanes.active);
+                bend(scene_.bends[m], m, queue, hits, lanes, entry, at, radiance);
             }
         }
     }
@@ -60,13 +64,15 @@ private:
     uint32_t *order_;
 
     void bend(const BendMedium<S> &medium, int32_t number, const PathQueue<S> &queue, const HitColumns<S> &hits,
-              const LaneSet<F> &lanes, const U &entry) {
+              const LaneSet<F> &lanes, const U &entry, const Wavelengths<F> &waves, const SpectrumColumn<S> *radiance) {
         const M active = lanes.active;
         // surfaces count from where a straight ray would begin, which is a little off the one that it leaves
         const Vec3<F> from = lanes(queue.from), offset = lanes(queue.o) - from;
         const F index = local_index<F>(medium, from, active).n;
         const Vec3<F> u = transform_vector(medium.to_voxels, lanes(queue.d)) * (index * F(medium.step));
-        FlightEnd<F> end = fly<F>(medium, accel_, transform_point(medium.to_voxels, from), u, offset, active);
+        const LightAlong<F> light{scene_, medium.light, waves};
+        FlightEnd<F> end = fly<F>(medium, accel_, transform_point(medium.to_voxels, from), u, offset, active,
+                                  medium.varies ? &light : nullptr);
         const M hit = active && !mask<F>(end.shape == U(BentTooLong)) && !mask<F>(end.shape == U(BentTooFar));
         n += uint64_t(count(active)), lost += uint64_t(count(active) - count(hit));
 
@@ -85,6 +91,10 @@ private:
         const Vec3<F> kick = symmetric_times<F>(medium.field.kick, at_end.slope) * left;
         const Vec3<F> d = normalize(v + transform_vector(medium.to_world, kick));
         const F length = (end.length + at_end.n * left) * F(medium.step);
+        if (medium.varies)
+            end.light.add(light, position_of(state_at(medium, si.p), bits), at_end.n, left, hit);
+        else
+            end.light.depth = light.extinction(si.p, hit) * length;
 
         auto number_to = [&](S *to, const F &x, const M &m) { scatter_lanes<F>(to, entry, x, m); };
         auto vector_to = [&](const VectorColumn<S> &to, const Vec3<F> &x) {
@@ -100,12 +110,15 @@ private:
         scatter_lanes<F>(columns.medium.at, entry, I(number), hit);
         scatter_lanes<F>(hits.at.shape, entry, select(mask<U>(hit), end.shape, U(NoHit)), active);
         scatter_lanes<F>(hits.at.primitive, entry, end.primitive, hit);
-        Spectrum<F> kept = select(hit, transmittance<F>(scene_, medium, length), uniform_spectrum(F(0)));
-        const Spectrum<F> beta = lanes(queue.beta) * kept, survival = lanes(queue.survival) * kept;
-        for (int c = 0; c < SpectrumSize; ++c) {
-            scatter_lanes<F>(queue.beta[c], entry, beta[c], active);
-            scatter_lanes<F>(queue.survival[c], entry, survival[c], active);
-        }
+        const Spectrum<F> none = uniform_spectrum(F(0)), kept = select(hit, transmittance<F>(end.light.depth), none);
+        const Spectrum<F> begin = lanes(queue.beta), beta = begin * kept, survival = lanes(queue.survival) * kept;
+        auto spectrum_to = [&](const SpectrumColumn<S> &to, const Spectrum<F> &x, const M &m) {
+            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(to[c], entry, x[c], m);
+        };
+        spectrum_to(queue.beta, beta, active), spectrum_to(queue.survival, survival, active);
+        spectrum_to(columns.begin, begin, hit), spectrum_to(columns.depth, end.light.depth, hit);
+        spectrum_to(columns.emitted, end.light.emitted, hit);
+        if (radiance && light.emits()) add_to_entries<F>(*radiance, lanes(queue.slot), begin * end.light.emitted, hit);
     }
 };
 

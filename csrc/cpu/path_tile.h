@@ -85,7 +85,7 @@ public:
                 const bool last = config_.max_depth >= 0 && depth + 1 >= config_.max_depth;
                 if (last) keep_rays_to_lights(*current);
                 if (current->n == 0) break;
-                wavefront.trace(*current);
+                wavefront.trace(*current, false, !recording);
                 step(*current, *next, {depth, 0, !last}, recording, wavefront.tape.size() - 1);
                 spare = current;
             }

@@ -117,8 +117,8 @@ public:
     static constexpr size_t entries(size_t n) { return n + size_t(Kinds + 1) * 2 * W; }
 
     // Closest hits. `again`: of the same rays those that have passed through an emitter go on, the others hit what they
-    // have hit.
-    void trace(PathQueue<S> &queue, bool again = false) {
+    // have hit. `adds`: what media that bend rays emit along them is added to what the slots have.
+    void trace(PathQueue<S> &queue, bool again = false, bool adds = false) {
         Stopwatch watch(stats.seconds_trace);
         if (bender) bender->hold(queue);
         RayBatch rays = queries.batch(rays_of(queue), queue.n);
@@ -135,7 +135,13 @@ public:
         }
         queries.widen(queue.n);
         if (bender) {
-            bender->run(queue, queries.hits);
+            const PathContext<F> c = context(false);
+            bender->run(
+                queue, queries.hits,
+                [&](const U &slot, const auto &active) {
+                    return PacketSamples<F>(c, slot, active).wavelengths(c.config);
+                },
+                adds ? &slots.radiance : nullptr);
             stats.bent_rays += std::exchange(bender->n, 0), stats.bent_rays_lost += std::exchange(bender->lost, 0);
             stats.bent_rays_met += std::exchange(bender->met, 0);
         }

@@ -59,7 +59,7 @@ bool GradientRequirements::point_position() const {
 
 MediumNeeds GradientRequirements::medium(size_t index) const {
     const MediumInfo &m = layout_.media[index];
-    if (m.flags & Bends) return {};
+    if (m.flags & Bends) return {};  // no points are sampled in it, see motion()
     auto volume = [&](int32_t i) { return i >= 0 && values("volume", size_t(i)); };
     return {volume(m.extinction) || number(m.scale), volume(m.albedo), volume(m.emission),
             values("phase", size_t(m.phase))};
@@ -91,6 +91,10 @@ bool GradientRequirements::motion(size_t sensor) const {
         if (!(layout_.media[m].flags & Bends)) continue;
         const int32_t index = layout_.records.at("medium")[m].field[field_index(GradientIndexMedium::fields, "index")];
         if (needs_grad_[size_t(index)] || any_number("medium", m, {Kind::Float, Kind::Transform})) return true;
+        // what varies along a ray needs its way back
+        const MediumInfo &info = layout_.media[m];
+        for (const int32_t volume : {info.extinction, info.emission})
+            if (volume >= 0 && values("volume", size_t(volume))) return true;
     }
     // maps of texture coordinates and factors of attributes; places of volumes; the environment's rotation; what turns
     // delta lobes and shading normals

@@ -98,6 +98,7 @@ private:
 
     // layout_media.cpp
     void connect_media();
+    void check_extinction(int medium, const MediumInfo &info);
     void bound_bending(ShapeInfo &info);
     static int majorant_cell(const int (&n)[3]);
     bool lets_through(int32_t bsdf) const;

@@ -19,8 +19,13 @@ void LayoutBuilder::connect_media() {
         const int32_t *field = out_.records["medium"][size_t(i)].field;
         MediumInfo info{};
         if (list("medium")[size_t(i)].type == GradientIndexMedium::model.type) {
-            info.extinction = info.albedo = info.emission = info.phase = -1;
+            using Fields = GradientIndexMedium;
+            info.extinction = field[field_index(Fields::fields, "sigma_t")];
+            info.emission = field[field_index(Fields::fields, "emission")];
+            info.scale = field[field_index(Fields::fields, "scale")];
+            info.albedo = info.phase = -1;
             info.flags = Bends;
+            check_extinction(i, info);
             out_.media.push_back(info);
             continue;
         }
@@ -35,10 +40,8 @@ void LayoutBuilder::connect_media() {
         } else {
             if (list("medium")[size_t(i)].type == HomogeneousMedium::model.type)
                 fail(where("medium", i, "sigma_t"), "a constant", "a grid, which a heterogeneous medium may have");
+            check_extinction(i, info);
             const auto &shape = out_.tensor_shapes[size_t(extinction.field[GridVolume::Data])];
-            if (out_.spectral && shape[2] > 1)
-                fail(where("medium", i, "sigma_t"), "one channel: an extinction on a grid has no spectrum",
-                     text({shape[2]}));
             const int n[3] = {shape[1], shape[0], shape[3]};
             info.flags = IsGrid | (shape[2] > 1 ? IsChromatic : 0);
             info.cell = majorant_cell(n);
@@ -49,6 +52,15 @@ void LayoutBuilder::connect_media() {
         }
         out_.media.push_back(info);
     }
+}
+
+void LayoutBuilder::check_extinction(int medium, const MediumInfo &info) {
+    const Record &extinction = out_.records["volume"][size_t(info.extinction)];
+    if (!out_.spectral || extinction.kind != int32_t(VolumeKind::Grid)) return;
+    const auto &shape = out_.tensor_shapes[size_t(extinction.field[GridVolume::Data])];
+    if (shape[2] > 1)
+        fail(where("medium", medium, "sigma_t"), "one channel: an extinction on a grid has no spectrum",
+             text({shape[2]}));
 }
 
 // Voxels along the side of a majorant's cell: small enough to follow the density, large enough that rays do not

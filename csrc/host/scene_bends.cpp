@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "../core/medium/medium.h"
+#include "placement.h"
 #include "scene_data.h"
 
 namespace tr {
@@ -13,7 +14,8 @@ void SceneData<S>::update_bends() {
     constexpr int Index = field_index(Fields::fields, "index"), Base = field_index(Fields::fields, "index_base"),
                   ToWorld = field_index(Fields::fields, "to_world"), ExtIor = field_index(Fields::fields, "ext_ior"),
                   Spline = field_index(Fields::fields, "interpolation"), Step = field_index(Fields::fields, "step"),
-                  SigmaT = field_index(Fields::fields, "sigma_t"), MaxSteps = field_index(Fields::fields, "max_steps");
+                  SigmaT = field_index(Fields::fields, "sigma_t"), Emission = field_index(Fields::fields, "emission"),
+                  Scale = field_index(Fields::fields, "scale"), MaxSteps = field_index(Fields::fields, "max_steps");
     view_.bends = nullptr;
     const auto &media = layout_.media;
     if (std::none_of(media.begin(), media.end(), [](const MediumInfo &m) { return (m.flags & Bends) != 0; })) return;
@@ -62,7 +64,21 @@ void SceneData<S>::update_bends() {
             b.field.kick[e] = S(step * step * sum);
         }
         b.ext_ior = S(constant(ExtIor)), b.ext_ior_offset = field[ExtIor];
-        b.to_world_offset = field[ToWorld], b.sigma_t_offset = field[SigmaT];
+        b.to_world_offset = field[ToWorld];
+        auto is_grid = [&](int32_t volume) {
+            return layout_.records.at("volume")[size_t(volume)].kind == int32_t(VolumeKind::Grid);
+        };
+        auto volume = [&](int32_t number) {
+            BendVolume<S> v{number, {}};
+            if (number < 0 || !is_grid(number)) return v;
+            double local[12], all[12] = {};
+            std::copy_n(&volume_to_local_[12 * size_t(number)], 12, local);
+            add_product(local, placed.m, false, all);
+            std::copy_n(all, 12, v.to_local);
+            return v;
+        };
+        b.light = {volume(field[SigmaT]), volume(field[Emission]), field[Scale], b.step};
+        b.varies = field[Emission] >= 0 || is_grid(field[SigmaT]);
         const S reach = S(std::min(1.5 * voxels, 4.0));
         const int given = field[MaxSteps];
         b.max_steps = given > 0 ? given : int32_t(std::min(std::ceil(8 * edges / (voxel * voxels)), 1e9));

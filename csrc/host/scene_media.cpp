@@ -53,7 +53,7 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
     majorants_.assign(size_t(layout_.n_majorants), S(0));
     for (size_t m = 0; m < layout_.media.size(); ++m) {
         const MediumInfo &info = layout_.media[m];
-        if (info.flags & Bends) continue;
+        const bool bends = (info.flags & Bends) != 0;
         auto where = [&](const char *field) { return path("medium", int(m)) + ": field '" + field + "'"; };
         const int n_constant = layout_.spectral ? SpectrumSamples : layout_.channels;
         auto check = [&](int32_t volume, S largest, const char *field, const char *expected) {
@@ -72,7 +72,7 @@ void SceneData<S>::update_media(const std::vector<uint8_t> &dirty) {
         const S unlimited = std::numeric_limits<S>::max();
         // a grid's with its majorants, whether or not it says that it has changed
         if (!(info.flags & IsGrid)) check(info.extinction, unlimited, "sigma_t", "numbers that are not negative");
-        check(info.albedo, S(1), "albedo", "numbers from 0 to 1");
+        if (!bends) check(info.albedo, S(1), "albedo", "numbers from 0 to 1");
         check(info.emission, unlimited, "emission", "numbers that are not negative");
         require_range(&constants_[size_t(info.scale)], 1, unlimited, where("scale"), "a number that is not negative");
         const double scale = double(constants_[size_t(info.scale)]);

@@ -66,7 +66,7 @@ def check(scene: tr.Scene, name: str, along: torch.Tensor | None = None, step: f
     assert difference(f, x, along, step) == pytest.approx(reverse, rel=1e-6)
 
 
-MEDIUM = ["index", "index_base", "index_scale", "sigma_t.value"]
+MEDIUM = ["index", "index_base", "index_scale", "sigma_t.value.value"]
 
 
 @pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])
@@ -129,7 +129,7 @@ def test_by_a_colour_of_extinction_and_by_each_output():
 
 @pytest.mark.parametrize(
     "name",
-    ["origins", "directions", "interior.index", "interior.index_base", "interior.to_world", "interior.sigma_t.value"],
+    ["origins", "directions", *(f"interior.{n}" for n in ("index", "index_base", "to_world", "sigma_t.value.value"))],
 )
 @pytest.mark.parametrize("make", [cube, sphere])
 @pytest.mark.parametrize("interpolation", ["cubic", "quadratic"])

@@ -158,7 +158,7 @@ def test_fewest_voxels():
 @pytest.mark.parametrize("dtype", [torch.float32, DOUBLE])
 @pytest.mark.parametrize("shape", ["cube", "sphere"])
 def test_hardly_a_ray_is_lost(shape, dtype):
-    """From all sides, those that graze included: less than 1 in 10000 is. Values are finite in any case."""
+    """From all sides, those that graze included: none of these is. Values are finite in any case."""
     n, generator = 8000, torch.Generator().manual_seed(8)
     o = torch.randn(n, 3, generator=generator, dtype=DOUBLE)
     o = 4 * o / o.norm(dim=1, keepdim=True)
@@ -169,14 +169,14 @@ def test_hardly_a_ray_is_lost(shape, dtype):
         warnings.simplefilter("ignore", tr.RangeWarning)
         rays = tr.gradientindex.trace(scene, "lens", o, d)
     lost = int((hits.valid & ~rays.valid).sum())
-    assert lost < 1e-4 * int(hits.valid.sum())
+    assert lost == 0
     assert not bool((rays.valid & ~hits.valid).any())
     for found in rays[:6]:
         assert bool(torch.isfinite(found).all())
 
 
 def test_edges_end_no_ray_in_a_loop():
-    """Rays into the cube within 1e-4 of its edges: a few are lost there, none hangs or gives what is not a number."""
+    """Rays into the cube within 1e-4 of its edges: hardly one is lost, none hangs or gives what is not a number."""
     n, generator = 5000, torch.Generator().manual_seed(9)
     signs = torch.randn(n, 3, generator=generator, dtype=DOUBLE).sign()
     along = torch.randint(3, (n,), generator=generator)

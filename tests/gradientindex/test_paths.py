@@ -107,7 +107,7 @@ CASES = {
     "base": ({}, "lens.interior_medium.index_base"),
     "scale": ({}, "lens.interior_medium.index_scale"),
     "place": ({}, "lens.interior_medium.to_world"),
-    "absorption": ({"sigma_t": [0.3, 0.7, 0.1]}, "lens.interior_medium.sigma_t.value"),
+    "absorption": ({"sigma_t": [0.3, 0.7, 0.1]}, "lens.interior_medium.sigma_t.value.value"),
     "index, absorbing": ({"sigma_t": [0.3, 0.7, 0.1]}, INDEX),
     "radius": ({}, "lens.radius"),
     "center": ({}, "lens.center"),
@@ -229,13 +229,13 @@ def test_media_in_media_are_told_of(inner):
         tr.render(seen(1.5, back={"other": apart, **ONE}), spp=4, seed=0)
 
 
-def test_few_lost_rays_are_counted_without_a_warning(recwarn):
-    """A wide lamp in front of a cube: where reflected rays come to its edges, rounding takes some past them."""
+def test_no_ray_is_lost_at_edges(recwarn):
+    """A wide lamp in front of a cube: reflected rays come to its edges, and leave by the next face at once."""
     steep = torch.linspace(1.3, 1.7, 12, dtype=torch.float32).expand(12, 12, 12).contiguous()
     scene = thrown(steep, "dielectric", size=128, dtype=torch.float32)
     tr.render(scene, spp=64, seed=0)
     found = scene.statistics["render"]
-    assert 0 < found["bent_rays_lost"] <= 1e-3 * found["bent_rays"]
+    assert found["bent_rays_lost"] <= 2e-6 * found["bent_rays"]
     assert not [w for w in recwarn if "max_steps" in str(w.message)]
 
 

@@ -61,7 +61,8 @@ def number_of(rays: tr.gradientindex.BentRays) -> torch.Tensor:
     """A function of everything that is differentiable."""
     weight = torch.linspace(0.5, 1.5, len(rays.valid), dtype=rays.position.dtype)
     found = torch.sin(3 * rays.position[:, :2]).sum(1) + torch.cos(2 * rays.direction).sum(1)
-    found = found + rays.optical_path.square() + rays.length.sin() + rays.index + rays.transmittance.sum(1)
+    found = found + rays.optical_path.square() + rays.length.sin() + rays.index
+    found = found + rays.transmittance.sum(1) + rays.emission.square().sum(1)
     return (weight * found).sum()
 
 

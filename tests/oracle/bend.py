@@ -51,21 +51,59 @@ class Phi:
 
 
 class BoxRays(NamedTuple):
-    """Where rays leave the box: `position` and `velocity` in voxels, `optical` and `length` in steps."""
+    """Where rays leave the box: `position` and `velocity` in voxels, `optical` and `length` in steps.
+
+    `depth` and `emitted`: optical depth, and radiance over n^2 as it comes out where the ray began.
+    """
 
     position: torch.Tensor
     velocity: torch.Tensor
     optical: torch.Tensor
     length: torch.Tensor
     steps: torch.Tensor
+    depth: torch.Tensor
+    emitted: torch.Tensor
 
 
-def trace_box(phi: Phi, q: torch.Tensor, u: torch.Tensor, kick: torch.Tensor, most: int = 1000) -> BoxRays:
+class Glow:
+    """Absorption and emission (Z, Y, X) over the box of `voxels` (3,), trilinear, constant beyond outermost centres."""
+
+    def __init__(self, sigma: torch.Tensor, eps: torch.Tensor, voxels: torch.Tensor, step: float) -> None:
+        self.sigma, self.eps, self.voxels, self.step = sigma, eps, voxels, step
+
+    def pieces(self, q: torch.Tensor, n: torch.Tensor, w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Depth and emission of pieces that kicks of weight w stand for, each homogeneous."""
+        length = w * n * self.step
+        x = self._at(self.sigma, q) * length
+        mean = torch.where(x.abs() < 1e-6, 1 - x / 2, -torch.expm1(-x) / torch.where(x == 0, 1.0, x))
+        return x, self._at(self.eps, q) / n**2 * length * mean
+
+    def _at(self, grid: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
+        size = torch.tensor(grid.shape[::-1], dtype=q.dtype)
+        at = q / self.voxels * 2 - 1  # of PyTorch's own look-up, whose -1 and 1 are the edges of the outer voxels
+        volume = grid[None, None]
+        where = at.clamp(-1 + 1 / size, 1 - 1 / size)[None, :, None, None]
+        found = torch.nn.functional.grid_sample(volume, where, mode="bilinear", align_corners=False)
+        return found.reshape(-1)
+
+
+def trace_box(
+    phi: Phi, q: torch.Tensor, u: torch.Tensor, kick: torch.Tensor, most: int = 1000, glow: Glow | None = None
+) -> BoxRays:
     """Rays from q with velocity u; `kick` (3, 3) is what grad Phi is multiplied with."""
     size = torch.tensor(phi.values.shape[::-1], dtype=q.dtype)
+    depth = emitted = torch.zeros_like(q[:, 0])
+
+    def shine(w: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        if glow is None:
+            return depth, emitted
+        x, light = glow.pieces(q, torch.sqrt(2 * value), w)
+        return depth + x, emitted + torch.exp(-depth) * light
+
     value, slope = phi(q)
     u = u + slope @ kick / 2
     optical, length = value / 2, torch.sqrt(2 * value) / 2
+    depth, emitted = shine(torch.full_like(value, 0.5))
     steps = torch.zeros(len(q), dtype=torch.int64)
     live = torch.ones(len(q), dtype=torch.bool)
     for _ in range(most):
@@ -78,17 +116,21 @@ def trace_box(phi: Phi, q: torch.Tensor, u: torch.Tensor, kick: torch.Tensor, mo
         u = torch.where(live[:, None], u + slope @ kick, u)
         optical = torch.where(live, optical + value, optical)
         length = torch.where(live, length + torch.sqrt(2 * value), length)
+        depth, emitted = shine(live.to(q.dtype))
         steps = steps + live
     part, _ = _to_face(q, u, size)
     q = q + part[:, None] * u
     value, slope = phi(q)
     rest = part - 0.5
+    depth, emitted = shine(rest)
     return BoxRays(
         q,
         u + rest[:, None] * (slope @ kick),
         2 * (optical + rest * value),
         length + rest * torch.sqrt(2 * value),
         steps,
+        depth,
+        emitted,
     )
 
 

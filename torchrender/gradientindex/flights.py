@@ -6,7 +6,7 @@ yz) of a kick u += G grad Phi. What of the world they come from, and what become
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -17,13 +17,15 @@ from ..functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from ..scene.native import NativeScene
 
 TOO_LONG, TOO_FAR = -1, -2  # in place of a shape: rays that were given up
+GRIDS = ("extinction", "emission")  # of what a medium does to light
 
 
 @dataclass
 class Bending:
     """What the core is asked with, but for tensors: `torch.func` unwraps those of a function's arguments alone.
 
-    `size` is (X, Y, Z), `constant` the part of Phi that the control values do not have.
+    `size` is (X, Y, Z), `constant` the part of Phi that the control values do not have; `look_up`: of each grid the
+    numbers of its filter and of what is beyond its cube.
     """
 
     native: NativeScene
@@ -31,6 +33,8 @@ class Bending:
     constant: float
     quadratic: bool
     medium: int  # its number
+    step: float
+    look_up: dict[str, tuple[int, int]]
     threads: int = field(default_factory=torch.get_num_threads)
 
     def call(
@@ -39,7 +43,14 @@ class Bending:
         """`params`: of the scene, which tracing meets."""
         numbers = dict(zip("xyz", map(float, self.size), strict=True))
         numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(self.threads)}
-        numbers |= {"medium": float(self.medium)}
+        numbers |= {"medium": float(self.medium), "step": self.step}
+        for name in GRIDS:
+            grid = arrays.get(name)
+            if grid is not None:
+                sizes = zip(("z", "y", "x", "channels"), grid.shape, strict=True)
+                numbers |= {f"{name}_{axis}": float(size) for axis, size in sizes}
+                of = dict(zip(("filter", "wrap"), self.look_up[name], strict=True))
+                numbers |= {f"{name}_{what}": float(value) for what, value in of.items()}
         given = {name: t.data_ptr() for name, t in arrays.items() if t is not None}
         if params is None:
             self.native.handle.bend(what, n, numbers, given, [], [])
@@ -51,7 +62,9 @@ class Bending:
 
     def ends(self, n: int) -> dict[str, torch.Tensor]:
         """Room for where flights end, or for its tangents."""
-        return {"last_q": self.empty(n, 3), "last_u": self.empty(n, 3), "sums": self.empty(n, 2)}
+        colours = 3 if self.look_up else 0
+        sums = {"sums": self.empty(n, 2), "depth": self.empty(n, colours), "emitted": self.empty(n, colours)}
+        return {"last_q": self.empty(n, 3), "last_u": self.empty(n, 3), **sums}
 
 
 def _dense(*tensors: torch.Tensor) -> list[torch.Tensor]:
@@ -64,16 +77,30 @@ def _like(tangents: tuple[torch.Tensor | None, ...], primals: list[torch.Tensor]
     return [torch.zeros_like(p) if t is None else t for t, p in zip(dense, primals, strict=True)]
 
 
-class Flights(UnbatchedFunction):
-    """``last_q, last_u, sums, state, steps, shape, primitive, t = Flights.apply(bending, values, kick, q, u, ...)``.
+_INPUTS = ("values", "kick", "q", "u", "extinction", "extinction_map", "emission", "emission_map")
+_ENDS = 5  # outputs that are differentiable
 
-    To the last kick before a surface; the first three are differentiable, by the first four tensors. The others are
-    where surfaces count from (N, 3), relative to where rays begin, and the scene's parameters.
+
+def _named(tensors: Iterable[torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Tensors in the order of `_INPUTS` by their names, those of grids that are not there left out."""
+    named = dict(zip(_INPUTS, tensors, strict=True))
+    return {name: t for name, t in named.items() if not (name.startswith(GRIDS) and t.numel() == 0)}
+
+
+class Flights(UnbatchedFunction):
+    """``last_q, last_u, sums, depth, emitted, state, steps, shape, primitive, t = Flights.apply(bending, *inputs)``.
+
+    To the last kick before a surface; the first five are differentiable, by the first eight inputs: values, kick, q, u,
+    and grids (Z, Y, X, C) of extinction and emission with the maps (3, 4) from voxels of the field to their unit cubes,
+    without an element where there is no such grid. The others are where surfaces count from (N, 3), relative to where
+    rays begin, and the scene's parameters. `depth` and `emitted` (N, 3) are of grids; (N, 0) without them.
     """
 
     @staticmethod
     def forward(bending: Bending, *inputs: torch.Tensor) -> Any:
-        values, kick, q, u, offset, *params = _dense(*inputs)
+        tensors = _dense(*inputs)
+        given, offset, params = tensors[: len(_INPUTS)], tensors[len(_INPUTS)], tensors[len(_INPUTS) + 1 :]
+        q = given[2]
         n = len(q)
         state = torch.empty(n, 6, dtype=torch.int64 if q.dtype == torch.float64 else torch.int32)
         out = bending.ends(n)
@@ -83,70 +110,76 @@ class Flights(UnbatchedFunction):
             "prim_id": torch.empty(n, dtype=torch.int32),
             "t": bending.empty(n),
         }
-        given = {"values": values, "kick": kick, "q": q, "u": u, "offset": offset}
-        bending.call("trace", n, {**given, **out}, params)
+        bending.call("trace", n, {**_named(given), "offset": offset, **out}, params)
         return tuple(out.values())
 
     @staticmethod
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         ctx.bending, *tensors = inputs
-        ctx.others = len(tensors) - 4
-        tensors = tensors[:4]
-        ctx.save_for_backward(*tensors, *output[3:5])
-        ctx.save_for_forward(*tensors, *output[3:5])
+        ctx.others = len(tensors) - len(_INPUTS)
+        kept = *tensors[: len(_INPUTS)], output[3], *output[_ENDS : _ENDS + 2]  # and depth, state, steps
+        ctx.save_for_backward(*kept)
+        ctx.save_for_forward(*kept)
         ctx.set_materialize_grads(False)
-        ctx.mark_non_differentiable(*output[3:])
+        ctx.mark_non_differentiable(*output[_ENDS:])
 
     @staticmethod
     def backward(ctx: Any, *adjoints: torch.Tensor | None) -> Any:
-        needed = ctx.needs_input_grad[1:5]
-        if not any(needed) or all(a is None for a in adjoints[:3]):
-            return (None,) * (5 + ctx.others)
-        found = FlightsReverse.apply(ctx.bending, needed, *adjoints[:3], *ctx.saved_tensors)
+        needed = ctx.needs_input_grad[1 : 1 + len(_INPUTS)]
+        if not any(needed) or all(a is None for a in adjoints[:_ENDS]):
+            return (None,) * (1 + len(_INPUTS) + ctx.others)
+        found = FlightsReverse.apply(ctx.bending, needed, *adjoints[:_ENDS], *ctx.saved_tensors)
         return (None, *found, *(None,) * ctx.others)
 
     @staticmethod
     def jvp(ctx: Any, _bending: Any, *tangents: torch.Tensor | None) -> Any:
-        return (*FlightsForward.apply(ctx.bending, *tangents[:4], *ctx.saved_tensors), *(None,) * 5)
+        ends = FlightsForward.apply(ctx.bending, *tangents[: len(_INPUTS)], *ctx.saved_tensors)
+        return (*ends, *(None,) * 5)
 
 
 class FlightsReverse(DerivativeFunction):
-    """Adjoints of values, kick, q and u from those of the end, by the same steps backwards."""
+    """Adjoints of the inputs from those of the end, by the same steps backwards."""
 
     @staticmethod
     def forward(bending: Bending, needed: tuple[bool, ...], *tensors: torch.Tensor | None) -> Any:
-        adjoints = tensors[:3]
-        values, kick, q, u, state, steps = [t for t in tensors[3:] if t is not None]
+        adjoints = tensors[:_ENDS]
+        *inputs, depth, state, steps = [t for t in tensors[_ENDS:] if t is not None]
+        inputs = _dense(*inputs)
         for adjoint in adjoints:
             if adjoint is not None:
                 refuse_batches(adjoint)
-        n = len(q)
-        last = _like(adjoints, [q, u, bending.empty(n, 2)])
-        q_bar, u_bar = bending.empty(n, 3), bending.empty(n, 3)
-        values_bar = zero_gradient(values) if needed[0] else None
-        kick_bar = torch.zeros(6, dtype=torch.float64)
-        found = {"q_bar": q_bar, "u_bar": u_bar, "values_bar": values_bar, "kick_bar": kick_bar}
-        given = dict(zip(("values", "kick", "q", "u"), _dense(values, kick, q, u), strict=True))
-        given |= {"state": state, "steps": steps}
-        bending.call("reverse", n, {**given, **dict(zip(("last_q", "last_u", "sums"), last, strict=True)), **found})
-        return values_bar, kick_bar.to(q.dtype), q_bar, u_bar
+        n = len(inputs[2])
+        names = ("last_q", "last_u", "sums", "depth_bar", "emitted_bar")
+        given = dict(zip(names, _like(adjoints, list(bending.ends(n).values())), strict=True))
+        found: dict[str, torch.Tensor | None] = {
+            "values_bar": zero_gradient(inputs[0]) if needed[0] else None,
+            "kick_bar": torch.zeros(6, dtype=torch.float64),
+            "q_bar": bending.empty(n, 3),
+            "u_bar": bending.empty(n, 3),
+        }
+        for k in (4, 6):
+            there = inputs[k].numel() > 0
+            found[f"{_INPUTS[k]}_bar"] = zero_gradient(inputs[k]) if there and needed[k] else None
+            found[f"{_INPUTS[k + 1]}_bar"] = torch.zeros(3, 4, dtype=torch.float64) if there else None
+        bending.call("reverse", n, {**_named(inputs), "depth": depth, "state": state, "steps": steps, **given, **found})
+        return tuple(t if t is None else t.to(inputs[0].dtype) for t in found.values())
 
 
 class FlightsForward(DerivativeFunction):
-    """Tangents of the end from those of values, kick, q and u, by the same steps once more."""
+    """Tangents of the end from those of the inputs, by the same steps once more."""
 
     @staticmethod
     def forward(bending: Bending, *tensors: torch.Tensor | None) -> Any:
-        tangents = tensors[:4]
-        values, kick, q, u, _, steps = [t for t in tensors[4:] if t is not None]
-        primals = _dense(values, kick, q, u)
-        dense = dense_tangents(primals[:1], tangents[:1], values.dtype) + _like(tangents[1:], primals[1:])
-        n = len(q)
+        tangents = tensors[: len(_INPUTS)]
+        *inputs, _, _, steps = [t for t in tensors[len(_INPUTS) :] if t is not None]
+        primals = _dense(*inputs)
+        dense = dense_tangents(primals, tangents, primals[0].dtype)
+        large = (0, 4, 6)  # may be missing
+        dense = [t if k in large or t is not None else torch.zeros_like(primals[k]) for k, t in enumerate(dense)]
+        n = len(primals[2])
         out = bending.ends(n)
-        names = ("values", "kick", "q", "u")
-        given = dict(zip(names, primals, strict=True))
-        given |= {f"{name}_tangent": t for name, t in zip(names, dense, strict=True)}
-        bending.call("forward", n, {**given, "steps": steps, **out})
+        changes = {f"{name}_tangent": t for name, t in zip(_INPUTS, dense, strict=True) if t is not None}
+        bending.call("forward", n, {**_named(primals), **changes, "steps": steps, **out})
         return tuple(out.values())
 
 

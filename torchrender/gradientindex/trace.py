@@ -21,6 +21,7 @@ from ..scene.scene import Scene
 from ..scene.spectral.core_values import for_core
 from ..surface import OFFSET, SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
+from .light import Light
 
 INACCURATE = 0.01  # |p| / n - 1, which is 0 for exact rays
 
@@ -30,9 +31,10 @@ class BentRays(NamedTuple):
 
     `position`, `direction` (N, 3): in the world, the direction of unit length, behind the boundary if that is where the
     ray has come to. `optical_path`, `length` (N,): the integrals of n and of 1 over the way in the medium, in the
-    world's units; `transmittance` (N, C) of that way. `index` (N,): n at its end. `steps` (N,) int32. `shape_id` (N,)
-    int32: the shape at the end. `valid` (N,) bool: the ray went into the medium and came out of it, or met a surface in
-    it.
+    world's units. `transmittance` (N, C) of that way, and `emission` (N, C): radiance over n^2 that the medium sends
+    back along it, at its beginning; C is 1 where the medium has no colours. `index` (N,): n at its end. `steps` (N,)
+    int32. `shape_id` (N,) int32: the shape at the end. `valid` (N,) bool: the ray went into the medium and came out of
+    it, or met a surface in it.
     """
 
     position: torch.Tensor
@@ -40,6 +42,7 @@ class BentRays(NamedTuple):
     optical_path: torch.Tensor
     length: torch.Tensor
     transmittance: torch.Tensor
+    emission: torch.Tensor
     index: torch.Tensor
     steps: torch.Tensor
     shape_id: torch.Tensor
@@ -69,9 +72,9 @@ def trace(
 
     The rays are those of a numerical solution (velocity Verlet with steps of about a voxel), and derivatives are those
     of exactly this solution, in memory that does not grow with the number of steps: by rays, `index`, `index_base`,
-    `index_scale`, `to_world`, `ext_ior`, `sigma_t`, and by the shapes where rays go in and out; in reverse and forward
-    mode, once. The length of steps, which follows `to_world` and the largest index, counts as constant. At corners of
-    the boundary, where a ray changes from one face to another, rays jump.
+    `index_scale`, `to_world`, `ext_ior`, `sigma_t`, `emission`, `scale`, and by the shapes where rays go in and out; in
+    reverse and forward mode, once. The length of steps, which follows `to_world` and the largest index, counts as
+    constant. At corners of the boundary, where a ray changes from one face to another, rays jump.
 
     Args:
         scene: where.
@@ -97,63 +100,117 @@ def trace(
         refuse_batches(tensor)
     row = _row_of(layout, shape)
     medium = _Medium.of(layout, tensors, row, shape)
-    native = scene.native(layout, [tuple(t.shape) for t in tensors])
+    native, count = scene.native(layout, [tuple(t.shape) for t in tensors]), len(origins)
     surfaces = Surfaces.of(scene, layout, tensors)
 
     # the way in
     towards = normalize(directions.detach())
     first = find_hits(native, tensors, origins, towards, limits)
-    facing = dot(first.normal, towards)
     rows = (first.shape_id == row).nonzero()[:, 0]
     # after the choice: what is not a direction has derivatives that are no numbers, not zeros
-    o, d, outside = origins[rows], normalize(directions[rows]), (facing[rows] < 0)[:, None]
-    entry = surfaces.meet(first.shape_id[rows], first.prim_id[rows], o, d, first.t[rows])
-    x = torch.where(outside, entry.position, o)
-    bending = medium.bending(native)
-    n, _ = medium.index_at(bending, x)
-    p, through = medium.refracted(d, _refracting(entry), n, outside)
-    amount = OFFSET * (1 + x.detach().abs().amax(1, True))
-    offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
+    o, d, towards, shapes, primitives, t, normal = _chosen(
+        rows, count, origins, directions, towards, first.shape_id, first.prim_id, first.t, first.normal
+    )
+    outside = (dot(normal, towards) < 0)[:, None]
+    d, q, refracting, offset = _enter(surfaces, medium, o, d, shapes, primitives, t, outside)
+    light = Light.of(scene, layout, native, tensors, medium.number)
+    bending = medium.bending(native, light.look_up)
+    value, _ = Field.apply(bending, medium.values, q)
+    u, through = medium.refracted(d, refracting, value, outside)
 
     # through the medium
-    q, u = medium.to_voxels(x), medium.step * transform_vector(medium.inverse, p)
     plain = [t.detach() for t in (offset, *tensors)]
-    flights = Flights.apply(bending, medium.values, medium.kick, q, u, *plain)
-    last_q, last_u, sums, _, steps, hit, primitive, t = flights
-    x, v = medium.to_world(last_q), transform_vector(medium.matrix, last_u)
+    grids = light.grids(medium.matrix, medium.origin)
+    flights = Flights.apply(bending, medium.values, medium.kick, q, u, *grids, *plain)
+    last_q, last_u, sums, depth, emitted, _, steps, hit, primitive, t = flights
     _warn_of_lost(hit, through)
     usable = ((hit >= 0) & through).nonzero()[:, 0]
-    rows, steps, hit = rows[usable], steps[usable], hit[usable]
-    x, v, sums = x[usable], v[usable], sums[usable]
+    ends = (rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted)
+    rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted = _chosen(usable, len(hit), *ends)
 
     # and out
-    end = surfaces.meet(hit, primitive[usable], x, v, t[usable])
-    n, slope = medium.index_at(bending, end.position)
-    rest = end.t - 0.5  # the last kick is of what is left of it
-    v = v + rest[:, None] * slope * medium.step**2
-    sums = sums + rest[:, None] * torch.stack([n * n / 2, n], 1)
-    _warn_of_inaccuracy(v, n, medium.step)
-    along = normalize(v)
-    leaves = hit == row
-    direction, free = medium.leaving(along, _refracting(end), n, leaves[:, None])
-    good = free & ((dot(along.detach(), end.normal.detach()) > 0) | ~leaves)
-    length = sums[:, 1] * medium.step
-    found = {
-        "position": end.position,
-        "direction": direction,
-        "optical_path": sums[:, 0] * (2 * medium.step),
-        "length": length,
-        "transmittance": torch.exp(-length[:, None] * medium.sigma_t),
-        "index": n,
-        "steps": steps,
-        "shape_id": hit,
-    }
-    rows = rows[good]
-    valid = torch.zeros(len(origins), dtype=torch.bool)
+    position, q, refracting, v, rest, behind = _arrive(surfaces, medium, hit, primitive, last_q, last_u, t)
+    value, slope = Field.apply(bending, medium.values, q)
+    leaves = (hit == row)[:, None]
+    *found, free, error = _leave(
+        medium, light, position, refracting, v, rest, behind, value, slope, leaves, sums, depth, emitted
+    )
+    _warn_of_inaccuracy(error)
+    good = free.nonzero()[:, 0]
+    rows, *found = _chosen(good, len(free), rows, position, *found, steps, hit)
+    if len(rows) == count:
+        return BentRays(*found, valid=torch.ones(count, dtype=torch.bool))
+    valid = torch.zeros(count, dtype=torch.bool)
     valid[rows] = True
-    count = len(origins)
-    spread = {name: x.new_zeros(count, *x.shape[1:]).index_put((rows,), x[good]) for name, x in found.items()}
-    return BentRays(**spread, valid=valid)
+    spread = [x.new_zeros(count, *x.shape[1:]).index_put((rows,), x) for x in found]
+    return BentRays(*spread, valid=valid)
+
+
+def _enter(
+    surfaces: Surfaces,
+    medium: _Medium,
+    o: torch.Tensor,
+    d: torch.Tensor,
+    shape: torch.Tensor,
+    primitive: torch.Tensor,
+    t: torch.Tensor,
+    outside: torch.Tensor,
+) -> tuple[torch.Tensor, ...]:
+    """Rays to the boundary, or from inside of it: direction, place in voxels, normal, and where surfaces count from."""
+    d = normalize(d)
+    entry = surfaces.meet(shape, primitive, o, d, t)
+    x = torch.where(outside, entry.position, o)
+    amount = OFFSET * (1 + x.detach().abs().amax(1, True))
+    offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
+    return d, medium.to_voxels(x), _refracting(entry), offset
+
+
+def _arrive(
+    surfaces: Surfaces,
+    medium: _Medium,
+    shape: torch.Tensor,
+    primitive: torch.Tensor,
+    last_q: torch.Tensor,
+    last_u: torch.Tensor,
+    t: torch.Tensor,
+) -> tuple[torch.Tensor, ...]:
+    """From the last kick to the surface: its place, also in voxels, normal, velocity, what is left of the last kick."""
+    v = transform_vector(medium.matrix, last_u)
+    end = surfaces.meet(shape, primitive, medium.to_world(last_q), v, t)
+    return end.position, medium.to_voxels(end.position), _refracting(end), v, end.t - 0.5, end.normal.detach()
+
+
+def _leave(
+    medium: _Medium,
+    light: Light,
+    position: torch.Tensor,
+    refracting: torch.Tensor,
+    v: torch.Tensor,
+    rest: torch.Tensor,
+    behind: torch.Tensor,
+    value: torch.Tensor,
+    slope: torch.Tensor,
+    leaves: torch.Tensor,
+    sums: torch.Tensor,
+    depth: torch.Tensor,
+    emitted: torch.Tensor,
+) -> tuple[torch.Tensor, ...]:
+    """Fields of `BentRays` from the direction to the index, which rays come out, and how far |p| / n is off 1."""
+    n = medium.index_of(value)
+    v = v + rest[:, None] * transform_vector(medium.inverse.T, slope) * medium.step**2
+    sums = sums + rest[:, None] * torch.stack([n * n / 2, n], 1)
+    along = normalize(v)
+    direction, free = medium.leaving(along, refracting, n, leaves)
+    free = free & ((dot(along.detach(), behind) > 0) | ~leaves[:, 0])
+    length = sums[:, 1] * medium.step
+    brought = light.at_end(position, n, length, rest * medium.step, depth, emitted)
+    error = (torch.linalg.vector_norm(v.detach(), dim=1) / (n.detach() * medium.step) - 1).abs()
+    return direction, sums[:, 0] * (2 * medium.step), length, *brought, n, free, error
+
+
+def _chosen(rows: torch.Tensor, count: int, *tensors: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """These rows of tensors that have `count`; the tensors themselves if that is all of them."""
+    return tensors if len(rows) == count else tuple(t[rows] for t in tensors)
 
 
 @dataclass
@@ -174,7 +231,6 @@ class _Medium:
     step: float
     number: int
     ext_ior: torch.Tensor | None
-    sigma_t: torch.Tensor
 
     @classmethod
     def of(cls, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
@@ -195,12 +251,11 @@ class _Medium:
         g = step**2 * (inverse[:, None, :] * inverse[None, :, :]).sum(-1)  # sums keep their precision under autocast
         kick = torch.stack([g[0, 0], g[1, 1], g[2, 2], g[0, 1], g[0, 2], g[1, 2]])
         quadratic = field["interpolation"] == 1
-        sigma_t = tensors[field["sigma_t"]].reshape(-1)
-        return cls(values, constant, quadratic, matrix, inverse, to_world[:3, 3], kick, step, number, ext_ior, sigma_t)
+        return cls(values, constant, quadratic, matrix, inverse, to_world[:3, 3], kick, step, number, ext_ior)
 
-    def bending(self, native: NativeScene) -> Bending:
+    def bending(self, native: NativeScene, look_up: dict[str, tuple[int, int]]) -> Bending:
         size = self.values.shape[2] - 4, self.values.shape[1] - 4, self.values.shape[0] - 4
-        return Bending(native, size, self.constant, self.quadratic, self.number)
+        return Bending(native, size, self.constant, self.quadratic, self.number, self.step, look_up)
 
     def to_voxels(self, x: torch.Tensor) -> torch.Tensor:
         return transform_vector(self.inverse, x - self.origin)
@@ -208,20 +263,19 @@ class _Medium:
     def to_world(self, q: torch.Tensor) -> torch.Tensor:
         return transform_vector(self.matrix, q) + self.origin
 
-    def index_at(self, bending: Bending, x: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The index (N,) and the gradient of Phi (N, 3) in the world."""
-        value, slope = Field.apply(bending, self.values, self.to_voxels(x))
-        return torch.sqrt(2 * (value + self.constant)), transform_vector(self.inverse.T, slope)
+    def index_of(self, value: torch.Tensor) -> torch.Tensor:
+        return torch.sqrt(2 * (value + self.constant))
 
     def refracted(
-        self, d: torch.Tensor, normal: torch.Tensor, n: torch.Tensor, outside: torch.Tensor
+        self, d: torch.Tensor, normal: torch.Tensor, value: torch.Tensor, outside: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The direction times n of rays in the medium, those from outside refracted; whether there are any."""
-        straight = d * n[:, None]
-        if self.ext_ior is None:
-            return straight, torch.ones_like(outside[:, 0])
-        tangential, along, possible = _snell(d, normal, self.ext_ior, n, outside)
-        return torch.where(outside, tangential - normal * along, straight), possible
+        """Velocities of rays in the medium, those from outside refracted; whether there are any."""
+        n = self.index_of(value)
+        p, possible = d * n[:, None], torch.ones_like(outside[:, 0])
+        if self.ext_ior is not None:
+            tangential, along, possible = _snell(d, normal, self.ext_ior, n, outside)
+            p = torch.where(outside, tangential - normal * along, p)
+        return self.step * transform_vector(self.inverse, p), possible
 
     def leaving(
         self, d: torch.Tensor, normal: torch.Tensor, n: torch.Tensor, leaves: torch.Tensor
@@ -284,10 +338,8 @@ def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:
             warnings.warn(f"gradientindex.trace: {count} of {len(hit)} rays {text}", RangeWarning, stacklevel=4)
 
 
-def _warn_of_inaccuracy(v: torch.Tensor, n: torch.Tensor, step: float) -> None:
-    with torch.no_grad():
-        error = (torch.linalg.vector_norm(v, dim=1) / (n * step) - 1).abs()
-        worst = float(error.amax()) if len(error) else 0.0
+def _warn_of_inaccuracy(error: torch.Tensor) -> None:
+    worst = float(error.amax()) if len(error) else 0.0
     if worst > INACCURATE:
         text = (
             f"gradientindex.trace: |p| / n, which is 1 along a ray, is off by {worst:.1%}: the index changes too fast "

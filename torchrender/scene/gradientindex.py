@@ -37,7 +37,11 @@ class GradientIndexMedium(Medium):
             differences, as of gases, keep their precision.
         to_world: 4x4 matrix, from the unit cube that the grid fills to the world; not singular.
         ext_ior: index of refraction outside of dielectric boundaries; default 1.000277, that of air.
-        sigma_t: absorption per unit length, not negative (a number or a colour); default 0.
+        sigma_t: absorption per unit length, not negative (number, colour or volume); default 0.
+        emission: radiance emitted per unit length, not negative (number, colour or volume); none by default. Outside of
+            the medium it is divided by the square of the index where it was emitted. Grids of both go on beyond their
+            cubes as their `wrap_mode` says; the filter "nearest" makes steps, whose motion derivatives leave out.
+        scale: a factor of the absorption, not negative; default 1.
         interpolation: ``"cubic"`` or ``"quadratic"``, 1.7 times faster, with a gradient that has kinks.
         step: the length of a step at most, in units of a voxel's shortest side; default 1. Up to twice the longest
             side, which may be long along axes where the index does not vary, as in air above a road; in single
@@ -47,6 +51,7 @@ class GradientIndexMedium(Medium):
 
     type = "gradientindex"
     words: ClassVar[tuple[str, ...]] = ("filename",)
+    filled: ClassVar[tuple[str, ...]] = ("sigma_t",)
 
     @classmethod
     def parameter_names(cls) -> list[str]:

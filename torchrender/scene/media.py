@@ -18,11 +18,34 @@ class Medium(Plugin):
     """What all media share. An object of this class may be the medium of several shapes and cameras."""
 
     category = "medium"
+    filled: ClassVar[tuple[str, ...]] = ()  # volumes that have their default where none is given
+
+    def _fill(self, ctx: Context) -> None:
+        super()._fill(ctx)
+        for name in self.filled:
+            if self._child(name) is None and not self._waits_for(name):
+                self._modules[name] = build({"type": "constvolume", "value": self.fields()[name].default}, ctx.at(name))
+
+    def resolve(self, lookup: Any, ctx: Context) -> None:
+        super().resolve(lookup, ctx)
+        self._fill(ctx)
+
+    def adopt(self, child: Plugin, ctx: Context) -> None:
+        if child.category == "volume":
+            names = [n for n in VOLUMES if n in self.fields()]
+            ctx.error(f"a volume goes by the name of what it stands for: {', '.join(names)}")
+        super().adopt(child, ctx)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        super().__setattr__(name, value)
+        if value is None and self.__dict__.get("_built", False) and self.aliases.get(name, name) in self.fields():
+            self._fill(self._own_context())  # the default is back
 
 
 class ScatteringMedium(Medium):
     """A medium that light travels through in straight lines until it is scattered."""
 
+    filled: ClassVar[tuple[str, ...]] = ("sigma_t", "albedo")
     aliases: ClassVar[dict[str, str]] = {"phase": "phase_function"}
     renames: ClassVar[dict[str, str]] = {"phase": "phase_function"}
     # Of how emitters are sampled the noise alone depends, and the extinction itself says whether it has colours.
@@ -40,25 +63,8 @@ class ScatteringMedium(Medium):
 
     def _fill(self, ctx: Context) -> None:
         super()._fill(ctx)
-        for name in ("sigma_t", "albedo"):
-            if self._child(name) is None and not self._waits_for(name):
-                self._modules[name] = build({"type": "constvolume", "value": self.fields()[name].default}, ctx.at(name))
         if self._child("phase_function") is None and not self._waits_for(None, "phase_function"):
             self._modules["phase_function"] = plugin_class("phase", "isotropic")(_context=ctx.at("phase_function"))
-
-    def resolve(self, lookup: Any, ctx: Context) -> None:
-        super().resolve(lookup, ctx)
-        self._fill(ctx)
-
-    def adopt(self, child: Plugin, ctx: Context) -> None:
-        if child.category == "volume":
-            ctx.error(f"a volume goes by the name of what it stands for: {', '.join(VOLUMES)}")
-        super().adopt(child, ctx)
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        super().__setattr__(name, value)
-        if value is None and self.__dict__.get("_built", False) and self.aliases.get(name, name) in self.fields():
-            self._fill(self._own_context())  # the default is back
 
     def extra_repr(self) -> str:
         return ""

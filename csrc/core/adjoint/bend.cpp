@@ -47,6 +47,16 @@ struct PlaceAdjoint {
     // Of a point A q + b.
     TR_HD void add_point(const Vec3<F> &y, const Vec3<F> &q) { add(y, q), b = b + y; }
 
+    // Of a map from voxels into a grid's cube, which a map V into it from the world follows.
+    template <class S>
+    TR_HD void add_map(const S *v, const MapAdjoint<F> &map) {
+        for (int k = 0; k < 3; ++k) {
+            const Vec3<F> y = transform_normal(v, map.column(k));
+            a[0][k] = a[0][k] + y.x, a[1][k] = a[1][k] + y.y, a[2][k] = a[2][k] + y.z;
+        }
+        b = b + transform_normal(v, map.column(3));
+    }
+
     // G = step^2 A^-1 A^-T: -2 A^-T G_bar G, of a symmetric G_bar.
     template <class S>
     TR_HD void add_kick(const BendMedium<S> &medium, const F (&kick)[6]) {
@@ -73,10 +83,35 @@ struct PlaceAdjoint {
     }
 };
 
+// Of where the medium is, and where the volume is, from the adjoint of the map between them.
+template <class F>
+TR_NOINLINE void sweep_map(const SceneOf<F> &scene, const BendVolume<ScalarOf<F>> &of, const MapAdjoint<F> &map,
+                           const MaskOf<F> &active, PlaceAdjoint<F> &place, GradientSink<F> &sink) {
+    if (of.volume < 0 || scene.volumes[of.volume].kind != int32_t(VolumeKind::Grid)) return;
+    const ScalarOf<F> *v = scene.volume_to_local + 12 * of.volume;
+    place.add_map(v, map);
+    // V = P^-1, and d V = -V dP V: sums over points of the cube times their adjoints
+    PlaceAdjoint<F> own;
+    for (int i = 0; i < 3; ++i) {
+        const F row[4] = {map.m[4 * i], map.m[4 * i + 1], map.m[4 * i + 2], map.m[4 * i + 3]};
+        for (int k = 0; k < 3; ++k) {
+            const ScalarOf<F> *to = of.to_local + 4 * k;
+            own.a[i][k] = row[0] * to[0] + row[1] * to[1] + row[2] * to[2] + row[3] * to[3];
+        }
+    }
+    const int32_t offset = scene.volumes[of.volume].field[GridVolume::ToWorld];
+    for (int k = 0; k < 4; ++k) {
+        const Vec3<F> y =
+            transform_normal(v, k < 3 ? Vec3<F>{own.a[0][k], own.a[1][k], own.a[2][k]} : map.column(3)) * F(-1);
+        sink.scalar(IntOf<F>(offset + k), y.x, active), sink.scalar(IntOf<F>(offset + 4 + k), y.y, active);
+        sink.scalar(IntOf<F>(offset + 8 + k), y.z, active);
+    }
+}
+
 template <int T, class F>
 TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
                                           const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                          const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar,
+                                          const Vec3<F> &d, const Vec3<F> &d_bar, const BentLight<F> &brought,
                                           HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink) {
     using S = ScalarOf<F>;
     const BendField<S> &field = medium.field;
@@ -85,6 +120,11 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     auto add = [&](const BendPoint<T, F> &point, const F &value, const Vec3<F> &slope, const MaskOf<F> &lanes) {
         add_values(medium, point, value, slope, lanes, sink);
     };
+
+    const Spectrum<F> none = uniform_spectrum(F(0));
+    LightBack<F> along{
+        {scene, medium.light, sink.waves}, sink, brought.begin_bar, none, bent.depth, brought.arrived, {}, {}};
+    LightBack<F> *light = medium.varies ? &along : nullptr;
 
     BendState<F> s = state_from_bits(bent.q, bent.u);
     const Vec3<F> u = velocity_of(s), v = transform_vector(medium.to_world, u);
@@ -100,17 +140,20 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     const Vec3<F> end_bar = transform_normal(medium.to_world, unnormalize(d, d_bar, inverse));
     const Vec3<F> kick = symmetric_times<F>(field.kick, end_bar) * weight;
     const F n_end = refractive_index(last.jet.value, medium.constant, LeastSquare<S>);
-    const F way_bar = length_bar * F(medium.step), value = way_bar * weight / n_end;  // the way is a sum of n
+    const F way_bar = brought.length_bar * F(medium.step);  // the way is a sum of n
+    LightKick<F> own;
+    if (light) own = light->kick(position_of(end, bits), n_end, weight, active);
+    const F value = way_bar * weight / n_end + own.value;
     add(last, value, kick, active);
     const Vec3<F> end_p_bar =
-        transform_normal(medium.to_voxels, symmetric_times<F>(last.jet.curve, kick) + last.jet.slope * value);
+        transform_normal(medium.to_voxels, symmetric_times<F>(last.jet.curve, kick) + last.jet.slope * value + own.q);
     hit.p = hit.p + end_p_bar;
     PlaceAdjoint<F> place;
     place.add_point(-end_p_bar, position_of(end, bits));
     place.add(unnormalize(d, d_bar, inverse), u + force * weight);
 
     // the hit slides along the last step
-    const F t_bar = (dot(force, end_bar) + n_end * way_bar) * inverse_speed;
+    const F t_bar = (dot(force, end_bar) + n_end * way_bar + own.weight) * inverse_speed;
     hit.p = hit.p + straight * t_bar;
     const Arrival<F> in{MaskOf<F>(true), straight, bent.rest * speed, straight, zero, F(0)};
     const RayAdjoint<F> leg = sweep_surface(scene, at, p, in, hit, active, sink);
@@ -121,7 +164,7 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     BendAdjoint<F> a{transform_normal(medium.to_world, o_bar), end_bar + transform_normal(medium.to_world, v_bar), F(0),
                      way_bar};
     a.add_kick(weight, end_bar, last.jet.slope);
-    fly_back<T, F>(field, medium.constant, s, bits, IntOf<F>(bent.steps), a, active, add);
+    fly_back<T, F>(field, medium.constant, s, bits, IntOf<F>(bent.steps), a, active, add, light);
 
     // u = step n d at the beginning
     const Vec3<F> direction = normalize(transform_vector(medium.to_world, velocity_of(s)));
@@ -135,6 +178,10 @@ TR_NOINLINE RayAdjoint<F> sweep_flight_of(const SceneOf<F> &scene, const BendMed
     place.add_point(-ray.o, position_of(s, bits));
     place.add(-ray.d, transform_vector(medium.to_voxels, direction));
     place.add_kick(medium, a.kick);
+    if (light) {
+        sweep_map(scene, medium.light.extinction, along.extinction, active, place, sink);
+        sweep_map(scene, medium.light.emission, along.emission, active, place, sink);
+    }
     place.hand_to(medium, active, sink);
     return ray;
 }
@@ -161,11 +208,10 @@ TR_NOINLINE void sweep_index_of(const BendMedium<ScalarOf<F>> &medium, const Vec
 template <class F>
 TR_LARGE RayAdjoint<F> sweep_flight(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
                                     const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                    const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar, HitAdjoint<F> hit,
-                                    const MaskOf<F> &active, GradientSink<F> &sink) {
-    return medium.quadratic
-               ? sweep_flight_of<3, F>(scene, medium, bent, at, p, d, d_bar, length_bar, hit, active, sink)
-               : sweep_flight_of<4, F>(scene, medium, bent, at, p, d, d_bar, length_bar, hit, active, sink);
+                                    const Vec3<F> &d, const Vec3<F> &d_bar, const BentLight<F> &light,
+                                    HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink) {
+    return medium.quadratic ? sweep_flight_of<3, F>(scene, medium, bent, at, p, d, d_bar, light, hit, active, sink)
+                            : sweep_flight_of<4, F>(scene, medium, bent, at, p, d, d_bar, light, hit, active, sink);
 }
 
 template <class F>
@@ -190,7 +236,7 @@ TR_LARGE void sweep_boundary(const SceneOf<F> &scene, const SurfacePoint<F> &at,
 #define TR_INSTANTIATE(F, S)                                                                                         \
     template RayAdjoint<F> sweep_flight(const SceneView<S> &, const BendMedium<S> &, const BentPacket<F> &,          \
                                         const SurfacePoint<F> &, const Vec3<F> &, const Vec3<F> &, const Vec3<F> &,  \
-                                        const F &, HitAdjoint<F>, const MaskOf<F> &, GradientSink<F> &);             \
+                                        const BentLight<F> &, HitAdjoint<F>, const MaskOf<F> &, GradientSink<F> &);  \
     template void sweep_index(const BendMedium<S> &, const Vec3<F> &, const F &, const MaskOf<F> &, HitAdjoint<F> &, \
                               GradientSink<F> &);                                                                    \
     template void sweep_boundary(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &, const F &,          \

@@ -12,6 +12,7 @@
 
 #include "../medium/bend_medium.h"
 #include "../state/queues.h"
+#include "bend_light.h"
 #include "surface.h"
 
 namespace tr {
@@ -101,14 +102,19 @@ struct BendAdjoint {
     }
 };
 
-// One kick of weight w backwards; the values' part goes to add(point, value, slope, lanes). `constant`: that of Phi.
+// One kick of weight w backwards; the values' part goes to add(point, value, slope, lanes). `constant`: that of Phi;
+// `light`: null, or what the medium does to it.
 template <int T, class F, class S, class Add>
 TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const F &w,
-                         BendAdjoint<F> &adjoint, const MaskOf<F> &active, Add &&add) {
+                         BendAdjoint<F> &adjoint, const MaskOf<F> &active, Add &&add, LightBack<F> *light) {
     const BendPoint<T, F> at(field, s, bits, active);
     const F weight = select(active, w, F(0)), n = refractive_index(at.jet.value, constant);
     const Vec3<F> p = symmetric_times<F>(field.kick, adjoint.u) * weight, &slope = at.jet.slope;
-    const F value = weight * (adjoint.optical + select(mask<F>(n > F(0)), adjoint.length / n, F(0)));
+    F value = weight * (adjoint.optical + select(mask<F>(n > F(0)), adjoint.length / n, F(0)));
+    if (light) {
+        const LightKick<F> own = light->kick(position_of(s, bits), n, weight, active);
+        value = value + own.value, adjoint.q = adjoint.q + own.q;
+    }
     add(at, value, p, active);
     adjoint.q = adjoint.q + symmetric_times<F>(at.jet.curve, p) + slope * value;
     adjoint.add_kick(weight, adjoint.u, slope);
@@ -118,11 +124,11 @@ TR_INLINE void kick_back(const BendField<S> &field, S constant, BendState<F> &s,
 // The way back from the last kick over as many steps, which are half a kick, a drift, a kick, ..., a kick.
 template <int T, class F, class S, class Add>
 TR_INLINE void fly_back(const BendField<S> &field, S constant, BendState<F> &s, int bits, const IntOf<F> &steps,
-                        BendAdjoint<F> &adjoint, MaskOf<F> active, Add &&add) {
+                        BendAdjoint<F> &adjoint, MaskOf<F> active, Add &&add, LightBack<F> *light = nullptr) {
     IntOf<F> left = steps;
     while (any(active)) {
         const MaskOf<F> goes_on = active && mask<F>(left > IntOf<F>(0));
-        kick_back<T, F>(field, constant, s, bits, select(goes_on, F(1), F(S(0.5))), adjoint, active, add);
+        kick_back<T, F>(field, constant, s, bits, select(goes_on, F(1), F(S(0.5))), adjoint, active, add, light);
         active = goes_on;
         left = left - 1;
         adjoint.u = select(active, adjoint.u + adjoint.q, adjoint.u);
@@ -137,10 +143,11 @@ struct BendTangent {
     F optical, length;
 };
 
-// One kick of weight w with its derivative: forwards. `tangent`: that of the field's values and of G, zero if null.
+// One kick of weight w with its derivative: forwards. `tangent`: that of the field's values and of G, zero if null;
+// `light`: null, or what the medium does to it.
 template <int T, class F, class S>
 TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tangent, S constant, BendState<F> &s,
-                            int bits, const F &w, BendTangent<F> &d, const MaskOf<F> &active) {
+                            int bits, const F &w, BendTangent<F> &d, const MaskOf<F> &active, LightForward<F> *light) {
     const BendPoint<T, F> at(field, s, bits, active);
     const BendJet<F> &jet = at.jet;
     Vec3<F> slope = symmetric_times<F>(jet.curve, d.q);
@@ -150,21 +157,31 @@ TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tange
         slope = slope + change.slope, value = value + change.value;
     }
     const F weight = select(active, w, F(0)), n = refractive_index(jet.value, constant);
+    const F d_n = select(mask<F>(n > F(0)), value / n, F(0));
+    if (light) light->kick(position_of(s, bits), d.q, n, d_n, weight, active);
     d.u = d.u + (symmetric_times<F>(field.kick, slope) + symmetric_times<F>(tangent.kick, jet.slope)) * weight;
     d.optical = fmadd(weight, value, d.optical);
-    d.length = fmadd(weight, select(mask<F>(n > F(0)), value / n, F(0)), d.length);
+    d.length = fmadd(weight, d_n, d.length);
     kick<F, false>(s, symmetric_times<F>(field.kick, jet.slope) * w, active);
 }
 
 // ------------------------------------------------------------------------------------------------------------ paths
+// What becomes of light along the way: adjoints of the way's length, where that is all that matters, and of the light
+// where the ray began; and what arrives at its end.
+template <class F>
+struct BentLight {
+    F length_bar{0};
+    Spectrum<F> begin_bar = uniform_spectrum(F(0)), arrived = uniform_spectrum(F(0));
+};
+
 // A ray that came through a medium to the surface point p, along d at its end, `bent` being what is kept of it: from
-// adjoints of the point, of d and of the way's length that of the ray where it entered the medium; that of the medium
-// goes to the sink.
+// adjoints of the point, of d and of light that of the ray where it entered the medium; that of the medium goes to the
+// sink.
 template <class F>
 TR_LARGE RayAdjoint<F> sweep_flight(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium,
                                     const BentPacket<F> &bent, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                    const Vec3<F> &d, const Vec3<F> &d_bar, const F &length_bar, HitAdjoint<F> hit,
-                                    const MaskOf<F> &active, GradientSink<F> &sink);
+                                    const Vec3<F> &d, const Vec3<F> &d_bar, const BentLight<F> &light,
+                                    HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink);
 
 // Of the index at surface points p: adds its adjoint to the sink, and to that of p.
 template <class F>

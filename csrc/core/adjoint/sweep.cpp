@@ -17,12 +17,12 @@ TR_INLINE Spectrum<F> branch_radiance(const SweepContext<F> &c, uint32_t level, 
     return Gathered<F>(slot, here)(c.branches->radiance);
 }
 
-// Of the ray to a vertex: straight, or bent by a medium. `log_bar`: see Arrival; `emitted_bar`: the adjoint of the
-// logarithm of what is emitted at the vertex.
+// Of the ray to a vertex: straight, or bent by a medium, with what that does to light. `log_bar`: see Arrival;
+// `emitted_bar`: the adjoint of the logarithm of what is emitted at the vertex.
 template <class F>
 TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
                                       const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar,
-                                      const F &emitted_bar, const F &length_bar, HitAdjoint<F> hit,
+                                      const F &emitted_bar, const BentLight<F> &light, HitAdjoint<F> hit,
                                       const MaskOf<F> &active, GradientSink<F> &sink) {
     if (!tape.bent.medium.at)
         return sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
@@ -38,32 +38,37 @@ TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumn
     for_each_bend<F>(c.scene, bent.medium, active, [&](const auto &medium, const MaskOf<F> &lanes) {
         if (any(lanes && mask<F>(abs(emitted_bar) > F(0))))  // of 1 / n^2
             sweep_index(medium, v.p, emitted_bar * F(-2) / local_index<F>(medium, v.p, lanes).n, lanes, hit, sink);
-        const RayAdjoint<F> found =
-            sweep_flight(c.scene, medium, bent, v.at, v.p, v.d, d_bar, length_bar, hit, lanes, sink);
+        const RayAdjoint<F> found = sweep_flight(c.scene, medium, bent, v.at, v.p, v.d, d_bar, light, hit, lanes, sink);
         r = {select(lanes, found.o, r.o), select(lanes, found.d, r.d)};
     });
     return r;
 }
 
-// Absorption on the way of bent rays: radiance r at its end becomes that at its beginning. Returns the adjoint of its
-// length.
+// What media do to light on the way of bent rays: radiance r at its end becomes that at its beginning. `delta`: the
+// path's adjoint. Where a medium is the same everywhere and dark its derivative is added here.
 template <class F>
-TR_NOINLINE F sweep_absorption(const SceneOf<F> &scene, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
-                               const Spectrum<F> &a, const MaskOf<F> &active, Spectrum<F> &r, GradientSink<F> &sink) {
-    Entries<F> from(i);
-    const F length = from(tape.bent.length);
-    const Spectrum<F> total = a * r;
-    F length_bar(0);
-    for_each_bend<F>(scene, from(tape.bent.medium), active, [&](const auto &medium, const MaskOf<F> &lanes) {
-        const Spectrum<F> through = transmittance<F>(scene, medium, length);
-        F sum(0);
-        for (int c = 0; c < SpectrumSize; ++c)
-            sum = fmadd(total[c], F(scene.values.constants[medium.sigma_t_offset + c]), sum);
-        length_bar = select(lanes, -sum, length_bar);
-        sink.spectrum(IntOf<F>(medium.sigma_t_offset), total * (-length), lanes);
-        r = select(lanes, r * through, r);
+TR_NOINLINE BentLight<F> sweep_bent_light(const SceneOf<F> &scene, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
+                                          const Spectrum<F> &delta, const MaskOf<F> &active, Spectrum<F> &r,
+                                          GradientSink<F> &sink) {
+    BentPacket<F> bent;
+    read(tape.bent, Entries<F>(i), bent);
+    BentLight<F> light;
+    light.begin_bar = pull(delta, bent.begin), light.arrived = r;
+    for_each_bend<F>(scene, bent.medium, active, [&](const auto &medium, const MaskOf<F> &lanes) {
+        const Spectrum<F> left = r * transmittance<F>(bent.depth);
+        if (!medium.varies) {
+            const LightAlong<F> along{scene, medium.light, sink.waves};
+            const Vec3<F> anywhere{F(0), F(0), F(0)};
+            const Spectrum<F> total = pull(light.begin_bar, left) * F(-1);
+            const int32_t offset = scene.volumes[medium.light.extinction.volume].field[ConstantVolume::Value];
+            sink.spectrum(IntOf<F>(offset), total * (bent.length * along.scale()), lanes);
+            const Spectrum<F> volume = along.at(medium.light.extinction, scene.values, anywhere, lanes);
+            sink.number(IntOf<F>(medium.light.scale_offset), total * volume * bent.length, lanes);
+            light.length_bar = select(lanes, contract(total, volume) * along.scale(), light.length_bar);
+        }
+        r = select(lanes, left + bent.emitted, r);
     });
-    return length_bar;
+    return light;
 }
 
 }  // namespace
@@ -169,15 +174,15 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
                   : sweep_segment(c.scene, segment, delta, v.beta, r, branch, needs.medium, active, sink);
     }
     const Spectrum<F> arrived = r;
-    F length_bar(0);
-    if (tape.bent.medium.at) length_bar = sweep_absorption(c.scene, tape, i, a, active, r, sink);
+    BentLight<F> light;
+    if (tape.bent.medium.at) light = sweep_bent_light(c.scene, tape, i, delta, active, r, sink);
     if (parents) hand_radiance(*parents, parent, r, active);
     if (needs.geometry && !moves) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
         if (kind != MissKind) {
-            ray = sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), contract(a, v.emission_radiance),
-                                length_bar, hit, active, sink);
+            ray = sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), contract(a, v.emission_radiance), light,
+                                hit, active, sink);
             u = glued_segment(v, active);
         }
         if (parents)
@@ -208,7 +213,7 @@ TR_LARGE Vec3<F> sweep_place(const SweepContext<F> &c, const TapeColumns<ScalarO
         sweep_scattering(c.scene, kind, v, uniform_spectrum(F(0)), next, c.needs, active, hit, d_bar, sink);
     else
         hit.p = hit.p + next.ray.o;
-    RayAdjoint<F> ray = sweep_arrival(c, tape, i, v, d_bar, F(0), F(0), F(0), hit, active, sink);
+    RayAdjoint<F> ray = sweep_arrival(c, tape, i, v, d_bar, F(0), F(0), BentLight<F>{}, hit, active, sink);
     if (parents)
         hand_motion(*parents, active_only<F>(from(tape.vertex.parent), active), ray, {F(0), F(0), F(0)}, v.p, v.at,
                     active);
@@ -250,12 +255,12 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
             sweep_light_scattering(c.scene, sensor, kind, v, connection, a, next, needs, active, hit, d_bar, sink);
         UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
         const Spectrum<F> arrived = r;
-        F length_bar(0);
-        if (tape.bent.medium.at) length_bar = sweep_absorption(c.scene, tape, i, a, active, r, sink);
+        BentLight<F> light;
+        if (tape.bent.medium.at) light = sweep_bent_light(c.scene, tape, i, uniform_spectrum(F(1)), active, r, sink);
         hand_radiance(*parents, parent, r, active);
         if (needs.geometry) {
             RayAdjoint<F> ray =
-                sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), F(0), length_bar, hit, active, sink);
+                sweep_arrival(c, tape, i, v, d_bar, contract(a, arrived), F(0), light, hit, active, sink);
             hand_motion(*parents, parent, ray, glued_segment(v, active), v.p, v.at, active);
         }
     }

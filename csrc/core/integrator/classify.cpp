@@ -1,5 +1,7 @@
 #include "classify.h"
 
+#include "../medium/bend_medium.h"
+
 namespace tr {
 
 namespace {
@@ -49,8 +51,12 @@ TR_LARGE IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, c
     kind = select(mask<I>(shows), I(MissKind), kind);
     if (!any(hit)) return kind;
     ShapeLanes<F> info(c.scene.shapes, shape, hit);
-    // at their last vertex paths bring emission alone
-    if (!volumetric && !step.scatters && step.depth > 0) hit = hit && mask<F>(info.emitter >= 0);
+    // at their last vertex paths bring emission alone, of which that on the way is known unless it has a derivative
+    if (!volumetric && !step.scatters && step.depth > 0) {
+        M brings = mask<F>(info.emitter >= 0);
+        if (c.tape && c.bent) brings = brings || emits<F>(c.scene, from(c.bent->medium), hit);
+        hit = hit && brings;
+    }
     if (!any(hit)) return kind;
     kind = surface_kinds(c, step, queue, hits, kinds, viewed, info.bsdf, hit, i, kind);
     if (volumetric && c.config.hide_emitters) {  // camera rays pass through lights

@@ -3,7 +3,7 @@
 
 #include "../scene.h"
 #include "../shape/surface.h"
-#include "bend.h"
+#include "bend_light.h"
 #include "medium.h"
 
 namespace tr {
@@ -18,8 +18,10 @@ struct BendMedium {
     S to_world[12], to_voxels[12];
     S step;  // of the parameter t, see bend.h
     S ext_ior;
-    int32_t ext_ior_offset, to_world_offset, sigma_t_offset;  // in the block of small parameters
-    S reach;  // steps that are longer in any coordinate ask for surfaces everywhere
+    int32_t ext_ior_offset, to_world_offset;  // in the block of small parameters
+    BendLight<S> light;
+    bool varies;  // what light loses depends on more than the length of its way
+    S reach;      // steps that are longer in any coordinate ask for surfaces everywhere
     int32_t max_steps;
     // Where surfaces may be that are not further away than a step: a bit a block, and how many blocks there are.
     const uint32_t *blocks;
@@ -61,6 +63,15 @@ TR_INLINE MaskOf<F> bends(const SceneOf<F> &scene, const IntOf<F> &medium, const
     return r;
 }
 
+// Of these media those that emit.
+template <class F>
+TR_INLINE MaskOf<F> emits(const SceneOf<F> &scene, const IntOf<F> &medium, const MaskOf<F> &active) {
+    MaskOf<F> r(false);
+    for (int32_t m = 0; m < scene.n_media; ++m)
+        if ((scene.media[m].flags & Bends) && scene.media[m].emission >= 0) r = r || (active && mask<F>(medium == m));
+    return r;
+}
+
 // Calls visit(medium, lanes) for the media that bend.
 template <class F, class Visit>
 TR_INLINE void for_each_bend(const SceneOf<F> &scene, const IntOf<F> &medium, const MaskOf<F> &active, Visit &&visit) {
@@ -71,11 +82,11 @@ TR_INLINE void for_each_bend(const SceneOf<F> &scene, const IntOf<F> &medium, co
     }
 }
 
-// What absorption leaves of light after a way of this length.
+// What an optical depth leaves of light.
 template <class F>
-TR_INLINE Spectrum<F> transmittance(const SceneOf<F> &scene, const BendMedium<ScalarOf<F>> &medium, const F &length) {
+TR_INLINE Spectrum<F> transmittance(const Spectrum<F> &depth) {
     Spectrum<F> r;
-    for (int c = 0; c < SpectrumSize; ++c) r[c] = exp(-length * F(scene.values.constants[medium.sigma_t_offset + c]));
+    for (int c = 0; c < SpectrumSize; ++c) r[c] = exp(-depth[c]);
     return r;
 }
 

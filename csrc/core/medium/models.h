@@ -46,7 +46,9 @@ struct GradientIndexMedium {
          "from the unit cube that the grid fills to the world"},
         {"ext_ior", Kind::Float, 1.000277, 1e-3, 1e3, BendEdges,
          "index of refraction outside of dielectric boundaries"},
-        {"sigma_t", Kind::Spectrum, 0, 0, INFINITY, "interior", "absorption per unit length"},
+        {"sigma_t", Kind::Volume, 0, 0, INFINITY, "interior", "absorption per unit length"},
+        {"emission", Kind::Volume, -1, 0, INFINITY, "interior", "radiance emitted per unit length; none: dark"},
+        {"scale", Kind::Float, 1, 0, INFINITY, "interior", "factor of the absorption"},
         {"interpolation", Kind::Int, 0, 0, 1, "", "B-splines of squared indices", Splines},
         {"step", Kind::Float, 1, 1e-3, 256, "none: a setting of the numerical solution",
          "length of steps in shortest sides of a voxel, at most"},
@@ -54,7 +56,7 @@ struct GradientIndexMedium {
          "after which a ray is given up; 0: the steps along 8 times three edges of the grid"},
     };
     static constexpr Model model = {
-        "medium", "gradientindex",      "A medium whose index of refraction varies: light in it bends.", fields, 9,
+        "medium", "gradientindex",      "A medium whose index of refraction varies: light in it bends.", fields, 11,
         0,        "GradientIndexMedium"};
 };
 

@@ -70,9 +70,13 @@ struct HitColumns {
 
 // By entry of a path queue, and on the tape: of rays through media that bend them the last step but one that is whole,
 // as the bits of the state's integers (medium/bend.h), how much of a step is left from there to the hit, the steps
-// before it, the length of all, and the medium; -1: the ray is straight.
+// before it, the length of all, and the medium; -1: the ray is straight. Also the path's throughput where the ray
+// began, its optical depth, and what the medium emits along it, as it comes out there.
+// clang-format off
 #define TR_BENT_COLUMNS(X) \
-    X(Vector, q) X(Vector, u) X(Number, rest) X(Index, steps) X(Number, length) X(Integer, medium)
+    X(Vector, q) X(Vector, u) X(Number, rest) X(Index, steps) X(Number, length) X(Integer, medium) \
+    X(Spectrum, begin) X(Spectrum, depth) X(Spectrum, emitted)
+// clang-format on
 
 template <class S>
 struct BentColumns {
