@@ -41,8 +41,10 @@ SETTINGS = Path(__file__).with_name("inverse_settings.json")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
     names = [problem.name for problem in PROBLEMS]
+    usual = [problem.name for problem in PROBLEMS if not problem.optional]
     parser.add_argument("--threads", type=positive, default=2, help="threads of every program (default %(default)s)")
-    parser.add_argument("--problem", nargs="+", choices=names, default=names, metavar="NAME", help="only these")
+    text = f"only these of {', '.join(names)} (default: {' '.join(usual)})"
+    parser.add_argument("--problem", nargs="+", choices=names, default=usual, metavar="NAME", help=text)
     parser.add_argument("--quick", action="store_true", help="every problem small")
     parser.add_argument(
         "--rounds", type=positive, default=1, help="runs, each with other samples (default %(default)s)"

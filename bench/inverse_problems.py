@@ -11,8 +11,10 @@ import numpy as np
 import torch
 
 import torchrender as tr
+from scenes import make_media
 
 from .inverse_task import Task, Unknown, View
+from .media import RR_DEPTH, SMOKE, Loaded
 from .rows import SCENES
 
 PRB = {"type": "prb", "rr_depth": 100}
@@ -22,7 +24,7 @@ PRB = {"type": "prb", "rr_depth": 100}
 class Problem:
     """A problem: its words, the relative error on held-out pictures to be reached, and what makes it.
 
-    `make` takes whether it is to be small. `setting` is where a search begins.
+    `make` takes whether it is to be small. `setting` is where a search begins. An `optional` one has to be named.
     """
 
     name: str
@@ -30,6 +32,7 @@ class Problem:
     target: float
     make: Callable[[bool], Task]
     setting: dict[str, Any]
+    optional: bool = False
 
     def goal(self, quick: bool) -> float:
         """The error to be reached; small problems have few pixels, and more noise."""
@@ -146,7 +149,7 @@ def environment(quick: bool) -> Task:
         scene,
         [
             Unknown("sky.data", np.full((height, 2 * height, 3), 0.4), low=1e-3, high=100.0),
-            Unknown("metal.bsdf.alpha.value", np.array(0.4), low=0.02, high=1.0, scale=0.3),
+            Unknown("metal.bsdf.alpha.value", np.array(0.4), low=0.02, high=1.0),
         ],
         [View(i) for i in range(count)],
         [View(other) for other in others],
@@ -230,6 +233,22 @@ def material(quick: bool) -> Task:
     )
 
 
+def smoke(quick: bool, size: int) -> Task:
+    """Densities of smoke from nine pictures around it; a tenth camera judges."""
+    resolution = 16 if quick else 128
+    with Loaded(SMOKE, size) as volume:
+        scene = tr.load_file(SCENES / SMOKE.file, resolution=resolution, **volume.arguments())
+    return Task(
+        scene,
+        [Unknown(SMOKE.parameter, np.full((size, size, size, 1), 0.02))],
+        [View(i) for i in range(make_media.VIEWS)],
+        [View(make_media.VIEWS)],
+        {"type": "prbvolpath", "max_depth": SMOKE.max_depth, "rr_depth": RR_DEPTH},
+        target_spp=1024,
+        judge_spp=64,
+    )
+
+
 def setting(spp: int, spp_grad: int, rate: float, halving: int) -> dict[str, Any]:
     """See `inverse_loop`."""
     return {"spp": spp, "spp_grad": spp_grad, "rate": rate, "halving": halving, "sampler": "independent"}
@@ -240,10 +259,32 @@ PROBLEMS = (
     Problem(
         "texture512",
         "texture of the monkey, 512²",
-        0.12,
+        0.07,
         lambda quick: texture(quick, 32 if quick else 512),
-        setting(1, 1, 0.1, 64),
+        setting(4, 4, 0.05, 10),
     ),
-    Problem("environment", "sky and roughness of a metal ball", 0.15, environment, setting(4, 4, 0.05, 64)),
+    Problem(
+        "texture2048",
+        "texture of the monkey, 2048²",
+        0.1,
+        lambda quick: texture(quick, 64 if quick else 2048),
+        setting(8, 8, 0.05, 20),
+    ),
+    Problem("environment", "sky and roughness of a metal ball", 0.12, environment, setting(4, 4, 0.05, 60)),
     Problem("material", "colour, roughness and normals of a sample", 0.15, material, setting(1, 1, 0.05, 64)),
+    Problem(
+        "smoke64",
+        "densities of smoke, 64³, 9 views",
+        0.1,
+        lambda quick: smoke(quick, 12 if quick else 64),
+        setting(4, 4, 0.05, 60),
+    ),
+    Problem(
+        "smoke128",
+        "densities of smoke, 128³, 9 views",
+        0.1,
+        lambda quick: smoke(quick, 16 if quick else 128),
+        setting(4, 4, 0.05, 60),
+        optional=True,
+    ),
 )
