@@ -31,7 +31,7 @@ from .inverse_race import Run, loaded, race, written
 from .inverse_search import Search, Setting
 from .inverse_task import Task
 from .measured import Measured
-from .peers import Peer
+from .peers import Peer, PeerError
 from .report import Result, Table
 
 RENDERS = False  # sizes and samples are the problems' own
@@ -163,6 +163,8 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
     for row, runs in zip(rows[1:], by_program[1:], strict=True):
         pairs = zip(runs, by_program[0], strict=True)
         row["seconds / ours"] = Measured.of(theirs.last.seconds / mine.last.seconds for theirs, mine in pairs)
+    for row in rows:
+        print(f"{row['problem']}, {row['program']}: {row['s']} s, error {row['error %']:.3g} %", file=sys.stderr)
     if options.folder:
         show(task, [runs[0] for runs in by_program], Path(options.folder) / f"{problem.name}.png")
     return rows, curves(problem, goal, [runs[0] for runs in by_program]), tried
@@ -170,6 +172,8 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
 
 def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
+    if options.threads < 2 and any(name == "mitsuba" for name, _ in options.peer):
+        raise PeerError("Mitsuba needs two threads: with one, 3.9.1 waits for ever where a scene has pictures to load")
     if options.folder:
         Path(options.folder).mkdir(parents=True, exist_ok=True)
     file = Path(options.settings)

@@ -186,6 +186,11 @@ def test_given_pictures_and_cameras(tmp_path):
     )
 
 
+def test_mitsuba_with_one_thread_is_refused(capsys):
+    assert main(["inverse", "--threads", "1", "--peer", "mitsuba=/no/such/python"]) == 2
+    assert "needs two threads" in capsys.readouterr().err
+
+
 def test_strides_come_to_every_picture():
     for count in (1, 2, 6, 9, 10, 16, 32):
         stride = stride_of(count)
