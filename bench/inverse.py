@@ -8,8 +8,8 @@ true pictures, is at the problem's target. Programs make their steps in turn.
 Seconds are those of all steps: rendering, derivatives, the optimiser. What starting takes (loading, the first steps, in
 which Mitsuba compiles or loads kernels) has a column of its own.
 
-Settings come from `inverse_settings.json`, each program's best at each problem as `--search` found them: samples of
-picture and derivative, learning rate and its decay, sampler.
+Settings come from `inverse_settings.json`, where `--search` puts each program's best at each problem: samples of picture
+and derivative, learning rate and its decay, sampler. Where there is none, both programs have the problem's own.
 """
 
 from __future__ import annotations
