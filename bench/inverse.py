@@ -8,8 +8,8 @@ true pictures, is at the problem's target. Programs make their steps in turn.
 Seconds are those of all steps: rendering, derivatives, the optimiser. What starting takes (loading, the first steps, in
 which Mitsuba compiles or loads kernels) has a column of its own.
 
-Settings come from `inverse_settings.json`, where `--search` puts each program's best at each problem: samples of picture
-and derivative, learning rate and its decay, sampler. Where there is none, both programs have the problem's own.
+Settings come from `inverse_settings.json`, where `--search` puts each program's best at each problem: samples of
+picture and derivative, learning rate and its decay, sampler. Where there is none, both programs have the problem's own.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import torchrender as tr
 
 from .arguments import peer_argument, positive
 from .inverse_problems import PROBLEMS, Problem
-from .inverse_race import Run, loaded, race, written
+from .inverse_race import Run, loaded, race
 from .inverse_search import Search, Setting
 from .inverse_task import Task
 from .measured import Measured
@@ -145,7 +145,8 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
         peers += [Peer(name, python, options.threads) for name, python in options.peer]
         versions |= {peer.key: peer.version for peer in peers[1:]}
         with tempfile.TemporaryDirectory(prefix="bench-") as made:
-            folder = written(task, Path(made) / problem.name)
+            folder = Path(made)
+            task.write(folder)
             differences = [loaded(peer, folder) for peer in peers]
             if options.search:
                 tried = search(problem, task, peers, folder, settings, options)

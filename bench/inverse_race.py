@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -79,11 +78,3 @@ def loaded(peer: Peer, folder: Path) -> float:
     difference = peer.ask("load_inverse", folder=str(folder))["difference"]
     peer.ask("settle")
     return difference
-
-
-def written(task: Task, folder: Path) -> Path:
-    """The folder with the task, made anew."""
-    if folder.exists():
-        shutil.rmtree(folder)
-    task.write(folder)
-    return folder

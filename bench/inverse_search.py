@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from .inverse_race import Run
+from .peers import PeerError
 
 # In this order; the rate once more at the end, for others change what is best there.
 NUMBERS = ("rate", "samples", "spp", "spp_grad", "halving", "rate")
@@ -65,9 +66,13 @@ class Search:
         if any(trial.setting == setting for trial in self.trials):
             return False
         run = self.run_of(setting)
-        run.begin()
-        while not run.over(self.target, self.cap) and not self._beaten(run):
-            run.check()
+        try:
+            run.begin()
+            while not run.over(self.target, self.cap) and not self._beaten(run):
+                run.check()
+        except PeerError as error:  # a sampler that does not take such a number of samples, values without bounds
+            print(f"{setting}: {error}", file=sys.stderr, flush=True)
+            return False
         last = run.last
         trial = Trial(setting, run.reached(self.target), last.iterations, last.seconds, self._cost(run), last.error)
         self.trials.append(trial)
@@ -90,6 +95,8 @@ class Search:
     def search(self, start: Setting, program: str, numbers: tuple[str, ...] = NUMBERS) -> Setting:
         """The best setting from `start` on."""
         self.attempt(start)
+        if self.best is None:
+            raise PeerError(f"{program}: no start with {start}")
         for name in numbers:
             self._along(name)
         for other in self._others(program):

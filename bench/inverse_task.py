@@ -94,8 +94,7 @@ class Task:
         return torch.ones_like(pictures) if self.dark is None else 1 / (pictures + self.dark)
 
     def write(self, folder: Path) -> None:
-        """Makes the folder that `inverse_loop` describes; the given pictures are kept if they are there."""
-        folder.mkdir(parents=True, exist_ok=True)
+        """Makes the folder that `inverse_loop` describes."""
         path = folder / "scene.xml"
         self.scene.save(path)
         path.write_text(with_free_sampler(path.read_text()))
