@@ -26,6 +26,7 @@ BENCHMARKS = {
     "volume_gradients": "time, variance, bias and memory of gradients of a cloud's densities",
     "visibility": "derivatives by what moves: efficiency and bias of silhouettes, shadows and indirect light",
     "caustics": "one iteration of a refractive height field that throws a picture",
+    "inverse": "inverse problems from start to result: seconds until pictures that were not fitted are right",
     "gradient_index": "rays through a medium whose index varies: time, memory, and PyTorch alone beside it",
     "distributed": "image and gradient by several processes: speed, bytes, a model of many machines",
     "endurance": "resident memory over a million steps with changing textures, vertices and scene edits",

@@ -57,13 +57,14 @@ class Loaded:
     def __exit__(self, *_: object) -> None:
         self.folder.cleanup()
 
-    def _arguments(self) -> dict[str, Any]:
+    def arguments(self) -> dict[str, Any]:
+        """What fills the file's `$parameters`."""
         volume = {self.medium.argument: str(self.path / "volume.vol")}
         return {**volume, "max_depth": self.medium.max_depth, "rr_depth": RR_DEPTH}
 
     def ours(self, options: argparse.Namespace, spp: int, **settings: Any) -> Ours:
         """This renderer's, ready; the file names the integrator."""
-        scene = tr.load_file(SCENES / self.medium.file, resolution=options.resolution, **self._arguments())
+        scene = tr.load_file(SCENES / self.medium.file, resolution=options.resolution, **self.arguments())
         settings = {"integrator": None, **settings, **dict(options.renderer)}
         return Ours(scene, (self.medium.parameter,), spp, **settings)
 
@@ -71,7 +72,7 @@ class Loaded:
         """Let a peer load it, to be differentiated by its integrator for that. PeerError if it has no media."""
         if KNOWN[peer.name].reads_arrays:
             raise PeerError(f"{peer.title} has no participating media")
-        arguments = {name: str(value) for name, value in self._arguments().items()}
+        arguments = {name: str(value) for name, value in self.arguments().items()}
         integrator = {"type": "prbvolpath", "max_depth": self.medium.max_depth, "rr_depth": RR_DEPTH}
         peer.ask(
             "load",

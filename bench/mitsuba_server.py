@@ -146,6 +146,18 @@ class Server:
     def caustics(self, seed: int, spp: int, spp_grad: int) -> dict:
         return self.plate.iteration(seed, spp, spp_grad)
 
+    def load_inverse(self, folder: str) -> dict:
+        from mitsuba_inverse import MitsubaLoop
+
+        self.inverse = MitsubaLoop(self.mi, self.dr, folder)
+        return self.inverse.difference(spp=64)
+
+    def begin_inverse(self, setting: dict, seed: int) -> dict:
+        return self.inverse.begin(setting, seed)
+
+    def advance_inverse(self, steps: int, file: str) -> dict:
+        return self.inverse.advance(steps, file)
+
     def load_moved(self, direction: list) -> dict:
         from mitsuba_visibility import Moved
 

@@ -32,6 +32,7 @@ class Table:
     notes: list[str] = field(default_factory=list)
     plot: dict[str, Any] | None = None
     part: str = ""  # tells the tables of one benchmark apart, where their rows may have the same labels
+    shown: bool = True  # False: too long to be printed; it is there for its plot
 
     @property
     def columns(self) -> list[str]:
@@ -135,6 +136,8 @@ def show(document: dict[str, Any], result: Result) -> None:
     """Print the tables, what they were measured on, and with which versions."""
     where = document["machine"]
     for table in result.tables:
+        if not table.shown:
+            continue
         print(f"\n{table.title}\n\n{markdown(table)}")
     threads = document["settings"].get("threads")
     used = "" if threads is None else f", {threads} threads"

@@ -111,6 +111,18 @@ class Server:
     def caustics(self, seed: int, spp: int, spp_grad: int, passes: int = 1) -> dict:
         return self.plate.iteration(seed, spp=spp, spp_grad=spp_grad, passes=passes)
 
+    def load_inverse(self, folder: str) -> dict:
+        from bench.inverse_ours import OurLoop
+
+        self.inverse = OurLoop(folder)
+        return {"difference": 0.0}
+
+    def begin_inverse(self, setting: dict, seed: int) -> dict:
+        return self.inverse.begin(setting, seed)
+
+    def advance_inverse(self, steps: int, file: str) -> dict:
+        return self.inverse.advance(steps, file)
+
     def load_moved(self, name: str, resolution: int, spp: int) -> dict:
         import tempfile
 

@@ -1,0 +1,84 @@
+"""What both halves of the inverse problems share: this module is also imported by the servers, in peers' environments.
+
+A task is a folder:
+
+    scene.xml       the scene that was photographed, with its cameras; its `$sampler` is free
+    task.json       `unknowns`: list of {"name", "low", "high", "scale"}; `views`: list of {"sensor", "set"}, the places
+                    of lamps among others; `integrator`: the peers'; `kind`, and what that needs (see `Loop`)
+    start.npz       where each unknown begins
+    targets.npy     the pictures, (views, H, W, 3), and weights.npy, by which differences are multiplied
+
+A setting is a dict: "spp" and "spp_grad", samples a pixel of picture and derivative; "rate", Adam's, times the
+unknown's `scale`; "halving", the iterations in which rates become half; "sampler"; others are the programs' own.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+BETAS = (0.9, 0.99)  # of Adam: all programs'
+EPSILON = 1e-15  # gradients of a mean by texels are tiny; its square must not be zero, which Mitsuba adds
+WARMUP = 3  # steps that are made and forgotten: what is compiled, is compiled then
+
+
+class Loop:
+    """One program's optimisation: `_prepare`, `_step`, `_values` are the program's."""
+
+    def __init__(self, folder: str) -> None:
+        import numpy as np
+
+        self.folder = Path(folder)
+        self.task = json.loads((self.folder / "task.json").read_text())
+        with np.load(self.folder / "start.npz") as start:
+            self.start = {name: start[name] for name in start.files}
+        self.targets, self.weights = (np.load(self.folder / f"{name}.npy") for name in ("targets", "weights"))
+        self.iteration = 0
+
+    def begin(self, setting: dict, seed: int) -> dict:
+        """Start values and a new optimiser; {"first": seconds that the steps before, which are forgotten, took}."""
+        self.setting, self.seed = setting, seed
+        start = time.perf_counter()
+        self._prepare()
+        self._steps(WARMUP)
+        first = time.perf_counter() - start
+        self._prepare()
+        self.iteration = 0
+        return {"first": first}
+
+    def advance(self, steps: int, file: str) -> dict:
+        """Makes steps, and saves the unknowns (numpy.savez) to a file.
+
+        {"seconds": of the steps alone, "cpu": the same of all threads on the processor}.
+        """
+        import numpy as np
+
+        start, cpu = time.perf_counter(), time.process_time()
+        self._steps(steps)
+        spent = {"seconds": time.perf_counter() - start, "cpu": time.process_time() - cpu}
+        np.savez(file, **self._values())
+        return spent
+
+    def _steps(self, count: int) -> None:
+        for _ in range(count):
+            rate = self.setting["rate"] * 0.5 ** (self.iteration / self.setting["halving"])
+            self._step(self._view(), self.seed * 1_000_003 + self.iteration, rate)
+            self.iteration += 1
+        self._finish()
+
+    def _view(self) -> int:
+        """Which picture an iteration looks at: each once before any comes again."""
+        return (self.iteration * self.task["stride"]) % len(self.targets)
+
+    def _prepare(self) -> None:
+        raise NotImplementedError
+
+    def _step(self, view: int, seed: int, rate: float) -> None:
+        raise NotImplementedError
+
+    def _finish(self) -> None:
+        """Waits until all that was begun is done."""
+
+    def _values(self) -> dict:
+        raise NotImplementedError

@@ -1,0 +1,80 @@
+"""Programs at one inverse problem, step by step in turn, until each has reached the error or its time is up."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from .inverse_task import Task
+from .peers import Peer
+
+HALVINGS = 10  # after which steps are too short to come any nearer
+GROWTH = 0.1  # an error is looked at when so many more steps have been made, relative to all before
+
+
+@dataclass(frozen=True)
+class Point:
+    """What was found after so many steps."""
+
+    iterations: int
+    seconds: float
+    cpu: float  # seconds of the processor, of all threads
+    error: float
+
+
+@dataclass
+class Run:
+    """One program with a setting and a seed: the clock runs while it makes steps, not while they are judged."""
+
+    peer: Peer
+    task: Task
+    setting: dict[str, Any]
+    folder: Path
+    seed: int = 0
+    points: list[Point] = field(default_factory=list)
+
+    def begin(self) -> None:
+        self.first = self.peer.ask("begin_inverse", setting=self.setting, seed=self.seed)["first"]
+        self.points = [Point(0, 0.0, 0.0, self.task.error({u.name: u.start for u in self.task.unknowns}))]
+
+    @property
+    def last(self) -> Point:
+        return self.points[-1]
+
+    def check(self) -> None:
+        """Some steps, and how good they are."""
+        last = self.last
+        steps = max(1, int(last.iterations * GROWTH))
+        file = self.folder / f"found_{self.peer.key.replace(' ', '_')}.npz"
+        spent = self.peer.ask("advance_inverse", steps=steps, file=str(file))
+        with np.load(file) as found:
+            self.found = {name: found[name] for name in found.files}
+        seconds, cpu = last.seconds + spent["seconds"], last.cpu + spent["cpu"]
+        self.points.append(Point(last.iterations + steps, seconds, cpu, self.task.error(self.found)))
+
+    def reached(self, target: float) -> bool:
+        return self.last.error <= target
+
+    def over(self, target: float, cap: float) -> bool:
+        """Whether the target is reached, or the time is up, or steps have become too short."""
+        late = self.last.seconds >= cap or self.last.iterations >= HALVINGS * self.setting["halving"]
+        return late or self.reached(target)
+
+
+def race(runs: Sequence[Run], target: float, cap: float) -> None:
+    """All runs to the target or to `cap` seconds; whoever has spent least is next, so that all see the same machine."""
+    for run in runs:
+        run.begin()
+    while left := [run for run in runs if not run.over(target, cap)]:
+        min(left, key=lambda run: run.last.seconds).check()
+
+
+def loaded(peer: Peer, folder: Path) -> float:
+    """The peer has the task of a folder; how far its picture of the truth is from the given one."""
+    difference = peer.ask("load_inverse", folder=str(folder))["difference"]
+    peer.ask("settle")
+    return difference

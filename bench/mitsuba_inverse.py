@@ -1,0 +1,125 @@
+"""Mitsuba's half of the inverse problems, for `mitsuba_server.py`, in Mitsuba's environment: `mi.ad.Adam`."""
+
+from __future__ import annotations
+
+from inverse_loop import BETAS, EPSILON, Loop
+
+
+class MitsubaLoop(Loop):
+    """See `Loop`. A setting's "integrator" has entries of the integrator that differ from the task's."""
+
+    def __init__(self, mi, dr, folder: str) -> None:
+        super().__init__(folder)
+        self.mi, self.dr = mi, dr
+        self.images = [mi.TensorXf(target) for target in self.targets]
+        self.weight = [mi.TensorXf(weight) for weight in self.weights]
+        self.bounds = {u["name"]: (self._bound(u["low"]), self._bound(u["high"])) for u in self.task["unknowns"]}
+        self.kept: dict = {}
+        self.columns: dict = {}  # where the padded texels of an environment map come from
+
+    def _bound(self, value):
+        """A number, or numbers of channels as a tensor."""
+        return self.mi.TensorXf(value, (1, 1, len(value))) if isinstance(value, list) else value
+
+    def _load(self, sampler: str) -> tuple:
+        """The scene with a sampler and its parameters, loaded once."""
+        mi = self.mi
+        if sampler not in self.kept:
+            # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
+            scene = mi.load_file(str(self.folder / "scene.xml"), sampler=sampler, optimize=False)
+            self.kept[sampler] = (scene, mi.traverse(scene))
+        return self.kept[sampler]
+
+    def difference(self, spp: int, block: int = 8) -> dict:
+        """How far Mitsuba's picture of the truth is from the first target: root mean square over blocks, relative."""
+        import numpy as np
+
+        scene, params = self._load("independent")
+        first = self.task["views"][0]
+        self._set(params, first["set"])
+        integrator = self.mi.load_dict(self.task["integrator"])
+        image = np.array(self.mi.render(scene, integrator=integrator, sensor=first["sensor"], spp=spp))[..., :3]
+        rows, columns = (n // block for n in image.shape[:2])
+
+        def blocks(picture):
+            cut = picture[: rows * block, : columns * block].reshape(rows, block, columns, block, 3)
+            return cut.mean((1, 3), dtype=np.float64)
+
+        target = blocks(self.targets[0])
+        return {"difference": float(np.sqrt(((blocks(image) - target) ** 2).mean() / (target**2).mean()))}
+
+    def _prepare(self) -> None:
+        import numpy as np
+
+        mi, setting = self.mi, self.setting
+        self.scene, self.params = self._load(setting["sampler"])
+        self.integrator = mi.load_dict({**self.task["integrator"], **setting.get("integrator", {})})
+        self.optimiser = mi.ad.Adam(lr=1.0, beta_1=BETAS[0], beta_2=BETAS[1], epsilon=EPSILON)
+        for unknown in self.task["unknowns"]:
+            name = unknown["name"]
+            start = self.start[name]
+            self.optimiser[name] = self._native(self.params[name], start)
+            if start.ndim == 3 and self.params[name].shape[1] == start.shape[1] + 2:
+                index = np.arange(start.size, dtype=np.uint32).reshape(start.shape)
+                self.columns[name] = mi.UInt32(np.concatenate([index[:, -1:], index, index[:, :1]], 1).ravel())
+        self._place()
+
+    def _place(self) -> None:
+        """The optimiser's values in the scene. Environment maps have a column more on both sides there."""
+        mi, dr = self.mi, self.dr
+        for unknown in self.task["unknowns"]:
+            name = unknown["name"]
+            value = self.optimiser[name]
+            if name in self.columns:
+                height, width, channels = value.shape
+                value = mi.TensorXf(dr.gather(mi.Float, value.array, self.columns[name]), (height, width + 2, channels))
+            self.params[name] = value
+        self.params.update()
+
+    def _native(self, like, value):
+        """An array as the type that a parameter has."""
+        mi = self.mi
+        if isinstance(like, mi.TensorXf):
+            return mi.TensorXf(value)
+        return type(like)(value.tolist())
+
+    def _set(self, params, values: dict) -> None:
+        for name, value in values.items():
+            params[name] = type(params[name])(value)
+        if values:
+            params.update()
+
+    def _step(self, view: int, seed: int, rate: float) -> None:
+        mi, dr = self.mi, self.dr
+        place = self.task["views"][view]
+        self.optimiser.set_learning_rate({u["name"]: rate * u["scale"] for u in self.task["unknowns"]})
+        self._set(self.params, place["set"])
+        image = mi.render(
+            self.scene,
+            self.params,
+            integrator=self.integrator,
+            sensor=place["sensor"],
+            spp=self.setting["spp"],
+            spp_grad=self.setting["spp_grad"],
+            seed=2 * seed,
+            seed_grad=2 * seed + 1,
+        )
+        dr.backward(dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None))
+        self.optimiser.step()
+        for unknown in self.task["unknowns"]:
+            name = unknown["name"]
+            self.optimiser[name] = dr.clip(self.optimiser[name], *self.bounds[name])
+        self._place()
+
+    def _finish(self) -> None:
+        self.dr.eval([self.optimiser[u["name"]] for u in self.task["unknowns"]])
+        self.dr.sync_thread()
+
+    def _values(self) -> dict:
+        import numpy as np
+
+        found = {}
+        for unknown in self.task["unknowns"]:
+            name = unknown["name"]
+            found[name] = np.array(self.optimiser[name], dtype=np.float32).reshape(self.start[name].shape)
+        return found

@@ -1,0 +1,207 @@
+"""The inverse problems: small ones, the race of two programs, the search, and what programs are given."""
+
+from __future__ import annotations
+
+import json
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+
+import torchrender as tr
+from bench.__main__ import main
+from bench.inverse_loop import Loop
+from bench.inverse_ours import OurLoop
+from bench.inverse_problems import PROBLEMS
+from bench.inverse_race import Run, race
+from bench.inverse_search import Search, scaled
+from bench.inverse_task import Task, Unknown, View, stride_of, with_free_sampler
+
+SETTING = {"spp": 4, "spp_grad": 4, "rate": 0.05, "halving": 20, "sampler": "independent"}
+
+
+def floor(resolution: int = 8) -> Task:
+    """A floor under a lamp at two places: its colour is sought, and judged by a picture with the lamp at a third."""
+    film = {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}}
+    scene = tr.load_dict(
+        {
+            "type": "scene",
+            "camera": {
+                "type": "perspective",
+                "to_world": tr.Transform.look_at([0, 0, 3], [0, 0, 0], [0, 1, 0]),
+                "film": film,
+            },
+            "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": [0.2, 0.4, 0.6]}},
+            "lamp": {"type": "point", "position": [0, 0, 2], "intensity": 10.0},
+        }
+    )
+    views = [View(0, {"lamp.position": [x, 0.0, 2.0]}) for x in (-1.0, 0.0, 1.0)]
+    name = "floor.bsdf.reflectance.value"
+    unknown = Unknown(name, np.full(3, 0.5, np.float32))
+    return Task(scene, [unknown], views[:2], views[2:], {"type": "prb"}, target_spp=64, judge_spp=4)
+
+
+class InProcess:
+    """A peer without a process."""
+
+    def __init__(self, loop: Loop, title: str = "ours") -> None:
+        self.loop, self.title, self.key, self.asked = loop, title, title, 0
+
+    def ask(self, action: str, **arguments):
+        self.asked += 1
+        return getattr(self.loop, action.removesuffix("_inverse"))(**arguments)
+
+
+def test_the_albedos_are_found(tmp_path):
+    file, picture = tmp_path / "result.json", tmp_path / "plot.png"
+    options = [
+        "--quick",
+        "--problem",
+        "albedos",
+        "--threads",
+        "1",
+        "--cap",
+        "20",
+        "--json",
+        str(file),
+        "--plot",
+        str(picture),
+    ]
+    settings = tmp_path / "settings.json"
+    settings.write_text(json.dumps({"albedos": {"torchrender": {**SETTING, "spp": 16, "spp_grad": 16}}}))
+    assert main(["inverse", *options, "--settings", str(settings), "--folder", str(tmp_path / "pictures")]) == 0
+    results, curve = json.loads(file.read_text())["tables"]
+    (row,) = results["rows"]
+    assert row["target reached"] == "yes" and row["error %"] <= 1.5 < 5 < row["error at the start %"]
+    assert row["s"]["median"] > 0 and row["iterations"]["median"] > 5 and row["peak memory MiB"] > 50
+    assert row["setting"].startswith("16 + 16 spp, rate 0.05 / 20, independent")
+    assert curve["rows"][-1]["error"] * 100 == pytest.approx(row["error %"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "pictures" / "albedos.png").exists()
+
+
+@pytest.mark.parametrize("problem", PROBLEMS[1:], ids=lambda problem: problem.name)
+def test_every_problem_comes_nearer_to_the_truth(problem, tmp_path):
+    task = problem.make(True)
+    task.target_spp = 16
+    task.write(tmp_path)
+    loop = OurLoop(str(tmp_path))
+    start = task.error({unknown.name: unknown.start for unknown in task.unknowns})
+    loop.begin({**problem.setting, "spp": 8, "spp_grad": 8}, seed=0)
+    loop.advance(40, str(tmp_path / "found.npz"))
+    with np.load(tmp_path / "found.npz") as found:
+        values = {name: found[name] for name in found.files}
+    assert task.error(values) < 0.8 * start
+    assert task.error({name: value.numpy() for name, value in task.truth.items()}) == 0
+    for unknown in task.unknowns:
+        assert values[unknown.name].shape == task.truth[unknown.name].shape == unknown.start.shape
+        assert (values[unknown.name] >= np.float32(unknown.low)).all()
+        assert (values[unknown.name] <= np.float32(unknown.high)).all()
+
+
+def test_a_race_alternates_and_forgets_the_first_steps(tmp_path):
+    task = floor()
+    task.write(tmp_path)
+    peers = [InProcess(OurLoop(str(tmp_path)), title) for title in ("one", "two")]
+    runs = [Run(peer, task, SETTING, tmp_path, seed) for peer, seed in zip(peers, (1, 1), strict=True)]
+    race(runs, 0.02, 60)
+    one, two = runs
+    assert one.reached(0.02) and two.reached(0.02)
+    # The same seed and setting: the same steps, whatever their time.
+    assert [(p.iterations, p.error) for p in one.points] == [(p.iterations, p.error) for p in two.points]
+    assert one.last.seconds > 0 and one.points[0].iterations == 0
+    assert all(a.seconds < b.seconds for a, b in zip(one.points, one.points[1:], strict=False))
+    (found,) = one.found.values()
+    assert np.abs(found - [0.2, 0.4, 0.6]).max() < 0.03
+    short = Run(peers[0], task, SETTING, tmp_path)
+    race([short], 0.0, 0.0)
+    assert short.points == short.points[:1]  # no time, no steps
+
+
+def test_rates_are_halved():
+    loop = Loop.__new__(Loop)
+    loop.setting, loop.seed, loop.iteration = {"rate": 0.8, "halving": 2}, 3, 0
+    loop.task, loop.targets = {"stride": stride_of(5)}, np.zeros(5)
+    steps = []
+    loop._step = lambda view, seed, rate: steps.append((view, seed, rate))
+    loop._steps(5)
+    views, seeds, rates = zip(*steps, strict=True)
+    assert sorted(views) == list(range(5)) and len(set(seeds)) == 5
+    assert rates[::2] == pytest.approx((0.8, 0.4, 0.2))
+
+
+class Counted:
+    """A run whose time is known: least at the rate 0.1, with 2 to 4 samples, by Sobol' points."""
+
+    def __init__(self, setting: dict) -> None:
+        self.setting, self.peer = setting, SimpleNamespace(title="counted")
+        slowness = abs(np.log2(setting["rate"] / 0.1)) + (setting["sampler"] != "sobol")
+        self.need = 10 * (1 + slowness) + 8 / setting["spp"] + setting["spp"] + setting["halving"] / 64
+        self.last = SimpleNamespace(iterations=0, seconds=0.0, cpu=0.0, error=1.0)
+
+    def begin(self) -> None:
+        pass
+
+    def check(self) -> None:
+        self.last.iterations += 1
+        self.last.seconds += 0.25
+        self.last.error = 0.0 if self.last.seconds >= self.need else 1.0
+
+    def reached(self, target: float) -> bool:
+        return self.last.error <= target
+
+    def over(self, target: float, cap: float) -> bool:
+        return self.reached(target) or self.last.seconds >= cap
+
+
+def test_a_search_finds_the_fastest_setting(capsys):
+    search = Search(Counted, 0.5, 200.0)
+    best = search.search({**SETTING, "rate": 0.4, "spp": 16, "spp_grad": 1}, "torchrender")
+    assert (best["rate"], best["sampler"]) == (pytest.approx(0.1), "sobol")
+    assert best["spp"] in (2, 4) and best["halving"] in (5, 10)
+    settings = [trial.setting for trial in search.trials]
+    assert all(settings.count(setting) == 1 for setting in settings)
+    lost = [trial for trial in search.trials if not trial.reached]
+    assert lost and max(trial.seconds for trial in lost) <= search.trials[0].seconds + 0.25
+    assert scaled(SETTING, "spp", 0.125) is None and scaled(SETTING, "samples", 0.5)["spp_grad"] == 2
+
+
+def test_given_pictures_and_cameras(tmp_path):
+    task = floor()
+    task.dark = 0.1
+    task.write(tmp_path)
+    targets, weights = np.load(tmp_path / "targets.npy"), np.load(tmp_path / "weights.npy")
+    assert targets.shape == weights.shape == (2, 8, 8, 3)
+    np.testing.assert_allclose(weights * (targets + 0.1), 1, rtol=1e-5)
+    # Light by inverse squares, of the lamp above the middle: E = I cos / r^2, radiance albedo E / pi.
+    middle = targets[1, 3:5, 3:5].mean((0, 1))
+    np.testing.assert_allclose(middle, np.float32([0.2, 0.4, 0.6]) * 10 / 4 / np.pi, rtol=0.03)
+    text = (tmp_path / "scene.xml").read_text()
+    assert text.count("<sampler") == text.count("<sensor") == 1 and 'type="$sampler"' in text
+    assert tr.load_file(tmp_path / "scene.xml", sampler="stratified").sensors
+    assert with_free_sampler('<scene version="3.0.0"><sensor><sampler type="a"><b/></sampler></sensor></scene>') == (
+        '<scene version="3.0.0"><default name="sampler" value="independent"/>'
+        '<sensor><sampler type="$sampler"/></sensor></scene>'
+    )
+
+
+def test_mitsuba_with_one_thread_is_refused(capsys):
+    assert main(["inverse", "--threads", "1", "--peer", "mitsuba=/no/such/python"]) == 2
+    assert "needs two threads" in capsys.readouterr().err
+
+
+def test_strides_come_to_every_picture():
+    for count in (1, 2, 6, 9, 10, 16, 32):
+        stride = stride_of(count)
+        assert {i * stride % count for i in range(count)} == set(range(count))
+
+
+def test_the_judge_weighs_as_the_loss_does():
+    task = floor()
+    name = task.unknowns[0].name
+    half = {name: 0.5 * task.truth[name].numpy()}
+    assert task.error(half) == pytest.approx(0.5, rel=1e-5)  # half the albedo, half the light
+    task.dark = 0.1
+    assert task.error(half) == pytest.approx(0.5, rel=1e-5)
+    assert torch.equal(task.weight_of(torch.tensor([0.9])), torch.tensor([1.0]))
