@@ -232,6 +232,17 @@ def test_the_camera_or_the_call_chooses():
         assert torch.equal(tr.render(scene, seed=1, sampler="independent"), plain)
 
 
+def test_seeds_in_a_row_are_independent():
+    """Of 400 pictures of one sample with the seeds 0, 1, 2, ...: the mean product of the errors of a picture and the
+    next, over its standard error, pixel by pixel; and of their means. Normal, at a level of 1e-3 for both."""
+    scene = make(8, 8)
+    images = torch.stack([tr.render(scene, spp=1, seed=i, sampler="sobol").double() for i in range(400)])
+    for values in (images.flatten(1), images.mean((1, 2))):
+        error = values - values.mean(0)
+        products = (error[1:] * error[:-1]).mean(1) / error.square().mean()
+        assert abs(float(products.mean() / (products.std() / 399**0.5))) < 3.5
+
+
 @pytest.mark.parametrize(
     ("edit", "error", "message"),
     [

@@ -28,7 +28,7 @@ from .bsdf import MODELS
 from .bsdf.common import fresnel_dielectric
 from .bsdf.hair import Hair
 from .bsdf.smooth import Dielectric
-from .film import splat
+from .film import numbers_of, splat
 from .world import World
 
 EMISSION_BLOCK = 1
@@ -128,7 +128,7 @@ def render(
     pixel = ((row + 32768) << 16) | (column + 32768)
     n = len(pixel)
 
-    random = numbers.Numbers("independent", spp, seed, 0, torch.float64)
+    random = numbers_of(scene, spp, seed, 0)
     u, v = (random.block(pixel, sample, block) for block in (numbers.CAMERA_BLOCK, EMISSION_BLOCK))
     a, b = (column + u[:, 0]) / film.width, (row + u[:, 1]) / film.height
     second = b > a  # the second triangle of the rectangle, which (a, b) fills
