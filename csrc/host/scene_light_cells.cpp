@@ -76,8 +76,8 @@ struct ShownImage {
 struct Side {
     int cells, points;
     explicit Side(double texels)
-        : cells(std::clamp(int(std::ceil(texels - 1e-3)), 1, MaxCells)),
-          points(std::clamp(int(std::ceil(texels / cells)), 2, 8)) {}
+        : cells(int(std::clamp(std::ceil(texels - 1e-3), 1.0, double(MaxCells)))),
+          points(int(std::clamp(std::ceil(texels / cells), 2.0, 8.0))) {}
     double place(int cell, int point) const { return (cell + (point + 0.5) / points) / cells; }
 };
 
