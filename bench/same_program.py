@@ -72,7 +72,8 @@ def examine(case: Any, dtypes: list[str], quick: bool) -> Found:
             refused = refusals(scene) if refused is None else refused
             sensor = {"sensor": list(range(case.sensors))} if case.sensors > 1 else {}
             settings = {name: torch.tensor(v) if name == "pixels" else v for name, v in case.settings.items()}
-            settings = {"spp": SPP, "seed": SEED, **sensor, **settings}
+            # by name: states differ in the sampler that is taken when nothing is said
+            settings = {"spp": SPP, "seed": SEED, "sampler": "independent", **sensor, **settings}
             for name, make in integrators(case, quick):
                 settings["integrator"] = found.attempt(f"{prefix}/{name}/image", make)
                 if f"{prefix}/{name}/image" in found.said:

@@ -60,6 +60,11 @@ struct AttributeInfo {
     int32_t name, tensor, per_face, next;  // a list a shape: next = -1 ends it
 };
 
+// Cells of an emitter that shows an image, see emitter/cells.h; no rows: it has none.
+struct LightCells {
+    int32_t rows, columns, first_row, first_cell;
+};
+
 struct MediumInfo;
 template <class S>
 struct BendMedium;
@@ -91,6 +96,9 @@ struct SceneView {
     // choosing an emitter
     const S *emitter_cdf, *emitter_pmf;
     int32_t environment;  // emitter index or -1
+
+    const LightCells *light_cells;  // by emitter; null: there are none
+    const S *cell_marginal, *cell_conditional;
 
     // boxes of the shapes that emit, lower and upper corner, a little larger than they are; -1: too many, or light
     // comes from everywhere

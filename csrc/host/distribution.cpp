@@ -31,15 +31,11 @@ void EnvironmentTables<S>::build(const TensorView<S> &data) {
     bool black = std::all_of(importance.begin(), importance.end(), [](double y) { return y == 0; });
     marginal.resize(size_t(rows));
     conditional.resize(size_t(rows) * size_t(columns));
-    std::vector<double> cells(static_cast<size_t>(columns)), row_weights(static_cast<size_t>(rows));
-    for (int i = 0; i < rows; ++i) {
-        double sine = std::sin((i + 0.5) / rows * Pi);
-        for (int j = 0; j < columns; ++j)
-            cells[size_t(j)] = black ? 1 : 0.25 * (at(i, j) + at(i, j + 1) + at(i + 1, j) + at(i + 1, j + 1));
-        row_weights[size_t(i)] =
-            sine * build_cdf(cells.data(), cells.size(), conditional.data() + size_t(i) * size_t(columns));
-    }
-    build_cdf(row_weights.data(), row_weights.size(), marginal.data());
+    auto weight = [&](int i, int j) {
+        return black ? 1 : 0.25 * (at(i, j) + at(i, j + 1) + at(i + 1, j) + at(i + 1, j + 1));
+    };
+    build_cells(rows, columns, marginal.data(), conditional.data(), weight,
+                [&](int i) { return std::sin((i + 0.5) / rows * Pi); });
 }
 
 template double build_cdf(const double *, size_t, float *);

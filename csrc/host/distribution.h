@@ -13,6 +13,18 @@ namespace tr {
 template <class S>
 double build_cdf(const double *weights, size_t n, S *cdf);
 
+// Tables of core/emitter/cells.h: cells of the weights weight(row, column), rows weighted by factor(row) besides.
+template <class S, class Weight, class Factor>
+void build_cells(int rows, int columns, S *marginal, S *conditional, Weight &&weight, Factor &&factor) {
+    std::vector<double> cells(static_cast<size_t>(columns)), of_row(static_cast<size_t>(rows));
+    for (int i = 0; i < rows; ++i) {
+        for (int j = 0; j < columns; ++j) cells[size_t(j)] = weight(i, j);
+        of_row[size_t(i)] =
+            factor(i) * build_cdf(cells.data(), cells.size(), conditional + size_t(i) * size_t(columns));
+    }
+    build_cdf(of_row.data(), of_row.size(), marginal);
+}
+
 // The luminance of what value(wavelength in nm above FirstWavelength) is, under daylight.
 template <class Value>
 double luminance_under_daylight(Value &&value) {

@@ -134,6 +134,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     update_phases(first ? all : changed);
     update_bsdfs();
     refresh_view();
+    update_light_cells();
     update_bends();
     all_dirty_ = geometry_dirty_ = environment_dirty_ = false;
 }

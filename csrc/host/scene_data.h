@@ -122,6 +122,10 @@ private:
     std::vector<BendMedium<S>> bends_;  // by medium
     std::vector<std::unique_ptr<BendBlocks>> blocks_;
     EnvironmentTables<S> environment_;
+    // Of the lights that show an image: cells by emitter, tables of all of them, and what they were made from.
+    std::vector<LightCells> light_cells_;
+    std::vector<S> cell_marginal_, cell_conditional_;
+    std::vector<double> cells_made_from_;
     S env_to_local_[12]{}, env_to_world_[12]{};
     std::vector<S> volume_to_local_, majorants_, phase_tables_, bsdf_tables_;
     std::vector<Coating> coatings_;  // of which bsdf_tables_ was made
@@ -162,6 +166,9 @@ private:
     void update_environment(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty);
     std::vector<uint8_t> with_silent_changes(const std::vector<const S *> &params, std::vector<uint8_t> dirty) const;
     void update_emitters();
+    const Record *shown_image(const Record &emitter) const;
+    void update_light_cells();
+    void make_light_cells(size_t emitter, const Record &texture);
     void check_frames() const;
     double mean_of_texture(int32_t texture, int32_t shape);
     double mean_color(int32_t offset) const;

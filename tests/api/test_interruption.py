@@ -128,14 +128,15 @@ def test_ctrl_c_returns_samples_of_the_whole(monkeypatch, integrator, dtype):
     """Independent samples are numbered: those that are done are the picture of so many samples."""
     monkeypatch.setattr(interruption, "PART", 1 << 12)  # of which some are done by then on any machine
     scene = make("gaussian", dtype=dtype)
-    tr.render(scene, spp=1, integrator=integrator)  # what comes later is no first call
+    settings = {"seed": 5, "integrator": integrator, "sampler": "independent"}
+    tr.render(scene, spp=1, **settings)  # what comes later is no first call
     timer = threading.Timer(0.7, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
     with pytest.warns(tr.InterruptionWarning) as caught:
-        found = tr.render(scene, spp=10**9, seed=5, integrator=integrator, on_interrupt="return", progress=True)
+        found = tr.render(scene, spp=10**9, **settings, on_interrupt="return", progress=True)
     timer.join()
     done = int(re.search(r"the picture has (\d+) of 1000000000 samples a pixel", str(caught[0].message))[1])
-    expected = tr.render(scene, spp=done, seed=5, integrator=integrator)
+    expected = tr.render(scene, spp=done, **settings)
     torch.testing.assert_close(found, expected, rtol=1e-5, atol=1e-7)
 
 

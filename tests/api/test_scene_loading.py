@@ -153,7 +153,8 @@ def test_samplers_and_films():
     assert camera.film.window == (4, 3, 20, 10)
     assert camera.film.sample_border
     assert (camera.film.filter.type, camera.film.filter.radius) == ("tent", 2.0)
-    assert tr.load_dict({"type": "perspective", "sampler": {"type": "independent"}}).sampler == tr.Sampler(4)
+    plain = tr.load_dict({"type": "perspective", "sampler": {"type": "independent"}})
+    assert plain.sampler == tr.Sampler(4, "independent")
     assert tr.load_dict({"type": "perspective", "any": {"type": "sobol", "sample_count": 3}}).sampler.type == "sobol"
     jittered = tr.load_dict({"type": "perspective", "sampler": {"type": "stratified", "jitter": True}})
     assert jittered.sampler == tr.Sampler(sample_count=4, type="stratified")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import pytest
 import torch
@@ -33,7 +34,7 @@ def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
     return {n: p for n, p in scene.named_parameters() if not refusals.get(n, "not rendered")}
 
 
-def check(scene: tr.Scene, spp: int = 16, integrator: tr.PathTracer | None = None) -> torch.Tensor:
+def check(scene: tr.Scene, spp: int = 16, integrator: tr.PathTracer | None = None, **settings: Any) -> torch.Tensor:
     """Render and differentiate with respect to everything: all finite, and no sample that was not. The image."""
     integrator = integrator or tr.PathTracer(max_depth=6, rr_depth=3)
     chosen = differentiable(scene)
@@ -41,7 +42,7 @@ def check(scene: tr.Scene, spp: int = 16, integrator: tr.PathTracer | None = Non
         warnings.simplefilter("ignore", UserWarning)  # terms of derivatives that are missing are not the subject
         for parameter in chosen.values():
             parameter.requires_grad_()
-        image = tr.render(scene, spp=spp, seed=7, integrator=integrator, nan="raise")
+        image = tr.render(scene, spp=spp, seed=7, integrator=integrator, nan="raise", **settings)
         assert torch.isfinite(image).all()
         if image.requires_grad:
             found = torch.autograd.grad(image.sum(), list(chosen.values()), allow_unused=True)

@@ -49,7 +49,8 @@ def scene(objects: dict, max_depth: int = -1, rr_depth: int = 5, *, variant="rgb
 
 def seen(view: tr.Scene, spp: int = 32, seed: int = 1, **more) -> torch.Tensor:
     """Every pixel of every camera as one run of what they see: (runs, cameras, C), float64."""
-    image = tr.render(view, spp=spp, seed=seed, sensor=list(range(len(view.sensors))), **more)
+    settings = {"sampler": "independent", "sensor": list(range(len(view.sensors))), **more}
+    image = tr.render(view, spp=spp, seed=seed, **settings)
     return image.double().flatten(1, 2).permute(1, 0, 2)
 
 

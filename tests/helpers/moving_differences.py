@@ -32,6 +32,8 @@ def compare(
 
     `show`: makes an image of what is rendered with these settings.
     """
+    # Few rays weigh much: with these samples their number in a run of so many seeds is known.
+    settings = {"sampler": "independent", **settings}
     film = scene.sensors[0].film
     weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
     value = scene.get_parameter(parameter).detach()

@@ -60,6 +60,7 @@ def plate(reflectance: Any, light: Any, film=None, **settings) -> tr.Scene:
 def runs(scene: tr.Scene, spp: int = 16, seed: int = 1, count: int = 1, **settings) -> torch.Tensor:
     """Pixels as independent runs (count * H * W, C), or of several seeds the means of images."""
     with torch.no_grad():
+        settings = {"sampler": "independent", **settings}
         images = [tr.render(scene, spp=spp, seed=seed + i, **settings).double() for i in range(count)]
     if count > 1:
         return torch.stack([image.flatten(0, 1).mean(0) for image in images])

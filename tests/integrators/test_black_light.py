@@ -33,8 +33,9 @@ def test_black_light_changes_no_derivative_of_shapes(filter_type):
     beside, more = gradient(scene, "lamp.emitter.radiance.data")
     assert torch.allclose(alone, beside, rtol=1e-9, atol=1e-12 * float(beside.abs().max()))
     assert float(alone.abs().max()) > 0
-    # a quarter of the texels is black; their paths are needed by the derivative of the texels alone
-    assert (rays < 0.85 * more) == (filter_type == "nearest")
+    # a quarter of the texels is black, and gets a sixteenth of the paths: they are needed by the derivative of the
+    # texels alone. Between 4096 paths the share of them is known to 0.004.
+    assert (rays < 0.95 * more) == (filter_type == "nearest")
 
 
 def test_black_texels_have_derivatives():

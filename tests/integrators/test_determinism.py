@@ -163,13 +163,17 @@ def test_noise_of_different_seeds_sensors_and_passes_is_independent():
     # every pixel. Of n independent pixels, signs of two such differences agree in n / 2 with a standard deviation of
     # sqrt(n) / 2. Of 45 pairs the farthest is beyond 4.9 of them with probability 4.3e-5 (normal approximation).
     scene = make_scene(width=48, height=48)
-    images = [tr.render(scene, spp=1, seed=seed) for seed in (0, 1, 2, 3, 2**32, 2**63, 2**64 - 1)]
-    images.append(tr.render(scene, spp=1, seed=0, sensor=1))
+
+    def image(spp: int, **settings) -> torch.Tensor:
+        return tr.render(scene, spp=spp, sampler="independent", **settings)
+
+    images = [image(1, seed=seed) for seed in (0, 1, 2, 3, 2**32, 2**63, 2**64 - 1)]
+    images.append(image(1, seed=0, sensor=1))
     # the second pass, and the second sample, alone: what the first leaves of the mean of two
-    images.append(2 * tr.render(scene, spp=1, seed=0, passes=2) - images[0])
-    images.append(2 * tr.render(scene, spp=2, seed=0) - images[0])
+    images.append(2 * image(1, seed=0, passes=2) - images[0])
+    images.append(2 * image(2, seed=0) - images[0])
     assert len(images) == 10
-    differences = [image - tr.render(scene, spp=1, seed=1000 + i) for i, image in enumerate(images)]
+    differences = [found - image(1, seed=1000 + i) for i, found in enumerate(images)]
     signs = [torch.where(d.abs() > 1e-4, d, 0).mean(-1).sign().reshape(-1) for d in differences]
     for (i, a), (j, b) in itertools.combinations(enumerate(signs), 2):
         n = float(((a != 0) & (b != 0)).sum())

@@ -101,7 +101,8 @@ def test_alpha():
     objects["camera4"] = pencil([0.0, 6.0, 4.0], [0.0, 6.0, 0.0], 24)
     origins, targets = lines(3, 17)
     view = scene(objects)
-    alpha = tr.render(view, spp=32, seed=1, sensor=[0, 1, 2, 3, 4], outputs=("rgb", "alpha")).alpha.double()
+    settings = {"sampler": "independent", "outputs": ("rgb", "alpha")}
+    alpha = tr.render(view, spp=32, seed=1, sensor=[0, 1, 2, 3, 4], **settings).alpha.double()
     through = truth.transmittance(scene(objects, dtype=DOUBLE), origins, targets)[:, :1]
     expected = torch.cat([1 - through, torch.tensor([[1.0], [0.0]])])
     assert_mean(alpha.flatten(1).T[..., None], expected)

@@ -41,9 +41,10 @@ def narrow_beam(half: float, x: float = 0.0, z: float = 0.0, radiance=RGB) -> di
 
 
 def measure(spp: int, max_depth: int = -1, seed: int = 1, **objects: object) -> torch.Tensor:
-    """Irradiance (H, W, 3) in double precision."""
+    """Irradiance (H, W, 3) in double precision, from independent paths: those that arrive are counted."""
     scene = tr.load_dict({"type": "scene", **objects}, dtype=torch.float64)
-    return tr.render(scene, integrator=tr.ParticleTracer(max_depth=max_depth, rr_depth=99), spp=spp, seed=seed)
+    integrator = tr.ParticleTracer(max_depth=max_depth, rr_depth=99)
+    return tr.render(scene, integrator=integrator, spp=spp, seed=seed, sampler="independent")
 
 
 def power(image: torch.Tensor, half: float) -> torch.Tensor:
@@ -111,10 +112,12 @@ def test_a_texture_is_thrown_as_it_is():
         },
         dtype=torch.float64,
     )
-    # strata of the lamp are the texels of the receiver, seen from behind, v against v: the image is exact
-    image = tr.render(scene, integrator="ptracer", spp=4, seed=1)
+    # texels of the lamp are those of the receiver, seen from behind, v against v
+    runs = torch.stack([tr.render(scene, integrator="ptracer", spp=64, seed=i) for i in range(30)])
     expected = data.flip(0).double()
-    torch.testing.assert_close(image, expected, rtol=1e-6, atol=1e-9)
+    z = (runs.mean(0) - expected) / (runs.std(0) / math.sqrt(30))
+    assert float(normal_p_value(z).min()) >= sidak(SIGNIFICANCE, z.numel())
+    assert float(((runs.mean(0) - expected) / expected).abs().max()) < 0.1
 
 
 # --------------------------------------------------------------------------------------------------------------- glass
@@ -279,8 +282,8 @@ def test_a_camera_sees_what_a_beam_brings():
     """Radiance of a diffuse surface: albedo E / pi."""
     description = ls.floor_view(ls.close_camera(fov=8), light=narrow_beam(0.2))
     scene = tr.load_dict(description, dtype=torch.float64)
-    light = tr.ParticleTracer(max_depth=3)
-    runs = torch.stack([tr.render(scene, integrator=light, spp=64, seed=i).mean((0, 1)) for i in range(30)])
+    settings = {"integrator": tr.ParticleTracer(max_depth=3), "sampler": "independent"}
+    runs = torch.stack([tr.render(scene, spp=64, seed=i, **settings).mean((0, 1)) for i in range(30)])
     expected = COLOUR * torch.tensor([0.5, 0.6, 0.7]) / math.pi
     z = (runs.mean(0) - expected) / (runs.std(0) / math.sqrt(30))
     assert float(normal_p_value(z).min()) >= sidak(SIGNIFICANCE, 3)

@@ -300,7 +300,8 @@ def many(n: int = 40, strong: float = 100.0, weak: float = 0.1, **more) -> dict:
 
 def runs(scene: tr.Scene, sampling: str, spp: int, count: int) -> torch.Tensor:
     integrator = tr.PathTracer(max_depth=2, emitter_sampling=sampling)
-    images = [tr.render(scene, integrator=integrator, spp=spp, seed=100 + i).detach() for i in range(count)]
+    settings = {"integrator": integrator, "spp": spp, "sampler": "independent"}
+    images = [tr.render(scene, seed=100 + i, **settings).detach() for i in range(count)]
     return torch.stack(images).double().flatten(1)
 
 

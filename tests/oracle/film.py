@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import torch
 
+import torchrender as tr
 from torchrender.render_arguments import film_config
 from torchrender.scene.camera import Rays
 from torchrender.scene.film import Film
+from torchrender.scene.sensor import default_sampler
 from torchrender.wavefront.film import Splats, filter_weight
 from torchrender.wavefront.numbers import CAMERA_BLOCK, Numbers, pixel_key
 from torchrender.wavefront.sensors import SENSORS
 
 from .world import World
+
+
+def numbers_of(scene: tr.Scene, spp: int, seed: int, sensor: int) -> Numbers:
+    """Those of the sampler that a rendering takes when nothing is said, in double precision."""
+    return Numbers(default_sampler(scene.sensors[sensor]).type, spp, seed, sensor, torch.float64)
 
 
 def camera_samples(
@@ -23,7 +30,7 @@ def camera_samples(
     sample = torch.arange(spp).repeat(len(row))
     row, column = row.repeat_interleave(spp), column.repeat_interleave(spp)
     pixel = pixel_key(row, column)
-    u = Numbers("independent", spp, seed, sensor, torch.float64).block(pixel, sample, CAMERA_BLOCK)
+    u = numbers_of(world.scene, spp, seed, sensor).block(pixel, sample, CAMERA_BLOCK)
     positions = torch.stack([column + u[:, 0], row + u[:, 1]], 1)
     rays = SENSORS[record.type](world, record, (film.height, film.width), positions, u[:, 2:])
     return positions, rays, pixel, sample

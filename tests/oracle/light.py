@@ -18,6 +18,8 @@ from torchrender.scene.film import Film
 from torchrender.surface import dot, normalize
 from torchrender.warp import cosine_hemisphere
 from torchrender.wavefront import layers, numbers
+from torchrender.wavefront.cells import LightCells
+from torchrender.wavefront.cells import barycentric as corners_of
 from torchrender.wavefront.film import filter_weight
 from torchrender.wavefront.geometry import Frame, Glued, glue, reattach
 from torchrender.wavefront.layers import BsdfStack
@@ -28,7 +30,7 @@ from .bsdf import MODELS
 from .bsdf.common import fresnel_dielectric
 from .bsdf.hair import Hair
 from .bsdf.smooth import Dielectric
-from .film import splat
+from .film import numbers_of, splat
 from .world import World
 
 EMISSION_BLOCK = 1
@@ -128,15 +130,18 @@ def render(
     pixel = ((row + 32768) << 16) | (column + 32768)
     n = len(pixel)
 
-    random = numbers.Numbers("independent", spp, seed, 0, torch.float64)
+    random = numbers_of(scene, spp, seed, 0)
     u, v = (random.block(pixel, sample, block) for block in (numbers.CAMERA_BLOCK, EMISSION_BLOCK))
     a, b = (column + u[:, 0]) / film.width, (row + u[:, 1]) / film.height
-    second = b > a  # the second triangle of the rectangle, which (a, b) fills
-    barycentric = torch.stack([torch.where(second, a, a - b), torch.where(second, b - a, b)], 1)
-    shape, primitive, none = torch.full((n,), lamp), second.long(), torch.zeros(n, 3, dtype=torch.float64)
+    square, cells = torch.stack([a, b], 1), LightCells.of(world, lamp, emitter.field["radiance"])
+    density = torch.ones(n, dtype=torch.float64)
+    if cells is not None:
+        square, density = cells.sample(square)
+    primitive, barycentric = corners_of(square)  # the rectangle's two triangles, which the square fills
+    shape, none = torch.full((n,), lamp), torch.zeros(n, 3, dtype=torch.float64)
     start = glue(world.surfaces, shape, primitive, barycentric, none, none[:, :2])
     area = torch.linalg.vector_norm(start.area, dim=1)  # of the rectangle, twice that of a triangle
-    beta = world.color("emitter", emitter, "radiance", At(shape, primitive, barycentric, start.uv))
+    beta = world.color("emitter", emitter, "radiance", At(shape, primitive, barycentric, start.uv)) / density[:, None]
     beam = emitter.type == "directionalarea"
     if beam:
         d, beta = start.normal, beta * area[:, None]

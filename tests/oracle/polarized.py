@@ -15,13 +15,12 @@ import torch
 import torchrender as tr
 from torchrender.scene.camera import Rays
 from torchrender.wavefront.emitters import Area
-from torchrender.wavefront.numbers import Numbers
 from torchrender.wavefront.path import Paths, Vertices, WavefrontTracer
 from torchrender.wavefront.world import World as Traced
 
 from .bsdf import in_pytorch
 from .bsdf.common import Part, Polarising
-from .film import camera_samples, splat
+from .film import camera_samples, numbers_of, splat
 from .mueller import DEPOLARISER, across, implicit_axis, rotation
 from .polarized_lights import PolarizedLights
 from .world import World
@@ -88,7 +87,7 @@ def stokes_image(
     world = World(scene, params)
     with in_pytorch():
         positions, rays, pixel, sample = camera_samples(world, seed, spp, sensor)
-        random = Numbers("independent", spp, seed, sensor, torch.float64)
+        random = numbers_of(scene, spp, seed, sensor)
         config = {**tr.PathTracer().config(), **(scene.integrator or tr.PathTracer()).config()}
         stokes, _ = PolarizedTracer(world, config, random, derivative).trace(rays, pixel, sample)
     sums, weights = splat(scene.sensors[sensor].film, *positions.unbind(1), stokes.flatten(1))

@@ -35,7 +35,7 @@ class PolarizedEmitter:
     def axis(self, x: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
         """That of light that `sample` of the same has found, (N, 3)."""
         if isinstance(self.emitter, Area):
-            y = self.emitter.geometry.sample(x.detach(), u)
+            y, _ = self.emitter.points(x.detach(), u)
             shape = torch.full((len(x),), self.emitter.shape)
             p = glue(self.world.surfaces, shape, y.primitive, y.barycentric, y.position, y.barycentric).position
             return partials(self.world, At(shape, y.primitive, y.barycentric, y.barycentric), p)[0]

@@ -206,7 +206,8 @@ SENSORS: dict[str, Callable[[], dict]] = {
     ),
     "panorama": lambda: _seen_by({"type": "panorama"}, 6),
     "radiancemeter": lambda: _seen_by({"type": "radiancemeter"}, 1, 1),
-    "distant": lambda: _seen_by({"type": "distant"}, 1, 1),
+    # of a few rays some are to meet something
+    "distant": lambda: _seen_by({"type": "distant", "sampler": {"type": "independent", "sample_count": 4}}, 1, 1),
     "distant_point": lambda: _seen_by({"type": "distant", "target": [0.1, 0.3, 0.2]}, 1, 1),
 }
 SCENES: dict[str, Callable[[], dict]] = {

@@ -18,13 +18,12 @@ from torchrender.scene.spectral.core_values import for_core
 from torchrender.scene.spectral.roles import NUMBER, VECTOR, roles_of
 from torchrender.scene.spectral.wavelengths import wavelength_config
 from torchrender.wavefront import bsdfs
-from torchrender.wavefront.numbers import Numbers
 from torchrender.wavefront.path import Vertices
 from torchrender.wavefront.world import World
 
 from .bsdf import in_pytorch
 from .bsdf.smooth import DispersiveDielectric
-from .film import camera_samples, splat
+from .film import camera_samples, numbers_of, splat
 from .polarized import PolarizedTracer
 
 SAMPLES = 471
@@ -112,7 +111,7 @@ def stokes_image(
     whole = World(scene, layout, native, tensors, moving=True)
     place, rays, pixel, sample = camera_samples(whole, seed, spp, 0)
     config = {**tr.PathTracer().config(), **(scene.integrator or tr.PathTracer()).config()}
-    random = Numbers("independent", spp, seed, 0, torch.float64)
+    random = numbers_of(scene, spp, seed, 0)
     found = []
     with in_pytorch(), mock.patch.dict(bsdfs.BSDFS, {"dispersivedielectric": SplittingDielectric}):
         for i in range(len(pixel)):

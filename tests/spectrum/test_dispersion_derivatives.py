@@ -33,8 +33,10 @@ FORMULAS = {
 
 
 def tangents(scene: tr.Scene, make, value, direction, spp: int, seeds: range, name: str = ETA) -> torch.Tensor:
+    settings = {"spp": spp, "correlated": True, "sampler": "independent"}  # pixels are runs
+
     def image(x, seed):
-        return tr.render(scene, spp=spp, seed=seed, correlated=True, params={name: make(x)})
+        return tr.render(scene, seed=seed, params={name: make(x)}, **settings)
 
     return torch.stack([torch.func.jvp(functools.partial(image, seed=s), (value,), (direction,))[1] for s in seeds])
 

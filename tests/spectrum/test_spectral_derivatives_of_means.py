@@ -116,7 +116,7 @@ def test_absorption_of_each_wavelength():
     name, direction = name_of(scene, "sigma_t"), waves(75)
 
     def image(x):
-        return tr.render(scene, spp=16, seed=2, params={name: x})
+        return tr.render(scene, spp=16, seed=2, params={name: x}, sampler="independent")
 
     tangent = torch.func.jvp(image, (table,), (direction,))[1]
     exact = sp.to_rgb(-2 * direction * torch.exp(-2 * table), sp.d65())
@@ -175,7 +175,7 @@ def test_lamps_in_expectation():
     direction = waves(8, -1.0, 1.0)
 
     def image(x):
-        return tr.render(scene, spp=64, seed=4, params={"sun.irradiance.value": x})
+        return tr.render(scene, spp=64, seed=4, params={"sun.irradiance.value": x}, sampler="independent")
 
     tangent = torch.func.jvp(image, (waves(1, 0.1, 2.0),), (direction,))[1]
     assert_mean(tangent.flatten(0, 1), sp.to_rgb(direction * waves(2)) / torch.pi)

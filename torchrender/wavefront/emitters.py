@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import cast
 
 import torch
 
@@ -10,10 +11,11 @@ from .. import warp
 from ..scene.packing import Record
 from ..surface import dot, inverse_linear, normalize, transform_vector
 from . import numbers
+from .cells import LightCells, barycentric
 from .emitter import Emitter, Light, endless
 from .envmap import EnvironmentMap
 from .geometry import glue, reattach, root
-from .lights import LIGHT_SHAPES
+from .lights import LIGHT_SHAPES, LightPoint, Triangles
 from .world import At, World
 
 
@@ -25,21 +27,30 @@ class Area(Emitter):
         texture = record.field["radiance"]
         self.constant = texture < 0 or self.world.records["texture"][texture].type == "constant"
         self.geometry = LIGHT_SHAPES[self.world.records["shape"][self.shape].type](self.world, self.shape)
+        self.cells = LightCells.of(self.world, self.shape, texture)
 
     def radiance(self, at: At) -> torch.Tensor:
         return self.world.color("emitter", self.record, "radiance", at)
 
-    def hit_pdf(self, p: torch.Tensor, hit: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+    def hit_pdf(self, p: torch.Tensor, hit: torch.Tensor, normal: torch.Tensor, at: At) -> torch.Tensor:
         """Density with which `sample` at p would have chosen the point that was hit."""
         distance = torch.linalg.vector_norm(hit - p, dim=1)
-        return self.geometry.pdf(p, normal, normalize(hit - p), distance)
+        pdf = self.geometry.pdf(p, normal, normalize(hit - p), distance)
+        return pdf if self.cells is None else pdf * self.cells.density(at.primitive, at.barycentric.detach())
+
+    def points(self, p: torch.Tensor, u: torch.Tensor) -> tuple[LightPoint, torch.Tensor]:
+        """Points for the reference points p, and by how much denser they are than `geometry` says."""
+        if self.cells is None:
+            return self.geometry.sample(p, u), torch.ones_like(u[:, 0])
+        square, density = self.cells.sample(u[:, 1:3])
+        return cast("Triangles", self.geometry).at(*barycentric(square)), density
 
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
         p = x.detach()
-        y = self.geometry.sample(p, u)
+        y, density = self.points(p, u)
         distance = torch.linalg.vector_norm(y.position - p, dim=1)
         d = normalize(y.position - p)
-        pdf = torch.where(dot(y.normal, d) < 0, self.geometry.pdf(p, y.normal, d, distance), 0.0)
+        pdf = torch.where(dot(y.normal, d) < 0, self.geometry.pdf(p, y.normal, d, distance) * density, 0.0)
         shape = torch.full((len(p),), self.shape)
         delta = torch.zeros(len(p), dtype=torch.bool)
         if not self.world.moving and self.constant:

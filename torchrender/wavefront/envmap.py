@@ -32,9 +32,9 @@ class EnvironmentMap(Emitter):
         cells = 0.25 * (pairs[:rows] + pairs[-rows:])
         if not bool(importance.any()):
             cells = torch.ones_like(cells)
-        self.conditional = numbers.cumulative(cells)
         sine = torch.sin((torch.arange(rows, dtype=texels.dtype) + 0.5) / rows * math.pi)
-        self.marginal = numbers.cumulative(cells.double().sum(1).to(texels.dtype) * sine)
+        marginal = numbers.cumulative(cells.double().sum(1).to(texels.dtype) * sine)
+        self.cells = numbers.Cells(marginal, numbers.cumulative(cells))
         self.rows, self.columns = cells.shape
 
     def coordinates(self, d: torch.Tensor) -> torch.Tensor:
@@ -66,16 +66,13 @@ class EnvironmentMap(Emitter):
         u, v = self.coordinates(d).detach().unbind(1)
         j = torch.floor(u * self.columns - 0.5).long() % self.columns
         i = torch.floor(v * self.rows).long().clamp(0, self.rows - 1)
-        row = self.marginal[i] - torch.where(i > 0, self.marginal[(i - 1).clamp(min=0)], 0.0)
-        column = self.conditional[i, j] - torch.where(j > 0, self.conditional[i, (j - 1).clamp(min=0)], 0.0)
-        return self.density(row * column, v)
+        return self.density(self.cells.mass(i, j), v)
 
     def sample(self, x: torch.Tensor, u: torch.Tensor) -> Light:
-        i, row, down = numbers.search(self.marginal, u[:, 1])
-        j, column, across = self._column(i, u[:, 2])
-        azimuth = (j + 0.5 + across.clamp(0.0, 1.0)) / self.columns
+        i, j, down, across, mass = self.cells.sample(u[:, 1], u[:, 2])
+        azimuth = (j + 0.5 + across) / self.columns
         azimuth = azimuth - torch.floor(azimuth)
-        v = (i + down.clamp(0.0, 1.0)) / self.rows
+        v = (i + down) / self.rows
         phi, theta = azimuth * (2 * math.pi), v * math.pi
         sine = torch.sin(theta)
         local = torch.stack([sine * torch.sin(phi), torch.cos(theta), -sine * torch.cos(phi)], 1)
@@ -83,15 +80,4 @@ class EnvironmentMap(Emitter):
         # the direction stays where it is while the map turns
         uv = torch.stack([azimuth, v], 1)
         value = self.at(reattach(uv, self.coordinates(d)) if self.world.moving else uv)
-        return endless(d, self.density(row * column, v), value)
-
-    def _column(self, i: torch.Tensor, u: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Columns in the rows i, as `numbers.search` finds them: by bisection, since every path has its own row."""
-        low, high = torch.zeros_like(i), torch.full_like(i, self.columns - 1)
-        for _ in range(self.columns.bit_length()):
-            middle = (low + high) // 2
-            right = (self.conditional[i, middle] <= u) & (low < high)
-            low, high = torch.where(right, middle + 1, low), torch.where(right, high, middle)
-        before = torch.where(low > 0, self.conditional[i, (low - 1).clamp(min=0)], 0.0)
-        mass = self.conditional[i, low] - before
-        return low, mass, (u - before) / mass.clamp(min=1e-20)
+        return endless(d, self.density(mass, v), value)

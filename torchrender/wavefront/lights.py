@@ -67,7 +67,10 @@ class Triangles(LightShape):
 
     def sample(self, p: torch.Tensor, u: torch.Tensor) -> LightPoint:
         face = numbers.search(self.cdf, u[:, 0])[0]
-        b = warp.triangle(u[:, 1], u[:, 2])
+        return self.at(face, warp.triangle(u[:, 1], u[:, 2]))
+
+    def at(self, face: torch.Tensor, b: torch.Tensor) -> LightPoint:
+        """Points on these faces (N,) with barycentric coordinates (N, 2)."""
         position = self.p0[face] + self.e1[face] * b[:, :1] + self.e2[face] * b[:, 1:]
         return LightPoint(position, normalize(self.cross)[face] * self.sign, face, b)
 

@@ -54,3 +54,34 @@ def cumulative(weights: torch.Tensor) -> torch.Tensor:
     cdf = (total / total[..., -1:]).clamp(max=1.0).to(weights.dtype)
     cdf[..., -1] = 1.0
     return cdf
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Cells of a grid, chosen by row, then by column; what is left of the two numbers is the place in the cell.
+
+    `marginal` (rows,) and `conditional` (rows, columns) are cumulative.
+    """
+
+    marginal: torch.Tensor
+    conditional: torch.Tensor
+
+    def sample(self, by_row: torch.Tensor, by_column: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Row and column (N,), how far down and across in the cell, its probability."""
+        row, of_row, down = search(self.marginal, by_row)
+        # by bisection, since every path has its own row
+        low, high = torch.zeros_like(row), torch.full_like(row, self.conditional.shape[1] - 1)
+        for _ in range(self.conditional.shape[1].bit_length()):
+            middle = (low + high) // 2
+            right = (self.conditional[row, middle] <= by_column) & (low < high)
+            low, high = torch.where(right, middle + 1, low), torch.where(right, high, middle)
+        before = torch.where(low > 0, self.conditional[row, (low - 1).clamp(min=0)], 0.0)
+        of_column = self.conditional[row, low] - before
+        across = (by_column - before) / of_column.clamp(min=1e-20)
+        return row, low, down.clamp(0.0, 1.0), across.clamp(0.0, 1.0), of_row * of_column
+
+    def mass(self, i: torch.Tensor, j: torch.Tensor) -> torch.Tensor:
+        """Probability of cells in rows i and columns j."""
+        row = self.marginal[i] - torch.where(i > 0, self.marginal[(i - 1).clamp(min=0)], 0.0)
+        column = self.conditional[i, j] - torch.where(j > 0, self.conditional[i, (j - 1).clamp(min=0)], 0.0)
+        return row * column

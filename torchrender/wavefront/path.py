@@ -275,7 +275,7 @@ class WavefrontTracer:
             rows = (facing & (self.shape_emitter[paths.shape] == light.index)).nonzero()[:, 0]
             if len(rows):
                 lit = paths[rows]
-                pdf = light.hit_pdf(lit.previous, lit.position.detach(), lit.normal.detach())
+                pdf = light.hit_pdf(lit.previous, lit.position.detach(), lit.normal.detach(), lit.at)
                 weight = self.weight_of_hit(lit, pdf * self.lights.pmf[light.index], depth)
                 self.add(lit, lit.beta, torch.einsum("n,n...->n...", weight, self.met(light, lit)))
 

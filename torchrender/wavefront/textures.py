@@ -48,7 +48,11 @@ def cell(
 
 def bitmap(world: World, record: Record, at: At) -> torch.Tensor:
     """An image, nearest or bilinear."""
-    data = world.tensor("texture", record, "data")
+    return interpolated(world, record, world.tensor("texture", record, "data"), at)
+
+
+def interpolated(world: World, record: Record, data: torch.Tensor, at: At) -> torch.Tensor:
+    """What a bitmap with the texels (H, W, K) shows."""
     height, width = data.shape[:2]
     if record.field["filter_type"] == 1:  # nearest
         uv, mode = image_coordinates(world, record, at), record.field["wrap_mode"]

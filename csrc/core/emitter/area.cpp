@@ -1,6 +1,6 @@
-// `area`: a shape that emits, from its front side, a radiance that may be textured. Sampled uniformly by area; spheres
-// seen from outside by the cone they fill (Shirley, Wang and Zimmerman, "Monte Carlo Techniques for Direct Lighting
-// Calculations", TOG 1996).
+// `area`: a shape that emits, from its front side, a radiance that may be textured. Sampled uniformly by area, or by
+// what an image on a rectangle shows; spheres seen from outside by the cone they fill (Shirley, Wang and Zimmerman,
+// "Monte Carlo Techniques for Direct Lighting Calculations", TOG 1996).
 #include "on_shape.h"
 
 namespace tr {
@@ -65,11 +65,12 @@ TR_INLINE F area_emitter_pdf(const SceneView<S> &scene, const UIntOf<F> &shape, 
     return by_area;
 }
 
-// A point on the emitting shape for the reference point p.
+// A point on the emitting shape for the reference point p. `unfold`: see sample_shape.
 template <class F, class S>
 TR_INLINE SampledPoint<F> sample_area_emitter(const SceneView<S> &scene, const UIntOf<F> &shape, const Vec3<F> &p,
-                                              const F &u0, const F &u1, const F &u2, const MaskOf<F> &active) {
-    SampledPoint<F> r = sample_shape<F>(scene, shape, u0, u1, u2, active, false);
+                                              const F &u0, const F &u1, const F &u2, const MaskOf<F> &active,
+                                              const MaskOf<F> &unfold) {
+    SampledPoint<F> r = sample_shape<F>(scene, shape, u0, u1, u2, active, unfold);
     if (any(active && ShapeLanes<F>(scene.shapes, shape, active).has(IsSphere))) {
         SphereCone<F> cone = sphere_cone(scene, shape, p, active);
         if (any(cone.valid)) {
@@ -105,19 +106,23 @@ struct Area : OnShape<AreaEmitter, F> {
     TR_HD static void sample_direct(const Scene &scene, const Vec3<F> &p, const F &u0, const F &u1, const F &u2,
                                     const M &lanes, EmitterSample<F> &r) {
         U shape = Base::shape_of(scene, r.point.emitter, lanes);
-        SampledPoint<F> q = sample_area_emitter(scene, shape, p, u0, u1, u2, lanes);
+        F x = u1, y = u2, density;
+        auto cells = choose_light_cell(scene, r.point.emitter, lanes, x, y, density);
+        SampledPoint<F> q = sample_area_emitter(scene, shape, p, u0, x, y, lanes, cells);
         Direction<F> to_light(q.p - p);
         auto facing = lanes && mask<F>(dot(q.n, to_light.d) < F(0));
         Base::put(q.at, lanes, r.point.at);
         r.d = select(lanes, to_light.d, r.d);
         r.distance = select(lanes, to_light.length, r.distance);
-        r.pdf = select(facing, area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing), r.pdf);
+        F pdf = area_emitter_pdf(scene, shape, p, q.n, to_light.d, to_light.length, facing) * density;
+        r.pdf = select(facing, pdf, r.pdf);
     }
 
     TR_HD static F pdf_direct(const Scene &scene, const EmitterPoint<F> &point, const Vec3<F> &from, const Vec3<F> &p,
                               const Vec3<F> &n, const M &lanes) {
         Direction<F> to_light(p - from);
-        return area_emitter_pdf(scene, point.at.shape, from, n, to_light.d, to_light.length, lanes);
+        return area_emitter_pdf(scene, point.at.shape, from, n, to_light.d, to_light.length, lanes) *
+               light_density(scene, point, lanes);
     }
 
     TR_HD static void sample_emission(const Scene &scene, const F &left, const F &a, const F &b, const F &c, const F &d,

@@ -2,11 +2,11 @@
 // frame d: u = atan2(d.x, -d.z) / (2 pi), v = acos(d.y) / pi. Column j is centred at u = (j + 0.5) / columns, periodic;
 // row i lies at v = i / (rows - 1), so the first and the last row are the poles. Bilinear.
 //
-// Sampling: the cells between texel centres, each with the mean luminance of its corners times sin(theta); then
-// uniformly in (u, v) within the cell. Pharr, Jakob and Humphreys, "Physically Based Rendering", section 12.5.
+// Sampling: the cells between texel centres (cells.h), each with the mean luminance of its corners times sin(theta).
 #pragma once
 
 #include "../texture/bitmap.h"
+#include "cells.h"
 
 namespace tr {
 
@@ -57,44 +57,34 @@ struct EnvironmentMap {
         j = select(mask<I>(j < 0), j + columns, j);
         j = select(mask<I>(j >= columns), j - columns, j);
         I i = max(I(0), min(I(floor(uv.y * F(S(rows)))), I(rows - 1)));
-        U ui = U(i), cell = U(i * columns + j);
-        F row = cdf_mass<F>(scene.env_marginal, ui, ui, active);
-        F column = cdf_mass<F>(scene.env_conditional, cell, U(j), active);
-        return density(scene, row * column, uv.y);
+        return density(scene, grid<F>(scene).mass(U(i), U(j), active), uv.y);
     }
 
     template <class F, class S>
     TR_INLINE static Vec3<F> sample(const SceneView<S> &scene, const F &u1, const F &u2, Vec2<F> &uv, F &pdf,
                                     const MaskOf<F> &active) {
-        using U = UIntOf<F>;
-        uint32_t columns = uint32_t(scene.env_columns), rows = uint32_t(scene.env_rows);
-        U i = search_cdf<F>(scene.env_marginal, U(0u), U(rows), u1, active);
-        F row = cdf_mass<F>(scene.env_marginal, i, i, active);
-        F before = select(mask<F>(i > 0u), gather<F>(scene.env_marginal, max(i, U(1u)) - 1u, active), F(0));
-        F fraction_v = max(F(0), min((u1 - before) / max(row, F(1e-20)), F(1)));
-        U offset = i * columns;
-        U j = search_cdf<F>(scene.env_conditional, offset, U(columns), u2, active);
-        F column = cdf_mass<F>(scene.env_conditional, offset + j, j, active);
-        before = select(mask<F>(j > 0u), gather<F>(scene.env_conditional, offset + max(j, U(1u)) - 1u, active), F(0));
-        F fraction_u = max(F(0), min((u2 - before) / max(column, F(1e-20)), F(1)));
-        uv.x = (F(IntOf<F>(j)) + F(0.5) + fraction_u) * F(1.0 / columns);
+        SampledCell<F> cell(grid<F>(scene), u1, u2, active);
+        uv.x = (F(IntOf<F>(cell.column)) + F(0.5) + cell.across) * F(1.0 / uint32_t(scene.env_columns));
         uv.x = uv.x - floor(uv.x);
-        uv.y = (F(IntOf<F>(i)) + fraction_v) * F(1.0 / rows);
+        uv.y = (F(IntOf<F>(cell.row)) + cell.down) * F(1.0 / uint32_t(scene.env_rows));
         F sin_phi, cos_phi, sin_theta, cos_theta;
         sincos(uv.x * F(2 * Pi), sin_phi, cos_phi);
         sincos(uv.y * F(Pi), sin_theta, cos_theta);
-        pdf = density(scene, row * column, uv.y);
+        pdf = density(scene, cell.mass, uv.y);
         return normalize(
             transform_vector(scene.env_to_world, Vec3<F>{sin_theta * sin_phi, cos_theta, -sin_theta * cos_phi}));
     }
 
 private:
     template <class F, class S>
-    TR_INLINE static F cdf_mass(const S *cdf, const UIntOf<F> &index, const UIntOf<F> &position,
-                                const MaskOf<F> &active) {
-        F upper = gather<F>(cdf, index, active);
-        F lower = select(mask<F>(position > 0u), gather<F>(cdf, max(index, UIntOf<F>(1u)) - 1u, active), F(0));
-        return upper - lower;
+    TR_INLINE static CellGrid<F> grid(const SceneView<S> &scene) {
+        using U = UIntOf<F>;
+        return {scene.env_marginal,
+                scene.env_conditional,
+                U(uint32_t(scene.env_rows)),
+                U(uint32_t(scene.env_columns)),
+                U(0u),
+                U(0u)};
     }
     // probability of a cell -> density per solid angle: d omega = 2 pi^2 sin(theta) du dv
     template <class F, class S>

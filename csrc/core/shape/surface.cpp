@@ -133,7 +133,7 @@ TR_LARGE Vec3<F> surface_position(const SceneOf<F> &scene, const SurfacePoint<F>
 
 template <class F>
 TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1,
-                                      const F &u2, const MaskOf<F> &active, bool unfold) {
+                                      const F &u2, const MaskOf<F> &active, const MaskOf<F> &unfold) {
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     SampledPoint<F> r;
@@ -151,9 +151,9 @@ TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &
         U n = select(mask<U>(mesh), faces[0], U(1u));
         r.at.primitive = search_cdf<F>(scene.area_cdf, faces[1], n, u0, mesh);
         Vec2<F> b = square_to_triangle(u1, u2);
-        if (unfold) {
-            auto two =
-                mesh && mask<F>(n == 2u) && mask<F>(abs(gather<F>(scene.area_cdf, faces[1], mesh) - F(0.5)) < F(1e-5));
+        if (any(mesh && unfold)) {
+            auto two = mesh && unfold && mask<F>(n == 2u) &&
+                       mask<F>(abs(gather<F>(scene.area_cdf, faces[1], mesh) - F(0.5)) < F(1e-5));
             auto second = mask<F>(u2 > u1);
             r.at.primitive = select(mask<U>(two), select(mask<U>(second), U(1u), U(0u)), r.at.primitive);
             b = {select(two, select(second, u1, u1 - u2), b.x), select(two, select(second, u2 - u1, u2), b.y)};
@@ -191,7 +191,7 @@ TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &
                                              const MaskOf<F> &);                                                    \
     template Vec3<F> surface_position(const SceneView<S> &, const SurfacePoint<F> &, const MaskOf<F> &);            \
     template SampledPoint<F> sample_shape(const SceneView<S> &, const UIntOf<F> &, const F &, const F &, const F &, \
-                                          const MaskOf<F> &, bool);
+                                          const MaskOf<F> &, const MaskOf<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

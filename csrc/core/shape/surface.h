@@ -209,6 +209,6 @@ struct SampledPoint {
 // one size, (u1, u2) choose the face, too: a rectangle is filled as evenly as they fill the unit square.
 template <class F>
 TR_LARGE SampledPoint<F> sample_shape(const SceneOf<F> &scene, const UIntOf<F> &shape, const F &u0, const F &u1,
-                                      const F &u2, const MaskOf<F> &active, bool unfold);
+                                      const F &u2, const MaskOf<F> &active, const MaskOf<F> &unfold);
 
 }  // namespace tr
