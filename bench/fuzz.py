@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,6 +29,7 @@ RENDERS = False  # no common options
 SECONDS = 2.0  # of processor time, for one input
 MEMORY = (4, 64 << 20)  # bytes that reading may take: times the input's, and more
 DICT_KIND = "dict"
+MEMORY_FILES = Path("/dev/shm")  # files on disks that are written anew wait for the disk
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,7 +46,7 @@ def hunt(kind: str, first: int, last: int, seconds: float | None, keep: Path | N
     total: Counter[str] = Counter()
     most = {"MB": 0.0, "ms": 0.0}
     end = time.monotonic() + (seconds or 1e9)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=MEMORY_FILES if MEMORY_FILES.is_dir() else None) as name:
         folder = Path(name)
         while first < last and time.monotonic() < end:
             (folder / "summary").unlink(missing_ok=True)
@@ -73,7 +75,7 @@ def hunt(kind: str, first: int, last: int, seconds: float | None, keep: Path | N
             if keep:
                 for file in folder.glob("kept_*"):
                     keep.mkdir(parents=True, exist_ok=True)
-                    file.replace(keep / f"{kind.replace(' ', '_')}_{file.name.removeprefix('kept_')}")
+                    shutil.move(file, keep / f"{kind.replace(' ', '_')}_{file.name.removeprefix('kept_')}")
     return {"counts": dict(total), "most": most, "found": found}
 
 
