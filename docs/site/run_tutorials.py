@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -121,7 +122,7 @@ def run(name: str) -> dict[str, object]:
     if rows:
         PICTURES.mkdir(parents=True, exist_ok=True)
         joined(folder, rows).save(PICTURES / f"{name}.jpg", quality=QUALITY)
-    printed = done.stdout.replace(str(ROOT) + "/", "")
+    printed = re.sub(r"; [\d.]+ s$", "", done.stdout.replace(str(ROOT) + "/", ""), flags=re.MULTILINE)  # busy or not
     return {
         "command": " ".join(["python", f"tutorials/{name}.py", *options]),
         # of the processor, so that other programs do not count
