@@ -19,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", type=natural, default=0, help="number of the first one (default 0)")
     parser.add_argument("--seconds", type=positive, help="end a kind after so many seconds")
     parser.add_argument("--only", default="", help="only kinds whose name contains this")
+    parser.add_argument("--processes", type=positive, default=1, help="kinds that are read at a time (default 1)")
     parser.add_argument("--keep", help="folder for inputs that found something")
 
 
@@ -92,11 +94,16 @@ def run(options: argparse.Namespace) -> Result:
     kinds = [name for name in (*KINDS, DICT_KIND) if options.only.lower() in name]
     if not kinds:
         raise SystemExit(f"--only: no kind's name contains {options.only!r}: {', '.join((*KINDS, DICT_KIND))}")
-    rows, notes = [], []
     keep = None if options.keep is None else Path(options.keep)
     worker = [sys.executable, "-m", "bench.fuzz_worker"]
-    for kind in kinds:
-        result = hunt(kind, options.first, options.first + options.count, options.seconds, keep, worker)
+
+    def hunted(kind: str) -> Any:
+        return hunt(kind, options.first, options.first + options.count, options.seconds, keep, worker)
+
+    with ThreadPoolExecutor(options.processes) as pool:  # each waits for a process
+        results = list(pool.map(hunted, kinds))
+    rows, notes = [], []
+    for kind, result in zip(kinds, results, strict=True):
         counts = result["counts"]
         rows.append(
             {
