@@ -28,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = ROOT / "tutorials"
 RECORDS = Path(__file__).with_name("tutorials.json")
 PICTURES = ROOT / "docs" / "images" / "tutorials"
-HEIGHT, WIDTH, QUALITY = 256, 1280, 82  # of the pictures that are kept: JPEG, at most so large
+HEIGHT, WIDTH, QUALITY = 256, 1280, 82  # of the pictures that are kept: JPEG, of rows about so high and at most so wide
 
 
 @dataclass(frozen=True)
@@ -87,24 +87,21 @@ def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
     """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width."""
     from PIL import Image
 
-    strips = []
-    for row in rows:
-        parts = [Image.open(folder / f"{name}.png").convert("RGB") for name in row.split()]
-        parts = [p.resize((round(p.width * HEIGHT / p.height), HEIGHT), Image.Resampling.LANCZOS) for p in parts]
-        gap = 8
-        strip = Image.new("RGB", (sum(p.width for p in parts) + gap * (len(parts) - 1), HEIGHT), "white")
-        x = 0
-        for part in parts:
-            strip.paste(part, (x, 0))
-            x += part.width + gap
-        strips.append(strip)
-    width = min(WIDTH, max(s.width for s in strips))
-    strips = [s.resize((width, round(s.height * width / s.width)), Image.Resampling.LANCZOS) for s in strips]
-    sheet = Image.new("RGB", (width, sum(s.height for s in strips)), "white")
+    gap = 8
+    strips = [[Image.open(folder / f"{name}.png").convert("RGB") for name in row.split()] for row in rows]
+    aspects = [sum(part.width / part.height for part in strip) for strip in strips]
+    gaps = [gap * (len(strip) - 1) for strip in strips]
+    width = min(WIDTH, max(round(HEIGHT * a) + g for a, g in zip(aspects, gaps, strict=True)))
+    heights = [round((width - g) / a) for a, g in zip(aspects, gaps, strict=True)]
+    sheet = Image.new("RGB", (width, sum(heights)), "white")
     y = 0
-    for strip in strips:
-        sheet.paste(strip, (0, y))
-        y += strip.height
+    for strip, height in zip(strips, heights, strict=True):
+        x = 0
+        for part in strip:
+            scaled = part.resize((round(part.width * height / part.height), height), Image.Resampling.LANCZOS)
+            sheet.paste(scaled, (x, y))
+            x += scaled.width + gap
+        y += height
     return sheet
 
 
