@@ -92,16 +92,17 @@ def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
     aspects = [sum(part.width / part.height for part in strip) for strip in strips]
     gaps = [gap * (len(strip) - 1) for strip in strips]
     width = min(WIDTH, max(round(HEIGHT * a) + g for a, g in zip(aspects, gaps, strict=True)))
-    heights = [round((width - g) / a) for a, g in zip(aspects, gaps, strict=True)]
-    sheet = Image.new("RGB", (width, sum(heights)), "white")
+    heights = [(width - g) / a for a, g in zip(aspects, gaps, strict=True)]
+    sheet = Image.new("RGB", (width, sum(map(round, heights))), "white")
     y = 0
     for strip, height in zip(strips, heights, strict=True):
         x = 0
         for part in strip:
-            scaled = part.resize((round(part.width * height / part.height), height), Image.Resampling.LANCZOS)
+            size = round(part.width * height / part.height), round(height)
+            scaled = part.resize(size, Image.Resampling.LANCZOS)
             sheet.paste(scaled, (x, y))
             x += scaled.width + gap
-        y += height
+        y += round(height)
     return sheet
 
 
