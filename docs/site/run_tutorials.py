@@ -84,7 +84,10 @@ def docstring(path: Path) -> str:
 
 
 def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
-    """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width."""
+    """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width.
+
+    A row that would be too high then is narrower, and in the middle.
+    """
     from PIL import Image
 
     gap = 8
@@ -92,11 +95,11 @@ def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
     aspects = [sum(part.width / part.height for part in strip) for strip in strips]
     gaps = [gap * (len(strip) - 1) for strip in strips]
     width = min(WIDTH, max(round(HEIGHT * a) + g for a, g in zip(aspects, gaps, strict=True)))
-    heights = [(width - g) / a for a, g in zip(aspects, gaps, strict=True)]
+    heights = [min(2 * HEIGHT, (width - g) / a) for a, g in zip(aspects, gaps, strict=True)]
     sheet = Image.new("RGB", (width, sum(map(round, heights))), "white")
     y = 0
-    for strip, height in zip(strips, heights, strict=True):
-        x = 0
+    for strip, height, aspect, between in zip(strips, heights, aspects, gaps, strict=True):
+        x = round(width - aspect * height - between) // 2
         for part in strip:
             size = round(part.width * height / part.height), round(height)
             scaled = part.resize(size, Image.Resampling.LANCZOS)

@@ -74,6 +74,10 @@ def test_rows_of_pictures_are_of_equal_width(tmp_path):
     assert sheet.getpixel((round(2 * upper) + 12, round(upper) - 4)) == (0, 0, 255)
     assert sheet.getpixel((sheet.width - 2, sheet.height - 4)) == (0, 128, 0)
 
+    sheet = run_tutorials.joined(tmp_path, ("wide", "b"))  # which is narrower than the row above
+    y = round(sheet.width / 6) + 9
+    assert sheet.getpixel((0, y)) == (255, 255, 255) and sheet.getpixel((sheet.width // 2, y)) == (0, 0, 255)
+
 
 def test_every_public_name_is_in_the_reference_once():
     described = [name for names in reference.described().values() for name in names]
