@@ -56,7 +56,9 @@ print("RESULT" + json.dumps({name}.run(pathlib.Path(sys.argv[1]), **json.loads(s
 
 def started(name: str, folder: Path) -> subprocess.Popen[str]:
     code = PROGRAM.format(tutorials=str(TUTORIALS), name=name)
-    settings = SIZES[name] if name in BY_ITSELF else {**SIZES[name], "save_every": 1}
+    settings = dict(SIZES[name])
+    if name not in BY_ITSELF:  # a tenth of the way is lost at most; drawing takes as long as iterations do
+        settings["save_every"] = max(1, settings["iterations"] // 10)
     command = [sys.executable, "-c", code, str(folder), json.dumps(settings)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "MPLBACKEND": "agg"}
     return subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
