@@ -4,9 +4,9 @@ Processes with one thread each (--threads) share the samples of a step; rounds a
 waiting. Where other programs keep the machine busy, processor time says more than time: that of the slowest process of
 a step, without its waiting. Beside it stands the speed of processes that share nothing: each renders its part of the
 samples by itself while the others do, so that what they lose is the machine's, whose caches, memory and clock rate they
-share. The model takes a step apart: what every process does by itself (a constant), samples,
-which are shared, and one sum of all bytes, in a ring of 2 (n - 1) messages (Thakur, Rabenseifner and Gropp,
-"Optimization of Collective Communication Operations in MPICH", 2005, section 4.4).
+share. The model takes a step apart: what every process does by itself (a constant), samples, which are shared, and one
+sum of all bytes, in a ring of 2 (n - 1) messages (Thakur, Rabenseifner and Gropp, "Optimization of Collective
+Communication Operations in MPICH", 2005, section 4.4).
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ def speed_rows(row: Row, found: dict[str, Any], options: argparse.Namespace) -> 
                 "processor time of the slowest s": Measured.of(step["processor time"]),
                 f"speed / {first}, by time": speed("time", "time"),
                 f"speed / {first}, by processor time": speed("processor time", "processor time"),
-                "sharing nothing: speed, by time": speed("time apart", "time"),
-                "by processor time": speed("processor time apart", "processor time"),
+                "sharing nothing, by time": speed("time apart", "time"),
+                "sharing nothing, by processor time": speed("processor time apart", "processor time"),
                 "bytes a process sends a step": step["bytes"],
                 "collective operations": step["collectives"],
             }

@@ -162,7 +162,7 @@ def test_distributed(tmp_path):
     assert one["bytes a process sends a step"] == 0
     assert two["bytes a process sends a step"] == 4 * (16 * 16 * 3 + 15) + 8 * 7
     assert two["speed / 1, by time"] == pytest.approx(one["step s"]["median"] / two["step s"]["median"])
-    apart = "sharing nothing: speed, by time"
+    apart = "sharing nothing, by time"
     assert one[apart] == 1 and two[apart] > 0
     assert [row["bytes"] for row in sums["rows"]] == [1 << 10, 1 << 16, 1 << 20, 1 << 24]
     assert [row["machines"] for row in model["rows"]] == 2 * [1, 8, 64]
