@@ -147,7 +147,7 @@ native-test: $(VENV)/.installed
 	@program=$$($(PY) setup.py -q native_tests) && "$$program" "$(EMBREE)"
 
 sanitize: $(VENV)/.installed
-	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)"
+	@program=$$($(PY) setup.py -q native_tests --sanitize) && "$$program" "$(EMBREE)" -j"$$(nproc)"
 
 # For aarch64, by Debian's cross compiler, and run by qemu-user. PyPI has no Embree for it. Debian 14 has: AARCH64_ROOT is a
 # folder with its packages libembree4-4, libtbb12, libc6, libgcc-s1 and libstdc++6 of arm64 (dpkg -x), AARCH64_EMBREE that

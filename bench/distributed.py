@@ -2,9 +2,11 @@
 
 Processes with one thread each (--threads) share the samples of a step; rounds alternate between their numbers, the rest
 waiting. Where other programs keep the machine busy, processor time says more than time: that of the slowest process of
-a step, without its waiting. The model takes a step apart: what every process does by itself (a constant), samples,
-which are shared, and one sum of all bytes, in a ring of 2 (n - 1) messages (Thakur, Rabenseifner and Gropp,
-"Optimization of Collective Communication Operations in MPICH", 2005, section 4.4).
+a step, without its waiting. Beside it stands the speed of processes that share nothing: each renders its part of the
+samples by itself while the others do, so that what they lose is the machine's, whose caches, memory and clock rate they
+share. The model takes a step apart: what every process does by itself (a constant), samples, which are shared, and one
+sum of all bytes, in a ring of 2 (n - 1) messages (Thakur, Rabenseifner and Gropp, "Optimization of Collective
+Communication Operations in MPICH", 2005, section 4.4).
 """
 
 from __future__ import annotations
@@ -61,16 +63,20 @@ def speed_rows(row: Row, found: dict[str, Any], options: argparse.Namespace) -> 
     first = min(steps)
     rows = []
     for n, step in steps.items():
-        time, processor = Measured.of(step["time"]), Measured.of(step["processor time"])
-        alone = steps[first]
+
+        def speed(name: str, of: str, step: dict[str, Any] = step) -> float:
+            return Measured.of(steps[first][of]).median / Measured.of(step[name]).median
+
         rows.append(
             {
                 "scene": row.name,
                 "processes": n,
-                "step s": time,
-                "processor time of the slowest s": processor,
-                f"speed / {first}, by time": Measured.of(alone["time"]).median / time.median,
-                f"speed / {first}, by processor time": Measured.of(alone["processor time"]).median / processor.median,
+                "step s": Measured.of(step["time"]),
+                "processor time of the slowest s": Measured.of(step["processor time"]),
+                f"speed / {first}, by time": speed("time", "time"),
+                f"speed / {first}, by processor time": speed("processor time", "processor time"),
+                "sharing nothing, by time": speed("time apart", "time"),
+                "sharing nothing, by processor time": speed("processor time apart", "processor time"),
                 "bytes a process sends a step": step["bytes"],
                 "collective operations": step["collectives"],
             }

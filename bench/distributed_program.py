@@ -16,6 +16,8 @@ from .ours import Ours
 from .rows import ROWS
 
 SIZES = (1 << 10, 1 << 16, 1 << 20, 1 << 24)  # bytes of sums that are timed
+TIMES = ("time", "processor time")  # of a step that processes share
+APART = ("time apart", "processor time apart")  # of processes that share nothing
 SAMPLES = (1, 4, 16, 64)  # samples a pixel whose time tells what samples cost, and what the rest does
 
 
@@ -41,20 +43,29 @@ def largest(numbers: tuple[float, ...], group: Any) -> list[float]:
 
 
 def steps(ours: Ours, settings: dict[str, Any]) -> dict[int, dict[str, Any]]:
-    """Steps by numbers of processes, in rounds that have each of them once."""
+    """Steps by numbers of processes, in rounds that have each of them once.
+
+    After the step that n processes share each renders and differentiates 1/n of its samples once more, by itself and at
+    the same time: what the machine itself takes from processes that have nothing to do with each other.
+    """
     sizes = settings["processes"]
     groups = {n: dist.new_group(list(range(n))) for n in sizes}
-    found: dict[int, dict[str, Any]] = {n: {"time": [], "processor time": []} for n in sizes}
+    found: dict[int, dict[str, Any]] = {n: {name: [] for name in (*TIMES, *APART)} for n in sizes}
     for number in range(settings["warmup"] + settings["rounds"]):
         for n in sizes:
             dist.barrier()
             if dist.get_rank() >= n:
                 continue
             seconds = largest(step(ours, groups[n] if n > 1 else None, number, settings["spp"]), groups[n])
-            if number >= settings["warmup"]:
-                found[n]["time"].append(seconds[0])
-                found[n]["processor time"].append(seconds[1])
             sent = ours.scene.statistics["distributed"] if n > 1 else {"bytes": 0, "collectives": 0}
+            apart = seconds
+            if n > 1:
+                dist.barrier(groups[n])
+                seed = (number + 1) * n + dist.get_rank()
+                apart = largest(step(ours, None, seed, max(1, settings["spp"] // n)), groups[n])
+            if number >= settings["warmup"]:
+                for name, each in zip((*TIMES, *APART), (*seconds, *apart), strict=True):
+                    found[n][name].append(each)
             found[n] |= sent
     return found
 

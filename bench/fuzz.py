@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -18,6 +19,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,7 @@ RENDERS = False  # no common options
 SECONDS = 2.0  # of processor time, for one input
 MEMORY = (4, 64 << 20)  # bytes that reading may take: times the input's, and more
 DICT_KIND = "dict"
+MEMORY_FILES = Path("/dev/shm")  # files on disks that are written anew wait for the disk
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--first", type=natural, default=0, help="number of the first one (default 0)")
     parser.add_argument("--seconds", type=positive, help="end a kind after so many seconds")
     parser.add_argument("--only", default="", help="only kinds whose name contains this")
+    parser.add_argument("--processes", type=positive, default=1, help="kinds that are read at a time (default 1)")
     parser.add_argument("--keep", help="folder for inputs that found something")
 
 
@@ -44,7 +48,7 @@ def hunt(kind: str, first: int, last: int, seconds: float | None, keep: Path | N
     total: Counter[str] = Counter()
     most = {"MB": 0.0, "ms": 0.0}
     end = time.monotonic() + (seconds or 1e9)
-    with tempfile.TemporaryDirectory() as name:
+    with tempfile.TemporaryDirectory(dir=MEMORY_FILES if MEMORY_FILES.is_dir() else None) as name:
         folder = Path(name)
         while first < last and time.monotonic() < end:
             (folder / "summary").unlink(missing_ok=True)
@@ -73,7 +77,7 @@ def hunt(kind: str, first: int, last: int, seconds: float | None, keep: Path | N
             if keep:
                 for file in folder.glob("kept_*"):
                     keep.mkdir(parents=True, exist_ok=True)
-                    file.replace(keep / f"{kind.replace(' ', '_')}_{file.name.removeprefix('kept_')}")
+                    shutil.move(file, keep / f"{kind.replace(' ', '_')}_{file.name.removeprefix('kept_')}")
     return {"counts": dict(total), "most": most, "found": found}
 
 
@@ -90,11 +94,16 @@ def run(options: argparse.Namespace) -> Result:
     kinds = [name for name in (*KINDS, DICT_KIND) if options.only.lower() in name]
     if not kinds:
         raise SystemExit(f"--only: no kind's name contains {options.only!r}: {', '.join((*KINDS, DICT_KIND))}")
-    rows, notes = [], []
     keep = None if options.keep is None else Path(options.keep)
     worker = [sys.executable, "-m", "bench.fuzz_worker"]
-    for kind in kinds:
-        result = hunt(kind, options.first, options.first + options.count, options.seconds, keep, worker)
+
+    def hunted(kind: str) -> Any:
+        return hunt(kind, options.first, options.first + options.count, options.seconds, keep, worker)
+
+    with ThreadPoolExecutor(options.processes) as pool:  # each waits for a process
+        results = list(pool.map(hunted, kinds))
+    rows, notes = [], []
+    for kind, result in zip(kinds, results, strict=True):
         counts = result["counts"]
         rows.append(
             {

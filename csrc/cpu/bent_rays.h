@@ -94,8 +94,8 @@ struct BentAdjoints {
     const S *last_q, *last_u, *sums, *depth, *emitted;
     S *q, *u, *values;
     double *kick;
-    S *grids[2];
-    double *maps[2];
+    S *grids[2] = {};
+    double *maps[2] = {};
 };
 template <class S>
 void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints);
@@ -106,8 +106,8 @@ struct BentTangents {
     BendField<S> field;
     const S *q, *u;
     S *last_q, *last_u, *sums, *depth, *emitted;
-    TensorView<S> grids[2];
-    const S *maps[2];
+    TensorView<S> grids[2] = {};
+    const S *maps[2] = {};
 };
 template <class S>
 void forward_bent(const BentRays<S> &rays, const BentTangents<S> &tangents);

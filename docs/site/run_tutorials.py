@@ -11,6 +11,7 @@ from __future__ import annotations
 import ast
 import json
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -27,7 +28,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = ROOT / "tutorials"
 RECORDS = Path(__file__).with_name("tutorials.json")
 PICTURES = ROOT / "docs" / "images" / "tutorials"
-HEIGHT, WIDTH, QUALITY = 256, 1280, 82  # of the pictures that are kept: JPEG, at most so large
+HEIGHT, WIDTH, QUALITY = 256, 1280, 82  # of the pictures that are kept: JPEG, of rows about so high and at most so wide
 
 
 @dataclass(frozen=True)
@@ -83,27 +84,28 @@ def docstring(path: Path) -> str:
 
 
 def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
-    """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width."""
+    """The pictures of a run (names without ``.png``) beside each other, of equal height, in rows of equal width.
+
+    A row that would be too high then is narrower, and in the middle.
+    """
     from PIL import Image
 
-    strips = []
-    for row in rows:
-        parts = [Image.open(folder / f"{name}.png").convert("RGB") for name in row.split()]
-        parts = [p.resize((round(p.width * HEIGHT / p.height), HEIGHT), Image.Resampling.LANCZOS) for p in parts]
-        gap = 8
-        strip = Image.new("RGB", (sum(p.width for p in parts) + gap * (len(parts) - 1), HEIGHT), "white")
-        x = 0
-        for part in parts:
-            strip.paste(part, (x, 0))
-            x += part.width + gap
-        strips.append(strip)
-    width = min(WIDTH, max(s.width for s in strips))
-    strips = [s.resize((width, round(s.height * width / s.width)), Image.Resampling.LANCZOS) for s in strips]
-    sheet = Image.new("RGB", (width, sum(s.height for s in strips)), "white")
+    gap = 8
+    strips = [[Image.open(folder / f"{name}.png").convert("RGB") for name in row.split()] for row in rows]
+    aspects = [sum(part.width / part.height for part in strip) for strip in strips]
+    gaps = [gap * (len(strip) - 1) for strip in strips]
+    width = min(WIDTH, max(round(HEIGHT * a) + g for a, g in zip(aspects, gaps, strict=True)))
+    heights = [min(2 * HEIGHT, (width - g) / a) for a, g in zip(aspects, gaps, strict=True)]
+    sheet = Image.new("RGB", (width, sum(map(round, heights))), "white")
     y = 0
-    for strip in strips:
-        sheet.paste(strip, (0, y))
-        y += strip.height
+    for strip, height, aspect, between in zip(strips, heights, aspects, gaps, strict=True):
+        x = round(width - aspect * height - between) // 2
+        for part in strip:
+            size = round(part.width * height / part.height), round(height)
+            scaled = part.resize(size, Image.Resampling.LANCZOS)
+            sheet.paste(scaled, (x, y))
+            x += scaled.width + gap
+        y += round(height)
     return sheet
 
 
@@ -121,7 +123,7 @@ def run(name: str) -> dict[str, object]:
     if rows:
         PICTURES.mkdir(parents=True, exist_ok=True)
         joined(folder, rows).save(PICTURES / f"{name}.jpg", quality=QUALITY)
-    printed = done.stdout.replace(str(ROOT) + "/", "")
+    printed = re.sub(r"; [\d.]+ s$", "", done.stdout.replace(str(ROOT) + "/", ""), flags=re.MULTILINE)  # busy or not
     return {
         "command": " ".join(["python", f"tutorials/{name}.py", *options]),
         # of the processor, so that other programs do not count

@@ -62,6 +62,23 @@ def test_runs_of_tutorials_are_kept_with_their_pictures():
     assert set(run_tutorials.RUNS) <= set(run_tutorials.programs())
 
 
+def test_rows_of_pictures_are_of_equal_width(tmp_path):
+    image = pytest.importorskip("PIL.Image")
+    for name, size, colour in (("a", (100, 50), "red"), ("b", (200, 200), "blue"), ("wide", (600, 100), "green")):
+        image.new("RGB", size, colour).save(tmp_path / f"{name}.png")
+    sheet = run_tutorials.joined(tmp_path, ("a b", "wide"))
+    assert sheet.width == run_tutorials.WIDTH  # the lower row is wider than that where it is 256 pixels high
+    upper = (sheet.width - 8) / 3
+    assert sheet.height == pytest.approx(upper + sheet.width / 6, abs=1)
+    assert sheet.getpixel((round(2 * upper) - 4, 4)) == (255, 0, 0)
+    assert sheet.getpixel((round(2 * upper) + 12, round(upper) - 4)) == (0, 0, 255)
+    assert sheet.getpixel((sheet.width - 2, sheet.height - 4)) == (0, 128, 0)
+
+    sheet = run_tutorials.joined(tmp_path, ("wide", "b"))  # which is narrower than the row above
+    y = round(sheet.width / 6) + 9
+    assert sheet.getpixel((0, y)) == (255, 255, 255) and sheet.getpixel((sheet.width // 2, y)) == (0, 0, 255)
+
+
 def test_every_public_name_is_in_the_reference_once():
     described = [name for names in reference.described().values() for name in names]
     assert len(described) == len(set(described))

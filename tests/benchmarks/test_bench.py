@@ -162,6 +162,8 @@ def test_distributed(tmp_path):
     assert one["bytes a process sends a step"] == 0
     assert two["bytes a process sends a step"] == 4 * (16 * 16 * 3 + 15) + 8 * 7
     assert two["speed / 1, by time"] == pytest.approx(one["step s"]["median"] / two["step s"]["median"])
+    apart = "sharing nothing, by time"
+    assert one[apart] == 1 and two[apart] > 0
     assert [row["bytes"] for row in sums["rows"]] == [1 << 10, 1 << 16, 1 << 20, 1 << 24]
     assert [row["machines"] for row in model["rows"]] == 2 * [1, 8, 64]
     for row in model["rows"]:
@@ -177,9 +179,10 @@ def test_endurance(tmp_path):
 
 
 def test_fuzz(tmp_path):
-    (table,) = run(tmp_path, "fuzz", "--only", "vol", "--count", "20")["tables"]
-    (row,) = table["rows"]
-    assert row["kind"] == "vol" and row["inputs"] == 20 and 0 < row["refused"] <= 20 and row["found"] == 0
+    (table,) = run(tmp_path, "fuzz", "--only", "exr ", "--count", "20", "--processes", "2")["tables"]
+    assert [row["kind"] for row in table["rows"]] == ["exr channels", "exr parts"]
+    for row in table["rows"]:
+        assert row["inputs"] == 20 and 0 < row["refused"] <= 20 and row["found"] == 0
     with pytest.raises(SystemExit, match="--only: no kind's name contains 'tiff'"):
         main(["fuzz", "--only", "tiff"])
 

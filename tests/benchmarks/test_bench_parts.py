@@ -12,7 +12,7 @@ import pytest
 import torch
 
 import torchrender as tr
-from bench import compare, peers, plots, report
+from bench import compare, kills, peers, plots, report
 from bench.embree_alone import KINDS, QUERIES, EmbreeAlone, Pair
 from bench.materials import ALL, MATERIALS, block_means, cases, z_scores
 from bench.measured import Measured, fit_line, rounds
@@ -328,3 +328,25 @@ def test_plots_say_what_they_need(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError, match="pip install matplotlib"):
         plots.require_matplotlib()
+
+
+def test_kills_see_other_bits(tmp_path):
+    optimiser = {"param_groups": [{"line_search_fn": "strong_wolfe", "lr": 1.0, "params": [0]}]}
+    state = {"settings": {"rate": 1.0}, "iteration": 3, "x": torch.tensor([1.0, float("nan")]), "optimiser": optimiser}
+    for folder, changes in (
+        ("whole", {}),
+        ("alike", {"settings": {"rate": 2.0}}),  # which `Checkpoint` compares itself
+        ("off", {"x": torch.tensor([1.0 + 2.0**-23, float("nan")])}),
+        ("earlier", {"iteration": 2}),
+        ("other", {"optimiser": {"param_groups": [{**optimiser["param_groups"][0], "line_search_fn": None}]}}),
+    ):
+        (tmp_path / folder).mkdir()
+        torch.save(state | changes, tmp_path / folder / "checkpoint.pt")
+    (tmp_path / "empty").mkdir()
+    found = {f.name: kills.same(tmp_path / "whole", f) for f in tmp_path.iterdir()}
+    assert found == {"whole": True, "alike": True, "off": False, "earlier": False, "other": False, "empty": False}
+    assert kills.close({"a": 1.0, "b": 0.0}, {"a": 1.09, "b": 1e-4})
+    assert not kills.close({"a": 1.0}, {"a": 1.2}) and not kills.close({"a": float("nan")}, {"a": 1.0})
+    assert set(kills.SIZES) >= {*kills.BY_ITSELF, *kills.MOVING}
+    tutorials = {path.stem for path in kills.TUTORIALS.glob("*.py") if "import Checkpoint" in path.read_text()}
+    assert set(kills.SIZES) == tutorials

@@ -114,7 +114,8 @@ def test_moving_but_continuous(name, parameter):
     else:
         step = 0.2 if parameter.endswith("fov") else 0.02 if glass and not parameter.endswith("to_uv") else 2e-3
     spp = 200 if name.startswith("glass") else 50 if glass else 32
-    derivatives, differences = compare(scene, parameter, SEEDS, spp, step, visibility=False)
+    together = tuple(moving_parameters(scene))
+    derivatives, differences = compare(scene, parameter, SEEDS, spp, step, together=together, visibility=False)
     passed, text = agrees(derivatives, differences, 0.02 if glass else 5e-3, len(CASES))
     assert passed, f"{name} {parameter}: {text}"
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+
 import reference_scenes
 import torch
 
@@ -25,33 +27,45 @@ def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
     return torch.randn(value.shape, generator=generator, dtype=torch.float64)
 
 
+def weighted(scene, show=None, **settings) -> torch.Tensor:
+    """The weighted mean of an image, or of what `show` makes of it."""
+    weight = torch.from_numpy(reference_scenes.weight(*scene.sensors[0].film.window[2:]))
+    image = tr.render(scene, **settings)
+    return ((image if show is None else show(image)) * weight).mean()
+
+
+@functools.lru_cache(maxsize=32)
+def gradients(scene, names: tuple[str, ...], seed: int, spp: int, show=None, **settings) -> dict[str, torch.Tensor]:
+    """Those of `weighted` by several parameters, in one pass with samples of this seed."""
+    values = {name: scene.get_parameter(name).detach().clone().requires_grad_() for name in names}
+    # The samples of the image itself do not matter, so that one is enough.
+    mean = weighted(scene, show, params=values, seed=seed + 1000, spp=1, spp_grad=spp, seed_grad=seed, **settings)
+    return dict(zip(names, torch.autograd.grad(mean, list(values.values()))))
+
+
 def compare(
-    scene, parameter: str, seeds: int, spp: int, step: float, show=None, **settings
+    scene, parameter: str, seeds: int, spp: int, step: float, show=None, together: tuple[str, ...] = (), **settings
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Derivatives, with these settings, and finite differences of the weighted mean of the image, by seed.
 
-    `show`: makes an image of what is rendered with these settings.
+    `show`: makes an image of what is rendered with these settings. `together`: parameters, this one among them, that
+    have their derivatives found in the same pass, which is kept for the tests of the others.
     """
     # Few rays weigh much: with these samples their number in a run of so many seeds is known.
     settings = {"sampler": "independent", **settings}
-    film = scene.sensors[0].film
-    weight = torch.from_numpy(reference_scenes.weight(*film.window[2:]))
     value = scene.get_parameter(parameter).detach()
     direction = direction_of(parameter, value)
-
-    def f(x, seed, **more):
-        image = tr.render(scene, seed=seed, params={parameter: x}, **more)
-        image = image if show is None else show(image)
-        return (image * weight).mean()
-
     derivatives, differences = [], []
     for seed in range(seeds):
-        x = value.clone().requires_grad_()
-        # Of the samples of the images below; those of the image itself do not matter, so that one is enough.
-        (gradient,) = torch.autograd.grad(f(x, seeds + seed, spp=1, spp_grad=spp, seed_grad=seed, **settings), x)
+        gradient = gradients(scene, together or (parameter,), seed, spp, show, **settings)[parameter]
         derivatives.append(float((gradient * direction).sum()))
         with torch.no_grad():
-            ahead, back = (f(value + sign * step * direction, seed, spp=spp, **settings) for sign in (1, -1))
+            ahead, back = (
+                weighted(
+                    scene, show, params={parameter: value + sign * step * direction}, seed=seed, spp=spp, **settings
+                )
+                for sign in (1, -1)
+            )
             change = ahead - back
         differences.append(float(change) / (2 * step))
     return torch.tensor(derivatives), torch.tensor(differences)

@@ -57,7 +57,7 @@ def test_caustics(tutorial, tmp_path, capsys):
         )
         assert plate.volume == pytest.approx(2500 * (thickness + heights.mean().item()), rel=1e-4)
 
-    parts = goes_on_after_a_kill(caustics, whole, result, SMALL, capsys, save_every=4, total=40)
+    parts = goes_on_after_a_kill(caustics, whole, result, SMALL, capsys, save_every=10, total=40)
     # A checkpoint of other settings is not taken for one of these.
     with pytest.raises(ValueError, match=r"a run with limit 0\.01 \(now 0\.02\); --restart begins anew"):
         caustics.run(parts, **{**SMALL, "limit": 0.02})

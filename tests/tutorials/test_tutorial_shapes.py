@@ -50,7 +50,7 @@ def test_mesh_from_pictures(tutorial, tmp_path, capsys):
     (moments,) = one["optimiser"]["state"].values()
     assert int(moments["step"]) == 4 and moments["exp_avg"].shape == one["u"].shape == one["vertices"].shape
 
-    parts = goes_on_after_a_kill(module, whole, result, MESH, capsys, save_every=3, total=20, meshes_move=True)
+    parts = goes_on_after_a_kill(module, whole, result, MESH, capsys, save_every=8, total=20, meshes_move=True)
     with pytest.raises(ValueError, match=r"a run with rate 0\.1 \(now 0\.2\); --restart begins anew"):
         module.run(parts, **{**MESH, "rate": 0.2})
 
@@ -205,4 +205,4 @@ def test_shadow_art(tutorial, tmp_path, capsys):
     tube = trimesh.load(tmp_path / "whole" / "tube.ply", process=False)
     assert len(tube.faces) == 2 * 64 * 16 and tube.is_watertight
 
-    goes_on_after_a_kill(module, tmp_path / "whole", result, small, capsys, save_every=5, total=40, meshes_move=True)
+    goes_on_after_a_kill(module, tmp_path / "whole", result, small, capsys, save_every=20, total=40, meshes_move=True)

@@ -1,4 +1,7 @@
-"""Text files of curves, as Mitsuba reads them: a control point and its radius a line, empty lines between curves."""
+"""Text files of curves, as Mitsuba reads them: a control point and its radius a line, empty lines between curves.
+
+`numpy.loadtxt` skips empty lines, which are what separates curves.
+"""
 
 from __future__ import annotations
 

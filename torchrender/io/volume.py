@@ -1,4 +1,7 @@
-"""``read_volume`` and ``write_volume``: grids of values from and to files."""
+"""``read_volume`` and ``write_volume``: grids of values from and to files.
+
+``.npy`` files are read by NumPy, which does not know Mitsuba's ``.vol`` files: a header of 48 bytes, then numbers.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Cameras of a COLMAP reconstruction, from its text or binary files.
 
 The format is that of COLMAP's documentation ("Output Format", ``cameras`` and ``images``), its camera models those of
-"Camera Models". COLMAP looks along +z with +y down, like OpenCV; pixel centres lie at +0.5, as here.
+"Camera Models". COLMAP looks along +z with +y down, like OpenCV; pixel centres lie at +0.5, as here. Its own library
+pycolmap brings the whole of COLMAP, a native program, for two tables of numbers; trimesh reads none of them.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Mitsuba's compressed mesh files (``.serialized``), versions 3 and 4.
 
 Format: the manual of Mitsuba 0.6, "Serialized mesh loader". Several meshes, each a header of 4 bytes and a zlib stream,
-then a table of their offsets and their number. All little endian.
+then a table of their offsets and their number. All little endian. trimesh does not read them.
 """
 
 from __future__ import annotations
