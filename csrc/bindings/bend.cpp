@@ -48,8 +48,8 @@ void bend(const SceneView<S> *scene, const Accel *accel, const BendRequest &requ
             {at("value"), at("slope")});
     rays.steps = integers("steps");
     if (what == "forward") {
-        BentTangents<S> tangents{tangent, at("q_tangent"), at("u_tangent"), at("last_q"), at("last_u"), at("sums")};
-        tangents.depth = given("depth"), tangents.emitted = given("emitted");
+        BentTangents<S> tangents{tangent,      at("q_tangent"), at("u_tangent"), at("last_q"),
+                                 at("last_u"), at("sums"),      given("depth"),  given("emitted")};
         for (int k = 0; k < 2 && rays.light; ++k) {
             if (!array(k, "")) continue;
             tangents.grids[k] = view(k, array(k, "_tangent")), tangents.maps[k] = array(k, "_map_tangent");
