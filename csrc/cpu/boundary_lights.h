@@ -1,10 +1,9 @@
 // Outlines that lights see: the edges of shadows.
 //
 // From a place on a light, or along a direction of one that is infinitely far away, an outline's point B is chosen, of
-// a small light from the pieces of shadow_pieces.h, else from the tree. Lights, places on them and pieces are those of
-// a lattice, so that they are spread evenly. The ray past it ends at S, which the camera sees at the place u of its
-// film, at the end of a segment c. With the unit direction d from S to the light, at S the BSDF f with its cosine, w
-// pixels per area perpendicular to c, and the density p of the light's place,
+// a small light from the pieces of shadow_pieces.h, evenly, else from the tree. The ray past it ends at S, which the
+// camera sees at the place u of its film, at the end of a segment c. With the unit direction d from S to the light, at
+// S the BSDF f with its cosine, w pixels per area perpendicular to c, and the density p of the light's place,
 //
 //     dI = - integral of h(p - u) / Z  w |n.c| / |n.d|  f L g  n.(dB - (1 - tau) dS - tau dE)  dl
 //
@@ -54,7 +53,7 @@ class ShadowTile : public BoundaryTile<F> {
     ShadowEdgeColumns<S> at_;
     std::vector<V> carried_;       // of connections to vertices
     std::vector<double> numbers_;  // by slot, for a piece
-    uint64_t start_[3];            // of the lattice
+    uint64_t start_;               // of what spreads samples
 
 public:
     ShadowTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
@@ -63,8 +62,8 @@ public:
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
         arena_.allocate(Base::Capacity + 2 * W, at_);
-        const auto r = random_bits4<S>(call_.config.seed, call_.config.sensor, ~0u, ~0u, UIntOf<S>(LatticeBlock));
-        for (size_t i = 0; i < 3; ++i) start_[i] = uint64_t(r.bits[i]) << 32;
+        const auto r = random_bits4<S>(call_.config.seed, call_.config.sensor, ~0u, ~0u, UIntOf<S>(StartBlock));
+        start_ = uint64_t(r.bits[0]) << 32 | r.bits[1];
         this->keep_lens(ends_.slots);
     }
 
@@ -103,34 +102,25 @@ private:
     Arena arena_;
 
     // ------------------------------------------------------------------------------------- from the light to a surface
-    // Number `which` of a sample, of a lattice: of the light and a piece, and two of a place on it. (Paths go by the
-    // samples' order over the film; whatever the lattice's start makes of one sample's numbers is independent of it.
-    // Roberts, "The Unreasonable Effectiveness of Quasirandom Sequences", 2018: powers of the root of x^4 = x + 1.)
-    static constexpr uint32_t LatticeBlock = Base::PlaceBlock + 1;
-    double lattice(uint64_t sample, size_t which) const {
-        constexpr uint64_t steps[] = {0xD1B54A32D192ED03ull, 0xABC98388FB8FAC03ull, 0x8CB92BA72F3D8DD7ull};
-        return double((start_[which] + sample * steps[which]) >> 11) * 0x1p-53;
-    }
+    // The number of a sample for its light and a piece: multiples of the golden ratio, which no frequency resonates
+    // with. (Paths go by the samples' order over the film; whatever that makes of one sample's number is independent of
+    // it, because of the start. Places on lights are drawn: of a lattice of three dimensions the pieces find
+    // resonances.)
+    static constexpr uint32_t StartBlock = Base::PlaceBlock + 1;
+    double spread(uint64_t sample) const { return double((start_ + sample * 0x9E3779B97F4A7C15ull) >> 11) * 0x1p-53; }
     void find_places(uint64_t first, uint32_t n) {
         numbers_.resize(n);
-        const uint64_t number = boundary_.first + first;
         for (uint32_t k = 0; k < n; ++k) {
-            lights_.choose(at_, k, lattice(number + k, 0));
+            lights_.choose(at_, k, spread(boundary_.first + first + k));
             numbers_[k] = double(at_.left[k]);
-            at_.left[k] = uniform_of<S>(this->bits(k, LatticeBlock).bits[0]);
+            at_.left[k] = uniform_of<S>(this->bits(k, StartBlock).bits[0]);
             if (boundary_.part != BoundaryPart::Pieces) continue;
             at_.emitter[k] = boundary_.emitter, at_.inverse_pmf[k] = S(1);
         }
         lights_.find_places(at_, n, [&](uint32_t i) {
             Entries<F> from(i);
-            Random4<F> u = random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
-                                      from(paths_.slots.sample), Base::PlaceBlock);
-            alignas(64) S place[2][W];
-            for (uint32_t k = 0; k < W; ++k)
-                for (size_t j = 0; j < 2; ++j)
-                    place[j][k] = std::min(S(lattice(number + i + k, j + 1)), std::nextafter(S(1), S(0)));
-            u.u[0] = load<F>(place[0]), u.u[1] = load<F>(place[1]);
-            return u;
+            return random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
+                              from(paths_.slots.sample), Base::PlaceBlock);
         });
     }
 

@@ -34,7 +34,6 @@ def weighted(scene, show=None, **settings) -> torch.Tensor:
     return ((image if show is None else show(image)) * weight).mean()
 
 
-@functools.lru_cache(maxsize=32)
 def gradients(scene, names: tuple[str, ...], seed: int, spp: int, show=None, **settings) -> dict[str, torch.Tensor]:
     """Those of `weighted` by several parameters, in one pass with samples of this seed."""
     values = {name: scene.get_parameter(name).detach().clone().requires_grad_() for name in names}
@@ -43,13 +42,16 @@ def gradients(scene, names: tuple[str, ...], seed: int, spp: int, show=None, **s
     return dict(zip(names, torch.autograd.grad(mean, list(values.values()))))
 
 
+known_gradients = functools.lru_cache(maxsize=32)(gradients)  # of scenes that are not edited
+
+
 def compare(
     scene, parameter: str, seeds: int, spp: int, step: float, show=None, together: tuple[str, ...] = (), **settings
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Derivatives, with these settings, and finite differences of the weighted mean of the image, by seed.
 
     `show`: makes an image of what is rendered with these settings. `together`: parameters, this one among them, that
-    have their derivatives found in the same pass, which is kept for the tests of the others.
+    have their derivatives found in the same pass, which is kept for the tests of the others: of a scene at rest.
     """
     # Few rays weigh much: with these samples their number in a run of so many seeds is known.
     settings = {"sampler": "independent", **settings}
@@ -57,7 +59,8 @@ def compare(
     direction = direction_of(parameter, value)
     derivatives, differences = [], []
     for seed in range(seeds):
-        gradient = gradients(scene, together or (parameter,), seed, spp, show, **settings)[parameter]
+        find = known_gradients if together else gradients
+        gradient = find(scene, together or (parameter,), seed, spp, show, **settings)[parameter]
         derivatives.append(float((gradient * direction).sum()))
         with torch.no_grad():
             ahead, back = (
