@@ -36,7 +36,7 @@ struct BoundaryCall {
     const OutlinePieces *pieces;
     double offset, samples;
     const ShadowPieces *shadows;
-    int32_t emitter = -1;  // of the part `Pieces`, whose samples are those of its pieces
+    int32_t emitter = -1;  // of the part `Pieces`, whose samples are those of its pieces in turn
     const int64_t *cells;  // (n_cells, 2), x and y: squares of the film that reach wanted pixels
     size_t n_cells;
     uint64_t first, count;  // numbers of the samples, of `total` in all passes

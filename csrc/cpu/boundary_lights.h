@@ -129,7 +129,7 @@ private:
         const OutlinePieces *pieces = boundary_.shadows->find(at_.emitter[k]);
         if (!pieces) return boundary_.outlines->tree().choose(from, this->tree_seed(k));
         if (boundary_.part == BoundaryPart::Pieces) {
-            const OutlinePiece &piece = pieces->all[size_t(boundary_.first + first + k)];
+            const OutlinePiece &piece = pieces->all[size_t(boundary_.first + first + k) % pieces->all.size()];
             const float length = piece.end - piece.begin;
             return {piece.element, piece.begin + length * float(numbers_[k]), length};
         }

@@ -95,23 +95,25 @@ ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &bou
     const LightPathCall<S> light(given, boundary.glued);
     const RenderCall<S> &call = light.call;
     derivative.needs.geometry = true;
-    constexpr size_t most = 4096;   // pieces that are looked at
-    constexpr double unseen = 0.2;  // share of what nobody has seen
+    constexpr size_t most = 4096, enough = 16;  // samples, and samples of a piece (half of a round lamp faces away)
+    constexpr double unseen = 0.3;              // share of what goes by length alone
     ShadowPieces r = ShadowCutter<S>(call, *boundary.outlines, boundary.moves).cut();
     for (size_t i = 0; i < r.of.size(); ++i) {
         OutlinePieces &pieces = r.of[i];
         const size_t n = pieces.all.size();
         if (n == 0 || n > most || !(pieces.total() > 0)) continue;
-        std::vector<double> seen(n, 0.0);
+        const size_t copies = std::min(enough, most / n);
+        std::vector<double> each(n * copies, 0.0), seen(n, 0.0);
         BoundaryCall<S> looking = boundary;
         looking.part = BoundaryPart::Pieces, looking.shadows = &r, looking.emitter = int32_t(i);
-        looking.first = 0, looking.count = n, looking.samples = looking.total = 1, looking.in_view = 1;
-        looking.value = seen.data();
+        looking.first = 0, looking.count = each.size(), looking.samples = looking.total = 1, looking.in_view = 1;
+        looking.value = each.data();
         auto make = [&](int) { return std::make_unique<Tile>(call, looking, derivative); };
         run_boundary<Tile>(call, looking, make, [&](Tile &tile, uint64_t first, uint32_t count, int, auto &&stop) {
             GradientSink<F> nothing;
             tile.run(first, count, nothing, stop);
         });
+        for (size_t k = 0; k < each.size(); ++k) seen[k % n] += each[k];
         const double sum = std::accumulate(seen.begin(), seen.end(), 0.0), length = pieces.total();
         if (!(sum > 0)) continue;
         double before = 0, total = 0;
