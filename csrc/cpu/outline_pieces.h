@@ -48,7 +48,6 @@ protected:
     const OutlineSet &set_;
     const Outlines<S> outlines_;
     const int threads_;
-    static constexpr int Scattered = 64;  // pieces of what is scattered over a shape
 
     OutlineCandidates(const SceneView<S> &scene, const OutlineSet &set, int threads)
         : scene_(scene), set_(set), outlines_(scene, set), threads_(threads) {}
@@ -85,6 +84,16 @@ protected:
             to.all.insert(to.all.end(), part.all.begin(), part.all.end());
             for (double length : part.cdf) to.cdf.push_back(sum += length);
         }
+    }
+
+    // A piece; and all pieces of what is scattered over a shape, with the same length each.
+    static void add(int32_t element, S begin, S end, double length, OutlinePieces &to) {
+        to.all.push_back({element, float(begin), float(end)});
+        to.cdf.push_back(length);
+    }
+    static void scatter(int32_t element, double length, OutlinePieces &to) {
+        constexpr int n = 64;
+        for (int i = 0; i < n; ++i) add(element, S(i) / n, S(i + 1) / n, length, to);
     }
 
 private:
@@ -187,7 +196,11 @@ private:
 
     // The lengths are not added up yet.
     void cut(int32_t element, float weight, OutlinePieces &to) const {
-        if (outlines_.is_scattered(element)) return cut_scattered(element, weight, to);
+        if (outlines_.is_scattered(element)) {
+            if (outlines_.may_be_seen(element, {origin_, parallel_, lens_}, !glued_))
+                Base::scatter(element, double(weight) * double(Pixels), to);
+            return;
+        }
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
@@ -198,18 +211,7 @@ private:
             const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
             const S length = std::min(piece.length, most);
             if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) continue;
-            to.all.push_back({element, float(begin), float(end)});
-            to.cdf.push_back(double(weight) * double(length));
-        }
-    }
-
-    // All pieces may be seen.
-    void cut_scattered(int32_t element, float weight, OutlinePieces &to) const {
-        if (!outlines_.may_be_seen(element, {origin_, parallel_, lens_}, !glued_)) return;
-        constexpr int n = Base::Scattered;
-        for (int i = 0; i < n; ++i) {
-            to.all.push_back({element, float(i) / n, float(i + 1) / n});
-            to.cdf.push_back(double(weight) * double(Pixels));
+            Base::add(element, begin, end, double(weight) * double(length), to);
         }
     }
 

@@ -26,6 +26,18 @@ struct ShadowEdgeColumns {
     TR_COLUMNS(TR_SHADOW_EDGE_COLUMNS)
 };
 
+// Of these emitters, before anything is sampled.
+template <class F>
+EmissionSample<F> unsampled_emission(const SceneOf<F> &scene, const IntOf<F> &emitter, const MaskOf<F> &active) {
+    const UIntOf<F> none(0u);
+    EmissionSample<F> r;
+    r.point = {emitter, {none, none, F(0), F(0)}};
+    r.kind = emitter_kind<F>(scene, emitter, active);
+    r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
+    r.weight = r.inverse_pdf = F(0);
+    return r;
+}
+
 template <class F>
 class ShadowLights {
     using S = ScalarOf<F>;
@@ -65,12 +77,8 @@ public:
         for (uint32_t i = 0; i < n; i += W) {
             Entries<F> from(i);
             M active = mask<F>(lane_index<F>() < U(n - i));
-            EmissionSample<F> r;
-            U none(0u);
-            r.point = {select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(0)), {none, none, F(0), F(0)}};
-            r.kind = emitter_kind<F>(scene_, r.point.emitter, active);
-            r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
-            r.weight = r.inverse_pdf = F(0);
+            EmissionSample<F> r =
+                unsampled_emission<F>(scene_, select(mask<IntOf<F>>(active), from(c.emitter), IntOf<F>(0)), active);
             F left = from(c.left), inverse_pmf = from(c.inverse_pmf);
             const Random4<F> u = numbers(i);
             for_each_emitter_kind<F>(r.kind, active, [&](const EmitterKernels<F> &emitter, const M &lanes) {

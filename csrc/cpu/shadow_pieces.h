@@ -107,12 +107,7 @@ private:
     template <class F>
     EmissionSample<F> middle_of(const EmitterKernels<F> &kernels, int32_t emitter) const {
         const MaskOf<F> all(true);
-        const UIntOf<F> none(0u);
-        EmissionSample<F> r;
-        r.point = {IntOf<F>(emitter), {none, none, F(0), F(0)}};
-        r.kind = emitter_kind<F>(scene_, r.point.emitter, all);
-        r.p = {F(0), F(0), F(0)}, r.n = r.d = {F(0), F(0), F(1)};
-        r.weight = r.inverse_pdf = F(0);
+        EmissionSample<F> r = unsampled_emission<F>(scene_, IntOf<F>(emitter), all);
         const F half(S(0.5));
         kernels.sample_emission(scene_, half, half, half, half, half, F(1), all, r);
         return r;
@@ -131,9 +126,7 @@ private:
     // False if it is too close to the light.
     bool cut_element(const OutlineView<S> &view, int32_t element, float weight, OutlinePieces &to) const {
         if (outlines_.is_scattered(element)) {
-            if (!outlines_.may_be_seen(element, view, false)) return true;
-            constexpr int n = Base::Scattered;
-            for (int i = 0; i < n; ++i) add(element, S(i) / n, S(i + 1) / n, double(weight * float(Angle)), to);
+            if (outlines_.may_be_seen(element, view, false)) Base::scatter(element, double(weight) * double(Angle), to);
             return true;
         }
         bool far = true;
@@ -143,13 +136,9 @@ private:
         if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n), piece = length(view, element, begin, end, 2, far);
-            if (piece > 0) add(element, begin, end, double(weight) * double(piece), to);
+            if (piece > 0) Base::add(element, begin, end, double(weight) * double(piece), to);
         }
         return far;
-    }
-    static void add(int32_t element, S begin, S end, double length, OutlinePieces &to) {
-        to.all.push_back({element, float(begin), float(end)});
-        to.cdf.push_back(length);
     }
     // The angle, of parallel light the length in radii of the scene, of a part of an outline.
     S length(const OutlineView<S> &view, int32_t element, S begin, S end, int steps, bool &far) const {
