@@ -45,7 +45,7 @@ class OurLoop(Loop):
         self.optimiser.zero_grad()
         place = self.task["views"][view]
         changed = {name: torch.tensor(value) for name, value in place["set"].items()}
-        image = self.renderer(sensor=place["sensor"], seed=seed, params=changed)
+        image = self.renderer(sensor=place["sensor"], view=view, seed=seed, params=changed)
         ((image - self.images[view]) * self.weight[view]).square().mean().backward()
         self.optimiser.step()
         with torch.no_grad():

@@ -377,8 +377,8 @@ def render(
     if interruption is not on_interrupt:
         interruption.warn()
     if stack is not None:
-        return _arrange([stack.stacked(v) for v in views], batched, layout, -1)
-    found = [_arrange([v[n] for v in views], batched, layout, channels_of(n)) for n in names]
+        return arrange([stack.stacked(v) for v in views], batched, layout, -1)
+    found = [arrange([v[n] for v in views], batched, layout, channels_of(n)) for n in names]
     return found[0] if outputs is None else collect(names, found)
 
 
@@ -490,7 +490,7 @@ def _with_outlines(
     return *(value + term for value, term in zip(result[:count], terms, strict=True)), *result[count:]
 
 
-def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: int) -> torch.Tensor:
+def arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: int) -> torch.Tensor:
     """`channels`: see `channels_of`."""
     want_batch = batched or layout.startswith("b")
     image = torch.stack(images) if want_batch else images[0]
