@@ -293,7 +293,7 @@ PROBLEMS = (
     Problem(
         "caustic",
         "heights of a plate that throws a picture, 512²",
-        0.2,
+        0.22,
         caustic,
         {**setting(32, 16, 3e-4, 200), "grown": 120, "smoothness": 1.0},
     ),
