@@ -11,7 +11,7 @@ import torch
 
 import torchrender as tr
 
-from .inverse_loop import BETAS, EPSILON, Loop, kind_of
+from .inverse_loop import BETAS, EPSILON, Loop
 
 
 class OurLoop(Loop):
@@ -81,11 +81,3 @@ class OurLoop(Loop):
 
     def _values(self) -> dict[str, np.ndarray]:
         return {name: value.detach().numpy().copy() for name, value in self.leaves.items()}
-
-
-def loop_of(folder: str) -> Loop:
-    """The loop of a task's kind."""
-    from .inverse_ours_kinds import OurHeights, OurMesh, OurPose
-
-    kinds = {"parameters": OurLoop, "pose": OurPose, "mesh": OurMesh, "heights": OurHeights}
-    return kinds[kind_of(folder)](folder)

@@ -8,21 +8,29 @@ import torch
 import torchrender as tr
 from scenes import make_caustics
 
-from .inverse_loop import Grids
+from .inverse_loop import Grids, Loop, kind_of
 from .inverse_ours import OurLoop
 from .inverse_shapes import posed
 
 LENS = make_caustics.LENS
 
 
-class OurPose(OurLoop):
+class OurBody(OurLoop):
+    """Of a mesh that moves."""
+
+    def __init__(self, folder: str) -> None:
+        super().__init__(folder)
+        self.mesh = self.scene.get_submodule(self.task["moved"])
+        self.mesh.compute_normals()  # which follow the vertices
+        self.name = f"{self.task['moved']}.vertex_positions"
+
+
+class OurPose(OurBody):
     """Six numbers, which move a mesh. The mesh of the scene is where none of them moves it."""
 
     def __init__(self, folder: str) -> None:
         super().__init__(folder)
-        self.name = f"{self.task['moved']}.vertex_positions"
         self.still = self.scene.get_parameter(self.name).detach().clone()
-        self.scene.get_submodule(self.task["moved"]).compute_normals()  # which follow the vertices
 
     def _leaves(self) -> dict[str, torch.Tensor]:
         return {name: torch.nn.Parameter(torch.from_numpy(value.copy())) for name, value in self.start.items()}
@@ -31,16 +39,10 @@ class OurPose(OurLoop):
         return {self.name: posed(self.leaves["pose"], self.still)}
 
 
-class OurMesh(OurLoop):
+class OurMesh(OurBody):
     """Vertices in large steps: what is moved are u = (I + lambda L) vertices."""
 
     adam = tr.optim.UniformAdam
-
-    def __init__(self, folder: str) -> None:
-        super().__init__(folder)
-        self.mesh = self.scene.get_submodule(self.task["moved"])
-        self.mesh.compute_normals()
-        self.name = f"{self.task['moved']}.vertex_positions"
 
     def _leaves(self) -> dict[str, torch.Tensor]:
         vertices = torch.from_numpy(self.start[self.name])
@@ -107,3 +109,9 @@ class OurHeights(Grids, OurLoop):
     def _values(self) -> dict[str, np.ndarray]:
         heights = self.smoothing.from_differential(self.leaves[LENS].detach())
         return {LENS: tr.optim.resample(heights, self.start[LENS].shape, "clamp").numpy()}
+
+
+def loop_of(folder: str) -> Loop:
+    """The loop of a task's kind."""
+    kinds = {"parameters": OurLoop, "pose": OurPose, "mesh": OurMesh, "heights": OurHeights}
+    return kinds[kind_of(folder)](folder)

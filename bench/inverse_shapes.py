@@ -34,8 +34,15 @@ def posed(pose: torch.Tensor, still: torch.Tensor) -> torch.Tensor:
     return still @ (x @ y @ z).T + pose[3:]
 
 
+class BodyTask(Task):
+    """Of a mesh that moves."""
+
+    def _described(self) -> dict[str, Any]:
+        return {**super()._described(), "moved": OBJECT}
+
+
 @dataclass
-class PoseTask(Task):
+class PoseTask(BodyTask):
     """Six numbers, judged by where the vertices are; the object of the scene is where none of them moves it."""
 
     kind: ClassVar[str] = "pose"
@@ -54,15 +61,12 @@ class PoseTask(Task):
         size = (self.still.amax(0) - self.still.amin(0)).norm()
         return float(apart.square().sum(1).mean().sqrt() / size)
 
-    def _described(self) -> dict[str, Any]:
-        return {**super()._described(), "moved": OBJECT}
-
     def _reference(self, targets: torch.Tensor) -> torch.Tensor:
         return self.picture(self.views[0], {"pose": torch.zeros(6)}, self.target_spp, 0)
 
 
 @dataclass
-class MeshTask(Task):
+class MeshTask(BodyTask):
     """The vertices of a mesh, judged by its masks from places that no given picture was taken from.
 
     The scene has the mesh with which the search begins.
@@ -75,13 +79,12 @@ class MeshTask(Task):
     kind: ClassVar[str] = "mesh"
 
     def _truth(self) -> Values:
+        self.true_renderer = tr.Renderer(self.true)
         return {}  # the true mesh has other vertices
 
-    def picture(self, view: View, values: Values, spp: int, seed: int, **settings: Any) -> torch.Tensor:
-        """(H, W, 3) of these vertices, or of the true mesh where there are none."""
-        renderer = self.renderer if values else tr.Renderer(self.true)
-        with torch.no_grad():
-            return renderer(sensor=view.sensor, seed=seed, spp=spp, params=values, **settings)
+    def renderer_of(self, values: Values) -> tr.Renderer:
+        """Where there are no vertices, of the true mesh."""
+        return self.renderer if values else self.true_renderer
 
     def _judged(self, values: Values) -> torch.Tensor:
         masks = [self.picture(view, values, self.judge_spp, JUDGE_SEED, outputs=("alpha",)) for view in self.held_out]
@@ -93,13 +96,10 @@ class MeshTask(Task):
         both, either = torch.minimum(masks, self.judged).sum(), torch.maximum(masks, self.judged).sum()
         return 1 - float(both / either)
 
-    def _described(self) -> dict[str, Any]:
-        return {**super()._described(), "moved": OBJECT}
-
     def _targets(self) -> torch.Tensor:
         views = [view.sensor for view in self.views]
         with torch.no_grad():
-            return tr.Renderer(self.true)(sensor=views, seed=0, spp=self.target_spp, sampler="sobol")
+            return self.true_renderer(sensor=views, seed=0, spp=self.target_spp, sampler="sobol")
 
     def _reference(self, targets: torch.Tensor) -> torch.Tensor:
         start = {unknown.name: unknown.start for unknown in self.unknowns}

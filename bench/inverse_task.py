@@ -88,7 +88,11 @@ class Task:
         counts = {"spp": min(spp, PASS), "passes": passes}
         params = {**self.params_of(values), **changed}
         with torch.no_grad():
-            return self.renderer(sensor=view.sensor, seed=seed, params=params, **counts, **settings)
+            return self.renderer_of(values)(sensor=view.sensor, seed=seed, params=params, **counts, **settings)
+
+    def renderer_of(self, values: Values) -> tr.Renderer:
+        """Of the scene in which these values are."""
+        return self.renderer
 
     def _judged(self, values: Values) -> torch.Tensor:
         return torch.stack([self.picture(view, values, self.judge_spp, JUDGE_SEED) for view in self.held_out])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from inverse_loop import BETAS, EPSILON, Loop, kind_of
+from inverse_loop import BETAS, EPSILON, Loop
 
 
 class MitsubaLoop(Loop):
@@ -151,11 +151,3 @@ class MitsubaLoop(Loop):
             name = unknown["name"]
             found[name] = np.array(self.optimiser[name], dtype=np.float32).reshape(self.start[name].shape)
         return found
-
-
-def loop_of(mi, dr, folder: str) -> Loop:
-    """The loop of a task's kind."""
-    from mitsuba_inverse_kinds import MitsubaHeights, MitsubaMesh, MitsubaPose
-
-    kinds = {"parameters": MitsubaLoop, "pose": MitsubaPose, "mesh": MitsubaMesh, "heights": MitsubaHeights}
-    return kinds[kind_of(folder)](mi, dr, folder)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from inverse_loop import Grids
+from inverse_loop import Grids, Loop, kind_of
 from mitsuba_caustics import Caustics
 from mitsuba_inverse import MitsubaLoop
 
@@ -205,3 +205,9 @@ class GridSteps:
 
     def _tensor(self, flat):
         return self.mi.TensorXf(self.dr.unravel(self.mi.Point3f, flat).x, (self.size, self.size, 1))
+
+
+def loop_of(mi, dr, folder: str) -> Loop:
+    """The loop of a task's kind."""
+    kinds = {"parameters": MitsubaLoop, "pose": MitsubaPose, "mesh": MitsubaMesh, "heights": MitsubaHeights}
+    return kinds[kind_of(folder)](mi, dr, folder)

@@ -147,7 +147,7 @@ class Server:
         return self.plate.iteration(seed, spp, spp_grad)
 
     def load_inverse(self, folder: str) -> dict:
-        from mitsuba_inverse import loop_of
+        from mitsuba_inverse_kinds import loop_of
 
         self.inverse = loop_of(self.mi, self.dr, folder)
         return self.inverse.difference(spp=64)

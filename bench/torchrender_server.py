@@ -112,7 +112,7 @@ class Server:
         return self.plate.iteration(seed, spp=spp, spp_grad=spp_grad, passes=passes)
 
     def load_inverse(self, folder: str) -> dict:
-        from bench.inverse_ours import loop_of
+        from bench.inverse_ours_kinds import loop_of
 
         self.inverse = loop_of(folder)
         return {"difference": 0.0}

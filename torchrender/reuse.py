@@ -29,7 +29,7 @@ from .fingerprints import Fingerprints, remembered
 from .functions import functorch
 from .integrators import Stack, Stokes
 from .recursion import Recursion
-from .render import arrange, render
+from .render import arrange, render, sensors_of_list
 from .render_arguments import as_integrator, count
 from .render_sensors import chosen_sensors, layout_with_room
 from .scene.packing import Layout
@@ -141,9 +141,9 @@ class Memory(nn.Module):
                     f"Renderer: reuse: pictures of the scene's own cameras are reused, not of {describe(camera)}: "
                     "scene['name'] = camera"
                 )
+        if isinstance(params, Sequence):
+            sensors_of_list(sensor, params)
         by_camera = params if isinstance(params, Sequence) else [params] * len(cameras)
-        if len(by_camera) != len(cameras) or (isinstance(params, Sequence) and not batched):
-            raise ValueError(f"render: params: a list has a mapping for each sensor of a list; got {len(by_camera)}")
         first, gradient = seeds(settings.get("seed"), settings.get("seed_grad"), False)
         pictures = []
         for (index, camera), own in zip(cameras, by_camera, strict=True):

@@ -11,7 +11,7 @@ import torch
 
 from bench.inverse import start_of
 from bench.inverse_loop import Grids
-from bench.inverse_ours import loop_of
+from bench.inverse_ours_kinds import loop_of
 from bench.inverse_problems import PROBLEMS
 from bench.inverse_shapes import POSE, posed
 
