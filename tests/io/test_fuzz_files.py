@@ -117,6 +117,7 @@ def read(path):
     if number == 6:
         while True: pass
     if number == 7: raise ValueError("a.bin: wrong")
+    if number == 10: sys.exit("no more")
 work(make, read, (ValueError, OSError), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]), Path(sys.argv[5]))
 """
 
@@ -134,3 +135,14 @@ def test_what_is_wrong_is_found_and_kept(tmp_path):
     assert sorted(what) == [2, 3, 4, 5, 6] and found["counts"]["inputs"] == 9
     contents = sorted(file.read_bytes() for file in Path(keep).iterdir())
     assert contents == [bytes([number]) for number in (2, 3, 4, 5, 6)]
+
+
+def test_what_was_found_outlives_a_worker_that_fails(tmp_path, capfd):
+    program = tmp_path / "faulty.py"
+    program.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{FAULTY}")
+    found = hunt("faulty", 3, 20, None, None, [sys.executable, str(program)])
+    what = {report["number"]: report["what"] for report in found["found"]}
+    assert what[3].startswith("IndexError at") and what[6] == "more than 2 s"
+    assert what[10] == "the worker failed, and the rest from 10 was not read"
+    assert found["counts"]["inputs"] == 7
+    assert "failed at 10:\nno more" in capfd.readouterr().err

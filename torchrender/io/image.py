@@ -283,16 +283,21 @@ def _read_integers(path: Path, head: bytes, raw: bool) -> torch.Tensor:
     """PNG, JPEG, BMP and TGA."""
     interlaced = len(head) > 28 and head[28] != 0
     if png16.bit_depth(head) == 16 and not interlaced:
-        values = torch.from_numpy(png16.read_png16(path).astype(np.float32) / np.float32(65535))
+        stored, most = png16.read_png16(path), 65535
     else:
-        values = torch.from_numpy(_read_with_pillow(path).astype(np.float32) / np.float32(255))
-    if values.shape[-1] == 2:
-        values = torch.cat([values[..., :1].expand(-1, -1, 3), values[..., 1:]], dim=-1)
-    if raw:
-        return values.contiguous()
-    if values.shape[-1] == 4:
-        return torch.cat([srgb_to_linear(values[..., :3]), values[..., 3:]], dim=-1)
-    return srgb_to_linear(values)
+        stored, most = _read_with_pillow(path), 255
+    # By a table of all levels: what the curve would take besides is several times the picture.
+    levels = torch.arange(most + 1, dtype=torch.float32) / most
+    colours = stored.shape[-1] - (stored.shape[-1] in (2, 4))
+    values = _looked_up(levels if raw else srgb_to_linear(levels), stored[..., :colours])
+    if colours == stored.shape[-1]:
+        return values
+    alpha = _looked_up(levels, stored[..., colours:])
+    return torch.cat([values.expand(-1, -1, 3), alpha], dim=-1)
+
+
+def _looked_up(table: torch.Tensor, stored: np.ndarray) -> torch.Tensor:
+    return table.index_select(0, torch.from_numpy(stored.astype(np.int32).reshape(-1))).view(stored.shape)
 
 
 def _read_with_pillow(path: Path) -> np.ndarray:
