@@ -122,11 +122,17 @@ work(make, read, (ValueError, OSError), int(sys.argv[2]), int(sys.argv[3]), floa
 """
 
 
-def test_what_is_wrong_is_found_and_kept(tmp_path):
+@pytest.fixture
+def faulty(tmp_path):
+    """The command of a worker that has every fault."""
     program = tmp_path / "faulty.py"
     program.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{FAULTY}")
+    return [sys.executable, str(program)]
+
+
+def test_what_is_wrong_is_found_and_kept(tmp_path, faulty):
     keep = tmp_path / "keep"
-    found = hunt("faulty", 0, 9, None, keep, [sys.executable, str(program)])
+    found = hunt("faulty", 0, 9, None, keep, faulty)
     what = {report["number"]: report["what"] for report in found["found"]}
     assert what[2] == "crash: SIGSEGV"
     assert what[3].startswith("IndexError at") and what[4].startswith("no place in the message")
@@ -137,10 +143,8 @@ def test_what_is_wrong_is_found_and_kept(tmp_path):
     assert contents == [bytes([number]) for number in (2, 3, 4, 5, 6)]
 
 
-def test_what_was_found_outlives_a_worker_that_fails(tmp_path, capfd):
-    program = tmp_path / "faulty.py"
-    program.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{FAULTY}")
-    found = hunt("faulty", 3, 20, None, None, [sys.executable, str(program)])
+def test_what_was_found_outlives_a_worker_that_fails(faulty, capfd):
+    found = hunt("faulty", 3, 20, None, None, faulty)
     what = {report["number"]: report["what"] for report in found["found"]}
     assert what[3].startswith("IndexError at") and what[6] == "more than 2 s"
     assert what[10] == "the worker failed, and the rest from 10 was not read"
