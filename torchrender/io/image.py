@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..errors import describe
-from ..image import TonemapName, check_tonemap, encode, srgb_to_linear
+from ..image import TonemapName, check_tonemap, decode_levels, encode
 from ..polarization import channel_names
 from . import exr, hdr, pfm, png16
 from ._files import check_size, existing_file, reading, writable_file
@@ -282,22 +282,13 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
 def _read_integers(path: Path, head: bytes, raw: bool) -> torch.Tensor:
     """PNG, JPEG, BMP and TGA."""
     interlaced = len(head) > 28 and head[28] != 0
-    if png16.bit_depth(head) == 16 and not interlaced:
-        stored, most = png16.read_png16(path), 65535
-    else:
-        stored, most = _read_with_pillow(path), 255
-    # By a table of all levels: what the curve would take besides is several times the picture.
-    levels = torch.arange(most + 1, dtype=torch.float32) / most
+    deep = png16.bit_depth(head) == 16 and not interlaced
+    stored = png16.read_png16(path) if deep else _read_with_pillow(path)
     colours = stored.shape[-1] - (stored.shape[-1] in (2, 4))
-    values = _looked_up(levels if raw else srgb_to_linear(levels), stored[..., :colours])
+    values = decode_levels(stored[..., :colours], raw)
     if colours == stored.shape[-1]:
         return values
-    alpha = _looked_up(levels, stored[..., colours:])
-    return torch.cat([values.expand(-1, -1, 3), alpha], dim=-1)
-
-
-def _looked_up(table: torch.Tensor, stored: np.ndarray) -> torch.Tensor:
-    return table.index_select(0, torch.from_numpy(stored.astype(np.int32).reshape(-1))).view(stored.shape)
+    return torch.cat([values.expand(-1, -1, 3), decode_levels(stored[..., colours:], raw=True)], dim=-1)
 
 
 def _read_with_pillow(path: Path) -> np.ndarray:
