@@ -14,6 +14,7 @@ import torchrender as tr
 from scenes import make_media
 
 from .inverse_caustic import caustic
+from .inverse_shadows import shadows
 from .inverse_shapes import monkey, pose
 from .inverse_task import Task, Unknown, View, around, camera
 from .media import RR_DEPTH, SMOKE, Loaded
@@ -254,7 +255,9 @@ GUIDING = {
     "mitsuba": [{"spp_shadows": 0}]
     + [{"integrator": {"guiding": guiding, "seeds": seeds}} for guiding in ("grid", "octree") for seeds in (16, 128)]
     + [{"integrator": {"type": "prb_projective", "max_depth": 2, "guiding": "none"}}],
-    "torchrender": [{"renderer": {"spp_visibility": counts}} for counts in ([4, 4], [16, 4], [4, 16], [1, 1], [4, 0])],
+    "torchrender": [
+        {"renderer": {"spp_visibility": counts}} for counts in ([4, 4], [16, 4], [4, 16], [1, 1], [4, 0], [1, 0])
+    ],
 }
 
 PROBLEMS = (
@@ -312,6 +315,15 @@ PROBLEMS = (
         0.03,
         monkey,
         {**setting(4, 4, 0.1, 60), "views": 4, "smoothness": 20.0},
+        own=OUTLINES,
+        others=GUIDING,
+    ),
+    Problem(
+        "shadows",
+        "one tube that throws two pictures, 128²",
+        0.04,
+        shadows,
+        {**setting(16, 16, 0.2, 100), "views": 2, "smoothness": 10.0},
         own=OUTLINES,
         others=GUIDING,
     ),

@@ -37,8 +37,10 @@ def posed(pose: torch.Tensor, still: torch.Tensor) -> torch.Tensor:
 class BodyTask(Task):
     """Of a mesh that moves."""
 
+    moved: ClassVar[str] = OBJECT
+
     def _described(self) -> dict[str, Any]:
-        return {**super()._described(), "moved": OBJECT}
+        return {**super()._described(), "moved": self.moved}
 
 
 @dataclass

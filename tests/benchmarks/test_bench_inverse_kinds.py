@@ -15,8 +15,13 @@ from bench.inverse_ours_kinds import loop_of
 from bench.inverse_problems import PROBLEMS
 from bench.inverse_shapes import POSE, posed
 
-CHANGES = {"pose": {"spp": 8, "spp_grad": 8}, "monkey": {"smoothness": 2.0}, "caustic": {"grown": 10, "rate": 1e-3}}
-LEFT = {"pose": 0.3, "monkey": 0.75, "caustic": 0.75}  # of the error at the start
+CHANGES = {
+    "pose": {"spp": 8, "spp_grad": 8},
+    "monkey": {"smoothness": 2.0},
+    "shadows": {"smoothness": 2.0},
+    "caustic": {"grown": 10, "rate": 1e-3},
+}
+LEFT = {"pose": 0.3, "monkey": 0.75, "shadows": 0.4, "caustic": 0.75}  # of the error at the start
 
 
 @pytest.mark.parametrize("name", CHANGES)
@@ -71,6 +76,15 @@ def test_masks_of_a_body_that_is_half_as_large():
     # A sphere of the radius r is seen as a disk of the radius tan(asin(r / distance)).
     share = (math.tan(math.asin(0.5 / 4.5)) / math.tan(math.asin(1 / 4.5))) ** 2
     assert task.error({unknown.name: unknown.start / 2}) == pytest.approx(1 - share, abs=0.02)
+
+
+def test_shadows_that_are_drawn_are_those_that_are_wanted():
+    """A wall of 1 has lamps of its own: what the lamp of the other one brings, and penumbrae, are 2 % of it."""
+    task = make("shadows")
+    assert torch.equal(task._targets(), task.judged) and task.judged.shape == (2, 24, 24, 3)
+    start = {task.unknowns[0].name: torch.from_numpy(task.unknowns[0].start)}
+    lit = task.picture(task.views[0], start, 1024, 0, sampler="sobol")
+    torch.testing.assert_close(lit[0, 0], torch.full((3,), 1.02), rtol=0, atol=0.02)
 
 
 def test_the_noise_of_pictures_is_not_an_error():

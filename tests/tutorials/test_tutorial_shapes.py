@@ -152,7 +152,7 @@ def test_options(tutorial, monkeypatch, tmp_path):
 
 def test_drawn_shadows(tutorial):
     """Both reach equally high, as shadows of one thing do; the heart has a hole, the star five tips."""
-    art = tutorial("shadow_art")
+    art = tutorial("shadow_art").make_shadows
     heart, star = (1 - art.draw(shape, 128)[..., 0] for shape in (art.heart, art.star))
     for shadow in (heart, star):
         rows = (shadow.sum(1) > 0).nonzero()[:, 0]
@@ -169,7 +169,7 @@ def test_drawn_shadows(tutorial):
 
 
 def test_tube_is_closed(tutorial):
-    vertices, faces = tutorial("shadow_art").tube(48, 16)
+    vertices, faces = tutorial("shadow_art").make_shadows.tube(48, 16)
     mesh = trimesh.Trimesh(vertices.double().numpy(), faces.numpy(), process=False)
     assert mesh.is_watertight and mesh.is_winding_consistent and mesh.euler_number == 0
     assert mesh.volume == pytest.approx(2 * math.pi**2 * 0.6 * 0.25**2, rel=0.05)
@@ -177,7 +177,7 @@ def test_tube_is_closed(tutorial):
 
 def test_suns_light_walls_of_their_own(tutorial):
     """Irradiance pi on white walls: 1 in the light, 0 in the shadow, and no tube in the pictures."""
-    art = tutorial("shadow_art")
+    art = tutorial("shadow_art").make_shadows
     scene = art.make_scene(*art.tube(32, 12), 32)
     direct = tr.DirectIllumination()
     for name in ("heart", "star"):
