@@ -16,6 +16,7 @@
 
 #include "device/cuda_launcher.h"
 #include "device/emulated.h"
+#include "device/ray_kernels.h"
 #include "device/sha256.h"
 #include "device_kernels.h"
 #include "harness.h"
@@ -374,6 +375,8 @@ TR_TEST(kernels_are_compiled_for_cards) {
     CHECK(cubin.substr(1, 3) == "ELF" && cubin.find(cuda::KernelCompiler::EntryPoint) != std::string::npos);
     CHECK(compiler.cubin(kernel_of<AddOne>(), 90) == cubin && folder.files().size() == 1);
     CHECK(compiler.cubin(kernel_of<AddOne>(), 80) != cubin && folder.files().size() == 2);
+    for (const Kernel &kernel : {kernel_of<IntersectRays>(), kernel_of<OccludeRays>()})
+        CHECK(compiler.cubin(kernel, 75).substr(1, 3) == "ELF");
     Kernel other = kernel_of<AddOne>();
     other.size = 12;
     CHECK_THROWS(compiler.cubin(other, 90), std::runtime_error, "a functor is not what it is on the host");
