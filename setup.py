@@ -236,8 +236,8 @@ class Ninja:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
             # The bindings hand rows and addresses on.
             own = ["-O1"] if source.parent.name == "bindings" else []
-            # Rays go back over the very numbers that brought them there, and triangles share the numbers of their edges:
-            # a product and a sum must round alike wherever they are written.
+            # Rays go back over the very numbers that brought them there, and triangles share their edges' numbers: a
+            # product and a sum must round alike wherever they are written.
             alike = ("bend", "bent_rays", "test_bend", "test_device", "test_tree")
             own += ["-ffp-contract=off"] if source.stem in alike or source.parent.name == "device" else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])

@@ -132,14 +132,14 @@ public:
     }
 
     void *allocate(size_t bytes) override {
-        std::lock_guard<std::mutex> lock(memory_);
         const Open open(*this);
+        std::lock_guard<std::mutex> lock(memory_);
         return arena_.take(bytes);
     }
     void release(void *memory) noexcept override {
         if (busy()) fail("memory is released while something that was launched may need it");
-        std::lock_guard<std::mutex> lock(memory_);
         const Open open(*this);
+        std::lock_guard<std::mutex> lock(memory_);
         if (!arena_.give_back(memory)) fail("what is released was not allocated");
     }
 
@@ -151,7 +151,6 @@ public:
     void download(void *to, const void *from, size_t bytes) override {
         synchronize();
         require(from, bytes, "a download");
-        std::lock_guard<std::mutex> lock(memory_);
         const Open open(*this);
         std::memcpy(to, from, bytes);
     }
@@ -163,8 +162,9 @@ public:
 
 private:
     const EmulatedOptions options_;
-    std::mutex memory_;  // what is in the arena, and whether it is open
+    std::mutex memory_;  // what is in the arena, and whether it is open; never held while a kernel runs
     Arena arena_;
+    int open_ = 0;  // how many want it to be
     uint64_t launches_ = 0;
     std::mutex mutex_;  // everything below
     std::condition_variable changed_;
@@ -177,12 +177,14 @@ private:
     // While one of these lives, memory can be reached.
     struct Open {
         explicit Open(Emulated &of) : of(of) {
-            if (of.options_.strict) of.arena_.protect(true);
+            std::lock_guard<std::mutex> lock(of.memory_);
+            if (of.open_++ == 0 && of.options_.strict) of.arena_.protect(true);
         }
         Open(const Open &) = delete;
         Open &operator=(const Open &) = delete;
         ~Open() {
-            if (of.options_.strict) of.arena_.protect(false);
+            std::lock_guard<std::mutex> lock(of.memory_);
+            if (--of.open_ == 0 && of.options_.strict) of.arena_.protect(false);
         }
         Emulated &of;
     };
@@ -197,7 +199,7 @@ private:
     }
 
     // Item number a * k + b of n, with a that has no divisor in common with n: each once.
-    void run_items(const Kernel &kernel, const char *bytes, uint32_t n, uint64_t order) const {
+    void run_items(const Kernel &kernel, const char *bytes, uint32_t n, uint64_t order) {
         // vectors of bytes are aligned for every plain type
         uint64_t a = order % n, b = mixed(order) % n;
         while (std::gcd(a, uint64_t(n)) != 1) a = (a + 1) % n;
@@ -207,6 +209,7 @@ private:
                 for (size_t k = first; k < last; ++k) kernel.item(bytes, uint32_t((a * k + b) % n));
             },
             64);
+        std::lock_guard<std::mutex> lock(memory_);
         if (!arena_.intact()) throw std::logic_error(std::string(kernel.name) + " has written beside an allocation");
     }
 
@@ -226,7 +229,6 @@ private:
         changed_.notify_all();
     }
     void perform(const std::function<void()> &task) {
-        std::lock_guard<std::mutex> lock(memory_);
         const Open open(*this);
         task();
     }

@@ -51,8 +51,10 @@ bool faults(Do &&f) {
 // Only on a device that is the host.
 struct WaitForHost {
     static constexpr const char *Name = "tr::testing::WaitForHost", *Header = "";
+    std::atomic<bool> *begun;
     const std::atomic<bool> *go;
     void operator()(uint32_t) const {
+        *begun = true;
         while (!*go) std::this_thread::yield();
     }
     template <class Visit>
@@ -172,14 +174,18 @@ TR_TEST(emulated_launches_come_late) {
     float found = 1;
     DeviceArray<float> array(*device, 1), other(*device, 1);
     array.upload(*device, &zero, 1);
-    std::atomic<bool> go{false};
-    device->run(WaitForHost{&go}, 1);
+    std::atomic<bool> begun{false}, go{false};
+    const auto run_until_go = [&] {
+        begun = go = false;
+        device->run(WaitForHost{&begun, &go}, 1);
+        while (!begun) std::this_thread::yield();
+    };
+    run_until_go();
     device->run(AddOne{array.get()}, 1);
     go = true;  // what was launched waits for this thread, which did not wait for it
     array.download(&found, 1);
     CHECK(found == 1);
-    go = false;
-    device->run(WaitForHost{&go}, 1);
+    run_until_go();
     other = DeviceArray<float>();
     go = true;
     CHECK_THROWS(device->synchronize(), std::logic_error, "released while something that was launched may need it");
