@@ -26,7 +26,7 @@ enum RayRow {
 float first_hit(const Quadric &q, const float *rays, uint32_t n, uint32_t lane) {
     float o[3], d[3];
     for (uint32_t k = 0; k < 3; ++k) o[k] = rays[(Org + k) * n + lane], d[k] = rays[(Dir + k) * n + lane];
-    const LocalRay ray(q.to_object, o, d);
+    const UnitRay ray(q.to_object, o, d);
     const float near = rays[Near * n + lane], far = rays[Far * n + lane];
     if (q.kind == QuadricKind::Sphere) return first_sphere_hit(ray, near, far);
     return q.kind == QuadricKind::Cylinder ? first_cylinder_hit(ray, near, far) : first_disk_hit(ray, near, far);

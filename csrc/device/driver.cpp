@@ -28,22 +28,26 @@ Api resolve() {
     if (missing)
         throw std::runtime_error("the NVIDIA driver has no function " + std::string(missing) +
                                  "; install driver 525 or newer");
-    check_driver(api);
+    check_version(api);
     return api;
 }
 
 }  // namespace
 
-const Api &load_driver() {
+const Api &find_driver() {
     static const Api api = resolve();  // tried again after an error
     return api;
 }
 
-void check_driver(const Api &api) {
-    int version = 0, count = 0;
+void check_version(const Api &api) {
+    int version = 0;
     if (api.DriverGetVersion(&version) == Success && version < OldestVersion)
         throw std::runtime_error("the NVIDIA driver is made for CUDA " + driver_version(api) +
                                  ", expected at least 12.0; install driver 525 or newer");
+}
+
+void start(const Api &api) {
+    int count = 0;
     const Result started = api.Init(0);
     if (started != NoDevice) check(api, started, "starting the NVIDIA driver");
     if (started == NoDevice || api.DeviceGetCount(&count) != Success || count == 0)

@@ -7,11 +7,15 @@
 
 namespace tr::cuda {
 
-// std::runtime_error with one sentence if there is no driver, one that is older than 525, or no card.
-const Api &load_driver();
+// std::runtime_error with one sentence if there is no driver, or one that is older than 525. It is not started, after
+// which a process could not fork any more without losing it.
+const Api &find_driver();
 
-// The same for a table of functions: version and cards.
-void check_driver(const Api &api);
+// The same for a table of functions.
+void check_version(const Api &api);
+
+// Starts it. std::runtime_error if that fails, or there is no card.
+void start(const Api &api);
 
 // std::runtime_error for an error: what was being done, its name and the driver's words; std::bad_alloc where memory is
 // used up.

@@ -112,7 +112,7 @@ private:
     }
 
     TR_HD bool meet_quadric(const TreeView &tree, const TreeItem &item, TreeHit &found) const {
-        const LocalRay ray(tree.matrices[item.shape].to_object, o_, d_);
+        const UnitRay ray(tree.matrices[item.shape].to_object, o_, d_);
         found.t = item.kind == TreeKind::Sphere ? first_sphere_hit(ray, 0, tmax_)
                   : item.kind == TreeKind::Disk ? first_disk_hit(ray, 0, tmax_)
                                                 : first_cylinder_hit(ray, 0, tmax_);

@@ -310,19 +310,19 @@ cuda::Api fake_api() {
 TR_TEST(drivers_that_cannot_be_used_are_named) {
     fake = {};
     const cuda::Api api = fake_api();
-    cuda::check_driver(api);
+    cuda::check_version(api), cuda::start(api);
     CHECK(cuda::driver_version(api) == "12.2");
     const cuda::Card card = cuda::card(api, 0);
     CHECK(card.name == "Test Card" && card.capability == 90 && card.multiprocessors == 2);
     fake.version = 11080;
-    CHECK_THROWS(cuda::check_driver(api), std::runtime_error,
+    CHECK_THROWS(cuda::check_version(api), std::runtime_error,
                  "made for CUDA 11.8, expected at least 12.0; install driver 525 or newer");
     fake.version = 13000, fake.cards = 0;
-    CHECK_THROWS(cuda::check_driver(api), std::runtime_error, "finds no card; see what nvidia-smi");
+    CHECK_THROWS(cuda::start(api), std::runtime_error, "finds no card; see what nvidia-smi");
     fake.cards = 1, fake.init = cuda::NoDevice;
-    CHECK_THROWS(cuda::check_driver(api), std::runtime_error, "finds no card");
+    CHECK_THROWS(cuda::start(api), std::runtime_error, "finds no card");
     fake.init = 999;
-    CHECK_THROWS(cuda::check_driver(api), std::runtime_error,
+    CHECK_THROWS(cuda::start(api), std::runtime_error,
                  "CUDA reported an error while starting the NVIDIA driver: an error of the test (CUDA_ERROR_TESTED)");
 }
 

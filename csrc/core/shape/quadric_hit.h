@@ -7,12 +7,12 @@
 
 namespace tr {
 
-struct LocalRay {
+struct UnitRay {
     double o[3], d[3];
 
     // The ray (o, d) of the world under the matrix of 3 rows of 4.
     template <class S>
-    TR_INLINE LocalRay(const double *to_object, const S *world_o, const S *world_d) {
+    TR_INLINE UnitRay(const double *to_object, const S *world_o, const S *world_d) {
         for (int i = 0; i < 3; ++i) {
             const double *row = to_object + 4 * i;
             o[i] = row[3];
@@ -29,7 +29,7 @@ TR_INLINE double dot3(const double *a, const double *b) { return a[0] * b[0] + a
 
 // Distances to the unit sphere without cancellation, for small spheres far away and origins close to the surface:
 // Haines, Guenther and Akenine-Moeller, "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, ch. 7.
-TR_INLINE bool sphere_roots(const LocalRay &ray, double &t0, double &t1) {
+TR_INLINE bool sphere_roots(const UnitRay &ray, double &t0, double &t1) {
     double a = dot3(ray.d, ray.d), b = -dot3(ray.o, ray.d);
     double nearest[3];  // from the centre to the line's nearest point
     for (int i = 0; i < 3; ++i) nearest[i] = ray.o[i] + b / a * ray.d[i];
@@ -47,7 +47,7 @@ TR_INLINE bool sphere_roots(const LocalRay &ray, double &t0, double &t1) {
 }
 
 // The smallest distance in (near, far), or a negative number.
-TR_INLINE float first_sphere_hit(const LocalRay &ray, float near, float far) {
+TR_INLINE float first_sphere_hit(const UnitRay &ray, float near, float far) {
     double t[2];
     if (!sphere_roots(ray, t[0], t[1])) return -1;
     for (double each : t)
@@ -55,16 +55,16 @@ TR_INLINE float first_sphere_hit(const LocalRay &ray, float near, float far) {
     return -1;
 }
 
-TR_INLINE float first_disk_hit(const LocalRay &ray, float near, float far) {
+TR_INLINE float first_disk_hit(const UnitRay &ray, float near, float far) {
     if (ray.d[2] == 0) return -1;
     const double t = -ray.o[2] / ray.d[2];
     const double x = ray.o[0] + t * ray.d[0], y = ray.o[1] + t * ray.d[1];
     return x * x + y * y <= 1 && float(t) > near && float(t) < far ? float(t) : -1;
 }
 
-TR_INLINE float first_cylinder_hit(const LocalRay &ray, float near, float far) {
+TR_INLINE float first_cylinder_hit(const UnitRay &ray, float near, float far) {
     // to the line's points on the infinite cylinder, of which there are none where it is parallel to the axis
-    LocalRay flat = ray;
+    UnitRay flat = ray;
     flat.o[2] = flat.d[2] = 0;
     double t[2];
     if ((flat.d[0] == 0 && flat.d[1] == 0) || !sphere_roots(flat, t[0], t[1])) return -1;
