@@ -69,7 +69,8 @@ CPU_FLAGS = {"avx2": frozenset("avx2 fma f16c bmi1 bmi2 abm movbe".split())}
 CPU_FLAGS["avx512"] = CPU_FLAGS["avx2"] | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
-UNCALLED = ("compiler", "cuda_launcher", "kernel_cache", "sha256")  # sources that modules are made without
+# Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
+ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
 
 STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
 
@@ -324,15 +325,18 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         exports.write_text(exports_text)
     is_mac = sys.platform == "darwin"
     products = {}
+    library, shared = [p for p in library_sources() if p.parent.name != "device"], []
+    device = [p for p in library_sources() if p.parent.name == "device" and p.stem not in ON_CARDS]
     for isa in isas:
         flags = compile_flags(isa, sanitize)
         if ninja.is_gcc:
             flags.append("-fno-gnu-unique")
             # Of plain numbers these take a tenth of the time, and gain nothing.
             flags += ["-fno-gcse", "-fno-tree-pre"] if isa == "scalar" and IS_X86 else []
-        # what runs kernels on cards is called by the native tests alone so far
-        library = [p for p in library_sources() if p.stem not in UNCALLED]
         objects = ninja.objects(library + binding_sources(), isa, flags)
+        # csrc/device has no packets: compiled once, for the first module, whose code every processor can run
+        shared = shared or ninja.objects(device, isa, flags)
+        objects += shared
         link = ["-dynamiclib"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
         if switched_on("TORCHRENDER_PORTABLE") and sys.platform == "linux":
             objects += ninja.objects([CSRC / "portable" / "older_linux.cpp"], isa, flags)
