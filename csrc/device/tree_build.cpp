@@ -2,12 +2,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <future>
 #include <limits>
-#include <system_error>
 #include <utility>
 
 #include "core/shape/quadric_hit.h"
+#include "host/parallel.h"
 
 namespace tr {
 
@@ -85,15 +84,11 @@ public:
         Child children[2];
         if (threads > 1 && end - begin > FewItems) {
             std::vector<TreeNode> others;
-            auto second = [&] { return build(middle, end, depth - 1, threads - threads / 2, others); };
-            std::future<Child> later;
-            try {
-                later = std::async(std::launch::async, second);
-            } catch (const std::system_error &) {  // no more threads to be had
-                later = std::async(std::launch::deferred, second);
-            }
-            children[0] = build(begin, middle, depth - 1, threads / 2, nodes);
-            children[1] = later.get();
+            const auto part = [&](size_t, size_t, int k) {
+                children[k] = k == 0 ? build(begin, middle, depth - 1, threads / 2, nodes)
+                                     : build(middle, end, depth - 1, threads - threads / 2, others);
+            };
+            for_ranges(2, 2, part, 1);
             // their numbers were counted from 0
             const auto before = uint32_t(nodes.size());
             for (TreeNode &node : others)
