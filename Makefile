@@ -132,7 +132,7 @@ TIDY_FLAGS = -std=c++17 -Wall -Wextra -msse4.2 -mpopcnt -DTR_ISA=v2 -DTR_PACKET_
   -isystem $(shell $(PY) -c "import drjit; print(drjit.__path__[0])" 2>/dev/null)/include
 
 tidy: $(VENV)/.installed
-	@find csrc/core csrc/accel csrc/host csrc/cpu -name '*.cpp' | sort | \
+	@find csrc/core csrc/accel csrc/device csrc/host csrc/cpu -name '*.cpp' | sort | \
 	  xargs -P "$$(nproc)" -n 4 sh -c '$(VENV)/bin/clang-tidy --quiet "$$@" -- $(TIDY_FLAGS)' tidy
 
 format: $(VENV)/.installed

@@ -69,6 +69,9 @@ CPU_FLAGS = {"avx2": frozenset("avx2 fma f16c bmi1 bmi2 abm movbe".split())}
 CPU_FLAGS["avx512"] = CPU_FLAGS["avx2"] | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
+# Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
+ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
+
 STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
@@ -236,9 +239,10 @@ class Ninja:
             target = self.directory / folder / source.relative_to(CSRC).with_suffix(".o")
             # The bindings hand rows and addresses on.
             own = ["-O1"] if source.parent.name == "bindings" else []
-            # Rays go back over the very numbers that brought them there: a product and a sum must round alike wherever
-            # they are written.
-            own += ["-ffp-contract=off"] if source.stem in ("bend", "bent_rays", "test_bend") else []
+            # Rays go back over the very numbers that brought them there, and triangles share their edges' numbers: a
+            # product and a sum must round alike wherever they are written.
+            alike = ("bend", "bent_rays", "test_bend", "test_device", "test_tree")
+            own += ["-ffp-contract=off"] if source.stem in alike or source.parent.name == "device" else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
         return made
@@ -321,13 +325,18 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         exports.write_text(exports_text)
     is_mac = sys.platform == "darwin"
     products = {}
+    library, shared = [p for p in library_sources() if p.parent.name != "device"], []
+    device = [p for p in library_sources() if p.parent.name == "device" and p.stem not in ON_CARDS]
     for isa in isas:
         flags = compile_flags(isa, sanitize)
         if ninja.is_gcc:
             flags.append("-fno-gnu-unique")
             # Of plain numbers these take a tenth of the time, and gain nothing.
             flags += ["-fno-gcse", "-fno-tree-pre"] if isa == "scalar" and IS_X86 else []
-        objects = ninja.objects(library_sources() + binding_sources(), isa, flags)
+        objects = ninja.objects(library + binding_sources(), isa, flags)
+        # csrc/device has no packets: compiled once, for the first module, whose code every processor can run
+        shared = shared or ninja.objects(device, isa, flags)
+        objects += shared
         link = ["-dynamiclib"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
         if switched_on("TORCHRENDER_PORTABLE") and sys.platform == "linux":
             objects += ninja.objects([CSRC / "portable" / "older_linux.cpp"], isa, flags)

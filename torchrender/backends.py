@@ -1,4 +1,4 @@
-"""Which compiled cores exist, which one runs, and where Embree comes from.
+"""Which compiled cores exist, which one runs, where Embree comes from, and where rays are traced.
 
 The same C++ sources are compiled once per instruction set into libraries of their own, which compute in packets of
 single precision; the best one that this processor supports is loaded when it is first needed. One more, ``scalar``,
@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from ._version import __version__
+from .devices import device as device
+from .devices import report
 from .library import Library
 
 PREFERENCE = ("avx512", "avx2", "v2", "scalar")
@@ -205,8 +207,16 @@ def embree() -> dict[str, Any]:
     return dict(_embree)
 
 
+def devices() -> dict[str, str]:
+    """For ``"cpu"``, ``"emulated"`` and ``"cuda"`` a sentence: what runs there, what is missing and what helps.
+
+    Looks for CUDA's driver and compiler, and starts neither.
+    """
+    return report(core())
+
+
 def show_config() -> str:
-    """Print, and return, what a bug report needs: versions, processor, threads, cores and Embree."""
+    """Print, and return, what a bug report needs: versions, processor, threads, cores, Embree and devices."""
     import torch
 
     lines = [
@@ -222,7 +232,8 @@ def show_config() -> str:
         lines.append("compiled    " + ", ".join(f"{k} {v}" for k, v in info.items()))
         found = embree()
         lines.append(f"embree      {found['version']} at {found['path']}")
-    except (ImportError, OSError) as error:
+        lines += [f"{name:<12}{state}" for name, state in devices().items()]
+    except (ImportError, OSError, ValueError) as error:
         lines.append(f"problem     {error}")
     text = "\n".join(lines)
     print(text)

@@ -11,6 +11,7 @@ import torch
 from . import backends
 from .bsdf_functions import BsdfDirection, BsdfEvaluation, BsdfPoints, BsdfSampling
 from .compiling import opaque
+from .devices import refusal
 from .errors import describe, nearest
 from .scene.context import Context
 from .scene.conversion import decode, encode, static_value
@@ -233,7 +234,7 @@ def _tensor(where: str, value: Any, dtype: torch.dtype | None = None) -> torch.T
         except (TypeError, ValueError, RuntimeError) as error:
             raise TypeError(f"{where}: expected a tensor, got {describe(value)}") from error
     if value.device.type != "cpu":
-        raise ValueError(f"{where}: lies on {value.device}; this version works on the CPU: use .to('cpu')")
+        raise ValueError(f"{where}: lies on {value.device}; {refusal(value.device)}")
     if value.is_complex():
         raise TypeError(f"{where}: expected real numbers, got {describe(value)}")
     return value if dtype is None else value.to(dtype)

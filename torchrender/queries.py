@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 
 from .compiling import opaque
+from .devices import device, refusal
 from .errors import describe
 from .functions import ConstantFunction
 from .scene.gather import gather, has_derivative
@@ -170,7 +171,8 @@ def nearest_hits(
     }
     dense = [t.contiguous() for t in (origins, directions, limits)]
     rays = [t.data_ptr() for t in dense]
-    native.call("ray_intersect", params, n, *rays, {name: tensor.data_ptr() for name, tensor in out.items()})
+    addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
+    native.call("ray_intersect", params, n, *rays, addresses, device())
     out["barycentric"] = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
     return Hits(**out, valid=out["shape_id"] >= 0)
 
@@ -185,7 +187,8 @@ def occlusion(
     """Whether the core finds anything along rays, (N,) bool; see `nearest_hits`."""
     hit = torch.empty(origins.shape[0], dtype=torch.uint8, device="cpu")
     dense = [t.contiguous() for t in (origins, directions, limits)]
-    native.call("ray_occluded", params, origins.shape[0], *[t.data_ptr() for t in dense], hit.data_ptr())
+    rays = [t.data_ptr() for t in dense]
+    native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr(), device())
     return hit.bool()
 
 
@@ -203,7 +206,7 @@ def _on_cpu(name: str, value: Any, dtype: torch.dtype | None = None) -> torch.Te
     if not isinstance(value, torch.Tensor):
         return torch.as_tensor(value, dtype=dtype, device="cpu")
     if value.device.type != "cpu":
-        raise ValueError(f"{name}: lies on {value.device}; this version works on the CPU: use .to('cpu')")
+        raise ValueError(f"{name}: lies on {value.device}; {refusal(value.device)}")
     return value if dtype is None else value.to(dtype)
 
 

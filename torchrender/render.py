@@ -12,6 +12,7 @@ import torch
 
 from .autograd import RenderFunction
 from .compiling import opaque
+from .devices import require_cpu
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
@@ -223,6 +224,7 @@ def render(
             chosen_integrator, integrator_config = measured, measured.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
+    require_cpu("render")
     share = current_share()
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
     of_paths = (*PATH_OUTPUTS, *STOKES_OUTPUTS)

@@ -1,7 +1,8 @@
 #include "quadric.h"
 
-#include <algorithm>
 #include <cmath>
+
+#include "core/shape/quadric_hit.h"
 
 namespace tr {
 
@@ -21,84 +22,20 @@ enum RayRow {
     HitInstance = 19
 };
 
-struct LocalRay {
-    double o[3], d[3];
-
-    LocalRay(const Quadric &q, const float *rays, uint32_t n, uint32_t lane) {
-        for (int i = 0; i < 3; ++i) {
-            const double *row = q.to_object + 4 * i;
-            o[i] = row[3];
-            d[i] = 0;
-            for (uint32_t k = 0; k < 3; ++k) {
-                o[i] += row[k] * double(rays[(Org + k) * n + lane]);
-                d[i] += row[k] * double(rays[(Dir + k) * n + lane]);
-            }
-        }
-    }
-};
-
-double dot(const double *a, const double *b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
-
-// Distances to the unit sphere without cancellation, for small spheres far away and origins close to the surface:
-// Haines, Guenther and Akenine-Moeller, "Precision Improvements for Ray/Sphere Intersection", Ray Tracing Gems, ch. 7.
-bool sphere_roots(const LocalRay &ray, double &t0, double &t1) {
-    double a = dot(ray.d, ray.d), b = -dot(ray.o, ray.d);
-    double nearest[3];  // from the centre to the line's nearest point
-    for (int i = 0; i < 3; ++i) nearest[i] = ray.o[i] + b / a * ray.d[i];
-    double discriminant = 1 - dot(nearest, nearest);
-    if (!(discriminant >= 0)) return false;
-    double q = b + std::copysign(std::sqrt(a * discriminant), b);
-    double c = dot(ray.o, ray.o) - 1;
-    t0 = q != 0 ? c / q : 0;
-    t1 = q / a;
-    if (t0 > t1) std::swap(t0, t1);
-    return true;
-}
-
-// Distances to the line's points on the infinite cylinder; where it is parallel to the axis there are none.
-bool cylinder_roots(LocalRay ray, double &t0, double &t1) {
-    ray.o[2] = ray.d[2] = 0;
-    return (ray.d[0] != 0 || ray.d[1] != 0) && sphere_roots(ray, t0, t1);
-}
-
 // Smallest distance in (near, far), or a negative number.
 float first_hit(const Quadric &q, const float *rays, uint32_t n, uint32_t lane) {
-    LocalRay ray(q, rays, n, lane);
-    float near = rays[Near * n + lane], far = rays[Far * n + lane];
-    double t0, t1;
-    if (q.kind == QuadricKind::Sphere) {
-        if (!sphere_roots(ray, t0, t1)) return -1;
-    } else if (q.kind == QuadricKind::Cylinder) {
-        if (!cylinder_roots(ray, t0, t1)) return -1;
-        for (double t : {t0, t1}) {
-            double z = ray.o[2] + t * ray.d[2];
-            if (z >= 0 && z <= 1 && float(t) > near && float(t) < far) return float(t);
-        }
-        return -1;
-    } else {
-        if (ray.d[2] == 0) return -1;
-        t0 = t1 = -ray.o[2] / ray.d[2];
-        double x = ray.o[0] + t0 * ray.d[0], y = ray.o[1] + t0 * ray.d[1];
-        if (!(x * x + y * y <= 1)) return -1;
-    }
-    for (float t : {float(t0), float(t1)})
-        if (t > near && t < far) return t;
-    return -1;
+    float o[3], d[3];
+    for (uint32_t k = 0; k < 3; ++k) o[k] = rays[(Org + k) * n + lane], d[k] = rays[(Dir + k) * n + lane];
+    const UnitRay ray(q.to_object, o, d);
+    const float near = rays[Near * n + lane], far = rays[Far * n + lane];
+    if (q.kind == QuadricKind::Sphere) return first_sphere_hit(ray, near, far);
+    return q.kind == QuadricKind::Cylinder ? first_cylinder_hit(ray, near, far) : first_disk_hit(ray, near, far);
 }
 
 }  // namespace
 
 void Quadric::bounds(rtc::Bounds &result) const {
-    for (int i = 0; i < 3; ++i) {
-        const double *row = to_world + 4 * i;
-        // the largest coordinate of a linear map of the unit ball (disk) is the length of the row
-        double z = kind == QuadricKind::Sphere ? row[2] : 0, middle = row[3];
-        double extent = std::sqrt(row[0] * row[0] + row[1] * row[1] + z * z);
-        if (kind == QuadricKind::Cylinder) middle += 0.5 * row[2], extent += 0.5 * std::abs(row[2]);
-        double rounding = 1e-6 * (std::abs(middle) + extent);
-        result.lower[i] = float(middle - extent - rounding);
-        result.upper[i] = float(middle + extent + rounding);
-    }
+    quadric_box(to_world, kind == QuadricKind::Sphere, kind == QuadricKind::Cylinder, result.lower, result.upper);
 }
 
 void Quadric::on_bounds(const rtc::BoundsFunctionArguments *arguments) {

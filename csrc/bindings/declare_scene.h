@@ -121,13 +121,13 @@ inline void declare_scene(Functions &f) {
             found.push_back(to_value(each));
         return Value(std::move(found));
     });
-    f.add("Scene.ray_intersect", [](NativeScene &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax,
-                                    const Arrays &out, const Addresses &params, const std::vector<bool> &dirty) {
-        self.intersect(n, {o, d, tmax}, out, values(params, dirty));
-    });
+    f.add("Scene.ray_intersect",
+          [](NativeScene &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax, const Arrays &out,
+             const std::string &device, const Addresses &params,
+             const std::vector<bool> &dirty) { self.intersect(n, {o, d, tmax}, out, device, values(params, dirty)); });
     f.add("Scene.ray_occluded", [](NativeScene &self, size_t n, uintptr_t o, uintptr_t d, uintptr_t tmax, uintptr_t out,
-                                   const Addresses &params, const std::vector<bool> &dirty) {
-        self.occluded(n, {o, d, tmax}, out, values(params, dirty));
+                                   const std::string &device, const Addresses &params, const std::vector<bool> &dirty) {
+        self.occluded(n, {o, d, tmax}, out, device, values(params, dirty));
     });
     f.add("Scene.probe", [](NativeScene &self, const std::string &what, int index, size_t n, const Arrays &arrays,
                             const Addresses &params, const std::vector<bool> &dirty) {

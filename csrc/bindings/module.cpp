@@ -8,6 +8,8 @@
 #include "declare_bsdf_functions.h"
 #include "declare_scene.h"
 #include "declare_upsampling.h"
+#include "device/driver.h"
+#include "device/nvrtc.h"
 #include "functions.h"
 #include "host/models.h"
 #include "samplers.h"
@@ -164,6 +166,9 @@ Functions all_functions() {
         EmbreeInfo found = load_embree(path);
         return Value(Value::Dict{{"version", found.version}, {"path", found.path}});
     });
+    // versions of CUDA, "12.2"
+    f.add("cuda_driver", [] { return cuda::driver_version(cuda::find_driver()); });
+    f.add("nvrtc", [](const std::string &path) { return cuda::Nvrtc(path).version(); });
     f.add("philox", [](uint64_t seed, uint32_t sensor, uint32_t pixel, uint32_t sample, uint32_t block) {
         Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
         return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};

@@ -7,6 +7,7 @@
 #include "cpu/aovs.h"
 #include "cpu/packet_rows.h"
 #include "cpu/render_response.h"
+#include "device/scene_rays.h"
 #include "probes.h"
 
 namespace tr {
@@ -185,20 +186,19 @@ public:
         return stats;
     }
 
-    void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,
+    void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out, const std::string &device,
                    const ParameterValues &values) override {
         using F = PacketOf<S>;
         using U = UIntOf<F>;
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *other = updated(device, values);
         const S *o = reinterpret_cast<const S *>(rays[0]), *d = reinterpret_cast<const S *>(rays[1]);
         RayBuffer buffer(n, o, d, reinterpret_cast<const S *>(rays[2]));
         std::vector<uint32_t> shape(n), primitive(n);
         std::vector<float> found[3];
         for (auto &column : found) column.resize(n);
-        data_.accel().intersect(buffer.batch(),
-                                {shape.data(), primitive.data(), found[0].data(), found[1].data(), found[2].data()}, n,
-                                false);
+        const HitBatch hits{shape.data(), primitive.data(), found[0].data(), found[1].data(), found[2].data()};
+        other ? other->intersect(buffer.batch(), hits, n) : data_.accel().intersect(buffer.batch(), hits, n, false);
         std::vector<S> hit[3];
         for (int k = 0; k < 3; ++k) hit[k].assign(found[k].begin(), found[k].end());
         auto to = [&](const char *name) { return reinterpret_cast<S *>(out.at(name)); };
@@ -231,13 +231,14 @@ public:
         });
     }
 
-    void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out,
+    void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const std::string &device,
                   const ParameterValues &values) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *other = updated(device, values);
         auto at = [&](size_t k) { return reinterpret_cast<const S *>(rays[k]); };
         RayBuffer buffer(n, at(0), at(1), at(2));
-        data_.accel().occluded(buffer.batch(), reinterpret_cast<uint8_t *>(out), n);
+        auto *hit = reinterpret_cast<uint8_t *>(out);
+        other ? other->occluded(buffer.batch(), hit, n) : data_.accel().occluded(buffer.batch(), hit, n);
     }
 
     void probe(const std::string &what, int index, size_t n, const Arrays &arrays,
@@ -304,8 +305,29 @@ private:
     SceneData<S> data_;
     std::mutex mutex_;
     std::shared_ptr<RayRecord> ray_record_;
+    std::unique_ptr<SceneRays> emulated_;  // once it was asked for
 
     void update(const ParameterValues &values) { data_.update(read_only<S>(values.addresses), values.dirty); }
+
+    // Rays of another device than the CPU, null for this one, where the scene is what `values` say.
+    SceneRays *updated(const std::string &device, const ParameterValues &values) {
+        if (device == "cpu") {
+            update(values);
+            return nullptr;
+        }
+        if (device != "emulated") throw std::invalid_argument("device: expected cpu or emulated, got " + device);
+        const std::vector<ShapeInfo> &shapes = data_.layout().shapes;
+        for (size_t i = 0; i < shapes.size(); ++i)
+            if (const char *missing = SceneRays::missing(shapes[i]))
+                throw std::invalid_argument(
+                    data_.path("shape", int(i)) +
+                    ": the emulated device has meshes, rectangles, spheres, disks and cylinders so far, got " +
+                    missing + "; with TORCHRENDER_BACKEND=cpu rays meet everything");
+        update(values);
+        if (!emulated_) emulated_ = std::make_unique<SceneRays>();
+        emulated_->update(data_.view(), data_.geometry_version());
+        return emulated_.get();
+    }
 
     RenderCall<S> call(const Config &c) {
         const std::vector<Record> &sensors = data_.layout().records.at("sensor");

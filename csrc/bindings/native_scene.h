@@ -74,10 +74,11 @@ public:
                                               const std::vector<BoundaryRequest> &, SceneOutlines &,
                                               const Addresses &slots, bool forward) = 0;
 
-    // Rays: origins and directions (n, 3) and lengths (n,).
-    virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out,
+    // Rays: origins and directions (n, 3) and lengths (n,). `device`: cpu or emulated.
+    virtual void intersect(size_t n, const std::array<uintptr_t, 3> &rays, const Arrays &out, const std::string &device,
                            const ParameterValues &) = 0;
-    virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const ParameterValues &) = 0;
+    virtual void occluded(size_t n, const std::array<uintptr_t, 3> &rays, uintptr_t out, const std::string &device,
+                          const ParameterValues &) = 0;
     // One model of the scene, see probes.h; arrays by name.
     virtual void probe(const std::string &what, int index, size_t n, const Arrays &arrays, const ParameterValues &) = 0;
     // Rays that bend, see bend.h.

@@ -4,8 +4,10 @@
 // (setup.py).
 #include <pthread.h>
 
+#include <condition_variable>
 #include <cstdint>
 #include <ctime>
+#include <mutex>
 #include <new>
 
 #if defined(__x86_64__)
@@ -80,5 +82,10 @@ void release_reference(void *pointer) {
 namespace std {
 
 void __throw_bad_array_new_length() { throw bad_array_new_length(); }  // GCC 11
+
+// GCC 12: a newer version of it.
+void condition_variable::wait(unique_lock<mutex> &lock) noexcept {
+    pthread_cond_wait(native_handle(), lock.mutex()->native_handle());
+}
 
 }  // namespace std

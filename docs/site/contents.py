@@ -20,6 +20,7 @@ PARTS: dict[str, list[str]] = {
         "polarisation",
         "gradient_index",
         "many_machines",
+        "cuda",
         "how_to/reproducibility",
         "how_to/speed",
     ],

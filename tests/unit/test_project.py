@@ -150,7 +150,12 @@ def test_bindings_include_no_header_of_python() -> None:
 
 @pytest.mark.parametrize(
     ("ring", "outer"),
-    [("core", ["accel", "host", "cpu", "cuda", "bindings"]), ("accel", ["cpu", "bindings"]), ("cpu", ["bindings"])],
+    [
+        ("core", ["accel", "device", "host", "cpu", "cuda", "bindings"]),
+        ("accel", ["device", "cpu", "bindings"]),
+        ("device", ["cpu", "bindings"]),
+        ("cpu", ["bindings"]),
+    ],
 )
 def test_includes_point_inward(ring: str, outer: list[str]) -> None:
     outside = tuple(f"{name}/" for name in outer)

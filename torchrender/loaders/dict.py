@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, overload
 import torch
 
 from .. import backends
+from ..devices import refusal
 from ..errors import describe, nearest
 from ..integrators import TYPES, from_dict
 from ..scene import registry
@@ -44,7 +45,7 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
     except (RuntimeError, TypeError):
         raise ValueError(f"{function}: device: expected 'cpu', got {describe(device)}") from None
     if made.type != "cpu":
-        raise ValueError(f"{function}: device: this build renders on the CPU, got {str(made)!r}")
+        raise ValueError(f"{function}: device: expected 'cpu', got {str(made)!r}; {refusal(made)}")
     if wavelength is not None:
         if variant.removesuffix(POLARIZED) != "mono":
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")

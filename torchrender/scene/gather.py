@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import nn
 
+from ..devices import refusal
 from ..errors import describe, nearest
 from .packing import Layout, record
 from .plugin import Plugin
@@ -121,7 +122,7 @@ def check_device(scene: Scene, name: str, tensor: torch.Tensor) -> None:
     """ValueError if the core cannot read the tensor's memory."""
     if tensor.device.type != "cpu":
         where = "" if tensor.device == scene.device else f", but the scene on {scene.device}"
-        raise ValueError(f"{name}: lies on {tensor.device}{where}; this version renders on the CPU: use .to('cpu')")
+        raise ValueError(f"{name}: lies on {tensor.device}{where}; {refusal(tensor.device)}")
 
 
 def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:

@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from .. import backends
+from ..devices import QUERIES, require_cpu
 from ..library import Watch
 from .packing import Layout
 
@@ -67,8 +68,10 @@ class NativeScene:
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
 
-        ValueError names a parameter that is not finite.
+        ValueError names a parameter that is not finite; RuntimeError says that the device has nothing but ray queries.
         """
+        if function not in QUERIES:
+            require_cpu(function)
         with self.lock:
             dirty = self._dirty(params)
             addresses = [t.data_ptr() for t in params]

@@ -1,0 +1,113 @@
+#include "cuda_launcher.h"
+
+#include <algorithm>
+#include <map>
+#include <string>
+
+namespace tr::cuda {
+
+namespace {
+
+constexpr unsigned BlockSize = 128, BlocksPerMultiprocessor = 16;
+
+class CardLauncher final : public Launcher {
+public:
+    CardLauncher(const Api &api, const KernelCompiler &compiler, int ordinal, Stream stream)
+        : api_(api), compiler_(compiler), card_(card(api, ordinal)), stream_(stream) {
+        check(api_, api_.DeviceGet(&device_, ordinal), "looking for a card");
+        check(api_, api_.DevicePrimaryCtxRetain(&context_, device_), "starting to use " + card_.name);
+    }
+    ~CardLauncher() override {
+        if (api_.CtxPushCurrent(context_) == Success) {
+            for (auto &[name, loaded] : modules_) api_.ModuleUnload(loaded.first);
+            Context before;
+            api_.CtxPopCurrent(&before);
+        }
+        api_.DevicePrimaryCtxRelease(device_);
+    }
+
+    void *allocate(size_t bytes) override {
+        const Current current(*this);
+        DevicePointer memory = 0;
+        check(api_, api_.MemAlloc(&memory, std::max<size_t>(bytes, 1)), "reserving memory");
+        return reinterpret_cast<void *>(memory);
+    }
+    void release(void *memory) noexcept override {
+        if (api_.CtxPushCurrent(context_) != Success) return;
+        api_.MemFree(address(memory));
+        Context before;
+        api_.CtxPopCurrent(&before);
+    }
+    void upload(void *to, const void *from, size_t bytes) override {
+        const Current current(*this);
+        // pageable memory: it was read when this returns
+        check(api_, api_.MemcpyHtoDAsync(address(to), from, bytes, stream_), "copying to " + card_.name);
+    }
+    void download(void *to, const void *from, size_t bytes) override {
+        const Current current(*this);
+        check(api_, api_.MemcpyDtoHAsync(to, address(from), bytes, stream_), "copying from " + card_.name);
+        check(api_, api_.StreamSynchronize(stream_), after());
+    }
+    void synchronize() override {
+        const Current current(*this);
+        check(api_, api_.StreamSynchronize(stream_), after());
+    }
+
+private:
+    const Api &api_;
+    const KernelCompiler &compiler_;
+    const Card card_;
+    const Stream stream_;
+    Device device_ = 0;
+    Context context_ = nullptr;
+    std::map<std::string, std::pair<Module, Function>> modules_;
+    std::string last_;  // what was launched
+
+    struct Current {
+        explicit Current(const CardLauncher &of) : api(of.api_) {
+            check(api, api.CtxPushCurrent(of.context_), "using " + of.card_.name);
+        }
+        Current(const Current &) = delete;
+        Current &operator=(const Current &) = delete;
+        ~Current() {
+            Context before;
+            api.CtxPopCurrent(&before);
+        }
+        const Api &api;
+    };
+
+    static DevicePointer address(const void *memory) { return reinterpret_cast<DevicePointer>(memory); }
+    std::string after() const { return last_.empty() ? "waiting for the card" : "running " + last_; }
+
+    Function function(const Kernel &kernel) {
+        auto found = modules_.find(kernel.name);
+        if (found != modules_.end()) return found->second.second;
+        const std::string cubin = compiler_.cubin(kernel, card_.capability),
+                          doing = std::string("loading ") + kernel.name;
+        std::pair<Module, Function> loaded;
+        check(api_, api_.ModuleLoadData(&loaded.first, cubin.data()), doing);
+        modules_[kernel.name] = loaded;  // unloaded also if the function is not in it
+        check(api_, api_.ModuleGetFunction(&loaded.second, loaded.first, KernelCompiler::EntryPoint), doing);
+        modules_[kernel.name] = loaded;
+        return loaded.second;
+    }
+
+    void launch(const Kernel &kernel, const void *functor, uint32_t n) override {
+        const Current current(*this);
+        const Function entry = function(kernel);
+        const unsigned most = unsigned(card_.multiprocessors) * BlocksPerMultiprocessor,
+                       blocks = std::min((n - 1) / BlockSize + 1, most);
+        void *parameters[] = {const_cast<void *>(functor), &n};
+        last_ = kernel.name;
+        check(api_, api_.LaunchKernel(entry, blocks, 1, 1, BlockSize, 1, 1, 0, stream_, parameters, nullptr),
+              "launching " + last_);
+    }
+};
+
+}  // namespace
+
+std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal, Stream stream) {
+    return std::make_unique<CardLauncher>(api, compiler, ordinal, stream);
+}
+
+}  // namespace tr::cuda

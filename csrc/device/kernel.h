@@ -1,0 +1,47 @@
+// Kernels are functors: what one has as members are its parameters, and its call operator does the work of one item.
+//
+//     struct AddOne {
+//         static constexpr const char *Name = "tr::AddOne", *Header = "device/add_one.h";
+//         float *numbers;
+//         TR_HD void operator()(uint32_t i) const { numbers[i] += 1; }
+//         template <class Visit>
+//         void for_pointers(Visit &&visit) const { visit(numbers); }
+//     };
+//
+// A device compiles the header and gets the members byte by byte; the host calls the same function in a loop. Items of
+// a launch run in any order, also at once. Pointers are of the device's memory, or null; for_pointers names them all.
+#pragma once
+
+#include <functional>
+#include <type_traits>
+
+#include "core/math/config.h"
+
+namespace tr {
+
+// What launchers know of a functor.
+struct Kernel {
+    const char *name, *header;  // as code says it in the namespace of all; a path below the folder of the sources
+    size_t size, alignment;
+    void (*item)(const void *functor, uint32_t i);
+    void (*pointers)(const void *functor, const std::function<void(const void *)> &visit);
+};
+
+template <class K>
+const Kernel &kernel_of() {
+    static_assert(std::is_trivially_copyable_v<K> && std::is_standard_layout_v<K>, "members are copied as bytes");
+    static_assert(sizeof(K) <= 4000, "parameters of a kernel have 4 KiB");
+    static const Kernel kernel{
+        K::Name,
+        K::Header,
+        sizeof(K),
+        alignof(K),
+        [](const void *functor, uint32_t i) { (*static_cast<const K *>(functor))(i); },
+        [](const void *functor, const std::function<void(const void *)> &visit) {
+            static_cast<const K *>(functor)->for_pointers([&](const void *p) { visit(p); });
+        },
+    };
+    return kernel;
+}
+
+}  // namespace tr

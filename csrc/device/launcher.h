@@ -1,0 +1,82 @@
+// A device's memory, and launches of kernels on it. Everything happens in the order of the calls, but later: only
+// `download` and `synchronize` wait. Used by one thread at a time.
+#pragma once
+
+#include <utility>
+#include <vector>
+
+#include "kernel.h"
+
+namespace tr {
+
+class Launcher {
+public:
+    Launcher() = default;
+    Launcher(const Launcher &) = delete;
+    Launcher &operator=(const Launcher &) = delete;
+    virtual ~Launcher() = default;
+
+    // Aligned to 256 bytes; what is in it is undefined. std::bad_alloc if there is no room.
+    virtual void *allocate(size_t bytes) = 0;
+    // Nothing that was launched may still need it: there was a download or synchronize since.
+    virtual void release(void *memory) noexcept = 0;
+    // `from` is of the host and may be changed after the call.
+    virtual void upload(void *to, const void *from, size_t bytes) = 0;
+    virtual void download(void *to, const void *from, size_t bytes) = 0;
+    virtual void synchronize() = 0;
+
+    // The items 0 .. n - 1.
+    template <class K>
+    void run(const K &kernel, uint32_t n) {
+        if (n != 0) launch(kernel_of<K>(), &kernel, n);
+    }
+
+private:
+    virtual void launch(const Kernel &kernel, const void *functor, uint32_t n) = 0;
+};
+
+// Memory of a device that is released with its owner. The launcher has to live longer.
+template <class T>
+class DeviceArray {
+public:
+    DeviceArray() = default;
+    DeviceArray(Launcher &launcher, size_t n) { reserve(launcher, n); }
+    DeviceArray(DeviceArray &&other) noexcept { swap(other); }
+    DeviceArray &operator=(DeviceArray &&other) noexcept {
+        swap(other);
+        return *this;
+    }
+    DeviceArray(const DeviceArray &) = delete;
+    DeviceArray &operator=(const DeviceArray &) = delete;
+    ~DeviceArray() {
+        if (at_) launcher_->release(at_);
+    }
+
+    // Room for n of them, of none of which there is no address. If there was less, what was there is lost, and the
+    // device must be done with it.
+    void reserve(Launcher &launcher, size_t n) {
+        if (n <= capacity_) return;
+        DeviceArray().swap(*this);
+        at_ = static_cast<T *>(launcher.allocate(n * sizeof(T)));
+        launcher_ = &launcher, capacity_ = n;
+    }
+    void upload(Launcher &launcher, const T *from, size_t n) {
+        reserve(launcher, n);
+        if (n != 0) launcher.upload(at_, from, n * sizeof(T));
+    }
+    void download(T *to, size_t n) const {
+        if (n != 0) launcher_->download(to, at_, n * sizeof(T));
+    }
+    T *get() const { return at_; }
+
+private:
+    Launcher *launcher_ = nullptr;
+    T *at_ = nullptr;
+    size_t capacity_ = 0;
+
+    void swap(DeviceArray &other) noexcept {
+        std::swap(launcher_, other.launcher_), std::swap(at_, other.at_), std::swap(capacity_, other.capacity_);
+    }
+};
+
+}  // namespace tr

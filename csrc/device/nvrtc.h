@@ -1,0 +1,31 @@
+// NVRTC, the compiler of CUDA as a library: loaded from a path, for which it needs neither a driver nor a card.
+#pragma once
+
+#include <memory>
+#include <string>
+#include <vector>
+
+namespace tr::cuda {
+
+class Nvrtc {
+public:
+    // std::runtime_error with one sentence if the library at `path` cannot be used or is older than 12.0.
+    explicit Nvrtc(const std::string &path);
+    ~Nvrtc();
+    Nvrtc(const Nvrtc &) = delete;
+    Nvrtc &operator=(const Nvrtc &) = delete;
+
+    // "12.2"
+    const std::string &version() const { return version_; }
+
+    // Machine code for the architecture that `options` name (-arch=sm_90). std::runtime_error with what the compiler
+    // says.
+    std::string compile(const std::string &source, const std::vector<std::string> &options) const;
+
+private:
+    struct Api;
+    std::unique_ptr<Api> api_;
+    std::string version_;
+};
+
+}  // namespace tr::cuda

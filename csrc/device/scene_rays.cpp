@@ -1,0 +1,103 @@
+#include "scene_rays.h"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <thread>
+
+#include "emulated.h"
+
+namespace tr {
+
+namespace {
+
+template <class S>
+TreeItem face_item(const SceneView<S> &scene, uint32_t shape, uint32_t face) {
+    const uint32_t *corners = scene.faces + (size_t(scene.shapes[shape].face_offset) + face) * 3;
+    float p[3][3];
+    for (int c = 0; c < 3; ++c)
+        for (size_t k = 0; k < 3; ++k) p[c][k] = float(scene.vertices[size_t(corners[c]) * VertexRow<S>::Size + k]);
+    return triangle_item(shape, face, p[0], p[1], p[2]);
+}
+
+// In single precision, as Embree's callbacks have them: hits are the same.
+template <class S>
+void single_matrix(const S *from, double *to) {
+    for (int k = 0; k < 12; ++k) to[k] = double(float(from[k]));
+}
+
+template <class S>
+TreeItem curved_item(const SceneView<S> &scene, uint32_t shape) {
+    const int32_t flags = scene.shapes[shape].flags;
+    double to_world[12];
+    single_matrix(scene.shape_matrices + 24 * size_t(shape), to_world);
+    return quadric_item(shape,
+                        flags & IsSphere     ? TreeKind::Sphere
+                        : flags & IsCylinder ? TreeKind::Cylinder
+                                             : TreeKind::Disk,
+                        to_world);
+}
+
+}  // namespace
+
+SceneRays::Device::Device() : launcher(make_emulated()), tree(*launcher) {}
+
+SceneRays::SceneRays() : device_(std::make_unique<Device>()), process_(getpid()) {}
+
+SceneRays::~SceneRays() {
+    if (process_ != getpid()) leave_to_parent();
+}
+
+// After a fork the parent's device has lost its thread, and cannot even be taken down: it is left where it is.
+void SceneRays::leave_to_parent() { [[maybe_unused]] const Device *left = device_.release(); }
+
+void SceneRays::ensure_process() {
+    if (process_ == getpid()) return;
+    leave_to_parent();
+    device_ = std::make_unique<Device>();
+    process_ = getpid();
+    if (version_ != 0) device_->tree.set(tree_);
+}
+
+const char *SceneRays::missing(const ShapeInfo &shape) {
+    if (shape.flags & IsCurve) return shape.flags & IsStraight ? "a linearcurve" : "a bsplinecurve";
+    if (shape.flags & IsHeightField) return "a heightfield";
+    return shape.flags & IsSdfGrid ? "an sdfgrid" : nullptr;
+}
+
+template <class S>
+void SceneRays::update(const SceneView<S> &scene, uint64_t version) {
+    ensure_process();
+    if (version == version_) return;
+    const bool first = version_ == 0;
+    version_ = 0;  // until it is done
+    tree_.matrices.resize(size_t(scene.n_shapes));
+    if (first) tree_.items.clear();
+    for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
+        const ShapeInfo &info = scene.shapes[shape];
+        const bool curved = info.flags & IsCurved;
+        if (curved) single_matrix(scene.shape_matrices + 24 * size_t(shape) + 12, tree_.matrices[shape].to_object);
+        if (!first) continue;
+        if (curved)
+            tree_.items.push_back(curved_item(scene, shape));
+        else
+            for (uint32_t f = 0; f < uint32_t(info.n_faces); ++f) tree_.items.push_back(face_item(scene, shape, f));
+    }
+    if (!first)
+        for (TreeItem &item : tree_.items)
+            item = item.kind == TreeKind::Triangle ? face_item(scene, item.shape, item.primitive)
+                                                   : curved_item(scene, item.shape);
+    if (first || !tree_.refit()) {
+        tree_.build(int(std::max(1u, std::thread::hardware_concurrency())));
+        ++builds_;
+    } else {
+        ++refits_;
+    }
+    device_->tree.set(tree_);
+    version_ = version;
+}
+
+template void SceneRays::update(const SceneView<float> &, uint64_t);
+template void SceneRays::update(const SceneView<double> &, uint64_t);
+
+}  // namespace tr

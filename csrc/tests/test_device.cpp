@@ -1,0 +1,393 @@
+// Launchers: the emulated one's traps, the card's calls of a driver that is none, compiling and keeping kernels.
+#include <dirent.h>
+#include <fcntl.h>
+#include <signal.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <cstdlib>
+#include <cstring>
+#include <numeric>
+#include <stdexcept>
+#include <thread>
+
+#include "device/cuda_launcher.h"
+#include "device/emulated.h"
+#include "device/ray_kernels.h"
+#include "device/sha256.h"
+#include "device_kernels.h"
+#include "harness.h"
+
+namespace tr::testing {
+
+namespace {
+
+constexpr EmulatedOptions AllModes[] = {{false, false, 1}, {true, false, 2}, {false, true, 3}, {true, true, 4}};
+
+std::string sources() {
+    const std::string here = __FILE__;
+    return here.substr(0, here.rfind("/tests/"));
+}
+
+// Whether the process of its own that does this dies of a segmentation fault.
+template <class Do>
+bool faults(Do &&f) {
+    std::fflush(stdout);
+    const pid_t child = fork();
+    if (child == 0) {
+        const auto fault = [](int) { _exit(33); };
+        signal(SIGSEGV, fault), signal(SIGBUS, fault);
+        f();
+        _exit(0);
+    }
+    int status = 0;
+    waitpid(child, &status, 0);
+    return WIFEXITED(status) && WEXITSTATUS(status) == 33;
+}
+
+// Only on a device that is the host.
+struct WaitForHost {
+    static constexpr const char *Name = "tr::testing::WaitForHost", *Header = "";
+    std::atomic<bool> *begun;
+    const std::atomic<bool> *go;
+    void operator()(uint32_t) const {
+        *begun = true;
+        while (!*go) std::this_thread::yield();
+    }
+    template <class Visit>
+    void for_pointers(Visit &&) const {}
+};
+
+struct TemporaryFolder {
+    std::string path = "/tmp/torchrender_device_XXXXXX";
+    TemporaryFolder() { CHECK(mkdtemp(path.data()) != nullptr); }
+    ~TemporaryFolder() {
+        for (const std::string &name : files()) std::remove((path + "/" + name).c_str());
+        rmdir(path.c_str());
+    }
+    TemporaryFolder(const TemporaryFolder &) = delete;
+    TemporaryFolder &operator=(const TemporaryFolder &) = delete;
+    std::vector<std::string> files() const {
+        std::vector<std::string> names;
+        DIR *folder = opendir(path.c_str());
+        while (const dirent *found = readdir(folder))
+            if (found->d_name[0] != '.') names.emplace_back(found->d_name);
+        closedir(folder);
+        return names;
+    }
+};
+
+}  // namespace
+
+TR_TEST(emulated_kernels_reach_every_item_once) {
+    for (const EmulatedOptions &options : AllModes) {
+        const auto device = make_emulated(options);
+        for (uint32_t n : {0u, 1u, 2u, 7u, 64u, 1000u, 4099u}) {
+            std::vector<float> numbers(n);
+            std::iota(numbers.begin(), numbers.end(), 0.f);
+            DeviceArray<float> array;
+            array.upload(*device, numbers.data(), n);
+            numbers.assign(n, -1.f);  // it was copied
+            device->run(AddOne{array.get()}, n);
+            device->run(AddOne{array.get()}, n);
+            array.download(numbers.data(), n);
+            for (uint32_t i = 0; i < n; ++i) CHECK(numbers[i] == float(i) + 2);
+        }
+    }
+}
+
+TR_TEST(emulated_items_are_shuffled) {
+    const auto device = make_emulated({true, false, 1});
+    const uint32_t n = 100, zero = 0;
+    DeviceArray<uint32_t> counter, order(*device, n);
+    counter.upload(*device, &zero, 1);
+    std::vector<uint32_t> first(n), second(n);
+    for (auto *found : {&first, &second}) {
+        counter.upload(*device, &zero, 1);
+        device->run(NoteOrder{counter.get(), order.get()}, n);
+        order.download(found->data(), n);
+    }
+    CHECK(first != second);
+    for (auto *found : {&first, &second}) {
+        CHECK(!std::is_sorted(found->begin(), found->end()));
+        std::sort(found->begin(), found->end());
+        for (uint32_t i = 0; i < n; ++i) CHECK((*found)[i] == i);
+    }
+}
+
+TR_TEST(emulated_memory_is_out_of_reach) {
+    CHECK(faults([] {
+        const auto device = make_emulated({true, false, 1});
+        DeviceArray<float> array(*device, 10);
+        *static_cast<volatile float *>(array.get()) = 1;
+    }));
+    CHECK(!faults([] {
+        const auto device = make_emulated({false, false, 1});
+        DeviceArray<float> array(*device, 10);
+        *static_cast<volatile float *>(array.get()) = 1;
+    }));
+}
+
+TR_TEST(emulated_memory_is_poisoned) {
+    const auto device = make_emulated();
+    for (int round = 0; round < 2; ++round) {
+        DeviceArray<float> array(*device, 1001);
+        std::vector<float> numbers(1001, 0.f);
+        array.download(numbers.data(), numbers.size());
+        for (float x : numbers) CHECK(std::isnan(x));
+        numbers.assign(1001, 1.f);
+        array.upload(*device, numbers.data(), numbers.size());
+        device->synchronize();
+    }
+}
+
+TR_TEST(emulated_device_refuses_memory_of_the_host) {
+    for (const EmulatedOptions &options : AllModes) {
+        const auto device = make_emulated(options);
+        std::vector<float> host(4);
+        CHECK_THROWS(device->run(AddOne{host.data()}, 4), std::logic_error,
+                     "tr::testing::AddOne: a pointer to memory that is not the device's");
+        CHECK_THROWS(device->upload(host.data(), host.data(), 4), std::logic_error, "an upload");
+        DeviceArray<float> array(*device, 4);
+        CHECK_THROWS(device->download(host.data(), array.get(), 20), std::logic_error, "a download");
+        CHECK_THROWS(device->run(AddOne{array.get() + 4}, 1), std::logic_error, "not the device's");
+    }
+}
+
+TR_TEST(emulated_device_finds_what_is_written_beside) {
+    for (const EmulatedOptions &options : AllModes) {
+        const auto device = make_emulated(options);
+        for (int32_t beside : {-1, 5}) {
+            DeviceArray<float> array(*device, 5);
+            CHECK_THROWS((device->run(WriteAt{array.get(), beside}, 1), device->synchronize()), std::logic_error,
+                         "tr::testing::WriteAt has written beside an allocation");
+        }
+    }
+}
+
+TR_TEST(emulated_launches_come_late) {
+    const auto device = make_emulated({false, true, 1});
+    const float zero = 0;
+    float found = 1;
+    DeviceArray<float> array(*device, 1), other(*device, 1);
+    array.upload(*device, &zero, 1);
+    std::atomic<bool> begun{false}, go{false};
+    const auto run_until_go = [&] {
+        begun = go = false;
+        device->run(WaitForHost{&begun, &go}, 1);
+        while (!begun) std::this_thread::yield();
+    };
+    run_until_go();
+    device->run(AddOne{array.get()}, 1);
+    go = true;  // what was launched waits for this thread, which did not wait for it
+    array.download(&found, 1);
+    CHECK(found == 1);
+    run_until_go();
+    other = DeviceArray<float>();
+    go = true;
+    CHECK_THROWS(device->synchronize(), std::logic_error, "released while something that was launched may need it");
+    device->synchronize();
+}
+
+TR_TEST(sha256_of_known_texts) {
+    CHECK(sha256("") == "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855");
+    CHECK(sha256("abc") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+    CHECK(sha256("abcdbcdecdefdefgefghfghighijhijkijkljklmklmnlmnomnopnopq") ==
+          "248d6a61d20638b8e5c026930c3e6039a33ce45964ff2167f6ecedd419db06c1");
+    CHECK(sha256(std::string(1000000, 'a')) == "cdc76e5c9914fb9281a1c7e284d73e67f1809a48a497200e046d39ccc7112cd0");
+}
+
+TR_TEST(compiled_kernels_are_kept) {
+    const TemporaryFolder folder;
+    const KernelCache cache(folder.path, 1000);
+    CHECK(!cache.find("a"));
+    cache.put("a", std::string("one\0two", 7));
+    CHECK(cache.find("a") == std::string("one\0two", 7));
+    CHECK(folder.files() == std::vector<std::string>{"a.cubin"});
+    // what is not whole is none
+    const std::string path = folder.path + "/a.cubin";
+    CHECK(truncate(path.c_str(), 70) == 0);
+    CHECK(!cache.find("a"));
+    // the one that was not used for longest goes
+    cache.put("a", std::string(300, 'a'));
+    cache.put("b", std::string(300, 'b'));
+    const timespec old[] = {{1000, 0}, {1000, 0}}, older[] = {{500, 0}, {500, 0}};
+    utimensat(AT_FDCWD, path.c_str(), older, 0);
+    utimensat(AT_FDCWD, (folder.path + "/b.cubin").c_str(), old, 0);
+    CHECK(cache.find("a").has_value());
+    cache.put("c", std::string(300, 'c'));
+    CHECK(cache.find("a") && !cache.find("b") && cache.find("c"));
+    // a place that cannot be written to
+    const KernelCache none("/proc/torchrender_none");
+    none.put("a", "x");
+    CHECK(!none.find("a"));
+}
+
+TR_TEST(translation_units_of_kernels_check_sizes) {
+    const std::string unit = cuda::KernelCompiler::unit(kernel_of<WriteAt>());
+    CHECK(unit.find("#include \"tests/device_kernels.h\"\n") == 0);
+    CHECK(unit.find("sizeof(tr::testing::WriteAt) == 16 && alignof(tr::testing::WriteAt) == 8") != std::string::npos);
+}
+
+// -------------------------------------------------------------------------------------------------- a driver of our
+// own
+namespace {
+
+// What is called, and what is to go wrong. Memory is the host's; a launch runs the kernel that was asked for.
+struct FakeDriver {
+    std::string calls;
+    int version = 12020, cards = 1;
+    cuda::Result init = 0, launch = 0, wait = 0;
+    int contexts = 0, allocations = 0;
+    unsigned grid = 0;
+} fake;
+
+cuda::Api fake_api() {
+    using namespace cuda;
+    Api api;
+    api.Init = [](unsigned) { return fake.init; };
+    api.DriverGetVersion = [](int *version) { return *version = fake.version, 0; };
+    api.GetErrorName = [](Result, const char **name) { return *name = "CUDA_ERROR_TESTED", 0; };
+    api.GetErrorString = [](Result, const char **text) { return *text = "an error of the test", 0; };
+    api.DeviceGetCount = [](int *count) { return *count = fake.cards, 0; };
+    api.DeviceGet = [](Device *device, int ordinal) { return *device = ordinal + 100, 0; };
+    api.DeviceGetName = [](char *name, int, Device) { return std::strcpy(name, "Test Card"), 0; };
+    api.DeviceGetAttribute = [](int *value, Attribute which, Device) {
+        return *value = which == ComputeCapabilityMajor ? 9 : which == ComputeCapabilityMinor ? 0 : 2, 0;
+    };
+    api.DevicePrimaryCtxRetain = [](Context *context, Device device) {
+        CHECK(device == 100);
+        *context = reinterpret_cast<Context>(&fake);
+        return fake.calls += "retain ", 0;
+    };
+    api.DevicePrimaryCtxRelease = [](Device) { return fake.calls += "let go ", 0; };
+    api.CtxPushCurrent = [](Context context) {
+        CHECK(context == reinterpret_cast<Context>(&fake));
+        return ++fake.contexts, 0;
+    };
+    api.CtxPopCurrent = [](Context *) { return --fake.contexts, 0; };
+    api.ModuleLoadData = [](Module *module, const void *image) {
+        fake.calls += "load:" + std::string(static_cast<const char *>(image)) + " ";
+        return *module = reinterpret_cast<Module>(&fake), 0;
+    };
+    api.ModuleUnload = [](Module) { return fake.calls += "unload ", 0; };
+    api.ModuleGetFunction = [](Function *function, Module, const char *name) {
+        CHECK(!std::strcmp(name, KernelCompiler::EntryPoint));
+        return *function = reinterpret_cast<Function>(&fake), 0;
+    };
+    api.MemAlloc = [](DevicePointer *memory, size_t bytes) {
+        if (bytes > 1000000) return int(OutOfMemory);
+        ++fake.allocations;
+        return *memory = reinterpret_cast<DevicePointer>(std::malloc(bytes)), 0;
+    };
+    api.MemFree = [](DevicePointer memory) {
+        --fake.allocations;
+        return std::free(reinterpret_cast<void *>(memory)), 0;
+    };
+    api.MemcpyHtoDAsync = [](DevicePointer to, const void *from, size_t bytes, Stream) {
+        return std::memcpy(reinterpret_cast<void *>(to), from, bytes), 0;
+    };
+    api.MemcpyDtoHAsync = [](void *to, DevicePointer from, size_t bytes, Stream) {
+        return std::memcpy(to, reinterpret_cast<void *>(from), bytes), 0;
+    };
+    api.StreamSynchronize = [](Stream) { return fake.wait; };
+    api.LaunchKernel = [](Function, unsigned grid, unsigned, unsigned, unsigned block, unsigned, unsigned, unsigned,
+                          Stream, void **parameters, void **) {
+        fake.grid = grid;
+        CHECK(fake.contexts == 1 && block % 32 == 0);
+        for (uint32_t i = 0; i < *static_cast<unsigned *>(parameters[1]); ++i)
+            (*static_cast<const AddOne *>(parameters[0]))(i);
+        return fake.launch;
+    };
+    return api;
+}
+
+}  // namespace
+
+TR_TEST(drivers_that_cannot_be_used_are_named) {
+    fake = {};
+    const cuda::Api api = fake_api();
+    cuda::check_version(api), cuda::start(api);
+    CHECK(cuda::driver_version(api) == "12.2");
+    const cuda::Card card = cuda::card(api, 0);
+    CHECK(card.name == "Test Card" && card.capability == 90 && card.multiprocessors == 2);
+    fake.version = 11080;
+    CHECK_THROWS(cuda::check_version(api), std::runtime_error,
+                 "made for CUDA 11.8, expected at least 12.0; install driver 525 or newer");
+    fake.version = 13000, fake.cards = 0;
+    CHECK_THROWS(cuda::start(api), std::runtime_error, "finds no card; see what nvidia-smi");
+    fake.cards = 1, fake.init = cuda::NoDevice;
+    CHECK_THROWS(cuda::start(api), std::runtime_error, "finds no card");
+    fake.init = 999;
+    CHECK_THROWS(cuda::start(api), std::runtime_error,
+                 "CUDA reported an error while starting the NVIDIA driver: an error of the test (CUDA_ERROR_TESTED)");
+}
+
+// NVRTC from $TORCHRENDER_NVRTC or the system; without one, what needs it is left out.
+static std::unique_ptr<cuda::Nvrtc> find_nvrtc() {
+    const char *given = std::getenv("TORCHRENDER_NVRTC");
+    for (const char *name : {given ? given : "libnvrtc.so.12", "libnvrtc.so.13"}) {
+        try {
+            return std::make_unique<cuda::Nvrtc>(name);
+        } catch (const std::runtime_error &error) {
+            if (given) throw;
+        }
+    }
+    std::printf("  left out: there is no NVRTC, which TORCHRENDER_NVRTC names\n");
+    return nullptr;
+}
+
+TR_TEST(cards_are_driven) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    fake = {};
+    const cuda::Api api = fake_api();
+    const TemporaryFolder folder;
+    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    {
+        const auto device = cuda::make_launcher(api, compiler, 0);
+        const std::vector<float> numbers(5000, 1.f);
+        std::vector<float> found(5000);
+        DeviceArray<float> array;
+        array.upload(*device, numbers.data(), numbers.size());
+        device->run(AddOne{array.get()}, 5000);
+        CHECK(fake.grid == 32);  // 16 blocks a multiprocessor, although 40 would be as many as there are items
+        device->run(AddOne{array.get()}, 100);
+        CHECK(fake.grid == 1);
+        array.download(found.data(), found.size());
+        CHECK(found.front() == 3 && found.back() == 2);
+        CHECK_THROWS(device->allocate(2000000), std::bad_alloc, "");
+        fake.wait = 700;
+        CHECK_THROWS(device->synchronize(), std::runtime_error, "while running tr::testing::AddOne: an error of the");
+        fake.launch = 701;
+        CHECK_THROWS(device->run(AddOne{array.get()}, 1), std::runtime_error, "while launching tr::testing::AddOne");
+    }
+    CHECK(fake.contexts == 0 && fake.allocations == 0);
+    CHECK(fake.calls ==
+          "retain load:\x7f"
+          "ELF\x2\x1\x1\x33\a unload let go ");
+    CHECK(folder.files().size() == 1);
+}
+
+TR_TEST(kernels_are_compiled_for_cards) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    const TemporaryFolder folder;
+    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    const std::string cubin = compiler.cubin(kernel_of<AddOne>(), 90);
+    CHECK(cubin.substr(1, 3) == "ELF" && cubin.find(cuda::KernelCompiler::EntryPoint) != std::string::npos);
+    CHECK(compiler.cubin(kernel_of<AddOne>(), 90) == cubin && folder.files().size() == 1);
+    CHECK(compiler.cubin(kernel_of<AddOne>(), 80) != cubin && folder.files().size() == 2);
+    for (const Kernel &kernel : {kernel_of<IntersectRays>(), kernel_of<OccludeRays>()})
+        CHECK(compiler.cubin(kernel, 75).substr(1, 3) == "ELF");
+    Kernel other = kernel_of<AddOne>();
+    other.size = 12;
+    CHECK_THROWS(compiler.cubin(other, 90), std::runtime_error, "a functor is not what it is on the host");
+    CHECK_THROWS(cuda::Nvrtc("/nowhere/libnvrtc.so"), std::runtime_error, "NVRTC at /nowhere/libnvrtc.so cannot be");
+    CHECK_THROWS(cuda::Nvrtc("libc.so.6"), std::runtime_error, "has no function nvrtcVersion");
+}
+
+}  // namespace tr::testing

@@ -1,0 +1,164 @@
+"""Which device is chosen, what is said of CUDA, and that nothing of it is loaded before it is asked for."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+
+import torchrender as tr
+from torchrender import backends, devices
+from torchrender.scene.gather import check_device
+
+ROOT = Path(__file__).resolve().parents[2]
+ALONE = "ray queries alone (tr.ray_intersect, tr.ray_occluded)"
+
+# A driver that says its version, and has all functions that are looked for. As a process's NVRTC it says another.
+FAKE = """
+#include <cstdlib>
+extern "C" int cuDriverGetVersion(int *version) { return *version = std::atoi(std::getenv("FAKE_CUDA")), 0; }
+extern "C" int nvrtcVersion(int *major, int *minor) { return *major = 12, *minor = 8, 0; }
+#define FUNCTION(name) extern "C" int name() { std::abort(); }
+"""
+
+
+def python(code: str, **environment: str) -> str:
+    variables = {k: v for k, v in os.environ.items() if not k.startswith("TORCHRENDER_")} | environment
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def unchosen(monkeypatch):
+    monkeypatch.setattr(devices, "_chosen", None)
+    monkeypatch.delenv("TORCHRENDER_BACKEND", raising=False)
+    monkeypatch.delenv("TORCHRENDER_NVRTC", raising=False)
+    return monkeypatch
+
+
+def test_the_cpu_is_used_unless_another_device_is_chosen(unchosen):
+    assert backends.device() == "cpu"
+    report = backends.devices()
+    assert list(report) == ["cpu", "emulated", "cuda"]
+    assert report["cpu"] == "used for everything"
+    assert report["emulated"].endswith(f"has {ALONE}; TORCHRENDER_BACKEND=emulated chooses it")
+    unchosen.setenv("TORCHRENDER_BACKEND", "emulated")
+    assert backends.device() == "cpu"  # it was read
+
+
+def test_the_emulated_device_is_chosen_by_a_variable(unchosen, capsys):
+    unchosen.setenv("TORCHRENDER_BACKEND", " emulated ")
+    assert backends.device() == "emulated"
+    report = backends.devices()
+    assert report["cpu"] == "not used, by TORCHRENDER_BACKEND=emulated; without it everything runs here"
+    assert report["emulated"] == f"used by TORCHRENDER_BACKEND, has {ALONE} so far"
+    text = tr.show_config()
+    assert capsys.readouterr().out.strip() == text
+    for name, sentence in report.items():
+        assert f"\n{name:<12}{sentence}" in text and "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("name", "end"), [("cuda", "; nothing runs on a card yet"), ("cuda:1", "; nothing runs on a card yet"), ("gpu", "")]
+)
+def test_other_devices_are_refused(unchosen, capsys, name, end):
+    unchosen.setenv("TORCHRENDER_BACKEND", name)
+    scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    sentence = f"TORCHRENDER_BACKEND: expected cpu or emulated, got {name!r}{end}"
+    with pytest.raises(ValueError, match=f"^{sentence}$"):
+        tr.ray_intersect(scene, torch.zeros(1, 3), torch.ones(1, 3))
+    assert f"problem     {sentence}" in tr.show_config()
+    capsys.readouterr()
+
+
+def test_tensors_on_cards_are_refused():
+    scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    for place, end in (("cuda:1", "nothing runs on a card yet, torchrender"), ("meta", "torchrender")):
+        tensor = SimpleNamespace(device=torch.device(place))
+        sentence = f"ball.radius: lies on {place}, but the scene on cpu; {end} computes on the CPU: use .to('cpu')"
+        with pytest.raises(ValueError, match=re.escape(sentence)):
+            check_device(scene, "ball.radius", tensor)
+    with pytest.raises(ValueError, match="device: expected 'cpu', got 'cuda:0'; nothing runs on a card yet, torch"):
+        tr.load_dict({"type": "scene"}, device="cuda:0")
+
+
+def test_a_process_of_its_own_and_its_children():
+    code = """
+import os, torch
+def cuda():  # libraries of it in this process
+    maps = open("/proc/self/maps") if os.path.exists("/proc/self/maps") else ()
+    return {line.split("/")[-1] for line in maps if "cuda.so" in line or "nvrtc" in line}
+before = cuda()
+import torchrender as tr
+scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}, "floor": {"type": "rectangle"}})
+o, d = torch.tensor([[0.0, 0.1, 3.0], [0.9, 0.9, 3.0], [3.0, 3.0, 3.0]]), torch.tensor([[0.0, 0.0, -1.0]]).expand(3, 3)
+first = tr.ray_intersect(scene, o, d)
+print(first.shape_id.tolist(), tr.ray_occluded(scene, o, d).tolist(), cuda() == before, tr.backends.device())
+for moved in (False, True):
+    child = os.fork()
+    if child == 0:
+        params = {"ball.radius": torch.tensor(2.0)} if moved else None
+        again = tr.ray_intersect(scene, o, d, params=params)
+        good = again.shape_id.tolist() == [0, 0, -1] if moved else torch.equal(again.t, first.t)
+        del scene
+        os._exit(0 if good else 1)
+    print(os.waitpid(child, 0)[1])
+print(torch.equal(tr.ray_intersect(scene, o, d).t, first.t))
+"""
+    out = python(code, TORCHRENDER_BACKEND="emulated").splitlines()
+    assert out == ["[0, 1, -1] [True, True, False] True emulated", "0", "0", "True"]
+
+
+def test_nvrtc_is_looked_for_in_packages_before_the_system(unchosen, tmp_path):
+    library = tmp_path / "nvidia" / "cuda_nvrtc" / "lib"
+    newer = tmp_path / "nvidia" / "cu13" / "lib"
+    for folder, names in ((library, ["libnvrtc.so.12", "libnvrtc-builtins.so.12.2"]), (newer, ["libnvrtc.so.13"])):
+        folder.mkdir(parents=True)
+        for name in names:
+            (folder / name).write_bytes(b"not a library")
+    unchosen.syspath_prepend(tmp_path)
+    found = list(devices.nvrtc_candidates())
+    paths = [str(newer / "libnvrtc.so.13"), str(library / "libnvrtc.so.12")]
+    assert found.index(paths[0]) < found.index(paths[1])
+    assert found[-2:] == ["libnvrtc.so.13", "libnvrtc.so.12"]
+    unchosen.setenv("TORCHRENDER_NVRTC", paths[1])
+    assert list(devices.nvrtc_candidates()) == [paths[1]]
+    assert f"; NVRTC at {paths[1]} cannot be loaded (" in backends.devices()["cuda"]
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the driver's library has another name there")
+def test_what_there_is_of_cuda_is_said(unchosen, tmp_path):
+    compiler = shutil.which("c++")
+    if compiler is None:
+        pytest.skip("there is no compiler, which makes the driver of this test")
+    # the functions that are looked for
+    declared = [
+        line.split('"')[1] for line in (ROOT / "csrc/device/driver_api.h").read_text().splitlines() if ', "cu' in line
+    ]
+    compiled = "CreateProgram CompileProgram GetProgramLogSize GetProgramLog GetCUBINSize GetCUBIN DestroyProgram"
+    names = [*declared, *(f"nvrtc{name}" for name in compiled.split())]
+    source = FAKE + "\n".join(f"FUNCTION({name})" for name in names if name != "cuDriverGetVersion")
+    (tmp_path / "fake.cpp").write_text(source)
+    library = tmp_path / "libcuda.so.1"
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", library, tmp_path / "fake.cpp"], check=True, timeout=60)
+    code = """
+import os, torchrender as tr
+for version in ("11080", "12020"):
+    os.environ["FAKE_CUDA"] = version
+    print(tr.backends.devices()["cuda"])
+"""
+    none = "nothing runs on a card yet (compiled and emulated, never run on a card); "
+    nvrtc = f"NVRTC 12.8 at {library}"
+    out = python(code, LD_LIBRARY_PATH=str(tmp_path), TORCHRENDER_NVRTC=str(library)).splitlines()
+    old = "the NVIDIA driver is made for CUDA 11.8, expected at least 12.0; install driver 525 or newer"
+    assert out == [f"{none}{old}; there is {nvrtc}", f"{none}there is an NVIDIA driver for CUDA 12.2; there is {nvrtc}"]
