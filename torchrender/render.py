@@ -163,7 +163,7 @@ def render(
             the other outputs take `spp_grad` everywhere. Not with `correlated`.
         nan: ``"drop"`` samples that are not finite and warn once, or ``"raise"`` a `RenderError`.
         sampler: how samples are spread, in image and derivative: ``"independent"``, ``"stratified"`` or ``"sobol"``
-            (`tr.SAMPLERS`, see `Sampler`); None takes the camera's own, else independent ones.
+            (`tr.SAMPLERS`, see `Sampler`); None takes the camera's own, else ``"sobol"``.
         range: parameters that have left their physical range, such as an albedo that an optimiser has made 1.2:
             ``"warn"`` with a `RangeWarning`, once for each, which looks at the first few changes of a value and then at
             one of sixteen; ``"raise"`` a ValueError; ``"ignore"``.

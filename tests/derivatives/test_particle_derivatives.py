@@ -99,7 +99,7 @@ def test_pathwise_derivatives_equal_finite_differences(name):
         difference, found = (high - low) / (2 * step), float((gradient * change).sum())
         # slopes of the filter jump where it ends, by 1e-3 of its height: such jumps are few. Where light crosses an
         # edge of a mesh its shading correction jumps, which the derivative leaves out.
-        tolerance = 1e-2 if name == "meter under a sheet" else 1e-3
+        tolerance = 1e-2 if name in ("meter under a sheet", "own normals") and parameter in SHEET else 1e-3
         assert found == pytest.approx(difference, rel=tolerance, abs=1e-4), f"{name}: {parameter}"
         assert abs(found) > 1e-3, f"{name}: {parameter}"
 
@@ -207,10 +207,10 @@ def glued(name: str) -> tr.Scene:
     return tr.load_dict(GLUED[name][0], dtype=torch.float64)
 
 
-def slopes(scene: tr.Scene, integrator, names: list[str], seed: int, spp: int) -> torch.Tensor:
-    """Derivatives of the weighted mean of an image along a direction of each parameter, (P,), without outlines."""
+def slopes(scene: tr.Scene, integrator, names: list[str], seed: int, spp: int, outlines: bool = False) -> torch.Tensor:
+    """Derivatives of the weighted mean of an image along a direction of each parameter, (P,)."""
     leaves = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in names}
-    settings = {"spp": 1, "spp_grad": spp, "seed": seed, "visibility": False}
+    settings = {"spp": 1, "spp_grad": spp, "seed": seed, "visibility": outlines}
     image = tr.render(scene, integrator=integrator, params=leaves, **settings)
     gradients = torch.autograd.grad((image * weight(image)).mean(), list(leaves.values()))
     return torch.stack([(g * direction(n, g)).sum() for n, g in zip(names, gradients)])
@@ -223,8 +223,10 @@ COUNT = sum(len(glued_names(name)) for name in GLUED)
 def test_derivatives_are_those_of_the_path_tracer(name):
     scene, names, depth = glued(name), glued_names(name), GLUED[name][2]
     light, path = (cls(max_depth=depth, rr_depth=99) for cls in (tr.ParticleTracer, tr.PathTracer))
-    found = torch.stack([slopes(scene, light, names, i, 300) for i in range(SEEDS)])
-    expected = torch.stack([slopes(scene, path, names, 50 + i, 300) for i in range(SEEDS)])
+    # where the wall meets the floor light of the sun has an edge: a moving outline for one, for the other it is glued
+    outlines = name == "sun"
+    found = torch.stack([slopes(scene, light, names, i, 300, outlines) for i in range(SEEDS)])
+    expected = torch.stack([slopes(scene, path, names, 50 + i, 300, outlines) for i in range(SEEDS)])
     error = (found.var(0) / SEEDS + expected.var(0) / SEEDS).sqrt()
     gap = (found.mean(0) - expected.mean(0)).abs()
     # rays start a little off the surface, by an amount whose derivative is left out: 1e-4 of the distances
@@ -299,7 +301,7 @@ def test_gradients_repeat_bit_for_bit_at_a_number_of_threads(threads):
 # ---------------------------------------------------------------------------------------------------------- how samples
 def test_gradients_of_nonlinear_losses_are_unbiased_with_few_samples():
     """Of the mean of I^2, I = albedo J, by the albedo: twice the mean of I J. Correlated samples add the variance of an
-    image, which one sample a pixel makes large. Level: 0.001 (z of 3.3)."""
+    image, which few light paths a pixel make large. Level: 0.001 (z of 3.3)."""
     scene, light = tr.load_dict(with_camera(ls.point_light()), dtype=torch.float64), tr.ParticleTracer(max_depth=2)
     albedo = scene.get_parameter("floor.bsdf.reflectance.value")
     with torch.no_grad():
@@ -313,7 +315,7 @@ def test_gradients_of_nonlinear_losses_are_unbiased_with_few_samples():
             image = tr.render(
                 scene,
                 integrator=light,
-                spp=1,
+                spp=16,  # with fewer a pixel's derivative is mostly zero and rarely huge, no case for a normal law
                 seed=seed,
                 params={"floor.bsdf.reflectance.value": x},
                 correlated=correlated,

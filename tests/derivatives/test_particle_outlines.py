@@ -258,7 +258,7 @@ def test_a_silhouette_before_a_caustic():
     ball = {**BALL, "bsdf": {"type": "dielectric", "int_ior": 1.5}}
     scene = view(LIT, ball=ball, board={**BOARD, "to_world": near}, lamp=area(lamp, radiance=20.0))
     scene.integrator = tr.PathTracer(4, 99)
-    check(scene, "board.to_world", images=light_tracer(scene), spp_visibility=(2048, 1))
+    check(scene, "board.to_world", images=light_tracer(scene), spp_visibility=(2048, 1), share=0.25)
 
 
 # ------------------------------------------------------------------------------------------------ modes and settings

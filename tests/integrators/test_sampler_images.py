@@ -232,6 +232,19 @@ def test_the_camera_or_the_call_chooses():
         assert torch.equal(tr.render(scene, seed=1, sampler="independent"), plain)
 
 
+def test_the_default_is_sobol_and_files_that_say_otherwise_are_heard():
+    described = ball_and_wall(6, 8)
+    del described["sensor"]["sampler"]
+    scene = tr.load_dict(described)
+    image = tr.render(scene, spp=4, seed=1)
+    assert torch.equal(image, tr.render(scene, spp=4, seed=1, sampler="sobol"))
+    assert tr.Sampler() == tr.Sampler(16, "sobol") and scene.sensors[0].sampler is None
+    described["sensor"]["sampler"] = {"type": "independent"}
+    scene = tr.load_dict(described)
+    assert torch.equal(tr.render(scene, seed=1), tr.render(scene, spp=4, seed=1, sampler="independent"))
+    assert "4 independent samples a pixel" in repr(scene.sensors[0])
+
+
 def test_seeds_in_a_row_are_independent():
     """Of 400 pictures of one sample with the seeds 0, 1, 2, ...: the mean product of the errors of a picture and the
     next, over its standard error, pixel by pixel; and of their means. Normal, at a level of 1e-3 for both."""

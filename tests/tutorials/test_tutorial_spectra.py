@@ -10,7 +10,7 @@ import torchrender as tr
 
 
 def test_which_glass(tutorial, tmp_path, capsys):
-    result = tutorial("which_glass").run(tmp_path, glass="N-SF5", height=4, spp=64, iterations=7)
+    result = tutorial("which_glass").run(tmp_path, glass="N-SF5", height=4, spp=64, iterations=9)
     assert result["glass"] == "N-SF5" and result["error"] < 0.01
     assert result["index"] == pytest.approx(1.67271, abs=3e-4)
     assert "N-SF5: 1.6727, 32.25" in capsys.readouterr().out

@@ -162,14 +162,15 @@ class Sampler(Settings):
 
     Attributes:
         sample_count: samples a pixel, from 1 to 2^32; a dict or file that does not say it means 4.
-        type: one of ``tr.SAMPLERS``, for image and derivative alike. ``"independent"`` numbers; ``"stratified"`` ones,
-            which are jittered in as many strata as there are samples in every dimension of a path, and in a grid of
-            cells where two of them belong together; points of a Sobol sequence, Owen-scrambled for every pixel and pair
-            of dimensions, ``"sobol"``, best with powers of two. All of them are unbiased with any number of samples.
+        type: one of ``tr.SAMPLERS``, for image and derivative alike. ``"sobol"``: points of a Sobol sequence,
+            Owen-scrambled for every tile of pixels and block of dimensions, best with powers of two. ``"stratified"``
+            numbers, which are jittered in as many strata as there are samples in every dimension of a path, and in a
+            grid of cells where two of them belong together. ``"independent"`` ones, also from pixel to pixel. All of
+            them are unbiased with any number of samples.
     """
 
     sample_count: int = 16
-    type: str = "independent"
+    type: str = "sobol"
 
     def __post_init__(self) -> None:
         self.check(Context(path=("Sampler",)))

@@ -83,8 +83,7 @@ class Sensor(Plugin):
         film = self.film
         crop = f", crop={film.crop}" if film.crop is not None else ""
         sampler = self.sampler
-        kind = f"{sampler.type} " if sampler is not None and sampler.type != "independent" else ""
-        count = f", {sampler.sample_count} {kind}samples a pixel" if sampler is not None else ""
+        count = f", {sampler.sample_count} {sampler.type} samples a pixel" if sampler is not None else ""
         return f"{film.height} x {film.width} pixels, {film.filter.type} filter{crop}{count}"
 
 
@@ -115,7 +114,7 @@ class IrradianceMeter(Sensor):
 
 
 def default_sampler(camera: Sensor) -> Sampler:
-    """Number and kind of samples when nothing is said: the camera's own, else 16 independent ones.
+    """Number and kind of samples when nothing is said: the camera's own, else those of `Sampler()`.
 
     ValueError for one that an edit has made wrong.
     """
