@@ -59,8 +59,11 @@ def hunt(kind: str, first: int, last: int, seconds: float | None, keep: Path | N
             reports = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
             at = int((folder / "progress").read_text())
             if done.returncode > 0 or (done.returncode == 0 and not (folder / "summary").exists()):
-                raise SystemExit(f"the worker for {kind!r} failed:\n{done.stderr.strip()[-4000:]}")
-            if done.returncode < 0:
+                print(f"the worker for {kind!r} failed at {at}:\n{done.stderr.strip()[-4000:]}", file=sys.stderr)
+                reports.append({"number": at, "what": f"the worker failed, and the rest from {at} was not read"})
+                total.update({"inputs": at - first})
+                first = last
+            elif done.returncode < 0:
                 ended = signal.Signals(-done.returncode)
                 what = f"more than {SECONDS:g} s" if ended == signal.SIGPROF else f"crash: {ended.name}"
                 reports.append({"number": at, "what": what})

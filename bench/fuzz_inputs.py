@@ -274,7 +274,7 @@ def damaged_dict(rng: np.random.Generator) -> dict[Any, Any]:
         owner, key = places[int(rng.integers(len(places)))]
         how = int(rng.integers(5))
         if how < 2:
-            owner[key] = VALUES[int(rng.integers(len(VALUES)))]
+            owner[key] = copy.deepcopy(VALUES[int(rng.integers(len(VALUES)))])  # later changes may go into it
         elif how == 2:
             del owner[key]
         elif how == 3:

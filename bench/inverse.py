@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import sys
 import tempfile
 from pathlib import Path
@@ -67,7 +68,7 @@ def ours(threads: int) -> Peer:
 
 def start_of(settings: dict[str, Any], problem: Problem, peer: Peer) -> Setting:
     """The stored setting of a program, else the problem's own."""
-    return {**problem.setting, **settings.get(problem.name, {}).get(peer.name, {})}
+    return {**problem.setting, **problem.own.get(peer.name, {}), **settings.get(problem.name, {}).get(peer.name, {})}
 
 
 def search(problem: Problem, task: Task, peers: list[Peer], folder: Path, settings: dict, options) -> list[dict]:
@@ -75,7 +76,12 @@ def search(problem: Problem, task: Task, peers: list[Peer], folder: Path, settin
     rows, goal = [], problem.goal(options.quick)
     for peer in peers:
         searched = Search(lambda s, peer=peer: Run(peer, task, s, folder), goal, options.cap, options.by_cpu)
-        best = searched.search(start_of(settings, problem, peer), peer.name)
+        others = problem.others.get(peer.name, [])
+        try:
+            best = searched.search(start_of(settings, problem, peer), peer.name, others)
+        except PeerError as error:  # the race says so in its row
+            print(error, file=sys.stderr)
+            continue
         settings.setdefault(problem.name, {})[peer.name] = best
         for trial in searched.trials:
             row: dict[str, Any] = {"problem": problem.name, "program": peer.title, "setting": words(trial.setting)}
@@ -89,27 +95,38 @@ def search(problem: Problem, task: Task, peers: list[Peer], folder: Path, settin
 def words(setting: Setting) -> str:
     """A setting as a cell of a table."""
     text = f"{setting['spp']} + {setting['spp_grad']} spp, rate {setting['rate']:.3g} / {setting['halving']}"
-    more = {**setting.get("renderer", {}), **setting.get("integrator", {})}
+    known = ("spp", "spp_grad", "rate", "halving", "sampler", "renderer", "integrator")
+    own = {name: value for name, value in setting.items() if name not in known}
+    more = {**own, **setting.get("renderer", {}), **setting.get("integrator", {})}
     return ", ".join([text, setting["sampler"], *(f"{name}={value}" for name, value in more.items())])
 
 
 def row_of(problem: Problem, goal: float, runs: list[Run], memory: float, difference: float) -> dict[str, Any]:
     """What the runs of one program came to."""
     peer = runs[0].peer
-    reached = all(run.reached(goal) for run in runs)
+    outcomes = [run.outcome(goal) for run in runs]
     row: dict[str, Any] = {"problem": problem.name, "program": peer.title}
     row["s"] = Measured.of(run.last.seconds for run in runs)
-    row["target reached"] = "yes" if reached else "no"
+    row["target reached"] = next((outcome for outcome in outcomes if outcome != "yes"), "yes")
     row["iterations"] = Measured.of(run.last.iterations for run in runs)
-    row["s an iteration"] = Measured.of(run.last.seconds / run.last.iterations for run in runs)
+    row["s an iteration"] = Measured.of(run.last.seconds / max(1, run.last.iterations) for run in runs)
     row["processor s"] = Measured.of(run.last.cpu for run in runs)
     row["first steps s"] = runs[0].first
     row["peak memory MiB"] = memory
     row["error at the start %"] = 100 * runs[0].points[0].error
+    row["target %"] = 100 * goal
     row["error %"] = 100 * max(run.last.error for run in runs)
-    row["picture of the truth differs %"] = 100 * difference
+    row["first picture differs %"] = 100 * difference
     row["setting"] = words(runs[0].setting)
     return row
+
+
+def peak_of(peer: Peer) -> float:
+    """Its peak memory in MiB; NaN where its process has ended."""
+    try:
+        return peer.ask("memory")["peak"]
+    except PeerError:
+        return math.nan
 
 
 def curves(problem: Problem, goal: float, runs: list[Run]) -> Table:
@@ -122,18 +139,6 @@ def curves(problem: Problem, goal: float, runs: list[Run]) -> Table:
     plot = {"kind": "lines", "columns": ["error"], "x": "seconds", "y": "error", "by": ["program"], "scale": "log"}
     title = f"{problem.title}: error of held-out pictures over time, target {goal}"
     return Table(title, ["program", "iterations"], rows, [], plot, part=problem.name, shown=False)
-
-
-def show(task: Task, runs: list[Run], file: Path) -> None:
-    """The first given and the first held-out picture: the truth, then what each program found."""
-    found = [{name: torch.from_numpy(value) for name, value in run.found.items()} for run in runs]
-    rows = [
-        torch.cat([task.picture(view, values, 64, 0) for values in (task.truth, *found)], 1)
-        for view in (task.views[0], task.held_out[0])
-    ]
-    width = max(row.shape[1] for row in rows)
-    padded = [torch.nn.functional.pad(row, (0, 0, 0, width - row.shape[1])) for row in rows]
-    tr.io.write_image(file, torch.cat(padded))
 
 
 def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespace, versions: dict[str, str]):
@@ -156,18 +161,20 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
                 race(runs, goal, options.cap)
                 for mine, run in zip(by_program, runs, strict=True):
                     mine.append(run)
-            memory = [peer.ask("memory")["peak"] for peer in peers]
+            memory = [peak_of(peer) for peer in peers]
     finally:
         for peer in peers:
             peer.close()
     rows = [row_of(problem, goal, *each) for each in zip(by_program, memory, differences, strict=True)]
     for row, runs in zip(rows[1:], by_program[1:], strict=True):
         pairs = zip(runs, by_program[0], strict=True)
-        row["seconds / ours"] = Measured.of(theirs.last.seconds / mine.last.seconds for theirs, mine in pairs)
+        seconds = [(theirs.last.seconds, mine.last.seconds) for theirs, mine in pairs if mine.last.seconds]
+        row["seconds / ours"] = Measured.of(theirs / mine for theirs, mine in seconds) if seconds else None
     for row in rows:
         print(f"{row['problem']}, {row['program']}: {row['s']} s, error {row['error %']:.3g} %", file=sys.stderr)
     if options.folder:
-        show(task, [runs[0] for runs in by_program], Path(options.folder) / f"{problem.name}.png")
+        pictures = task.shown([runs[0].found for runs in by_program])
+        tr.io.write_image(Path(options.folder) / f"{problem.name}.png", pictures)
     return rows, curves(problem, goal, [runs[0] for runs in by_program]), tried
 
 
@@ -193,8 +200,9 @@ def run(options: argparse.Namespace) -> Result:
     columns = {name: None for row in rows for name in row}
     title = f"Inverse problems to their target, {options.threads} threads, {options.rounds} rounds"
     notes = [
-        "Error: root mean square difference of held-out pictures, relative to them. Ratios: where one program did not "
-        "reach the target in its time they are bounds.",
+        "Error: root mean square difference of held-out pictures, relative to them; of a pose that of the places of "
+        "vertices, relative to the body's diagonal; of a mesh 1 - intersection / union of held-out masks. Ratios: "
+        "where one program did not reach the target in its time they are bounds.",
     ]
     tables = [Table(title, ["problem", "program"], [{c: row.get(c) for c in columns} for row in rows], notes)]
     if tried:

@@ -4,12 +4,24 @@ A task is a folder:
 
     scene.xml       the scene that was photographed, with its cameras; its `$sampler` is free
     task.json       `unknowns`: list of {"name", "low", "high", "scale"}; `views`: list of {"sensor", "set"}, the places
-                    of lamps among others; `integrator`: the peers'; `kind`, and what that needs (see `Loop`)
+                    of lamps among others; `integrator`: the peers'; `kind`, see below
     start.npz       where each unknown begins
     targets.npy     the pictures, (views, H, W, 3), and weights.npy, by which differences are multiplied
+    reference.npy   the first view's picture of the scene as it is in its file
+
+Kinds say what the unknowns are, and what else is in `task.json`:
+
+    parameters      of the scene
+    pose            six numbers: turns about x, y and z, that about z first, in radians, and then a shift, of the mesh
+                    `moved`
+    mesh            vertices of the mesh `moved`, in large steps; Adam's steps have one length for all of them. In a
+                    setting "views" is the number of pictures of a step, "smoothness" the lambda
+    heights         `size` along a side, of a plate that throws a picture, see `Grids`. In place of the scene's file
+                    there is what `mitsuba_caustics.py` reads, with the matrix `front`
 
 A setting is a dict: "spp" and "spp_grad", samples a pixel of picture and derivative; "rate", Adam's, times the
-unknown's `scale`; "halving", the iterations in which rates become half; "sampler"; others are the programs' own.
+unknown's `scale`; "halving", the iterations in which rates become half; "sampler"; where shapes move "spp_seen" and
+"spp_shadows", samples a pixel of the outlines that the camera sees, and of others; others are the programs' own.
 """
 
 from __future__ import annotations
@@ -21,6 +33,11 @@ from pathlib import Path
 BETAS = (0.9, 0.99)  # of Adam: all programs'
 EPSILON = 1e-15  # gradients of a mean by texels are tiny; its square must not be zero, which Mitsuba adds
 WARMUP = 3  # steps that are made and forgotten: what is compiled, is compiled then
+
+
+def kind_of(folder: str) -> str:
+    """The kind of a task."""
+    return json.loads((Path(folder) / "task.json").read_text())["kind"]
 
 
 class Loop:
@@ -71,6 +88,13 @@ class Loop:
         """Which picture an iteration looks at: each once before any comes again."""
         return (self.iteration * self.task["stride"]) % len(self.targets)
 
+    def _views(self) -> list[int]:
+        """The same for as many pictures as a setting's "views"."""
+        count = self.setting["views"]
+        if count > len(self.targets):
+            raise ValueError(f"views: expected at most {len(self.targets)}, got {count}")
+        return [(self.iteration * count + i) * self.task["stride"] % len(self.targets) for i in range(count)]
+
     def _prepare(self) -> None:
         raise NotImplementedError
 
@@ -82,3 +106,27 @@ class Loop:
 
     def _values(self) -> dict:
         raise NotImplementedError
+
+
+class Grids(Loop):
+    """Of the kind "heights": grids of `coarsest` numbers along a side at first, each then twice as fine as before.
+
+    A setting's "grown" is the iteration with which the finest one begins; grid number k of n begins at the part
+    (k / (n - 1))^2 of that. Its "smoothness" is the lambda of large steps for each height along the side of a pixel.
+    """
+
+    @property
+    def sizes(self) -> list[int]:
+        sizes = [self.task["size"]]
+        while sizes[0] % 2 == 0 and sizes[0] // 2 >= self.task["coarsest"]:
+            sizes.insert(0, sizes[0] // 2)
+        return sizes
+
+    def _size(self) -> int:
+        """The grid of this iteration."""
+        last = len(self.sizes) - 1
+        begun = [self.iteration >= self.setting["grown"] * (k / last) ** 2 for k in range(1, last + 1)]
+        return self.sizes[sum(begun)]
+
+    def _lambda(self, size: int) -> float:
+        return self.setting["smoothness"] * size / self.targets.shape[1]

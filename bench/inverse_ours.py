@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,29 +15,47 @@ from .inverse_loop import BETAS, EPSILON, Loop
 
 
 class OurLoop(Loop):
-    """See `Loop`. A setting's "renderer" has further settings of `torchrender.Renderer`."""
+    """See `Loop`. A setting's "renderer" has further settings of `torchrender.Renderer`.
+
+    Of other kinds are its subclasses in `inverse_ours_kinds.py`, which have other leaves of the derivative (`_leaves`),
+    from which the scene's parameters follow (`_params`).
+    """
+
+    adam: type[torch.optim.Optimizer] = torch.optim.Adam
 
     def __init__(self, folder: str) -> None:
         super().__init__(folder)
-        self.scene = tr.load_file(self.folder / "scene.xml")
+        self.scene = self._load()
         warnings.filterwarnings("ignore", category=tr.MissingTermWarning)  # no normal turns away from the viewer
         self.images = torch.from_numpy(self.targets)
         self.weight = torch.from_numpy(self.weights)
         self.bounds = {u["name"]: (torch.tensor(u["low"]), torch.tensor(u["high"])) for u in self.task["unknowns"]}
 
-    def _prepare(self) -> None:
-        setting = self.setting
-        self.unknowns = {}
+    def _load(self) -> tr.Scene:
+        return tr.load_file(self.folder / "scene.xml")
+
+    def _leaves(self) -> dict[str, torch.Tensor]:
+        """What the optimiser moves, at the start, by the names of the unknowns."""
+        leaves = {}
         for unknown in self.task["unknowns"]:
             parameter = self.scene.get_parameter(unknown["name"])
             with torch.no_grad():
                 parameter.requires_grad_().copy_(torch.from_numpy(self.start[unknown["name"]]))
             parameter.grad = None
-            self.unknowns[unknown["name"]] = parameter
+            leaves[unknown["name"]] = parameter
+        return leaves
+
+    def _params(self) -> Mapping[str, torch.Tensor]:
+        """Parameters of the scene that follow from the leaves."""
+        return {}
+
+    def _prepare(self) -> None:
+        setting = self.setting
+        self.leaves = self._leaves()
         groups = [
-            {"params": [self.unknowns[unknown["name"]]], "scale": unknown["scale"]} for unknown in self.task["unknowns"]
+            {"params": [self.leaves[unknown["name"]]], "scale": unknown["scale"]} for unknown in self.task["unknowns"]
         ]
-        self.optimiser = torch.optim.Adam(groups, betas=BETAS, eps=EPSILON)
+        self.optimiser = self.adam(groups, lr=1.0, betas=BETAS, eps=EPSILON)
         counts = {"spp": setting["spp"], "spp_grad": setting["spp_grad"], "sampler": setting["sampler"]}
         self.renderer = tr.Renderer(self.scene, **counts, **setting.get("renderer", {}))
 
@@ -43,14 +63,21 @@ class OurLoop(Loop):
         for group in self.optimiser.param_groups:
             group["lr"] = rate * group["scale"]
         self.optimiser.zero_grad()
-        place = self.task["views"][view]
-        changed = {name: torch.tensor(value) for name, value in place["set"].items()}
-        image = self.renderer(sensor=place["sensor"], seed=seed, params=changed)
-        ((image - self.images[view]) * self.weight[view]).square().mean().backward()
+        self._loss(view, seed).backward()
         self.optimiser.step()
         with torch.no_grad():
-            for name, value in self.unknowns.items():
-                value.clamp_(*self.bounds[name])
+            self._constrain()
+
+    def _loss(self, view: int, seed: int) -> torch.Tensor:
+        """What falls, of the picture of a view."""
+        place = self.task["views"][view]
+        changed: dict[str, Any] = {name: torch.tensor(value) for name, value in place["set"].items()}
+        image = self.renderer(sensor=place["sensor"], view=view, seed=seed, params={**self._params(), **changed})
+        return ((image - self.images[view]) * self.weight[view]).square().mean()
+
+    def _constrain(self) -> None:
+        for name, value in self.leaves.items():
+            value.clamp_(*self.bounds[name])
 
     def _values(self) -> dict[str, np.ndarray]:
-        return {name: value.detach().numpy().copy() for name, value in self.unknowns.items()}
+        return {name: value.detach().numpy().copy() for name, value in self.leaves.items()}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,9 @@ import torch
 import torchrender as tr
 from scenes import make_media
 
-from .inverse_task import Task, Unknown, View
+from .inverse_caustic import caustic
+from .inverse_shapes import monkey, pose
+from .inverse_task import Task, Unknown, View, around, camera
 from .media import RR_DEPTH, SMOKE, Loaded
 from .rows import SCENES
 
@@ -24,7 +26,8 @@ PRB = {"type": "prb", "rr_depth": 100}
 class Problem:
     """A problem: its words, the relative error on held-out pictures to be reached, and what makes it.
 
-    `make` takes whether it is to be small. `setting` is where a search begins. An `optional` one has to be named.
+    `make` takes whether it is to be small. `setting` is where a search begins, `own` what it has besides for a program,
+    and `others` what a search tries for a program, besides what it always does. An `optional` one has to be named.
     """
 
     name: str
@@ -33,21 +36,12 @@ class Problem:
     make: Callable[[bool], Task]
     setting: dict[str, Any]
     optional: bool = False
+    own: dict[str, dict[str, Any]] = field(default_factory=dict)
+    others: dict[str, list[dict[str, Any]]] = field(default_factory=dict)
 
     def goal(self, quick: bool) -> float:
         """The error to be reached; small problems have few pixels, and more noise."""
         return self.target * (3 if quick else 1)
-
-
-def camera(origin: tuple[float, float, float], fov: float, resolution: int, at=(0.0, 0.0, 0.0)) -> tr.PerspectiveCamera:
-    """One that looks at a point, with a square film."""
-    return tr.PerspectiveCamera.look_at(origin, at, fov=fov, size=(resolution, resolution), filter="box")
-
-
-def around(azimuth: float, elevation: float, distance: float) -> tuple[float, float, float]:
-    """A place around the origin; angles in degrees, azimuth 0 on the +z axis."""
-    a, e = math.radians(azimuth), math.radians(elevation)
-    return distance * math.cos(e) * math.sin(a), distance * math.sin(e), distance * math.cos(e) * math.cos(a)
 
 
 def painted(size: int) -> torch.Tensor:
@@ -254,6 +248,15 @@ def setting(spp: int, spp_grad: int, rate: float, halving: int) -> dict[str, Any
     return {"spp": spp, "spp_grad": spp_grad, "rate": rate, "halving": halving, "sampler": "independent"}
 
 
+# Samples of outlines. Ours are as many as it finds right, or as a search finds.
+OUTLINES = {"mitsuba": {"spp_seen": 4, "spp_shadows": 4, "integrator": {"guiding": "none"}}}
+GUIDING = {
+    "mitsuba": [{"spp_shadows": 0}]
+    + [{"integrator": {"guiding": guiding, "seeds": seeds}} for guiding in ("grid", "octree") for seeds in (16, 128)]
+    + [{"integrator": {"type": "prb_projective", "max_depth": 2, "guiding": "none"}}],
+    "torchrender": [{"renderer": {"spp_visibility": counts}} for counts in ([4, 4], [16, 4], [4, 16], [1, 1], [4, 0])],
+}
+
 PROBLEMS = (
     Problem("albedos", "15 albedos of the Cornell box", 0.005, albedos, setting(1, 1, 0.05, 32)),
     Problem(
@@ -286,5 +289,30 @@ PROBLEMS = (
         lambda quick: smoke(quick, 16 if quick else 128),
         setting(4, 4, 0.05, 60),
         optional=True,
+    ),
+    Problem(
+        "caustic",
+        "heights of a plate that throws a picture, 512²",
+        0.22,
+        caustic,
+        {**setting(32, 16, 3e-4, 200), "grown": 120, "smoothness": 1.0},
+    ),
+    Problem(
+        "pose",
+        "pose of a body, by it and its shadow",
+        0.002,
+        pose,
+        setting(4, 4, 0.025, 30),
+        own=OUTLINES,
+        others=GUIDING,
+    ),
+    Problem(
+        "monkey",
+        "a sphere becomes a monkey, 16 views",
+        0.03,
+        monkey,
+        {**setting(4, 4, 0.1, 60), "views": 4, "smoothness": 20.0},
+        own=OUTLINES,
+        others=GUIDING,
     ),
 )

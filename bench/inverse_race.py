@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .inverse_task import Task
-from .peers import Peer
+from .peers import Peer, PeerError
 
 HALVINGS = 10  # after which steps are too short to come any nearer
 GROWTH = 0.1  # an error is looked at when so many more steps have been made, relative to all before
@@ -35,11 +36,15 @@ class Run:
     setting: dict[str, Any]
     folder: Path
     seed: int = 0
+    first: float = math.nan  # seconds of the first steps, which do not count
     points: list[Point] = field(default_factory=list)
+    found: dict[str, np.ndarray] = field(default_factory=dict)
+    failed: str = ""  # what its program said when it could not go on
 
     def begin(self) -> None:
+        self.found = {u.name: u.start for u in self.task.unknowns}
+        self.points = [Point(0, 0.0, 0.0, self.task.error(self.found))]
         self.first = self.peer.ask("begin_inverse", setting=self.setting, seed=self.seed)["first"]
-        self.points = [Point(0, 0.0, 0.0, self.task.error({u.name: u.start for u in self.task.unknowns}))]
 
     @property
     def last(self) -> Point:
@@ -57,7 +62,15 @@ class Run:
         self.points.append(Point(last.iterations + steps, seconds, cpu, self.task.error(self.found)))
 
     def reached(self, target: float) -> bool:
-        return self.last.error <= target
+        return not self.failed and self.last.error <= target
+
+    def outcome(self, target: float) -> str:
+        """Whether the target was reached, in words."""
+        if self.failed:
+            return f"failed: {self.failed}"
+        if self.reached(target):
+            return "yes"
+        return f"not reached in {self.last.seconds:.3g} s: error {100 * self.last.error:.3g} %"
 
     def over(self, target: float, cap: float) -> bool:
         """Whether the target is reached, or the time is up, or steps have become too short."""
@@ -66,11 +79,22 @@ class Run:
 
 
 def race(runs: Sequence[Run], target: float, cap: float) -> None:
-    """All runs to the target or to `cap` seconds; whoever has spent least is next, so that all see the same machine."""
+    """All runs to the target or to `cap` seconds; whoever has spent least is next, so that all see the same machine.
+
+    A program that fails is out of the race, and its run says why.
+    """
     for run in runs:
-        run.begin()
-    while left := [run for run in runs if not run.over(target, cap)]:
-        min(left, key=lambda run: run.last.seconds).check()
+        attempt(run, run.begin)
+    while left := [run for run in runs if not (run.failed or run.over(target, cap))]:
+        run = min(left, key=lambda run: run.last.seconds)
+        attempt(run, run.check)
+
+
+def attempt(run: Run, action: Callable[[], None]) -> None:
+    try:
+        action()
+    except PeerError as error:
+        run.failed = str(error)
 
 
 def loaded(peer: Peer, folder: Path) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,7 +11,9 @@ from .inverse_race import Run
 from .peers import PeerError
 
 # In this order; the rate once more at the end, for others change what is best there.
-NUMBERS = ("rate", "samples", "spp", "spp_grad", "halving", "rate")
+NUMBERS = ("rate", "samples", "spp", "spp_grad", "spp_seen", "spp_shadows", "views", "smoothness", "grown")
+NUMBERS += ("halving", "rate")
+REAL = ("rate", "smoothness")  # those that need not be whole
 # Those that programs have besides "independent".
 SAMPLERS = {"torchrender": ("stratified", "sobol"), "mitsuba": ("stratified", "multijitter", "ldsampler")}
 # ... and other settings that are tried, by the name of the program.
@@ -35,10 +37,12 @@ class Trial:
 def scaled(setting: Setting, name: str, factor: float) -> Setting | None:
     """The setting with one number multiplied, or both numbers of samples; None where there is no such."""
     names = ("spp", "spp_grad") if name == "samples" else (name,)
+    if not all(setting.get(each) for each in names):
+        return None
     found = dict(setting)
     for each in names:
         value = setting[each] * factor
-        if each != "rate":
+        if each not in REAL:
             if value < 1 or value != int(value):
                 return None
             value = int(value)
@@ -92,14 +96,16 @@ class Search:
     def _key(trial: Trial) -> tuple[bool, float]:
         return (False, trial.cost) if trial.reached else (True, trial.error)
 
-    def search(self, start: Setting, program: str, numbers: tuple[str, ...] = NUMBERS) -> Setting:
-        """The best setting from `start` on."""
+    def search(
+        self, start: Setting, program: str, more: Sequence[Setting] = (), numbers: tuple[str, ...] = NUMBERS
+    ) -> Setting:
+        """The best setting from `start` on; `more` are tried besides what the program's name says."""
         self.attempt(start)
         if self.best is None:
             raise PeerError(f"{program}: no start with {start}")
         for name in numbers:
             self._along(name)
-        for other in self._others(program):
+        for other in (*self._others(program), *more):
             self.attempt({**self.best.setting, **other})
         return self.best.setting
 

@@ -22,14 +22,16 @@ class Caustics:
             (H, W, 3), and `scene.json`, the dict of `scenes/make_caustics.py` without its front, matrices and texels as
             nested lists.
         front: the matrix of the front.
+        sampler: of the film.
     """
 
-    def __init__(self, mi, dr, folder: str, front: list) -> None:
+    def __init__(self, mi, dr, folder: str, front: list, sampler: str = "independent") -> None:
         import numpy as np
 
         self.mi, self.dr = mi, dr
         given = Path(folder)
         scene = json.loads((given / "scene.json").read_text())
+        scene["sensor"]["sampler"]["type"] = sampler
         heights, target = (np.load(given / f"{name}.npy") for name in ("heights", "target"))
         size = len(heights)
         with tempfile.TemporaryDirectory() as written:
@@ -43,7 +45,7 @@ class Caustics:
             self.scene = mi.load_dict(described, optimize=False)
         self.params = mi.traverse(self.scene)
         data = mi.TensorXf(np.ascontiguousarray(heights[..., None]))
-        self.texture = mi.load_dict({"type": "bitmap", "data": data, "raw": True})
+        self.texture = mi.load_dict({"type": "bitmap", "data": data, "raw": True, "wrap_mode": "clamp"})
         self.heights = mi.traverse(self.texture)
         self.positions = dr.unravel(mi.Point3f, self.params["lens.vertex_positions"])
         self.normals = dr.unravel(mi.Normal3f, self.params["lens.vertex_normals"])
@@ -86,6 +88,14 @@ class Caustics:
         params.update()
         return mesh
 
+    def place(self, heights) -> None:
+        """The front with these heights, (n, n, 1)."""
+        self.heights["data"] = heights
+        self.heights.update()
+        moved = self.positions + self.normals * self.texture.eval_1(self.places)
+        self.params["lens.vertex_positions"] = self.dr.ravel(moved)
+        self.params.update()
+
     def iteration(self, seed: int, spp: int, spp_grad: int) -> dict:
         """Seconds of the picture, the displacement before it included, and of the derivative by the heights."""
         mi, dr = self.mi, self.dr
@@ -93,11 +103,7 @@ class Caustics:
         start = time.perf_counter()
         heights = mi.TensorXf(dr.detach(self.heights["data"]))
         dr.enable_grad(heights)
-        self.heights["data"] = heights
-        self.heights.update()
-        moved = self.positions + self.normals * self.texture.eval_1(self.places)
-        self.params["lens.vertex_positions"] = dr.ravel(moved)
-        self.params.update()
+        self.place(heights)
         image = mi.render(self.scene, self.params, spp=spp, spp_grad=spp_grad, seed=2 * seed, seed_grad=2 * seed + 1)
         loss = dr.mean(dr.square(image / dr.mean(dr.detach(image), axis=None) - self.target), axis=None)
         dr.eval(image, loss)

@@ -6,7 +6,12 @@ from inverse_loop import BETAS, EPSILON, Loop
 
 
 class MitsubaLoop(Loop):
-    """See `Loop`. A setting's "integrator" has entries of the integrator that differ from the task's."""
+    """See `Loop`. A setting's "integrator" has entries of the integrator that differ from the task's.
+
+    Of other kinds are its subclasses in `mitsuba_inverse_kinds.py`, which have other variables than the scene's.
+    """
+
+    uniform = False  # one length of Adam's steps for all entries
 
     def __init__(self, mi, dr, folder: str) -> None:
         super().__init__(folder)
@@ -31,38 +36,49 @@ class MitsubaLoop(Loop):
         return self.kept[sampler]
 
     def difference(self, spp: int, block: int = 8) -> dict:
-        """How far Mitsuba's picture of the truth is from the first target: root mean square over blocks, relative."""
+        """How far a picture is from that of the same scene here: root mean square over blocks, relative."""
         import numpy as np
 
-        scene, params = self._load("independent")
-        first = self.task["views"][0]
-        self._set(params, first["set"])
-        integrator = self.mi.load_dict(self.task["integrator"])
-        image = np.array(self.mi.render(scene, integrator=integrator, sensor=first["sensor"], spp=spp))[..., :3]
+        image = np.array(self._first_picture(spp))[..., :3]
         rows, columns = (n // block for n in image.shape[:2])
 
         def blocks(picture):
             cut = picture[: rows * block, : columns * block].reshape(rows, block, columns, block, 3)
             return cut.mean((1, 3), dtype=np.float64)
 
-        target = blocks(self.targets[0])
-        return {"difference": float(np.sqrt(((blocks(image) - target) ** 2).mean() / (target**2).mean()))}
+        reference = blocks(np.load(self.folder / "reference.npy"))
+        return {"difference": float(np.sqrt(((blocks(image) - reference) ** 2).mean() / (reference**2).mean()))}
+
+    def _first_picture(self, spp: int):
+        """The first view's, of the scene as it is in its file."""
+        scene, params = self._load("independent")
+        first = self.task["views"][0]
+        self._set(params, first["set"])
+        integrator = self.mi.load_dict(self.task["integrator"])
+        return self.mi.render(scene, integrator=integrator, sensor=first["sensor"], spp=spp)
 
     def _prepare(self) -> None:
+        self.scene, self.params = self._load(self.setting["sampler"])
+        self.integrator = self._integrator()
+        rates = {"beta_1": BETAS[0], "beta_2": BETAS[1], "epsilon": EPSILON}
+        self.optimiser = self.mi.ad.Adam(lr=1.0, uniform=self.uniform, **rates)
+        self._register()
+        self._place()
+
+    def _integrator(self):
+        return self.mi.load_dict({**self.task["integrator"], **self.setting.get("integrator", {})})
+
+    def _register(self) -> None:
+        """The start values as variables of the optimiser."""
         import numpy as np
 
-        mi, setting = self.mi, self.setting
-        self.scene, self.params = self._load(setting["sampler"])
-        self.integrator = mi.load_dict({**self.task["integrator"], **setting.get("integrator", {})})
-        self.optimiser = mi.ad.Adam(lr=1.0, beta_1=BETAS[0], beta_2=BETAS[1], epsilon=EPSILON)
         for unknown in self.task["unknowns"]:
             name = unknown["name"]
             start = self.start[name]
             self.optimiser[name] = self._native(self.params[name], start)
             if start.ndim == 3 and self.params[name].shape[1] == start.shape[1] + 2:
                 index = np.arange(start.size, dtype=np.uint32).reshape(start.shape)
-                self.columns[name] = mi.UInt32(np.concatenate([index[:, -1:], index, index[:, :1]], 1).ravel())
-        self._place()
+                self.columns[name] = self.mi.UInt32(np.concatenate([index[:, -1:], index, index[:, :1]], 1).ravel())
 
     def _place(self) -> None:
         """The optimiser's values in the scene. Environment maps have a column more on both sides there."""
@@ -90,11 +106,19 @@ class MitsubaLoop(Loop):
             params.update()
 
     def _step(self, view: int, seed: int, rate: float) -> None:
-        mi, dr = self.mi, self.dr
-        place = self.task["views"][view]
+        self._set_rates(rate)
+        self.dr.backward(self._loss(view, seed))
+        self.optimiser.step()
+        self._constrain()
+        self._place()
+
+    def _set_rates(self, rate: float) -> None:
         self.optimiser.set_learning_rate({u["name"]: rate * u["scale"] for u in self.task["unknowns"]})
+
+    def _picture(self, view: int, seed: int):
+        place = self.task["views"][view]
         self._set(self.params, place["set"])
-        image = mi.render(
+        return self.mi.render(
             self.scene,
             self.params,
             integrator=self.integrator,
@@ -104,15 +128,19 @@ class MitsubaLoop(Loop):
             seed=2 * seed,
             seed_grad=2 * seed + 1,
         )
-        dr.backward(dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None))
-        self.optimiser.step()
+
+    def _loss(self, view: int, seed: int):
+        """What falls, of the picture of a view."""
+        image, dr = self._picture(view, seed), self.dr
+        return dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None)
+
+    def _constrain(self) -> None:
         for unknown in self.task["unknowns"]:
             name = unknown["name"]
-            self.optimiser[name] = dr.clip(self.optimiser[name], *self.bounds[name])
-        self._place()
+            self.optimiser[name] = self.dr.clip(self.optimiser[name], *self.bounds[name])
 
     def _finish(self) -> None:
-        self.dr.eval([self.optimiser[u["name"]] for u in self.task["unknowns"]])
+        self.dr.eval(list(self.optimiser.values()))
         self.dr.sync_thread()
 
     def _values(self) -> dict:

@@ -147,9 +147,9 @@ class Server:
         return self.plate.iteration(seed, spp, spp_grad)
 
     def load_inverse(self, folder: str) -> dict:
-        from mitsuba_inverse import MitsubaLoop
+        from mitsuba_inverse_kinds import loop_of
 
-        self.inverse = MitsubaLoop(self.mi, self.dr, folder)
+        self.inverse = loop_of(self.mi, self.dr, folder)
         return self.inverse.difference(spp=64)
 
     def begin_inverse(self, setting: dict, seed: int) -> dict:

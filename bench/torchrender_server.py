@@ -112,9 +112,9 @@ class Server:
         return self.plate.iteration(seed, spp=spp, spp_grad=spp_grad, passes=passes)
 
     def load_inverse(self, folder: str) -> dict:
-        from bench.inverse_ours import OurLoop
+        from bench.inverse_ours_kinds import loop_of
 
-        self.inverse = OurLoop(folder)
+        self.inverse = loop_of(folder)
         return {"difference": 0.0}
 
     def begin_inverse(self, setting: dict, seed: int) -> dict:

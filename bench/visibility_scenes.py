@@ -78,13 +78,19 @@ def look(origin: Vector, target: Vector, fov: float) -> dict[str, Any]:
 SKY = {"type": "constant", "radiance": rgb(1.0, 0.9, 0.8)}
 
 
-def mesh(folder: Path, name: str, bsdf: Mapping[str, Any], lift: float = 0, smooth: bool = True) -> dict[str, Any]:
-    """A mesh of `scenes/meshes` with its vertices welded, so that all programs compute the same normals from them."""
+def welded(name: str) -> tuple[torch.Tensor, torch.Tensor]:
+    """Vertices (V, 3) and faces (F, 3) of a mesh of `scenes/meshes`, with no place twice."""
     found = load_mesh(SCENES / "meshes" / f"{name}.ply")
     vertices, faces = (np.asarray(found[key]) for key in ("vertices", "faces"))
-    vertices, welded = np.unique(vertices, axis=0, return_inverse=True)
+    vertices, shared = np.unique(vertices, axis=0, return_inverse=True)
+    return torch.from_numpy(vertices).float(), torch.from_numpy(shared.reshape(-1)[faces]).long()
+
+
+def mesh(folder: Path, name: str, bsdf: Mapping[str, Any], lift: float = 0, smooth: bool = True) -> dict[str, Any]:
+    """A mesh of `scenes/meshes` with its vertices welded, so that all programs compute the same normals from them."""
+    vertices, faces = (part.numpy() for part in welded(name))
     path = folder / f"{name}.ply"
-    write_ply(path, np.add(vertices, [0, lift, 0]), welded.reshape(-1)[faces])
+    write_ply(path, np.add(vertices, [0, lift, 0]), faces)
     return {"type": "ply", "filename": str(path), "face_normals": not smooth, "bsdf": dict(bsdf)}
 
 

@@ -41,6 +41,18 @@ def srgb_to_linear(encoded: torch.Tensor) -> torch.Tensor:
     return torch.where(encoded <= 0.04045, encoded / 12.92, ((safe + 0.055) / 1.055) ** 2.4)
 
 
+def decode_levels(stored: np.ndarray, raw: bool) -> torch.Tensor:
+    """Integers of 8 or 16 bits, as image files store them, of any shape: linear values, or with `raw` fractions of 1.
+
+    By a table of all levels: every level is one value everywhere (PyTorch's `pow` rounds differently at the ends of
+    tensors), and what the curve would take besides is several times the picture.
+    """
+    most = 65535 if stored.dtype.itemsize == 2 else 255
+    levels = torch.arange(most + 1, dtype=torch.float32) / most
+    table = levels if raw else srgb_to_linear(levels)
+    return table.index_select(0, torch.from_numpy(stored.astype(np.int32).reshape(-1))).view(stored.shape)
+
+
 # Hable, "Uncharted 2: HDR Lighting", GDC 2010, and "Filmic Tonemapping Operators", filmicworlds.com, 2010: strengths
 # and angles of shoulder, linear part and toe, his exposure bias and the value that becomes white.
 _A, _B, _C, _D, _E, _F = 0.15, 0.50, 0.10, 0.20, 0.02, 0.30

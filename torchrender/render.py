@@ -377,14 +377,13 @@ def render(
     if interruption is not on_interrupt:
         interruption.warn()
     if stack is not None:
-        return _arrange([stack.stacked(v) for v in views], batched, layout, -1)
-    found = [_arrange([v[n] for v in views], batched, layout, channels_of(n)) for n in names]
+        return arrange([stack.stacked(v) for v in views], batched, layout, -1)
+    found = [arrange([v[n] for v in views], batched, layout, channels_of(n)) for n in names]
     return found[0] if outputs is None else collect(names, found)
 
 
-def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
-    """`render` with parameters for each sensor: one after the other, since a view in a batch is that view alone."""
-    sensors, params = settings.pop("sensor"), settings.pop("params")
+def sensors_of_list(sensors: Any, params: Sequence[Any]) -> Sequence[Any]:
+    """The sensors that a list of parameters belongs to; errors unless it has a mapping for each."""
     for mapping in params:
         if not isinstance(mapping, Mapping):
             raise TypeError(f"render: params: expected a mapping from names to tensors, got {describe(mapping)}")
@@ -395,6 +394,13 @@ def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
         raise ValueError(
             f"render: params: a list has a mapping for each sensor of a list; got {len(params)} and {other}"
         )
+    return sensors
+
+
+def _by_view(settings: dict[str, Any]) -> torch.Tensor | Outputs:
+    """`render` with parameters for each sensor: one after the other, since a view in a batch is that view alone."""
+    params = settings.pop("params")
+    sensors = sensors_of_list(settings.pop("sensor"), params)
     settings["seed"], gradient_seed = seeds(settings["seed"], settings["seed_grad"], settings["correlated"])
     settings["seed_grad"] = None if settings["correlated"] else gradient_seed
     scene = settings.pop("scene")
@@ -490,7 +496,7 @@ def _with_outlines(
     return *(value + term for value, term in zip(result[:count], terms, strict=True)), *result[count:]
 
 
-def _arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: int) -> torch.Tensor:
+def arrange(images: list[torch.Tensor], batched: bool, layout: str, channels: int) -> torch.Tensor:
     """`channels`: see `channels_of`."""
     want_batch = batched or layout.startswith("b")
     image = torch.stack(images) if want_batch else images[0]

@@ -15,6 +15,7 @@ from .outputs import check_names
 from .render import render
 from .render_arguments import as_integrator, check_kinds_of_derivative, check_words, count
 from .render_types import OutputNames, Outputs, RendererSettings, RenderSettings
+from .reuse import Memory, ReuseName, check_reuse
 from .scene.scene import Scene
 
 if TYPE_CHECKING:
@@ -29,7 +30,18 @@ class Renderer(nn.Module, Generic[Result]):
     Args:
         scene: a `Scene`; its parameters are this module's.
         train: patterns of the parameters that require gradients, as of `Scene.train_only`; None leaves them.
+        reuse: ``"image"`` makes pictures of what the last call of the view has found and of samples of the difference
+            to it, ``"both"`` gradients, too; None does not. Unbiased (see `torchrender.recursion`), with less variance
+            where parameters change little from call to call, at the price of rendering twice. The state is this
+            module's, in `state_dict`, too. In evaluation mode, without recorded derivatives and in forward mode
+            pictures are plain, and nothing is kept. A view whose scene, film, integrator or frozen parameters have
+            changed is estimated anew, with one UserWarning. Not with ``outputs``, ``correlated``, ``on_interrupt``,
+            cameras that are no part of the scene, `TorchBSDF`, nor ``"both"`` with ``adaptive_grad``.
         settings: keyword arguments of `render`, each of which a call may override.
+
+    Raises:
+        TypeError, ValueError: for unknown settings, those that `render` refuses, and what `reuse` does not go with;
+            with it `spp`, and for ``"both"`` `spp_grad`, have to be even.
     """
 
     scene: Scene
@@ -41,6 +53,7 @@ class Renderer(nn.Module, Generic[Result]):
         scene: Scene,
         *,
         train: str | Sequence[str] | None = None,
+        reuse: ReuseName | None = None,
         outputs: None = None,
         **settings: Unpack[RendererSettings],
     ) -> None: ...
@@ -51,11 +64,19 @@ class Renderer(nn.Module, Generic[Result]):
         scene: Scene,
         *,
         train: str | Sequence[str] | None = None,
+        reuse: ReuseName | None = None,
         outputs: OutputNames,
         **settings: Unpack[RendererSettings],
     ) -> None: ...
 
-    def __init__(self, scene: Scene, *, train: str | Sequence[str] | None = None, **settings: Any) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        *,
+        train: str | Sequence[str] | None = None,
+        reuse: ReuseName | None = None,
+        **settings: Any,
+    ) -> None:
         super().__init__()
         if not isinstance(scene, Scene):
             raise TypeError(f"Renderer: scene: expected a Scene (see load_dict, load_file), got {describe(scene)}")
@@ -78,30 +99,55 @@ class Renderer(nn.Module, Generic[Result]):
             check_names(settings["outputs"])
         if train is not None:
             scene.train_only(*([train] if isinstance(train, str) else train))
+        self.memory: Memory | None = None
+        if reuse is not None:
+            check_reuse(reuse, scene, settings)
+            self.memory = Memory(reuse)
 
     @overload
-    def forward(self, **overrides: Unpack[RenderSettings]) -> Result: ...
+    def forward(self, *, view: int | str | None = None, **overrides: Unpack[RenderSettings]) -> Result: ...
 
     @overload
-    def forward(self, *, outputs: None, **overrides: Unpack[RenderSettings]) -> torch.Tensor: ...
+    def forward(
+        self, *, view: int | str | None = None, outputs: None, **overrides: Unpack[RenderSettings]
+    ) -> torch.Tensor: ...
 
     @overload
-    def forward(self, *, outputs: OutputNames, **overrides: Unpack[RenderSettings]) -> Outputs: ...
+    def forward(
+        self, *, view: int | str | None = None, outputs: OutputNames, **overrides: Unpack[RenderSettings]
+    ) -> Outputs: ...
 
-    def forward(self, **overrides: Any) -> Any:
-        """Render; keyword arguments are those of `render`."""
-        return render(self.scene, **{**self.settings, **overrides})
+    def forward(self, *, view: int | str | None = None, **overrides: Any) -> Any:
+        """Render; keyword arguments are those of `render`.
+
+        Args:
+            view: which pictures follow one another, for `reuse`, where one camera has several: by other lamps, say.
+            overrides: as of `render`.
+        """
+        settings = {**self.settings, **overrides}
+        if self.memory is not None and self.memory.works():
+            return self.memory(self.scene, settings, view)
+        return render(self.scene, **settings)
+
+    def reset(self) -> None:
+        """Forget what earlier calls have found; without `reuse` there is nothing."""
+        if self.memory is not None:
+            self.memory.reset()
 
     if TYPE_CHECKING:  # that of nn.Module is Callable[..., Any]
 
         @overload
-        def __call__(self, **overrides: Unpack[RenderSettings]) -> Result: ...
+        def __call__(self, *, view: int | str | None = None, **overrides: Unpack[RenderSettings]) -> Result: ...
 
         @overload
-        def __call__(self, *, outputs: None, **overrides: Unpack[RenderSettings]) -> torch.Tensor: ...
+        def __call__(
+            self, *, view: int | str | None = None, outputs: None, **overrides: Unpack[RenderSettings]
+        ) -> torch.Tensor: ...
 
         @overload
-        def __call__(self, *, outputs: OutputNames, **overrides: Unpack[RenderSettings]) -> Outputs: ...
+        def __call__(
+            self, *, view: int | str | None = None, outputs: OutputNames, **overrides: Unpack[RenderSettings]
+        ) -> Outputs: ...
 
         def __call__(self, **overrides: Any) -> Any: ...
 

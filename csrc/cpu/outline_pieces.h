@@ -166,7 +166,7 @@ private:
     std::vector<uint32_t> near_;  // with a list of pixels: how many of it are above and to the left, in the crop
 
     struct OnFilm {
-        S length, x, y;  // of it, roughly, and the place of its middle
+        S length, x, y;  // of it, roughly, and the place of its middle, if it has one there
         bool seen;
     };
     OnFilm on_film(int32_t element, S begin, S end, int steps) const {
@@ -180,6 +180,7 @@ private:
             const bool is =
                 film_place<S>(scene_, record_, p, width, height, at) && std::isfinite(at.x) && std::isfinite(at.y);
             if (distant_) at.x = at.lens_x * DistantPixels, at.y = at.lens_y * DistantPixels;
+            if (steps == 1 && is && was) r.x = (before[0] + at.x) / 2, r.y = (before[1] + at.y) / 2;
             if (i > 0 && is && was) {
                 S step = std::sqrt((at.x - before[0]) * (at.x - before[0]) + (at.y - before[1]) * (at.y - before[1]));
                 r.length += panorama_ ? std::min(step, width / 4) : step;  // (around the seam)
@@ -201,17 +202,23 @@ private:
                 Base::scatter(element, double(weight) * double(Pixels), to);
             return;
         }
+        auto add = [&](S begin, S end, const OnFilm &piece) {
+            const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
+            const S length = std::min(piece.length, most);
+            if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) return;
+            Base::add(element, begin, end, double(weight) * double(length), to);
+        };
+        if (set_.is_edge(size_t(element)) && !distant_ && !panorama_) {  // of fine meshes: their ends say all
+            const OnFilm ends = on_film(element, S(0), S(1), 1);
+            if (std::isfinite(ends.x) && ends.length < Pixels / 2) return add(S(0), S(1), ends);
+        }
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
         if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
-            const OnFilm piece = on_film(element, begin, end, 2);
-            const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
-            const S length = std::min(piece.length, most);
-            if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) continue;
-            Base::add(element, begin, end, double(weight) * double(length), to);
+            add(begin, end, on_film(element, begin, end, 2));
         }
     }
 

@@ -51,6 +51,10 @@ CASES = [
     ({"type": "scene", "a.b": {"type": "sphere"}}, "an id is a string without dots"),
     (scene(a={"type": "hdrfilm"}), r"a: a film \(hdrfilm\) belongs into a sensor"),
     (scene(a={"type": "sobol"}), r"a: a sampler \(sobol\) belongs into a sensor"),
+    (scene(a={"type": "box"}), r"a: a filter \(box\) belongs into a film"),
+    (scene(a={"type": "sphere", "bsdf": {"type": "hdrfilm"}}), r"a.bsdf: a film \(hdrfilm\) belongs into a sensor"),
+    ({"type": "box"}, "load_dict: type: expected a scene or an object of one, got 'box', a filter of a film"),
+    ({"type": "sobol"}, "load_dict: type: .* got 'sobol', a sampler of a sensor"),
     # references
     (scene(a={"type": "sphere", "bsdf": {"type": "ref", "id": "wite"}}, white={"type": "diffuse"}), "wite.*'white'"),
     (scene(a={"type": "sphere", "bsdf": {"type": "ref", "id": "b"}}, b={"type": "disk"}), "a.bsdf: expected a bsdf"),

@@ -117,15 +117,22 @@ def read(path):
     if number == 6:
         while True: pass
     if number == 7: raise ValueError("a.bin: wrong")
+    if number == 10: sys.exit("no more")
 work(make, read, (ValueError, OSError), int(sys.argv[2]), int(sys.argv[3]), float(sys.argv[4]), Path(sys.argv[5]))
 """
 
 
-def test_what_is_wrong_is_found_and_kept(tmp_path):
+@pytest.fixture
+def faulty(tmp_path):
+    """The command of a worker that has every fault."""
     program = tmp_path / "faulty.py"
     program.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{FAULTY}")
+    return [sys.executable, str(program)]
+
+
+def test_what_is_wrong_is_found_and_kept(tmp_path, faulty):
     keep = tmp_path / "keep"
-    found = hunt("faulty", 0, 9, None, keep, [sys.executable, str(program)])
+    found = hunt("faulty", 0, 9, None, keep, faulty)
     what = {report["number"]: report["what"] for report in found["found"]}
     assert what[2] == "crash: SIGSEGV"
     assert what[3].startswith("IndexError at") and what[4].startswith("no place in the message")
@@ -134,3 +141,12 @@ def test_what_is_wrong_is_found_and_kept(tmp_path):
     assert sorted(what) == [2, 3, 4, 5, 6] and found["counts"]["inputs"] == 9
     contents = sorted(file.read_bytes() for file in Path(keep).iterdir())
     assert contents == [bytes([number]) for number in (2, 3, 4, 5, 6)]
+
+
+def test_what_was_found_outlives_a_worker_that_fails(faulty, capfd):
+    found = hunt("faulty", 3, 20, None, None, faulty)
+    what = {report["number"]: report["what"] for report in found["found"]}
+    assert what[3].startswith("IndexError at") and what[6] == "more than 2 s"
+    assert what[10] == "the worker failed, and the rest from 10 was not read"
+    assert found["counts"]["inputs"] == 7
+    assert "failed at 10:\nno more" in capfd.readouterr().err

@@ -140,6 +140,19 @@ def test_png_decodes_srgb_but_not_alpha(tmp_path):
     assert torch.allclose(read_image(tmp_path / "a.png"), image, atol=2e-5)
 
 
+@pytest.mark.parametrize("bits", [8, 16])
+def test_a_level_decodes_to_one_value_wherever_it_is(tmp_path, bits):
+    """To that of IEC 61966-2-1. Of vectors' last elements PyTorch's `pow` may differ in the last bit."""
+    levels = np.arange(256) * (1 if bits == 8 else 257)
+    stored = np.concatenate([levels, levels[::-1], levels[100:131]])[None]
+    write_image(tmp_path / "a.png", stored[..., None] / (2**bits - 1), bits=bits, raw=True)
+    u = levels / (2**bits - 1)
+    expected = np.where(u <= 0.04045, u / 12.92, ((u + 0.055) / 1.055) ** 2.4)
+    found = read_image(tmp_path / "a.png")[0, :, 0].numpy()
+    assert np.allclose(found[:256], expected, rtol=1e-6, atol=0)
+    assert (found[256:] == np.concatenate([found[255::-1], found[100:131]])).all()
+
+
 @pytest.mark.parametrize(("channels", "colour"), [(1, 0), (2, 4), (3, 2), (4, 6)])
 def test_png16_filters(tmp_path, channels, colour):
     """Every row filter, mixed, against an encoder that follows the specification byte by byte."""

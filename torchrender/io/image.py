@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..errors import describe
-from ..image import TonemapName, check_tonemap, encode, srgb_to_linear
+from ..image import TonemapName, check_tonemap, decode_levels, encode
 from ..polarization import channel_names
 from . import exr, hdr, pfm, png16
 from ._files import check_size, existing_file, reading, writable_file
@@ -282,17 +282,13 @@ def _named_channels(path: Path, image: Any, channels: Sequence[str] | None) -> d
 def _read_integers(path: Path, head: bytes, raw: bool) -> torch.Tensor:
     """PNG, JPEG, BMP and TGA."""
     interlaced = len(head) > 28 and head[28] != 0
-    if png16.bit_depth(head) == 16 and not interlaced:
-        values = torch.from_numpy(png16.read_png16(path).astype(np.float32) / np.float32(65535))
-    else:
-        values = torch.from_numpy(_read_with_pillow(path).astype(np.float32) / np.float32(255))
-    if values.shape[-1] == 2:
-        values = torch.cat([values[..., :1].expand(-1, -1, 3), values[..., 1:]], dim=-1)
-    if raw:
-        return values.contiguous()
-    if values.shape[-1] == 4:
-        return torch.cat([srgb_to_linear(values[..., :3]), values[..., 3:]], dim=-1)
-    return srgb_to_linear(values)
+    deep = png16.bit_depth(head) == 16 and not interlaced
+    stored = png16.read_png16(path) if deep else _read_with_pillow(path)
+    colours = stored.shape[-1] - (stored.shape[-1] in (2, 4))
+    values = decode_levels(stored[..., :colours], raw)
+    if colours == stored.shape[-1]:
+        return values
+    return torch.cat([values.expand(-1, -1, 3), decode_levels(stored[..., colours:], raw=True)], dim=-1)
 
 
 def _read_with_pillow(path: Path) -> np.ndarray:

@@ -15,7 +15,7 @@ from ..integrators import TYPES, from_dict
 from ..scene import registry
 from ..scene.container import check_names
 from ..scene.context import LONGEST, SHORTEST, Context
-from ..scene.film import film_from
+from ..scene.film import FILMS, film_from
 from ..scene.scene import POLARIZED, VARIANTS, Scene, operation
 from ..typing import SceneDict, Unsupported, VariantName
 from . import mesh_files  # noqa: F401  (registers its types of shapes)
@@ -136,8 +136,11 @@ def load_dict(
     ctx = ctx.at(str(kind))
     if kind in TYPES:
         return from_dict(dict(description), str(kind))
-    if kind in ("hdrfilm", "specfilm"):
+    if kind in FILMS:
         return film_from(description, ctx)
+    if kind in registry.PARTS:
+        what, owner = registry.PARTS[kind]
+        raise ValueError(f"load_dict: type: expected a scene or an object of one, got {kind!r}, a {what} of a {owner}")
     return registry.build(description, ctx)
 
 

@@ -170,13 +170,13 @@ def _integrator_or_dict(value: Mapping[str, Any], ctx: Context) -> Integrator | 
     kind = value.get("type")
     if kind in TYPES:
         return from_dict(dict(value), ctx.where)
-    if kind in (*SAMPLERS, "hdrfilm", "specfilm"):
-        ctx.error(f"a {'sampler' if kind in SAMPLERS else 'film'} ({kind}) belongs into a sensor")
-    if isinstance(kind, str) and kind not in registry.scene_types() and kind in DOCUMENTED:
-        ctx.error(
-            f"the integrator {kind!r} is not supported by this version of torchrender"
-            f"; supported are: {', '.join(TYPES)}"
-        )
+    if isinstance(kind, str):
+        registry.check_part(kind, ctx)
+        if kind not in registry.scene_types() and kind in DOCUMENTED:
+            ctx.error(
+                f"the integrator {kind!r} is not supported by this version of torchrender"
+                f"; supported are: {', '.join(TYPES)}"
+            )
     return value
 
 

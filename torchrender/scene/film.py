@@ -11,7 +11,7 @@ from ..errors import SubstitutionWarning, depth_outside, describe, nearest
 from . import values
 from .bands import bands as read_bands
 from .context import Context
-from .registry import ADVICE, DOCUMENTED
+from .registry import ADVICE, DOCUMENTED, PARTS
 from .spectra import is_spectrum
 
 FILTERS = ("box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos")
@@ -24,6 +24,9 @@ FILTER_PARAMETERS: dict[str, tuple[str, ...]] = {
     "lanczos": ("lobes",),
 }
 SAMPLERS = ("independent", "stratified", "sobol")
+FILMS = ("hdrfilm", "specfilm")
+PARTS.update(dict.fromkeys(FILTERS, ("filter", "film")))
+PARTS.update({**dict.fromkeys(SAMPLERS, ("sampler", "sensor")), **dict.fromkeys(FILMS, ("film", "sensor"))})
 
 
 class Settings:
@@ -240,7 +243,7 @@ def film_from(value: Any, ctx: Context) -> Film:
         return value
     if not isinstance(value, Mapping):
         ctx.error(f"expected a film, got {describe(value)}")
-    kind = _checked(value, "film", ("hdrfilm", "specfilm"), ctx)
+    kind = _checked(value, "film", FILMS, ctx)
     film = Film()
     bands: dict[str, Any] = {}
     crop: dict[str, int] = {}

@@ -19,6 +19,8 @@ _classes: dict[tuple[str, str], type[Plugin]] = {}  # by category and native mod
 _builders: dict[str, tuple[str, Builder]] = {}  # scene types that are no native model: name -> (category, function)
 _builder_names: dict[str, tuple[str, ...]] = {}
 
+PARTS: dict[str, tuple[str, str]] = {}  # what only others have: by type, what it is and whose
+
 INTERNAL = frozenset({"attribute"})  # categories that have no class of their own
 
 # What Mitsuba 3 documents, to tell "not supported here" from "unknown".
@@ -171,11 +173,19 @@ def build(value: Mapping[str, Any], ctx: Context, category: str | None = None) -
     return made
 
 
+def check_part(kind: str, ctx: Context) -> None:
+    """ValueError for what stands in a sensor or a film alone."""
+    if kind in PARTS:
+        what, owner = PARTS[kind]
+        ctx.error(f"a {what} ({kind}) belongs into a {owner}")
+
+
 def unknown_type(kind: str, ctx: Context, category: str | None, types: Mapping[str, str]) -> None:
     """ValueError that says whether `kind` is misplaced, not supported yet, or misspelt."""
     what = category or "object"
     if kind in types:
         ctx.error(f"expected a {what}, got {kind!r}, which is a {types[kind]}")
+    check_part(kind, ctx)
     for group, kinds in DOCUMENTED.items():
         if kind in kinds:
             have = sorted(k for k, c in types.items() if c == group)

@@ -9,8 +9,7 @@ import numpy as np
 import torch
 
 from ..errors import describe
-from ..image import srgb_to_linear
-from ..transform import plain
+from ..image import decode_levels
 from . import values
 from .construction import check_names
 from .context import Context
@@ -37,10 +36,7 @@ def load_texels(properties: dict[str, Any], ctx: Context, raw: bool) -> Any:
     dtype = str(getattr(content, "dtype", ""))
     if dtype.endswith(("uint8", "uint16")):
         # Integers are encoded images, as a file would hold them.
-        scale = 255.0 if dtype.endswith("uint8") else 65535.0
-        content = torch.as_tensor(plain(content)).to(torch.float32) / scale
-        if not raw:
-            content = srgb_to_linear(content)
+        content = decode_levels(content.cpu().numpy() if torch.is_tensor(content) else np.asarray(content), raw)
     return content
 
 
