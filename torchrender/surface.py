@@ -172,10 +172,10 @@ class Surfaces:
         on_mesh = (kind == MESH).nonzero()[:, 0]
         if len(on_mesh) or not len(shape):
             rows.append(on_mesh)
-            given = (shape, primitive, origins, directions)
+            s, p, o, d = shape, primitive, origins, directions
             if len(on_mesh) < len(shape):
-                given = tuple(x[on_mesh] for x in given)
-            pieces.append(self._on_triangles(*given, coordinates))
+                s, p, o, d = s[on_mesh], p[on_mesh], o[on_mesh], d[on_mesh]
+            pieces.append(self._on_triangles(s, p, o, d, coordinates))
         quadric = ((kind == SPHERE) | (kind == DISK) | (kind == CYLINDER)).nonzero()[:, 0]
         if len(quadric):
             rows.append(quadric)

@@ -109,7 +109,6 @@ void check_drift() {
 template <int T, class F>
 void check_shared_rows() {
     using S = ScalarOf<F>;
-    using U = UIntOf<F>;
     constexpr int W = Lanes<F>::Width;
     std::mt19937 generator(3);
     std::vector<S> table(200);

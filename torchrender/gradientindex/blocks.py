@@ -40,7 +40,6 @@ def in_blocks(
     origins: torch.Tensor,
     directions: torch.Tensor,
     tensors: Sequence[torch.Tensor],
-    threads: int,
 ) -> tuple[torch.Tensor, ...]:
     """``follow(origins, directions, tensors, Known())``, of many rays in less memory.
 
@@ -51,14 +50,13 @@ def in_blocks(
     forwards = in_forward_mode() and any(forward_ad.unpack_dual(t).tangent is not None for t in given)
     if len(origins) <= BLOCK or forwards or any(functorch.is_functorch_wrapped_tensor(t) for t in given):
         return follow(origins, directions, tensors, Known())
-    return _Blocks.apply(_Work(follow, values, threads, {}), *given)
+    return _Blocks.apply(_Work(follow, values, {}), *given)
 
 
 @dataclass
 class _Work:
     follow: Follow
     values: int
-    threads: int
     known: dict[int, Known]  # by the first ray of a block
 
 
@@ -102,15 +100,16 @@ class _BlocksReverse(DerivativeFunction):
         origins, directions, *tensors = [t.detach() for t in given[outputs:] if t is not None]
         leaves = [t.requires_grad_(wanted) for t, wanted in zip(tensors, needed[2:], strict=True)]
         values = leaves[work.values]
-        partials = values.new_zeros(work.threads, *values.shape) if values.requires_grad else None
+        partials = values.new_zeros(torch.get_num_threads(), *values.shape) if values.requires_grad else None
         found: list[torch.Tensor | None] = [None] * len(needed)
         for k, rays in enumerate((origins, directions)):
             found[k] = torch.zeros_like(rays) if needed[k] else None
         for begin, known in work.known.items():
             rows = slice(begin, begin + BLOCK)
-            own = [t[rows].detach().requires_grad_(w) for t, w in zip((origins, directions), needed[:2], strict=True)]
+            o = origins[rows].detach().requires_grad_(needed[0])
+            d = directions[rows].detach().requires_grad_(needed[1])
             with torch.enable_grad():
-                out = work.follow(*own, leaves, replace(known, partials=partials))
+                out = work.follow(o, d, leaves, replace(known, partials=partials))
                 # a number, whose derivatives torch finds without loading what it compares symbolic shapes with
                 products = [
                     (y * a[rows]).sum() for y, a in zip(out, adjoints, strict=True) if a is not None and y.requires_grad
@@ -118,7 +117,7 @@ class _BlocksReverse(DerivativeFunction):
                 if not products:
                     continue
                 total = torch.stack(products).sum()
-            inputs = [t for t in (*own, *leaves) if t.requires_grad]
+            inputs = [t for t in (o, d, *leaves) if t.requires_grad]
             gradients = iter(torch.autograd.grad(total, inputs, allow_unused=True))
             for k, wanted in enumerate(needed):
                 gradient = next(gradients) if wanted else None

@@ -51,7 +51,8 @@ class Bending:
     ) -> None:
         """`params`: of the scene, which tracing meets; `partials`: each thread has derivatives by values of its own."""
         numbers = dict(zip("xyz", map(float, self.size), strict=True))
-        numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(self.threads)}
+        threads = len(self.partials) if partials and self.partials is not None else self.threads
+        numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(threads)}
         numbers |= {"medium": float(self.medium), "step": self.step, "partials": float(partials)}
         for name in GRIDS:
             grid = arrays.get(name)

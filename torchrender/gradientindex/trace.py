@@ -108,7 +108,7 @@ def trace(
     medium = _Medium.of(layout, tensors, row, shape)
     native = scene.native(layout, [tuple(t.shape) for t in tensors])
     rays = _Rays(scene, layout, native, row, shape, medium.step)
-    found = in_blocks(rays.follow, medium.slot, origins, directions, tensors, torch.get_num_threads())
+    found = in_blocks(rays.follow, medium.slot, origins, directions, tensors)
     rays.warn()
     return BentRays(*found)
 

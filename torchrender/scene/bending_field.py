@@ -23,7 +23,8 @@ def bending_field(index: torch.Tensor, base: torch.Tensor, scale: torch.Tensor) 
 
 def reference_index(base: torch.Tensor) -> float:
     """The index of refraction whose half square is that constant."""
-    return float(base) if float(base) > 0 else 1.0
+    number = float(base.detach())
+    return number if number > 0 else 1.0
 
 
 class _BendingField(UnbatchedFunction):
@@ -118,10 +119,9 @@ def _pad(padded: torch.Tensor) -> torch.Tensor:
     for axis in (2, 1, 0):
         for other in range(axis):
             padded = padded.narrow(other, PADDING, whole.shape[other] - 2 * PADDING)
-        n = whole.shape[axis]
-        padded.narrow(axis, 0, PADDING).copy_(padded.narrow(axis, PADDING, 1).expand_as(padded.narrow(axis, 0, PADDING)))
-        end = padded.narrow(axis, n - PADDING, PADDING)
-        end.copy_(padded.narrow(axis, n - PADDING - 1, 1).expand_as(end))
+        end = whole.shape[axis] - PADDING
+        padded.narrow(axis, 0, PADDING).copy_(padded.narrow(axis, PADDING, 1))
+        padded.narrow(axis, end, PADDING).copy_(padded.narrow(axis, end - 1, 1))
         padded = whole
     return whole
 

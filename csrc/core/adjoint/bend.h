@@ -10,6 +10,8 @@
 // A function of the position that was added up, c Phi, has values_bar_i += c B_i and lambda += c grad Phi.
 #pragma once
 
+#include <utility>
+
 #include "../medium/bend_medium.h"
 #include "../state/queues.h"
 #include "bend_light.h"
