@@ -65,39 +65,38 @@ struct FewNumbers {
 template <class F, int T, class Visit>
 TR_INLINE auto with_shared_rows(const FewNumbers<F> &at, Visit &&visit) {
 #if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
-    if constexpr (detail::PermutesRows<F>) {
-        // 4 rows a register, from which lanes take what is theirs
-        constexpr unsigned row = (1u << T) - 1;
-        const uint32_t *from = at.value;
-        const __m512i own = _mm512_slli_epi32(at.which.m, 2);
-        auto four = [](const float *base, const uint32_t *index) {
-            auto place = [&](int k) { return detail::load_row<T>(base + index[k]); };
-            __m512 r = _mm512_castps128_ps512(place(0));
-            r = _mm512_mask_broadcast_f32x4(r, __mmask16(row << 4), place(1));
-            r = _mm512_mask_broadcast_f32x4(r, __mmask16(row << 8), place(2));
-            return _mm512_mask_broadcast_f32x4(r, __mmask16(row << 12), place(3));
-        };
-        auto column = [&](int k) { return _mm512_add_epi32(own, _mm512_set1_epi32(k)); };
-        if (at.n <= 4)
+    if constexpr (detail::PermutesRows<F>)
+        if (at.n > 2) {
+            // 4 rows a register, from which lanes take what is theirs; of one or two places numbers are as quick
+            constexpr unsigned row = (1u << T) - 1;
+            const uint32_t *from = at.value;
+            const __m512i own = _mm512_slli_epi32(at.which.m, 2);
+            auto four = [](const float *base, const uint32_t *index) {
+                auto place = [&](int k) { return detail::load_row<T>(base + index[k]); };
+                __m512 r = _mm512_castps128_ps512(place(0));
+                r = _mm512_mask_broadcast_f32x4(r, __mmask16(row << 4), place(1));
+                r = _mm512_mask_broadcast_f32x4(r, __mmask16(row << 8), place(2));
+                return _mm512_mask_broadcast_f32x4(r, __mmask16(row << 12), place(3));
+            };
+            auto column = [&](int k) { return _mm512_add_epi32(own, _mm512_set1_epi32(k)); };
+            if (at.n <= 4)
+                return visit([&](const float *base, F(&out)[T]) {
+                    const __m512 r = four(base, from);
+                    for (int k = 0; k < T; ++k) detail::put_bits(_mm512_permutexvar_ps(column(k), r), out[k]);
+                });
             return visit([&](const float *base, F(&out)[T]) {
-                const __m512 r = four(base, from);
-                for (int k = 0; k < T; ++k) detail::put_bits(_mm512_permutexvar_ps(column(k), r), out[k]);
+                const __m512 r = four(base, from), more = four(base, from + 4);
+                for (int k = 0; k < T; ++k) detail::put_bits(_mm512_permutex2var_ps(r, column(k), more), out[k]);
             });
-        return visit([&](const float *base, F(&out)[T]) {
-            const __m512 r = four(base, from), more = four(base, from + 4);
-            for (int k = 0; k < T; ++k) detail::put_bits(_mm512_permutex2var_ps(r, column(k), more), out[k]);
-        });
-    } else
+        }
 #endif
-    {
-        MaskOf<F> here[FewNumbers<F>::Most];
-        for (int i = 1; i < at.n; ++i) here[i] = mask<F>(at.which == UIntOf<F>(uint32_t(i)));
-        return visit([&](const ScalarOf<F> *base, F(&out)[T]) {
-            for (int k = 0; k < T; ++k) out[k] = F(base[at.value[0] + uint32_t(k)]);
-            for (int i = 1; i < at.n; ++i)
-                for (int k = 0; k < T; ++k) out[k] = select(here[i], F(base[at.value[i] + uint32_t(k)]), out[k]);
-        });
-    }
+    MaskOf<F> here[FewNumbers<F>::Most];
+    for (int i = 1; i < at.n; ++i) here[i] = mask<F>(at.which == UIntOf<F>(uint32_t(i)));
+    return visit([&](const ScalarOf<F> *base, F(&out)[T]) {
+        for (int k = 0; k < T; ++k) out[k] = F(base[at.value[0] + uint32_t(k)]);
+        for (int i = 1; i < at.n; ++i)
+            for (int k = 0; k < T; ++k) out[k] = select(here[i], F(base[at.value[i] + uint32_t(k)]), out[k]);
+    });
 }
 
 // Up to four numbers a lane, turned into rows of four, the others being zero.
