@@ -51,18 +51,14 @@ def pictures(index: torch.Tensor, resolution: int, interpolation: str) -> list[t
     return [tr.load_dict(make_grin.grin_cube(turn, index, resolution, interpolation)) for turn in turns]
 
 
-def samples_of_derivative(spp: int) -> int:
-    return max(1, spp // 2)
-
-
-def light(scenes: list[tr.Scene], leaf: torch.Tensor, spp: int) -> None:
+def light(scenes: list[tr.Scene], leaf: torch.Tensor, spp: int, spp_grad: int, passes: int) -> None:
     """Renders the pictures and the derivative of their mean square."""
     leaf.grad = None
     for scene in scenes:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", tr.MissingTermWarning)
-            samples = {"spp": spp, "spp_grad": samples_of_derivative(spp), "sampler": "stratified"}
-            image = tr.render(scene, seed=0, params={INDEX: leaf}, **samples)
+            samples = {"spp": spp, "spp_grad": spp_grad, "passes": passes}
+            image = tr.render(scene, seed=0, params={INDEX: leaf}, sampler="stratified", **samples)
             image.square().mean().backward()
 
 

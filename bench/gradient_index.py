@@ -7,7 +7,7 @@ iteration  seconds and memory of 128^3 voxels, two views of 128x128 pixels, 10 s
            the slides of Teh, O'Toole and Gkioulekas, "Adjoint nonlinear ray tracing", SIGGRAPH 2022, which give 5 s and
            12 GB for automatic differentiation on a GPU
 light      seconds of two pictures that the cube throws by light tracing (`scenes/make_grin.py`), `--resolution` squared
-           pixels with `--spp` samples, and of the derivative with half as many, and memory that this adds
+           pixels in `--passes` of `--spp` samples and the derivative with `--spp-grad`, and memory that this adds
 memory     at 100 and 10 000 steps a ray
 autograd   the same rays by PyTorch alone, which keeps every step, with 32^3 voxels and 64x64 pixels
 error      of where rays come out, at several lengths of a step, against an eighth of a voxel, beside the time
@@ -24,7 +24,7 @@ import torch
 import torchrender as tr
 
 from .arguments import positive
-from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, light, loss_of, pictures, samples_of_derivative
+from .bent_rays import INDEX, beam, cube, in_torch, index_of, iteration, light, loss_of, pictures
 from .fresh import measure
 from .measured import Measured, rounds
 from .report import Result, Table
@@ -35,6 +35,8 @@ INTERPOLATIONS = ("cubic", "quadratic")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--size", type=positive, default=160, help="voxels along a side (default %(default)s)")
+    parser.add_argument("--spp-grad", type=positive, help="samples of derivatives of `light` (default: half of --spp)")
+    parser.add_argument("--passes", type=positive, default=1, help="passes of `light` (default %(default)s)")
     parser.add_argument("--part", choices=PARTS, nargs="+", default=list(PARTS), help="only these (default: all)")
     parser.add_argument("--quick", action="store_true", help="64^3 voxels, 64x64 pixels, 2 rounds")
     parser.set_defaults(threads=torch.get_num_threads(), rounds=5, warmup=1)
@@ -83,20 +85,29 @@ def iteration_table(options: argparse.Namespace) -> Table:
 
 def light_table(options: argparse.Namespace) -> Table:
     size, resolution, spp = options.size, options.resolution, options.spp
+    spp_grad = options.spp_grad or max(1, spp // 2)
     title = (
-        f"Light tracing and its derivative, {size}^3 voxels, 2 views of {resolution}x{resolution}, {spp} + "
-        f"{samples_of_derivative(spp)} samples"
+        f"Light tracing and its derivative, {size}^3 voxels, 2 views of {resolution}x{resolution}, "
+        f"{options.passes} x ({spp} + {spp_grad}) samples"
     )
-    return _two_views(options, title, "light", size, resolution, spp, "light")
+    samples = {"spp_grad": spp_grad, "passes": options.passes}
+    return _two_views(options, title, "light", size, resolution, spp, "light", **samples)
 
 
 def _two_views(
-    options: argparse.Namespace, title: str, part: str, size: int, resolution: int, spp: int, program: str
+    options: argparse.Namespace,
+    title: str,
+    part: str,
+    size: int,
+    resolution: int,
+    spp: int,
+    program: str,
+    **more: int,
 ) -> Table:
     rows: list[dict[str, Any]] = []
     for name in INTERPOLATIONS:
         settings: dict[str, Any] = {"size": size, "resolution": resolution, "spp": spp, "threads": options.threads}
-        settings |= {"views": 2, "interpolation": name, "program": program}
+        settings |= {"views": 2, "interpolation": name, "program": program, **more}
         runs = [measure("bent_rays", **settings) for _ in range(_processes(options))]
         row: dict[str, Any] = {"interpolation": name, "one iteration s": Measured.of(r["seconds"] for r in runs)}
         row["peak above the state before MiB"] = Measured.of(r["peak"] for r in runs)
@@ -188,11 +199,13 @@ def fresh(
     step: float = 1.0,
     program: str = "rays",
     across: int | None = None,
+    spp_grad: int = 1,
+    passes: int = 1,
 ) -> dict[str, float]:
     """In a process of its own: seconds of an iteration, the first one not counted, and MiB that iterations add.
 
     `program`: "rays", "light" (pictures by light tracing), or "plain" (rays by PyTorch alone); `across`: voxels along x
-    and y, if not `size`.
+    and y, if not `size`; `spp_grad`, `passes`: of light tracing.
     """
     from .serving import memory, settled_memory
 
@@ -207,7 +220,7 @@ def fresh(
         if program == "rays":
             return iteration(scene, leaf, beams)["steps"]
         if program == "light":
-            light(lit, leaf, spp)
+            light(lit, leaf, spp, spp_grad, passes)
             return 0.0
         leaf.grad = None
         position, direction, steps = in_torch(leaf, *beams[0], step, interpolation)

@@ -294,8 +294,12 @@ def render(
                 )
         native = scene.native(packed, [tuple(t.shape) for t in used])
         if bends:
-            from .gradientindex.places import check_places  # when it is needed: importing the package is to be quick
+            # when it is needed: importing the package is to be quick
+            from .gradientindex.apart import check_apart
+            from .gradientindex.places import check_places
 
+            if not views:
+                check_apart(scene, packed, native, used)
             check_places(scene, packed, native, used, index, light)
         seen, held = {}, ()
         if packed.spectral:

@@ -156,6 +156,7 @@ class Surfaces:
         origins: torch.Tensor,
         directions: torch.Tensor,
         t: torch.Tensor,
+        coordinates: bool = True,
     ) -> SurfacePoints:
         """Where rays meet the surfaces that they are known to hit.
 
@@ -163,6 +164,7 @@ class Surfaces:
             shape, primitive: (N,) integers, what is hit: triangles as infinite planes, disks alike.
             origins, directions: (N, 3).
             t: (N,) roughly the distance, which tells several intersections with a curved shape apart.
+            coordinates: whether texture coordinates are wanted; without, those of meshes are barycentric.
         """
         shape, primitive = shape.long(), primitive.long()
         kind = self.kind[shape]
@@ -170,7 +172,10 @@ class Surfaces:
         on_mesh = (kind == MESH).nonzero()[:, 0]
         if len(on_mesh) or not len(shape):
             rows.append(on_mesh)
-            pieces.append(self._on_triangles(shape[on_mesh], primitive[on_mesh], origins[on_mesh], directions[on_mesh]))
+            s, p, o, d = shape, primitive, origins, directions
+            if len(on_mesh) < len(shape):
+                s, p, o, d = s[on_mesh], p[on_mesh], o[on_mesh], d[on_mesh]
+            pieces.append(self._on_triangles(s, p, o, d, coordinates))
         quadric = ((kind == SPHERE) | (kind == DISK) | (kind == CYLINDER)).nonzero()[:, 0]
         if len(quadric):
             rows.append(quadric)
@@ -192,7 +197,7 @@ class Surfaces:
         return SurfacePoints(*(torch.cat([getattr(piece, n) for piece in pieces])[back] for n in names))
 
     def _on_triangles(
-        self, shape: torch.Tensor, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor
+        self, shape: torch.Tensor, primitive: torch.Tensor, o: torch.Tensor, d: torch.Tensor, coordinates: bool
     ) -> SurfacePoints:
         corner = self.faces[self.first_face[shape] + primitive]  # (N, 3)
         p0, p1, p2 = self.positions[corner].unbind(1)
@@ -208,8 +213,9 @@ class Surfaces:
         normal = normalize(torch.linalg.cross(e1, e2))
         smooth = self.smooth[shape][:, None]
         shading = torch.where(smooth, normalize((self.normals[corner] * weight).sum(1), normal), normal)
-        barycentric = torch.stack([b1, b2], 1)
-        uv = torch.where(self.textured[shape][:, None], (self.texcoords[corner] * weight).sum(1), barycentric)
+        uv = barycentric = torch.stack([b1, b2], 1)
+        if coordinates:
+            uv = torch.where(self.textured[shape][:, None], (self.texcoords[corner] * weight).sum(1), barycentric)
         sign = 1 - 2 * self.flip[shape][:, None].to(o.dtype)
         return SurfacePoints(
             t, p0 + e1 * b1[:, None] + e2 * b2[:, None], normal * sign, shading * sign, uv, barycentric
@@ -378,6 +384,9 @@ def transform_point(matrix: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
 
 def transform_vector(matrix: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
     """Vectors (..., 3) under the linear part of affine matrices (..., 4, 4)."""
+    if matrix.ndim == 2:  # of all of them: column by column
+        x, y, z = matrix[:3, :3].unbind(1)
+        return v[..., :1] * x + v[..., 1:2] * y + v[..., 2:3] * z
     return (matrix[..., :3, :3] * v[..., None, :]).sum(-1)
 
 

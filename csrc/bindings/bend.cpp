@@ -22,6 +22,7 @@ void bend(const SceneView<S> *scene, const Accel *accel, const BendRequest &requ
     BentRays<S> rays{};
     rays.field = field(at("values"), "kick"), rays.constant = S(number("constant"));
     rays.quadratic = number("quadratic") != 0, rays.threads = int(number("threads")), rays.n = request.n;
+    rays.partials = number("partials") != 0;
     rays.q = at("q"), rays.u = given("u");
     if (what == "field") return evaluate_field<S>(rays, {at("value"), at("slope")});
     if (what == "field_reverse")

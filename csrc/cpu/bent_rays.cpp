@@ -65,13 +65,15 @@ void with_taps(bool quadratic, Visit &&visit) {
         visit(std::integral_constant<int, 4>{});
 }
 
-// Gradients by threads; the first one's is the result.
+// Gradients by threads; the first one's is the result. `given`: the others' follow it, and stay there.
 template <class S>
 class Partials {
 public:
-    Partials(S *result, size_t n, int threads) : result_(result), n_(n), others_(size_t(std::max(1, threads))) {}
+    Partials(S *result, size_t n, int threads, bool given = false)
+        : result_(result), n_(n), given_(given), others_(size_t(std::max(1, threads))) {}
     S *of(int thread) {
         if (thread == 0 || !result_) return result_;
+        if (given_) return result_ + size_t(thread) * n_;
         auto &own = others_[size_t(thread)];
         if (!own) own = std::make_unique<Zeros<S>>(n_);
         return own->data();
@@ -86,6 +88,7 @@ public:
 private:
     S *result_;
     size_t n_;
+    bool given_;
     std::vector<std::unique_ptr<Zeros<S>>> others_;
 };
 
@@ -301,7 +304,7 @@ void trace_bent(const BendMedium<S> &medium, const Accel &accel, const BentRays<
 template <class S>
 void reverse_bent(const BentRays<S> &rays, const BentAdjoints<S> &adjoints) {
     using F = PacketOf<S>;
-    Partials<S> partials(adjoints.values, rays.field.size(), rays.threads);
+    Partials<S> partials(adjoints.values, rays.field.size(), rays.threads, rays.partials);
     struct Sums {
         std::array<double, 6> kick{};
         std::array<double, 12> maps[2]{};
@@ -430,7 +433,7 @@ void evaluate_field(const BentRays<S> &rays, const FieldValues<S> &out) {
 template <class S>
 void reverse_field(const BentRays<S> &rays, const FieldValues<S> &adjoints, S *q, S *values) {
     using F = PacketOf<S>;
-    Partials<S> partials(values, rays.field.size(), rays.threads);
+    Partials<S> partials(values, rays.field.size(), rays.threads, rays.partials);
     for_points(rays, [&](const auto &rows, int thread, const auto &at) {
         const F value = rows.number(adjoints.value);
         const Vec3<F> slope = rows.vector(adjoints.slope);
@@ -448,7 +451,7 @@ void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, con
         F value = dot(at.jet.slope, q);
         Vec3<F> slope = symmetric_times<F>(at.jet.curve, q);
         if (tangents.field.values) {
-            const BendJet<F> change = spline_jet(tangents.field, at.axes, at.cell.first, rows.active);
+            const BendJet<F> change = at.jet_of(tangents.field, rows.active);
             value = value + change.value, slope = slope + change.slope;
         }
         rows.put(out.value, value), rows.put(out.slope, slope);

@@ -66,6 +66,7 @@ struct BentRays {
     S constant;  // of Phi, which the field's values do not have
     bool quadratic;
     int threads;
+    bool partials;  // derivatives by the field's values are as many arrays as there are threads, for the caller to add
     size_t n;
 
     // In: where a ray begins and its velocity.

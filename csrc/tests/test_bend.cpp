@@ -1,5 +1,6 @@
 // Rays that bend go back over the very integers that they came by, and blocks without surfaces have none.
 // (Values and derivatives are tested from Python.)
+#include <algorithm>
 #include <random>
 
 #include "accel/embree_library.h"
@@ -101,6 +102,76 @@ void check_drift() {
         CHECK(all(mask<F>(drift_of<F>(BendInt<F>(whole), bits) == BendInt<F>(Lane(n)))));
         CHECK(all(mask<F>(drift_of<F>(BendInt<F>(whole + unit / 4), bits) == BendInt<F>(Lane(n)))));
         CHECK(all(mask<F>(drift_of<F>(BendInt<F>(whole - unit / 4), bits) == BendInt<F>(Lane(n)))));
+    }
+}
+
+// Lanes that have from one to all different places in a table, some not being active: rows are those of their places.
+template <int T, class F>
+void check_shared_rows() {
+    using S = ScalarOf<F>;
+    constexpr int W = Lanes<F>::Width;
+    std::mt19937 generator(3);
+    std::vector<S> table(200);
+    for (size_t i = 0; i < table.size(); ++i) table[i] = S(i);
+    int shared = 0, others = 0;
+    for (int round = 0; round < 2000; ++round) {
+        alignas(64) uint32_t at[W], which[W];
+        alignas(64) S wanted[W];
+        std::vector<uint32_t> places(1 + generator() % W), different;
+        for (uint32_t &place : places) place = uint32_t(generator() % (table.size() - T + 1));
+        const uint32_t always = uint32_t(generator() % W);
+        for (uint32_t i = 0; i < W; ++i) {
+            at[i] = places[generator() % places.size()];
+            wanted[i] = S(i == always || generator() % 4);
+            if (wanted[i] != 0 && std::find(different.begin(), different.end(), at[i]) == different.end())
+                different.push_back(at[i]);
+        }
+        const MaskOf<F> active = mask<F>(load<F>(wanted) != F(0));
+        const FewNumbers<F> few(load_uint<F>(at), active);
+        CHECK(few.all == (different.size() <= size_t(FewNumbers<F>::Most)));
+        ++(few.all ? shared : others);
+        if (!few.all) continue;
+        CHECK(size_t(few.n) == different.size());
+        for (size_t k = 0; k < different.size(); ++k) CHECK(few.value[k] == different[k]);
+        store(which, few.which);
+        with_shared_rows<F, T>(few, [&](auto &&rows) {
+            F row[T];
+            rows(table.data(), row);
+            for (int k = 0; k < T; ++k)
+                for (int i = 0; i < W; ++i)
+                    if (lane_is_set(active, i))
+                        CHECK(few.value[which[i]] == at[i] && lane(row[k], i) == table[at[i] + uint32_t(k)]);
+        });
+    }
+    CHECK(shared > 0);
+    CHECK(W <= FewNumbers<F>::Most || others > 0);
+}
+
+// Numbers of lanes as rows, and sums of these.
+template <class F>
+void check_lane_rows() {
+    using S = ScalarOf<F>;
+    F numbers[3];
+    for (int k = 0; k < 3; ++k) numbers[k] = F(lane_index<F>()) * F(S(3)) + F(S(k));
+    const LaneRows<F> rows(numbers);
+    RowSum<S> sum;
+    S expected = 0;
+    for (uint32_t i = 0; i < uint32_t(Lanes<F>::Width); ++i) {
+        for (uint32_t k = 0; k < 4; ++k) CHECK(rows[i][k] == (k < 3 ? S(3 * i + k) : S(0)));
+        sum.add(rows[i], S(2)), expected += S(6 * i);
+    }
+    alignas(32) S found[4];
+    sum.put(found);
+    for (int k = 0; k < 3; ++k) CHECK(found[k] == expected + S(2 * k * Lanes<F>::Width));
+    CHECK(found[3] == S(0));
+}
+
+template <class F>
+void check_rows() {
+    check_lane_rows<F>();
+    if constexpr (Lanes<F>::Width > 1) {
+        check_shared_rows<3, F>();
+        check_shared_rows<4, F>();
     }
 }
 
@@ -270,6 +341,13 @@ TR_TEST(drifts_of_bent_rays_are_rounded) {
     check_drift<S>();     \
     check_drift<PacketOf<S>>();
     TR_FOR_EACH_PRECISION(TR_CHECK_DRIFT)
+}
+
+TR_TEST(rows_that_lanes_share_are_their_own) {
+#define TR_CHECK_ROWS(S)  \
+    check_lane_rows<S>(); \
+    check_rows<PacketOf<S>>();
+    TR_FOR_EACH_PRECISION(TR_CHECK_ROWS)
 }
 
 TR_TEST(blocks_near_surfaces_are_marked) {

@@ -461,9 +461,14 @@ def test_gradient_index(tmp_path):
         "1",
         "--size",
         "12",
+        "--spp-grad",
+        "1",
+        "--passes",
+        "2",
         "--quick",
     ]
     tables = run(tmp_path, "gradient_index", *options)["tables"]
+    assert "2 views of 8x8, 2 x (2 + 1) samples" in tables[2]["title"]
     assert [table["part"] for table in tables] == ["step", "iteration", "light", "memory", "autograd", "error"]
     step, iteration, light, memory, autograd, error = (table["rows"] for table in tables)
     for row in step:

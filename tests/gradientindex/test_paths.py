@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 
 import pytest
 import torch
@@ -213,20 +212,6 @@ def test_rays_that_are_given_up_are_black_and_told_of():
     assert float(image.max()) == pytest.approx(1.0)
     found = scene.statistics["render"]
     assert 0 < found["bent_rays_lost"] <= found["bent_rays"] <= 4 * 12 * 12
-
-
-@pytest.mark.parametrize("inner", [0.3, 1.2])
-def test_media_in_media_are_told_of(inner):
-    """Nested, or overlapping; beside each other they are rendered."""
-    glass = {"type": "gradientindex", "index": 1.3, "to_world": BOX}
-    other = {"type": "sphere", "radius": inner, "center": [inner, 0, 0], "bsdf": {"type": "null"}}
-    back = {"other": {**other, "interior": glass}, **ONE}
-    with pytest.warns(RuntimeWarning, match=r"rays in gradientindex media met the boundary of another one"):
-        tr.render(seen(1.5, back=back), spp=4, seed=0)
-    apart = {**back["other"], "center": [1.1 + inner, 0, 0]}
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", RuntimeWarning)
-        tr.render(seen(1.5, back={"other": apart, **ONE}), spp=4, seed=0)
 
 
 def test_no_ray_is_lost_at_edges(recwarn):

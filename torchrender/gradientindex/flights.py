@@ -25,7 +25,9 @@ class Bending:
     """What the core is asked with, but for tensors: `torch.func` unwraps those of a function's arguments alone.
 
     `size` is (X, Y, Z), `constant` the part of Phi that the control values do not have; `look_up`: of each grid the
-    numbers of its filter and of what is beyond its cube.
+    numbers of its filter and of what is beyond its cube. `known`: what `Flights` has found for these rays before, which
+    are not followed again then. `partials` (threads, Z, Y, X): where derivatives by control values are added, in place
+    of being returned.
     """
 
     native: NativeScene
@@ -35,15 +37,23 @@ class Bending:
     medium: int  # its number
     step: float
     look_up: dict[str, tuple[int, int]]
+    known: tuple[torch.Tensor, ...] | None = None
+    partials: torch.Tensor | None = None
     threads: int = field(default_factory=torch.get_num_threads)
 
     def call(
-        self, what: str, n: int, arrays: Mapping[str, torch.Tensor | None], params: list[torch.Tensor] | None = None
+        self,
+        what: str,
+        n: int,
+        arrays: Mapping[str, torch.Tensor | None],
+        params: list[torch.Tensor] | None = None,
+        partials: bool = False,
     ) -> None:
-        """`params`: of the scene, which tracing meets."""
+        """`params`: of the scene, which tracing meets; `partials`: each thread has derivatives by values of its own."""
         numbers = dict(zip("xyz", map(float, self.size), strict=True))
-        numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(self.threads)}
-        numbers |= {"medium": float(self.medium), "step": self.step}
+        threads = len(self.partials) if partials and self.partials is not None else self.threads
+        numbers |= {"constant": self.constant, "quadratic": float(self.quadratic), "threads": float(threads)}
+        numbers |= {"medium": float(self.medium), "step": self.step, "partials": float(partials)}
         for name in GRIDS:
             grid = arrays.get(name)
             if grid is not None:
@@ -65,6 +75,17 @@ class Bending:
         colours = 3 if self.look_up else 0
         sums = {"sums": self.empty(n, 2), "depth": self.empty(n, colours), "emitted": self.empty(n, colours)}
         return {"last_q": self.empty(n, 3), "last_u": self.empty(n, 3), **sums}
+
+    def reverse(
+        self, what: str, n: int, values: torch.Tensor | None, arrays: Mapping[str, torch.Tensor | None]
+    ) -> torch.Tensor | None:
+        """Calls the core for adjoints, of `values` too unless they are None, and returns these."""
+        if values is None or self.partials is None:
+            values_bar = None if values is None else zero_gradient(values)
+            self.call(what, n, {**arrays, "values_bar": values_bar})
+            return values_bar
+        self.call(what, n, {**arrays, "values_bar": self.partials}, partials=True)
+        return None
 
 
 def _dense(*tensors: torch.Tensor) -> list[torch.Tensor]:
@@ -98,6 +119,8 @@ class Flights(UnbatchedFunction):
 
     @staticmethod
     def forward(bending: Bending, *inputs: torch.Tensor) -> Any:
+        if bending.known is not None:
+            return tuple(t.detach() for t in bending.known)
         tensors = _dense(*inputs)
         given, offset, params = tensors[: len(_INPUTS)], tensors[len(_INPUTS)], tensors[len(_INPUTS) + 1 :]
         q = given[2]
@@ -152,7 +175,6 @@ class FlightsReverse(DerivativeFunction):
         names = ("last_q", "last_u", "sums", "depth_bar", "emitted_bar")
         given = dict(zip(names, _like(adjoints, list(bending.ends(n).values())), strict=True))
         found: dict[str, torch.Tensor | None] = {
-            "values_bar": zero_gradient(inputs[0]) if needed[0] else None,
             "kick_bar": torch.zeros(6, dtype=torch.float64),
             "q_bar": bending.empty(n, 3),
             "u_bar": bending.empty(n, 3),
@@ -161,8 +183,9 @@ class FlightsReverse(DerivativeFunction):
             there = inputs[k].numel() > 0
             found[f"{_INPUTS[k]}_bar"] = zero_gradient(inputs[k]) if there and needed[k] else None
             found[f"{_INPUTS[k + 1]}_bar"] = torch.zeros(3, 4, dtype=torch.float64) if there else None
-        bending.call("reverse", n, {**_named(inputs), "depth": depth, "state": state, "steps": steps, **given, **found})
-        return tuple(t if t is None else t.to(inputs[0].dtype) for t in found.values())
+        arrays = {**_named(inputs), "depth": depth, "state": state, "steps": steps, **given, **found}
+        values_bar = bending.reverse("reverse", n, inputs[0] if needed[0] else None, arrays)
+        return values_bar, *(t if t is None else t.to(inputs[0].dtype) for t in found.values())
 
 
 class FlightsForward(DerivativeFunction):
@@ -222,10 +245,9 @@ class FieldReverse(DerivativeFunction):
             if adjoint is not None:
                 refuse_batches(adjoint)
         value, slope = _like(tensors[:2], [bending.empty(len(q)), q])
-        q_bar, values_bar = bending.empty(len(q), 3), zero_gradient(values) if needed[0] else None
-        given = {"values": values, "q": q, "value": value, "slope": slope}
-        bending.call("field_reverse", len(q), {**given, "q_bar": q_bar, "values_bar": values_bar})
-        return values_bar, q_bar
+        q_bar = bending.empty(len(q), 3)
+        arrays = {"values": values, "q": q, "value": value, "slope": slope, "q_bar": q_bar}
+        return bending.reverse("field_reverse", len(q), values if needed[0] else None, arrays), q_bar
 
 
 class FieldForward(DerivativeFunction):

@@ -1,21 +1,16 @@
-"""Cameras and lamps that are in a medium which bends light, where rays would have to begin bent.
-
-Whether a point is in such a medium is what one ray from it tells: the first boundary of one that it meets, whatever
-else is on the way, it meets from inside or from outside.
-"""
+"""Cameras and lamps that are in a medium which bends light, where rays would have to begin bent."""
 
 from __future__ import annotations
 
 import torch
 
 from ..errors import warn_once
-from ..queries import find_hits
 from ..scene.native import NativeScene
 from ..scene.packing import Layout, Record, record, records
 from ..scene.scene import Scene
+from .around import media_around
 
-SOMEWHERE = (0.36, 0.48, 0.8)  # the direction of these rays
-MOST_SURFACES = 64  # on the way of one
+SOMEWHERE = (0.36, 0.48, 0.8)  # the direction of the rays that tell
 
 
 def check_places(
@@ -35,7 +30,11 @@ def check_places(
         if lamp.type in ("point", "spot", "projector"):
             points.add(lamp.path)
             found[lamp.path] = tensors[lamp.field["position"]] if lamp.type == "point" else _translation(tensors, lamp)
-    for path, around in zip(found, _media_around(layout, native, tensors, list(found.values())), strict=True):
+    if not found:
+        return
+    at = torch.stack([point.detach().reshape(3) for point in found.values()])
+    somewhere = at.new_tensor(SOMEWHERE).expand_as(at).contiguous()
+    for path, around in zip(found, media_around(layout, native, tensors, at, somewhere), strict=True):
         if around is None:
             continue
         if path == camera.path:
@@ -70,32 +69,3 @@ def _point_of(tensors: list[torch.Tensor], shape: Record) -> torch.Tensor:
     own = next((tensors[shape.field[n]] for n in ("center", "p0") if shape.field.get(n, -1) >= 0), None)
     own = tensors[0].new_zeros(3) if own is None else own
     return own if place < 0 else tensors[place][:3, :3] @ own + tensors[place][:3, 3]
-
-
-def _media_around(
-    layout: Layout, native: NativeScene, tensors: list[torch.Tensor], points: list[torch.Tensor]
-) -> list[str | None]:
-    """For each point (3,) the shape whose medium it is in, None where that does not bend light."""
-    shapes = records(layout, "shape")
-    found: list[str | None] = [None] * len(points)
-    open_rows = list(range(len(points)))
-    at = [p.detach().reshape(3) for p in points]
-    direction = torch.tensor(SOMEWHERE, dtype=native.dtype)
-    for _ in range(MOST_SURFACES):
-        if not open_rows:
-            break
-        o = torch.stack([at[row] for row in open_rows])
-        d = direction.expand_as(o).contiguous()
-        hits = find_hits(native, tensors, o, d, torch.full((len(o),), torch.inf, dtype=o.dtype))
-        next_rows = []
-        for k, row in enumerate(open_rows):
-            if not bool(hits.valid[k]):
-                continue
-            shape = shapes[int(hits.shape_id[k])]
-            if shape.field["interior"] in layout.bending:
-                found[row] = shape.path if float((hits.normal[k] * direction).sum()) > 0 else None
-                continue
-            at[row] = hits.position[k] + 1e-4 * (1 + hits.position[k].abs().amax()) * direction
-            next_rows.append(row)
-        open_rows = next_rows
-    return found

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import torch
@@ -14,16 +14,22 @@ from ..compiling import opaque
 from ..errors import RangeWarning, describe, nearest
 from ..functions import refuse_batches
 from ..queries import _rays, find_hits
-from ..scene.gather import gather, reference_index
+from ..scene.bending_field import reference_index
+from ..scene.gather import gather
 from ..scene.native import NativeScene
 from ..scene.packing import Layout, Record, bending_boundary, record
 from ..scene.scene import Scene
 from ..scene.spectral.core_values import for_core
 from ..surface import OFFSET, SurfacePoints, Surfaces, dot, inverse_linear, normalize, transform_vector
+from .blocks import Known, in_blocks
 from .flights import TOO_FAR, TOO_LONG, Bending, Field, Flights
 from .light import Light
 
 INACCURATE = 0.01  # |p| / n - 1, which is 0 for exact rays
+_LOST = {
+    TOO_LONG: "took more than max_steps steps, and are not valid",
+    TOO_FAR: "went further beyond the grid than it is long, and are not valid: is the shape closed?",
+}
 
 
 class BentRays(NamedTuple):
@@ -93,57 +99,101 @@ def trace(
         RangeWarning: for rays that took more than `max_steps`, that went further beyond the grid than it is long, and
             where steps are too long for how fast the index changes.
     """
-    scene, origins, directions, limits = _rays("gradientindex.trace", scene, origins, directions, None)
+    scene, origins, directions, _ = _rays("gradientindex.trace", scene, origins, directions, None)
     layout = scene.layout()
     tensors = for_core(scene, layout, gather(scene, layout, params, "gradientindex.trace"))
     for tensor in (origins, directions, *tensors):
         refuse_batches(tensor)
     row = _row_of(layout, shape)
     medium = _Medium.of(layout, tensors, row, shape)
-    native, count = scene.native(layout, [tuple(t.shape) for t in tensors]), len(origins)
-    surfaces = Surfaces.of(scene, layout, tensors)
+    native = scene.native(layout, [tuple(t.shape) for t in tensors])
+    rays = _Rays(scene, layout, native, row, shape, medium.step)
+    found = in_blocks(rays.follow, medium.slot, origins, directions, tensors)
+    rays.warn()
+    return BentRays(*found)
 
-    # the way in
-    towards = normalize(directions.detach())
-    first = find_hits(native, tensors, origins, towards, limits)
-    rows = (first.shape_id == row).nonzero()[:, 0]
-    # after the choice: what is not a direction has derivatives that are no numbers, not zeros
-    o, d, towards, shapes, primitives, t, normal = _chosen(
-        rows, count, origins, directions, towards, first.shape_id, first.prim_id, first.t, first.normal
-    )
-    outside = (dot(normal, towards) < 0)[:, None]
-    d, q, refracting, offset = _enter(surfaces, medium, o, d, shapes, primitives, t, outside)
-    light = Light.of(scene, layout, native, tensors, medium.number)
-    bending = medium.bending(native, light.look_up)
-    value, _ = Field.apply(bending, medium.values, q)
-    u, through = medium.refracted(d, refracting, value, outside)
 
-    # through the medium
-    plain = [t.detach() for t in (offset, *tensors)]
-    grids = light.grids(medium.matrix, medium.origin)
-    flights = Flights.apply(bending, medium.values, medium.kick, q, u, *grids, *plain)
-    last_q, last_u, sums, depth, emitted, _, steps, hit, primitive, t = flights
-    _warn_of_lost(hit, through)
-    usable = ((hit >= 0) & through).nonzero()[:, 0]
-    ends = (rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted)
-    rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted = _chosen(usable, len(hit), *ends)
+@dataclass
+class _Rays:
+    """What rays through the medium of a shape have in common; and what is to be warned of."""
 
-    # and out
-    position, q, refracting, v, rest, behind = _arrive(surfaces, medium, hit, primitive, last_q, last_u, t)
-    value, slope = Field.apply(bending, medium.values, q)
-    leaves = (hit == row)[:, None]
-    *found, free, error = _leave(
-        medium, light, position, refracting, v, rest, behind, value, slope, leaves, sums, depth, emitted
-    )
-    _warn_of_inaccuracy(error)
-    good = free.nonzero()[:, 0]
-    rows, *found = _chosen(good, len(free), rows, position, *found, steps, hit)
-    if len(rows) == count:
-        return BentRays(*found, valid=torch.ones(count, dtype=torch.bool))
-    valid = torch.zeros(count, dtype=torch.bool)
-    valid[rows] = True
-    spread = [x.new_zeros(count, *x.shape[1:]).index_put((rows,), x) for x in found]
-    return BentRays(*spread, valid=valid)
+    scene: Scene
+    layout: Layout
+    native: NativeScene
+    row: int  # of the shape
+    shape: str
+    step: float
+    entered: int = 0
+    lost: dict[int, int] = field(default_factory=dict)
+    error: float = 0.0  # of |p| / n, at most
+
+    def follow(
+        self, origins: torch.Tensor, directions: torch.Tensor, tensors: Sequence[torch.Tensor], known: Known
+    ) -> tuple[torch.Tensor, ...]:
+        """The fields of `BentRays`."""
+        scene, layout, native, tensors, count = self.scene, self.layout, self.native, list(tensors), len(origins)
+        medium = _Medium.of(layout, tensors, self.row, self.shape, self.step)
+        surfaces = Surfaces.of(scene, layout, tensors)
+
+        # the way in
+        towards = normalize(directions.detach())
+        first = find_hits(native, tensors, origins, towards, towards.new_full((count,), torch.inf))
+        rows = (first.shape_id == self.row).nonzero()[:, 0]
+        # after the choice: what is not a direction has derivatives that are no numbers, not zeros
+        o, d, towards, shapes, primitives, t, normal = _chosen(
+            rows, count, origins, directions, towards, first.shape_id, first.prim_id, first.t, first.normal
+        )
+        outside = (dot(normal, towards) < 0)[:, None]
+        d, q, refracting, offset = _enter(surfaces, medium, o, d, shapes, primitives, t, outside)
+        light = Light.of(scene, layout, native, tensors, medium.number)
+        bending = medium.bending(native, light.look_up, known)
+        value, _ = Field.apply(bending, medium.values, q)
+        u, through = medium.refracted(d, refracting, value, outside)
+
+        # through the medium
+        plain = [t.detach() for t in (offset, *tensors)]
+        grids = light.grids(medium.matrix, medium.origin)
+        flights = Flights.apply(bending, medium.values, medium.kick, q, u, *grids, *plain)
+        last_q, last_u, sums, depth, emitted, _, steps, hit, primitive, t = flights
+        if known.flights is None:
+            known.flights = tuple(t.detach() for t in flights)
+            self._count(hit, through)
+        usable = ((hit >= 0) & through).nonzero()[:, 0]
+        ends = (rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted)
+        rows, steps, hit, primitive, t, last_q, last_u, sums, depth, emitted = _chosen(usable, len(hit), *ends)
+
+        # and out
+        position, q, refracting, v, rest, behind = _arrive(surfaces, medium, hit, primitive, last_q, last_u, t)
+        value, slope = Field.apply(bending, medium.values, q)
+        leaves = (hit == self.row)[:, None]
+        *found, free, error = _leave(
+            medium, light, position, refracting, v, rest, behind, value, slope, leaves, sums, depth, emitted
+        )
+        self.error = max(self.error, float(error.amax()) if len(error) else 0.0)
+        good = free.nonzero()[:, 0]
+        rows, *found = _chosen(good, len(free), rows, position, *found, steps, hit)
+        if len(rows) == count:
+            return *found, torch.ones(count, dtype=torch.bool)
+        valid = torch.zeros(count, dtype=torch.bool)
+        valid[rows] = True
+        return *(x.new_zeros(count, *x.shape[1:]).index_put((rows,), x) for x in found), valid
+
+    def _count(self, hit: torch.Tensor, through: torch.Tensor) -> None:
+        self.entered += len(hit)
+        for code in _LOST:
+            self.lost[code] = self.lost.get(code, 0) + int(((hit == code) & through).sum())
+
+    def warn(self) -> None:
+        for code, text in _LOST.items():
+            if count := self.lost.get(code):
+                text = f"gradientindex.trace: {count} of {self.entered} rays {text}"
+                warnings.warn(text, RangeWarning, stacklevel=4)
+        if self.error > INACCURATE:
+            text = (
+                f"gradientindex.trace: |p| / n, which is 1 along a ray, is off by {self.error:.1%}: the index changes "
+                "too fast for steps of this length; make `step` smaller, or the index smoother"
+            )
+            warnings.warn(text, RangeWarning, stacklevel=4)
 
 
 def _enter(
@@ -158,7 +208,7 @@ def _enter(
 ) -> tuple[torch.Tensor, ...]:
     """Rays to the boundary, or from inside of it: direction, place in voxels, normal, and where surfaces count from."""
     d = normalize(d)
-    entry = surfaces.meet(shape, primitive, o, d, t)
+    entry = surfaces.meet(shape, primitive, o, d, t, coordinates=False)
     x = torch.where(outside, entry.position, o)
     amount = OFFSET * (1 + x.detach().abs().amax(1, True))
     offset = torch.where(outside, -amount * entry.normal.detach(), 0.0)
@@ -176,7 +226,7 @@ def _arrive(
 ) -> tuple[torch.Tensor, ...]:
     """From the last kick to the surface: its place, also in voxels, normal, velocity, what is left of the last kick."""
     v = transform_vector(medium.matrix, last_u)
-    end = surfaces.meet(shape, primitive, medium.to_world(last_q), v, t)
+    end = surfaces.meet(shape, primitive, medium.to_world(last_q), v, t, coordinates=False)
     return end.position, medium.to_voxels(end.position), _refracting(end), v, end.t - 0.5, end.normal.detach()
 
 
@@ -218,7 +268,8 @@ class _Medium:
     """A medium in the units of rays: positions in voxels, steps of `step`, in world units of length over index.
 
     `values` are the spline's control values of Phi = n^2 / 2 but for `constant`; `matrix`, `inverse` (3, 3) and
-    `origin` (3,) place the voxels; `kick` is G. `ext_ior` is None for a null boundary.
+    `origin` (3,) place the voxels; `kick` is G. `number` is that of the medium, `slot` that of the control values among
+    the scene's tensors. `ext_ior` is None for a null boundary.
     """
 
     values: torch.Tensor
@@ -230,32 +281,40 @@ class _Medium:
     kick: torch.Tensor
     step: float
     number: int
+    slot: int
     ext_ior: torch.Tensor | None
 
     @classmethod
-    def of(cls, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str) -> _Medium:
+    def of(
+        cls, layout: Layout, tensors: list[torch.Tensor], row: int, shape: str, step: float | None = None
+    ) -> _Medium:
+        """`step`: that of these tensors, if it is known already."""
         number, medium, ext_ior = _medium_of(layout, tensors, row)
         field = medium.field
         values, to_world = tensors[field["index"]], tensors[field["to_world"]]  # as `gather` has them for the core
         constant = reference_index(tensors[field["index_base"]]) ** 2 / 2
-        largest = float(torch.sqrt(2 * (values.detach().amax() + constant)))
-        if not 0 < largest < math.inf:
-            raise ValueError(f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}")
         size = [n - 4 for n in reversed(values.shape)]
         matrix = to_world[:3, :3] / to_world.new_tensor(size)
-        voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())
-        # rounded up, so that steps hardly ever change in an optimisation
-        voxels = float(tensors[field["step"]])
-        step = voxels * voxel / (math.ceil(largest * 16) / 16)
+        if step is None:
+            largest = float(torch.sqrt(2 * (values.detach().amax() + constant)))
+            if not 0 < largest < math.inf:
+                raise ValueError(
+                    f"gradientindex.trace: {shape}: expected positive indices of refraction, got {largest:g}"
+                )
+            voxel = float(torch.linalg.vector_norm(matrix.detach(), dim=0).min())
+            # rounded up, so that steps hardly ever change in an optimisation
+            step = float(tensors[field["step"]]) * voxel / (math.ceil(largest * 16) / 16)
         inverse = inverse_linear(matrix)
         g = step**2 * (inverse[:, None, :] * inverse[None, :, :]).sum(-1)  # sums keep their precision under autocast
         kick = torch.stack([g[0, 0], g[1, 1], g[2, 2], g[0, 1], g[0, 2], g[1, 2]])
         quadratic = field["interpolation"] == 1
-        return cls(values, constant, quadratic, matrix, inverse, to_world[:3, 3], kick, step, number, ext_ior)
+        origin, slot = to_world[:3, 3], field["index"]
+        return cls(values, constant, quadratic, matrix, inverse, origin, kick, step, number, slot, ext_ior)
 
-    def bending(self, native: NativeScene, look_up: dict[str, tuple[int, int]]) -> Bending:
+    def bending(self, native: NativeScene, look_up: dict[str, tuple[int, int]], known: Known) -> Bending:
         size = self.values.shape[2] - 4, self.values.shape[1] - 4, self.values.shape[0] - 4
-        return Bending(native, size, self.constant, self.quadratic, self.number, self.step, look_up)
+        numbers = (self.constant, self.quadratic, self.number, self.step)
+        return Bending(native, size, *numbers, look_up, known.flights, known.partials)
 
     def to_voxels(self, x: torch.Tensor) -> torch.Tensor:
         return transform_vector(self.inverse, x - self.origin)
@@ -326,23 +385,3 @@ def _medium_of(layout: Layout, tensors: list[torch.Tensor], row: int) -> tuple[i
     medium = record(layout, "medium", inside)
     refracts = bending_boundary(layout, tensors, shape.field["bsdf"], f"{where}.bsdf")
     return inside, medium, tensors[medium.field["ext_ior"]] if refracts else None
-
-
-def _warn_of_lost(hit: torch.Tensor, through: torch.Tensor) -> None:
-    for code, text in (
-        (TOO_LONG, "took more than max_steps steps, and are not valid"),
-        (TOO_FAR, "went further beyond the grid than it is long, and are not valid: is the shape closed?"),
-    ):
-        count = int(((hit == code) & through).sum())
-        if count:
-            warnings.warn(f"gradientindex.trace: {count} of {len(hit)} rays {text}", RangeWarning, stacklevel=4)
-
-
-def _warn_of_inaccuracy(error: torch.Tensor) -> None:
-    worst = float(error.amax()) if len(error) else 0.0
-    if worst > INACCURATE:
-        text = (
-            f"gradientindex.trace: |p| / n, which is 1 along a ray, is off by {worst:.1%}: the index changes too fast "
-            "for steps of this length; make `step` smaller, or the index smoother"
-        )
-        warnings.warn(text, RangeWarning, stacklevel=4)

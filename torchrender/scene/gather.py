@@ -9,6 +9,7 @@ from torch import nn
 
 from ..devices import refusal
 from ..errors import describe, nearest
+from .bending_field import bending_field
 from .packing import Layout, record
 from .plugin import Plugin
 from .scene import Scene
@@ -71,26 +72,6 @@ def gather(
         index = field["index"]
         tensors[index] = bending_field(tensors[index], tensors[field["index_base"]], tensors[field["index_scale"]])
     return tensors
-
-
-def bending_field(index: torch.Tensor, base: torch.Tensor, scale: torch.Tensor) -> torch.Tensor:
-    """What the core bends light by, (Z + 4, Y + 4, X + 4): n^2 / 2 of the control values but for a constant.
-
-    Those at the border once more behind it. The constant is that of an index near all others, so that differences stay
-    as small as they are given.
-    """
-    reference = reference_index(base)
-    difference = (base - reference) + scale * index
-    values = difference * (reference + difference / 2)
-    for axis, n in enumerate(index.shape):
-        first, last = values.narrow(axis, 0, 1), values.narrow(axis, n - 1, 1)
-        values = torch.cat([first, first, values, last, last], axis)
-    return values
-
-
-def reference_index(base: torch.Tensor) -> float:
-    """The index of refraction whose half square is that constant."""
-    return float(base) if float(base) > 0 else 1.0
 
 
 def has_derivative(tensor: torch.Tensor) -> bool:

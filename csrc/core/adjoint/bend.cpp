@@ -24,7 +24,7 @@ TR_INLINE void add_values(const BendMedium<S> &medium, const BendPoint<T, F> &at
     BendField<S> tangent = medium.field;
     tangent.values = sink.tangent.tensors[medium.slot].data;
     if (!tangent.values) return;
-    const BendJet<F> change = spline_jet<T>(tangent, at.axes, at.cell.first, active);
+    const BendJet<F> change = at.jet_of(tangent, active);
     sink.number_tangent(value * change.value + dot(slope, change.slope), active);
 }
 

@@ -10,6 +10,8 @@
 // A function of the position that was added up, c Phi, has values_bar_i += c B_i and lambda += c grad Phi.
 #pragma once
 
+#include <utility>
+
 #include "../medium/bend_medium.h"
 #include "../state/queues.h"
 #include "bend_light.h"
@@ -19,14 +21,14 @@ namespace tr {
 
 namespace detail {
 
-// a b + c, rounded once where that is an instruction.
-template <class S>
-TR_INLINE S fused(S a, S b, S c) {
-#if defined(__FMA__)
-    return std::fma(a, b, c);
-#else
-    return a * b + c;
-#endif
+// f(0), f(1), ..., f(N - 1), with constants for arguments.
+template <class F, int... I>
+TR_INLINE void unroll(F &&f, std::integer_sequence<int, I...>) {
+    (f(std::integral_constant<int, I>()), ...);
+}
+template <int N, class F>
+TR_INLINE void unrolled(F &&f) {
+    unroll(f, std::make_integer_sequence<int, N>());
 }
 
 }  // namespace detail
@@ -38,16 +40,9 @@ TR_INLINE void splat_spline(const BendField<S> &field, const BendPoint<T, F> &po
                             const Vec3<F> &slope, S *values_bar, const MaskOf<F> &active) {
     constexpr int W = Lanes<F>::Width;
     const SplineAxes<T, F> &at = point.axes;
-    const UIntOf<F> &first = point.cell.first;
     // a row along x has w[k] a + d[k] b
-    alignas(64) S a[T * T][W], b[T * T][W], w[W][T], d[W][T];
-    alignas(64) uint32_t from[W];
-    for (int k = 0; k < T; ++k) {
-        alignas(64) S lanes[2][W];
-        store(lanes[0], at[0].w[k]), store(lanes[1], at[0].d[k]);
-        for (int i = 0; i < W; ++i) w[i][k] = lanes[0][i], d[i][k] = lanes[1][i];
-    }
-    store(from, first);
+    alignas(64) S a[T * T][W], b[T * T][W];
+    const LaneRows<F> w(at[0].w), d(at[0].d);
     for (int z = 0; z < T; ++z)
         for (int y = 0; y < T; ++y) {
             const F wz = at[1].w[y] * at[2].w[z];
@@ -56,34 +51,35 @@ TR_INLINE void splat_spline(const BendField<S> &field, const BendPoint<T, F> &po
                   fmadd(slope.y, at[1].d[y] * at[2].w[z], fmadd(slope.z, at[1].w[y] * at[2].d[z], value * wz)));
         }
     const size_t row = size_t(field.row()), slice = size_t(field.slice());
-    auto add = [&](uint32_t cell, const S(&sum)[T *T][T]) {
+    // what these lanes add to a cell that they share
+    auto add = [&](uint32_t cell, const uint32_t *lanes, int n) {
+        RowSum<S> sums[T * T];
+        for (int l = 0; l < n; ++l) {
+            const uint32_t i = lanes[l];
+            const S *to_w = w[i], *to_d = d[i];
+            detail::unrolled<T * T>([&](auto zy) { sums[zy].add(to_d, b[zy][i]), sums[zy].add(to_w, a[zy][i]); });
+        }
         for (int z = 0; z < T; ++z)
             for (int y = 0; y < T; ++y) {
+                alignas(32) S sum[4];
+                sums[z * T + y].put(sum);
                 S *to = values_bar + cell + size_t(z) * slice + size_t(y) * row;
-                for (int k = 0; k < T; ++k) to[k] += sum[z * T + y][k];
+                for (int k = 0; k < T; ++k) to[k] += sum[k];
             }
     };
-    auto add_lane = [&](S(&sum)[T *T][T], int i) {
-        for (int zy = 0; zy < T * T; ++zy)
-            for (int k = 0; k < T; ++k)
-                sum[zy][k] = detail::fused(w[i][k], a[zy][i], detail::fused(d[i][k], b[zy][i], sum[zy][k]));
-    };
-    const FewCells<F> few(first, active);
-    if (few.all) {
-        for (int c = 0; c < few.n; ++c) {
-            S sum[T * T][T] = {};
-            for (int i = 0; i < W; ++i)
-                if (lane_is_set(active, i) && from[i] == few.cell[c]) add_lane(sum, i);
-            add(few.cell[c], sum);
+    alignas(64) uint32_t lanes[W];
+    if (point.cells.all) {
+        for (int c = 0; c < point.cells.n; ++c) {
+            const MaskOf<F> here = active && mask<F>(point.cells.which == UIntOf<F>(uint32_t(c)));
+            store_compressed<F>(lanes, lane_index<F>(), here);
+            if (const int n = count(here)) add(point.cells.value[c], lanes, n);
         }
         return;
     }
-    for (int i = 0; i < W; ++i) {
-        if (!lane_is_set(active, i)) continue;
-        S sum[T * T][T] = {};
-        add_lane(sum, i);
-        add(from[i], sum);
-    }
+    alignas(64) uint32_t from[W];
+    store(from, point.cell.first);
+    store_compressed<F>(lanes, lane_index<F>(), active);
+    for (int l = 0, n = count(active); l < n; ++l) add(from[lanes[l]], lanes + l, 1);
 }
 
 // The adjoint of a ray on its way back.
@@ -153,7 +149,7 @@ TR_INLINE void kick_tangent(const BendField<S> &field, const BendField<S> &tange
     Vec3<F> slope = symmetric_times<F>(jet.curve, d.q);
     F value = dot(jet.slope, d.q);
     if (tangent.values) {
-        const BendJet<F> change = spline_jet<T>(tangent, at.axes, at.cell.first, active);
+        const BendJet<F> change = at.jet_of(tangent, active);
         slope = slope + change.slope, value = value + change.value;
     }
     const F weight = select(active, w, F(0)), n = refractive_index(jet.value, constant);

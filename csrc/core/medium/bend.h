@@ -10,7 +10,7 @@
 // for bit (Levesque and Verlet, "Molecular dynamics and time reversibility", J. Stat. Phys. 72, 1993).
 #pragma once
 
-#include "../math/rows.h"
+#include "../math/shared_rows.h"
 #include "../math/vector.h"
 
 namespace tr {
@@ -234,42 +234,17 @@ TR_INLINE BendCell<F> cell_at(const BendField<S> &field, const BendState<F> &s, 
     return r;
 }
 
-// The different cells of a packet, if there are few: rays next to each other are mostly in the same ones.
-template <class F>
-struct FewCells {
-    static constexpr int Most = Lanes<F>::Width > 1 ? 6 : 0;
-    uint32_t cell[Most + 1];
-    int n = 0;
-    bool all = false;  // there are no more
-
-    TR_INLINE FewCells(const UIntOf<F> &first, MaskOf<F> open) {
-        if constexpr (Most > 0) {
-            while (any(open) && n < Most) {
-                cell[n] = first_lane(first, open);
-                open = open && mask<F>(first != UIntOf<F>(cell[n++]));
-            }
-            all = !any(open);
-        }
-    }
-};
-
 // What sum(rows) makes of the coefficients of each lane; rows(z, y, out) are T neighbours. Those of a cell that several
-// lanes share are read once.
+// lanes share are read once. `cells`: the lanes' first coefficients.
 template <int T, class F, class S, class Sum>
-TR_INLINE auto over_cells(const BendField<S> &field, const UIntOf<F> &first, const MaskOf<F> &active, Sum &&sum) {
+TR_INLINE auto over_cells(const BendField<S> &field, const UIntOf<F> &first, const FewNumbers<F> &cells,
+                          const MaskOf<F> &active, Sum &&sum) {
     auto offset = [&](int z, int y) { return uint32_t(z * field.slice() + y * field.row()); };
-    if constexpr (FewCells<F>::Most > 0) {
-        const FewCells<F> few(first, active);
-        if (few.all) {
-            MaskOf<F> here[FewCells<F>::Most];
-            for (int i = 1; i < few.n; ++i) here[i] = mask<F>(first == UIntOf<F>(few.cell[i]));
-            return sum([&](int z, int y, F(&row)[T]) {
-                const S *base = field.values + offset(z, y);
-                for (int k = 0; k < T; ++k) row[k] = F(base[few.cell[0] + uint32_t(k)]);
-                for (int i = 1; i < few.n; ++i)
-                    for (int k = 0; k < T; ++k) row[k] = select(here[i], F(base[few.cell[i] + uint32_t(k)]), row[k]);
+    if constexpr (FewNumbers<F>::Most > 0) {
+        if (cells.all)
+            return with_shared_rows<F, T>(cells, [&](auto &&rows) {
+                return sum([&](int z, int y, F(&row)[T]) { rows(field.values + offset(z, y), row); });
             });
-        }
     }
     return sum([&](int z, int y, F(&row)[T]) { gather_rows<F>(field.values, first + offset(z, y), active, row); });
 }
@@ -285,8 +260,9 @@ struct SplineAxes {
 // What a kick needs.
 template <int T, class F, class S>
 TR_INLINE BendSlope<F> spline_slope(const BendField<S> &field, const BendCell<F> &cell, const MaskOf<F> &active) {
+    const FewNumbers<F> cells(cell.first, active);
     const SplineAxes<T, F> at(cell);
-    return over_cells<T, F>(field, cell.first, active, [&](auto &&rows) {
+    return over_cells<T, F>(field, cell.first, cells, active, [&](auto &&rows) {
         BendSlope<F> r{F(0), {F(0), F(0), F(0)}};
         for (int z = 0; z < T; ++z) {
             F value(0), y_slope(0), x_slope(0);
@@ -311,8 +287,8 @@ TR_INLINE BendSlope<F> spline_slope(const BendField<S> &field, const BendCell<F>
 // The same numbers, and the second derivatives.
 template <int T, class F, class S>
 TR_INLINE BendJet<F> spline_jet(const BendField<S> &field, const SplineAxes<T, F> &at, const UIntOf<F> &first,
-                                const MaskOf<F> &active) {
-    return over_cells<T, F>(field, first, active, [&](auto &&rows) {
+                                const FewNumbers<F> &cells, const MaskOf<F> &active) {
+    return over_cells<T, F>(field, first, cells, active, [&](auto &&rows) {
         BendJet<F> r{{F(0), {F(0), F(0), F(0)}}, {F(0), F(0), F(0), F(0), F(0), F(0)}};
         for (int z = 0; z < T; ++z) {
             F v(0), v_y(0), v_yy(0), v_x(0), v_xy(0), v_xx(0);
@@ -344,12 +320,19 @@ TR_INLINE BendJet<F> spline_jet(const BendField<S> &field, const SplineAxes<T, F
 template <int T, class F>
 struct BendPoint {
     BendCell<F> cell;
+    FewNumbers<F> cells;
     SplineAxes<T, F> axes;
     BendJet<F> jet;
 
     template <class S>
     TR_INLINE BendPoint(const BendField<S> &field, const BendState<F> &s, int bits, const MaskOf<F> &active)
-        : cell(cell_at<T>(field, s, bits)), axes(cell), jet(spline_jet<T>(field, axes, cell.first, active)) {}
+        : cell(cell_at<T>(field, s, bits)), cells(cell.first, active), axes(cell), jet(jet_of(field, active)) {}
+
+    // Of a field of other values there.
+    template <class S>
+    TR_INLINE BendJet<F> jet_of(const BendField<S> &field, const MaskOf<F> &active) const {
+        return spline_jet<T>(field, axes, cell.first, cells, active);
+    }
 };
 
 // Of a value of the field and its constant.
