@@ -36,13 +36,13 @@ from caustics import distance, grown, sizes_of
 from checkpoints import Checkpoint
 from command_line import at_least_one, given, reported
 from pictures import save, save_curves
-from shadow_art import star
 
 import torchrender as tr
 
 SCENES = Path(__file__).resolve().parent.parent / "scenes"
 sys.path.append(str(SCENES))  # the script that makes the scene is not a part of the package
 from make_grin import INDEX, LEAST, MOST, grin_cube  # noqa: E402
+from make_shadows import star  # noqa: E402
 
 COARSEST = 20  # voxels along a side at the beginning, about
 SLOWER_AT = 0.8  # part of the run after which there are twice the samples
