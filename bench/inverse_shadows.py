@@ -23,6 +23,8 @@ from .inverse_task import JUDGE_SEED, Task, Unknown, Values, View, as_tensors
 TUBE, WALLS = "tube", {"heart": make_shadows.heart, "star": make_shadows.star}
 LAMP, DISTANCE = 0.5, 100.0  # half of a lamp's side, and how far it is: the other wall has 2 % of its light
 
+NEAR = 0.9  # from a camera to its wall
+
 
 @dataclass
 class ShadowTask(BodyTask):
@@ -66,6 +68,14 @@ def shadows(quick: bool) -> Task:
     distance = DISTANCE + make_shadows.WALL
     for name, turn in zip(WALLS, (0, 90), strict=True):
         del scene[f"{name}_sun"]
+        # Mitsuba's derivatives of outlines know this camera alone; it is as close to the wall, the tube being behind it
+        camera = scene[f"{name}_camera"]
+        near = tr.Transform.look_at([0, 0, NEAR - make_shadows.WALL], [0, 0, -make_shadows.WALL], [0, 1, 0])
+        scene[f"{name}_camera"] = tr.PerspectiveCamera(
+            fov=math.degrees(2 * math.atan(make_shadows.SEEN / NEAR)),
+            to_world=tr.Transform.rotate([0, 1, 0], turn) @ near,
+            film=camera.film,
+        )
         place = tr.Transform.look_at([0, 0, DISTANCE], [0, 0, 0], [0, 1, 0]) @ tr.Transform.scale(LAMP)
         scene[f"{name}_lamp"] = {
             "type": "rectangle",
