@@ -22,7 +22,6 @@ from .inverse_task import JUDGE_SEED, Task, Unknown, Values, View, as_tensors
 
 TUBE, WALLS = "tube", {"heart": make_shadows.heart, "star": make_shadows.star}
 LAMP, DISTANCE = 0.5, 100.0  # half of a lamp's side, and how far it is: the other wall has 2 % of its light
-
 NEAR = 0.9  # from a camera to its wall
 
 
@@ -49,10 +48,6 @@ class ShadowTask(BodyTask):
             return self.drawn
         return torch.stack([self.picture(v, values, self.judge_spp, JUDGE_SEED, sampler="sobol") for v in self.views])
 
-    def _reference(self, targets: torch.Tensor) -> torch.Tensor:
-        start = {unknown.name: unknown.start for unknown in self.unknowns}
-        return self.picture(self.views[0], as_tensors(start), 1024, 0)
-
     def shown(self, found: Sequence[dict[str, np.ndarray]]) -> torch.Tensor:
         """Both shadows: as they are to be, then of what each program found."""
         columns = [self.drawn, *(self._judged(as_tensors(each)) for each in found)]
@@ -66,20 +61,21 @@ def shadows(quick: bool) -> Task:
     scene = make_shadows.make_scene(vertices, faces, resolution)
     scene.integrator = tr.PathTracer(max_depth=2)
     distance = DISTANCE + make_shadows.WALL
-    for name, turn in zip(WALLS, (0, 90), strict=True):
+    for name, degrees in zip(WALLS, (0, 90), strict=True):
+        turn = tr.Transform.rotate([0, 1, 0], degrees)
         del scene[f"{name}_sun"]
         # Mitsuba's derivatives of outlines know this camera alone; it is as close to the wall, the tube being behind it
         camera = scene[f"{name}_camera"]
         near = tr.Transform.look_at([0, 0, NEAR - make_shadows.WALL], [0, 0, -make_shadows.WALL], [0, 1, 0])
         scene[f"{name}_camera"] = tr.PerspectiveCamera(
             fov=math.degrees(2 * math.atan(make_shadows.SEEN / NEAR)),
-            to_world=tr.Transform.rotate([0, 1, 0], turn) @ near,
+            to_world=turn @ near,
             film=camera.film,
         )
         place = tr.Transform.look_at([0, 0, DISTANCE], [0, 0, 0], [0, 1, 0]) @ tr.Transform.scale(LAMP)
         scene[f"{name}_lamp"] = {
             "type": "rectangle",
-            "to_world": tr.Transform.rotate([0, 1, 0], turn) @ place,
+            "to_world": turn @ place,
             "bsdf": {"type": "diffuse", "reflectance": 0.0},
             # white walls have a radiance of 1 in it
             "emitter": {"type": "area", "radiance": math.pi * distance**2 / (2 * LAMP) ** 2},
@@ -87,4 +83,4 @@ def shadows(quick: bool) -> Task:
     drawn = torch.stack([make_shadows.draw(inside, resolution) for inside in WALLS.values()])
     unknown = Unknown(f"{TUBE}.vertex_positions", vertices.numpy(), low=-math.inf, high=math.inf)
     views = [View(i) for i in range(len(WALLS))]
-    return ShadowTask(scene, [unknown], views, views, PROJECTIVE, judge_spp=64, drawn=drawn)
+    return ShadowTask(scene, [unknown], views, views, PROJECTIVE, target_spp=1024, judge_spp=64, drawn=drawn)

@@ -42,6 +42,10 @@ class BodyTask(Task):
     def _described(self) -> dict[str, Any]:
         return {**super()._described(), "moved": self.moved}
 
+    def _reference(self, targets: torch.Tensor) -> torch.Tensor:
+        start = {unknown.name: unknown.start for unknown in self.unknowns}
+        return self.picture(self.views[0], as_tensors(start), self.target_spp, 0)
+
 
 @dataclass
 class PoseTask(BodyTask):
@@ -62,9 +66,6 @@ class PoseTask(BodyTask):
         apart = posed(torch.from_numpy(found["pose"]).float(), self.still) - self.true
         size = (self.still.amax(0) - self.still.amin(0)).norm()
         return float(apart.square().sum(1).mean().sqrt() / size)
-
-    def _reference(self, targets: torch.Tensor) -> torch.Tensor:
-        return self.picture(self.views[0], {"pose": torch.zeros(6)}, self.target_spp, 0)
 
 
 @dataclass
@@ -102,10 +103,6 @@ class MeshTask(BodyTask):
         views = [view.sensor for view in self.views]
         with torch.no_grad():
             return self.true_renderer(sensor=views, seed=0, spp=self.target_spp, sampler="sobol")
-
-    def _reference(self, targets: torch.Tensor) -> torch.Tensor:
-        start = {unknown.name: unknown.start for unknown in self.unknowns}
-        return self.picture(self.views[0], as_tensors(start), self.target_spp, 0)
 
 
 def smooth_mesh(vertices: torch.Tensor, faces: torch.Tensor, bsdf: dict[str, Any]) -> tr.Mesh:
@@ -147,7 +144,7 @@ def pose(quick: bool) -> Task:
         }
     )
     judge = camera(around(50, 25, 6.0), 44, resolution)
-    unknowns = [Unknown("pose", np.zeros(6), low=-math.pi, high=math.pi)]
+    unknowns = [Unknown("pose", np.zeros(6, np.float32), low=-math.pi, high=math.pi)]
     return PoseTask(scene, unknowns, [View(0)], [View(judge)], PROJECTIVE, target_spp=1024)
 
 
