@@ -46,8 +46,8 @@ def comparison() -> dict[str, np.ndarray]:
 def test_image(name: str, references: dict[str, np.ndarray]) -> None:
     scene = tr.load_dict(ALL[name]().scene)
     with torch.no_grad():
-        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
-    share = 16 * 1024 / (RUNS * 64)
+        runs = [blocks(tr.render(scene, spp=32, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+    share = 16 * 1024 / (RUNS * 32)
     # The reference's Gaussian filter is a polynomial fit, which deviates by up to 4e-4 of the peak.
     systematic = 5e-4 if name == "film" else 1e-5
     check(name, runs, references[f"{name}.mean"], references[f"{name}.var"], share, systematic)
@@ -58,8 +58,8 @@ def test_image_of_another_camera(name: str) -> None:
     stored = np.load(DATA / "camera_references.npz")
     scene = tr.load_dict(reference_scenes.CAMERAS[name]().scene)
     with torch.no_grad():
-        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
-    check(name, runs, stored[f"{name}.mean"], stored[f"{name}.var"], 16 * 1024 / (RUNS * 64))
+        runs = [blocks(tr.render(scene, spp=32, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+    check(name, runs, stored[f"{name}.mean"], stored[f"{name}.var"], 16 * 1024 / (RUNS * 32))
 
 
 WITH_GRADIENTS = [name for name, make in ALL.items() if make().gradients]
@@ -68,8 +68,8 @@ WITH_GRADIENTS = [name for name, make in ALL.items() if make().gradients]
 @pytest.mark.parametrize("name", WITH_GRADIENTS)
 def test_gradient(name: str, references: dict[str, np.ndarray]) -> None:
     description = ALL[name]()
-    runs = gradient_runs(tr.load_dict(description.scene), list(description.gradients), spp=64)
-    share = 16 * 512 / (RUNS * 64)
+    runs = gradient_runs(tr.load_dict(description.scene), list(description.gradients), spp=32)
+    share = 16 * 512 / (RUNS * 32)
     systematic = 5e-4 if name == "film" else LESS_ROUNDING
     for parameter, mine in runs.items():
         mean, variance = references[f"{name}.grad.{parameter}"], references[f"{name}.gradvar.{parameter}"]
@@ -88,8 +88,8 @@ def test_comparison_image(name: str, comparison: dict[str, np.ndarray]) -> None:
     file, arguments = COMPARISON[name]
     scene = tr.load_file(SCENES / file, **arguments)
     with torch.no_grad():
-        runs = [blocks(tr.render(scene, spp=16, seed=run), 8) for run in range(RUNS)]
-    check(name, runs, comparison[f"{name}.mean"], comparison[f"{name}.var"], 4096 / (RUNS * 16))
+        runs = [blocks(tr.render(scene, spp=8, seed=run), 8) for run in range(RUNS)]
+    check(name, runs, comparison[f"{name}.mean"], comparison[f"{name}.var"], 4096 / (RUNS * 8))
 
 
 @pytest.mark.parametrize("name", list(COMPARISON))
@@ -97,8 +97,8 @@ def test_comparison_gradient(name: str, comparison: dict[str, np.ndarray]) -> No
     file, arguments = COMPARISON[name]
     scene = tr.load_file(SCENES / file, **arguments)
     names = [key.split(".", 2)[2] for key in comparison if key.startswith(f"{name}.grad.")]
-    runs = gradient_runs(scene, names, spp=16)
-    share = 2048 / (RUNS * 16)
+    runs = gradient_runs(scene, names, spp=8)
+    share = 2048 / (RUNS * 8)
     for parameter, mine in runs.items():
         mean, variance = comparison[f"{name}.grad.{parameter}"], comparison[f"{name}.gradvar.{parameter}"]
         check(f"{name}, {parameter}", mine, mean, variance, share, ROUNDING)
@@ -109,9 +109,9 @@ def test_the_test_notices_a_small_error(references: dict[str, np.ndarray]) -> No
     """An image that is wrong by 2 % fails, as does one whose rows are upside down."""
     scene = tr.load_dict(reference_scenes.SCENES["shapes"]().scene)
     with torch.no_grad():
-        runs = [blocks(tr.render(scene, spp=64, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
+        runs = [blocks(tr.render(scene, spp=32, seed=run), reference_scenes.BLOCK) for run in range(RUNS)]
     mean, variance = references["shapes.mean"], references["shapes.var"]
-    share = 16 * 1024 / (RUNS * 64)
+    share = 16 * 1024 / (RUNS * 32)
     with pytest.raises(AssertionError):
         check("brighter", [1.02 * run for run in runs], mean, variance, share)
     with pytest.raises(AssertionError):

@@ -11,20 +11,20 @@ from tutorial_pictures import drawn
 
 import torchrender as tr
 
-LUNEBURG = {"levels": 2, "iterations": 40, "rays": 60}
-CUBE = {"size": 40, "resolution": 32, "iterations": 40, "smoothness": 0.5, "verification_spp": 64}
+LUNEBURG = {"levels": 2, "iterations": 32, "rays": 60}
+CUBE = {"size": 40, "resolution": 32, "iterations": 32, "smoothness": 0.5, "verification_spp": 64}
 SCHLIEREN = {"size": 20, "resolution": 20, "views": 12, "iterations": 4}
 
 
 def test_luneburg(tutorial, tmp_path, capsys):
     luneburg = tutorial("luneburg")
-    result = luneburg.run(tmp_path / "whole", **LUNEBURG, save_every=40)  # drawing takes as long as ten iterations
+    result = luneburg.run(tmp_path / "whole", **LUNEBURG, save_every=32)  # drawing takes as long as ten iterations
     # light that is not bent comes out 0.8 from the antipodes, in the square mean
-    assert result["spot"] < 0.1 and result["spot from other sides"] < 0.1 and result["index"] < 0.05
+    assert result["spot"] < 0.15 and result["spot from other sides"] < 0.15 and result["index"] < 0.05
     assert "spots: " in capsys.readouterr().out
     assert drawn(tmp_path / "whole", "loss", "progress", "result")
     assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (17, 17, 17, 1)
-    parts = goes_on_after_a_kill(luneburg, tmp_path / "whole", result, LUNEBURG, capsys, save_every=20, total=80)
+    parts = goes_on_after_a_kill(luneburg, tmp_path / "whole", result, LUNEBURG, capsys, save_every=16, total=64)
     with pytest.raises(ValueError, match=r"a run with rays 60 \(now 61\); --restart begins anew"):
         luneburg.run(parts, **{**LUNEBURG, "rays": 61})
 
@@ -39,7 +39,7 @@ def test_grin_cube(tutorial, tmp_path, capsys):
     assert drawn(tmp_path / "whole", "loss", "index")
     assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (40, 40, 40, 1)
     assert tr.io.read_image(tmp_path / "whole" / "result.exr").shape == (32, 64, 3)
-    goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=15, total=40)
+    goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=10, total=32)
 
 
 def test_pictures_of_a_cube_have_equal_light_and_no_rim(tutorial):

@@ -46,7 +46,7 @@ def test_textured_monkey(tutorial, tmp_path, capsys):
         resolution=112,
         view_count=8,
         spp=8,
-        iterations=60,
+        iterations=40,
         target_spp=64,
     )
     assert 0.3 < result["seen"] < 0.95
@@ -136,7 +136,7 @@ def test_script_is_split_at_its_marks(tutorial):
 
 
 def test_neural_texture(tutorial, tmp_path, capsys):
-    result = tutorial("neural_texture").run(tmp_path, resolution=40, height=24, iterations=60, target_spp=64)
+    result = tutorial("neural_texture").run(tmp_path, resolution=40, height=24, iterations=40, target_spp=64)
     assert result["start"] < 12
     assert result["end"] > 17
     assert result["new view"] > 25
