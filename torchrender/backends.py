@@ -19,6 +19,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
+from . import openmp
 from ._version import __version__
 from .devices import device as device
 from .devices import report
@@ -144,6 +145,7 @@ def ready(dtype: Any = None) -> Library:
     if found.isa not in _with_embree:
         with _lock:
             if found.isa not in _with_embree:
+                found.use_openmp(*openmp.addresses())
                 _load_embree(found, find_embree() if _embree is None else _embree["path"])
     return found
 

@@ -12,6 +12,7 @@
 #include "device/nvrtc.h"
 #include "functions.h"
 #include "host/models.h"
+#include "host/team.h"
 #include "samplers.h"
 
 namespace tr {
@@ -165,6 +166,11 @@ Functions all_functions() {
     f.add("load_embree", [](const std::string &path) {
         EmbreeInfo found = load_embree(path);
         return Value(Value::Dict{{"version", found.version}, {"path", found.path}});
+    });
+    // addresses, see host/team.h; 0: threads of our own
+    f.add("use_openmp", [](uintptr_t parallel, uintptr_t number, uintptr_t size) {
+        use_openmp({reinterpret_cast<decltype(OpenMp::parallel)>(parallel),
+                    reinterpret_cast<decltype(OpenMp::number)>(number), reinterpret_cast<decltype(OpenMp::size)>(size)});
     });
     // versions of CUDA, "12.2"
     f.add("cuda_driver", [] { return cuda::driver_version(cuda::find_driver()); });

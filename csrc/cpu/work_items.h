@@ -1,6 +1,7 @@
 // Working through a tile schedule: work items on threads, batches of samples, blocks merged in order.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
@@ -8,10 +9,11 @@
 #include <map>
 #include <memory>
 #include <mutex>
-#include <thread>
+#include <stdexcept>
 
 #include "arena.h"
 #include "core/integrator/camera.h"
+#include "host/team.h"
 #include "render.h"
 #include "zeros.h"
 
@@ -31,10 +33,9 @@ void run_items(size_t n_items, int threads, Assignment assignment, const std::fu
     std::exception_ptr error;
     std::mutex mutex;
     std::condition_variable finished;
-    int running = 0;
-    auto fail = [&] {
+    auto fail = [&](std::exception_ptr why) {
         std::lock_guard<std::mutex> lock(mutex);
-        if (!error) error = std::current_exception();
+        if (!error) error = std::move(why);
         stop = true;
     };
     auto poll = [&] {
@@ -56,38 +57,31 @@ void run_items(size_t n_items, int threads, Assignment assignment, const std::fu
                 ++done;
             }
         } catch (...) {
-            fail();
+            fail(std::current_exception());
         }
     };
-    std::vector<std::thread> others;
-    try {
-        for (int t = 1; t < threads && size_t(t) < n_items; ++t) {
-            {
-                std::lock_guard<std::mutex> lock(mutex);
-                ++running;
-            }
-            others.emplace_back([&, t] {
-                body(t);
-                std::lock_guard<std::mutex> lock(mutex);
-                --running;
-                finished.notify_one();
-            });
-        }
-    } catch (...) {  // no more threads to be had
-        fail();
+    const int n = int(std::clamp<size_t>(n_items, 1, size_t(std::max(1, threads))));
+    int running = n - 1;
+    auto leave = [&] {
         std::lock_guard<std::mutex> lock(mutex);
         --running;
-    }
-    body(0);
-    std::unique_lock<std::mutex> lock(mutex);
-    while (running > 0) {
-        finished.wait_for(lock, std::chrono::milliseconds(20));
-        lock.unlock();
-        poll();
-        lock.lock();
-    }
-    lock.unlock();
-    for (auto &t : others) t.join();
+        finished.notify_one();
+    };
+    auto part = [&](int thread) {
+        body(thread);
+        if (thread > 0) return leave();
+        std::unique_lock<std::mutex> lock(mutex);
+        while (running > 0) {
+            finished.wait_for(lock, std::chrono::milliseconds(20));
+            lock.unlock();
+            poll();
+            lock.lock();
+        }
+    };
+    run_team(n, part, [&](int) {
+        fail(std::make_exception_ptr(std::runtime_error("there are no more threads to be had")));
+        leave();
+    });
     if (error) std::rethrow_exception(error);
 }
 
