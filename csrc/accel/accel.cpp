@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "curves.h"
+#include "device/tree_walk.h"
 #include "embree_library.h"
 #include "embree_queries.h"
 #include "face_list.h"
@@ -59,6 +60,7 @@ struct Accel::Impl {
     rtc::Scene scene = nullptr, whole = nullptr;
     int width = 0;
     bool embree_only = false;  // a width was asked for
+    const TreeView *walked = nullptr;
     // Meshes of few faces, which are not in Embree's tree, and where everything else is.
     FaceList faces;
     Box rest;
@@ -396,7 +398,10 @@ void occluded_near(const Box &box, const RayBatch &rays, uint8_t *hit, size_t n,
 
 }  // namespace
 
+void Accel::walk(const TreeView *tree) { impl_->walked = tree; }
+
 void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
+    if (impl_->walked) return walk_tree(*impl_->walked, rays, hits, n);
     // the list comes first also when it is empty and there is nothing but what is beside both: it marks misses
     if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->intersect(rays, hits, n, coherent);
@@ -413,6 +418,7 @@ void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool
 }
 
 void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+    if (impl_->walked) return walk_tree(*impl_->walked, rays, hit, n);
     if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->occluded(rays, hit, n);
     } else {

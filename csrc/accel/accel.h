@@ -12,6 +12,7 @@ namespace rtc {
 struct Api;
 struct SceneObject;
 }  // namespace rtc
+struct TreeView;
 
 // Rays as a structure of arrays. They begin at distance 0, where nothing is hit yet, and end at tmax (infinity is
 // fine). Rays with tmax < 0, with a non-finite number or without a direction hit nothing; directions need not be
@@ -89,6 +90,10 @@ public:
     void intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const;
     // hit[i] = 1 if anything lies between the ray's ends, else 0.
     void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const;
+
+    // From now on queries walk this tree, which stays in use, in place of all else; null: no longer. It is that of
+    // devices (csrc/device), whose hits are compared so.
+    void walk(const TreeView *tree);
 
     // Rays a query: 1, 4, 8 or 16, at most what the processor has; 0 gives the default back. For measurements; affects
     // scenes that are made afterwards.
