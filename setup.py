@@ -72,6 +72,9 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 # Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
 ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
 
+# ... and what renders on devices: it calls the renderer for plain numbers, which that module alone has.
+OF_NUMBERS = ("device_paths", "device_scene")
+
 STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
 
 SANITIZE_FLAGS = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-fno-omit-frame-pointer", "-g1"]
@@ -327,6 +330,8 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
     products = {}
     library, shared = [p for p in library_sources() if p.parent.name != "device"], []
     device = [p for p in library_sources() if p.parent.name == "device" and p.stem not in ON_CARDS]
+    of_numbers = [p for p in device if p.stem in OF_NUMBERS]
+    device = [p for p in device if p not in of_numbers]
     for isa in isas:
         flags = compile_flags(isa, sanitize)
         if ninja.is_gcc:
@@ -336,7 +341,7 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         objects = ninja.objects(library + binding_sources(), isa, flags)
         # csrc/device has no packets: compiled once, for the first module, whose code every processor can run
         shared = shared or ninja.objects(device, isa, flags)
-        objects += shared
+        objects += shared + (ninja.objects(of_numbers, isa, flags) if isa == "scalar" else [])
         link = ["-dynamiclib"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
         if switched_on("TORCHRENDER_PORTABLE") and sys.platform == "linux":
             objects += ninja.objects([CSRC / "portable" / "older_linux.cpp"], isa, flags)
@@ -360,6 +365,8 @@ def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
     ninja = Ninja(directory)
     # What they do not call would take a good part of the time.
     library = [p for p in library_sources() if p.name != "render_aovs.cpp"]
+    if isa != "scalar":
+        library = [p for p in library if p.stem not in OF_NUMBERS]
     # Sanitized code is compiled in half the time without optimising; nothing is timed here.
     flags = compile_flags(isa, sanitize) + (["-O0", "-Wno-maybe-uninitialized"] if sanitize else [])
     objects = ninja.objects(library + sources, isa, flags)

@@ -76,7 +76,7 @@ def status() -> dict[str, str]:
     present = compiled()
     supported = _supported(present) if present else {}
     used = ""
-    with contextlib.suppress(ImportError):
+    with contextlib.suppress(ImportError, ValueError):
         used = core().isa
     report = {}
     for isa in PREFERENCE:
@@ -117,10 +117,10 @@ def _choose() -> str:
 def core(dtype: Any = None) -> Library:
     """The compiled core that computes in `dtype` (single precision if None), without Embree loaded.
 
-    ImportError says in one sentence what is missing.
+    ImportError says in one sentence what is missing. The emulated device computes a number at a time.
     """
     global _core
-    if str(dtype) == "torch.float64" or not PACKETS:
+    if str(dtype) == "torch.float64" or not PACKETS or device() != "cpu":
         return _scalar()
     if _core is None:
         with _lock:

@@ -78,6 +78,7 @@ inline Config read_config(const Value &d, Progress progress) {
                            reinterpret_cast<const void *>(weights)};
     }
     c.path.stokes = flag(d, "stokes");
+    c.device = d.find("device") ? d["device"].as<std::string>() : "cpu";
     c.light = d["integrator"].as<std::string>() == "ptracer";
     c.glued = flag(d, "glued");
     if (d.find("attributes")) c.attributes = d["attributes"].as<std::vector<int32_t>>();

@@ -18,7 +18,7 @@ from torchrender import backends, devices
 from torchrender.scene.gather import check_device
 
 ROOT = Path(__file__).resolve().parents[2]
-ALONE = "ray queries alone (tr.ray_intersect, tr.ray_occluded)"
+ALONE = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
 # A driver that says its version, and has all functions that are looked for. As a process's NVRTC it says another.
 FAKE = """
