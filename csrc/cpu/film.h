@@ -4,23 +4,14 @@
 #include <stdexcept>
 #include <vector>
 
-#include "filter.h"
+#include "core/film/filter.h"
+#include "core/film/sums.h"
 
 namespace tr {
-
-struct Rect {
-    int y0, x0, y1, x1;  // half open
-    TR_HD int height() const { return y1 - y0; }
-    TR_HD int width() const { return x1 - x0; }
-    bool contains(int y, int x) const { return y >= y0 && y < y1 && x >= x0 && x < x1; }
-};
 
 inline Rect intersect(const Rect &a, const Rect &b) {
     return {std::max(a.y0, b.y0), std::max(a.x0, b.x0), std::min(a.y1, b.y1), std::min(a.x1, b.x1)};
 }
-
-// Pixels on each side of its own that a sample's weights are computed for.
-constexpr int MaxReach = 64;
 
 // Sums of all results of a film, of so many samples a pixel, between calls that render some of its samples each.
 struct FilmSums {
@@ -39,19 +30,6 @@ struct FilmSums {
         return &sum[first];
     }
 };
-
-// Adds a sample of weight w to the sums of a pixel, see FilmBlock.
-TR_INLINE void add_sample(double *p, double w, const double *value, int values, int moments) {
-    for (int c = 0; c < values; ++c) p[c] += w * value[c];
-    p[values] += w;
-    if (moments == 0) return;
-    // no product is shared, so that a compiler that fuses products and sums does so in every copy of the loop
-    double *q = p + values + 1, w2 = w * w;
-    for (int c = 0; c < moments; ++c) q[c] += w2 * (value[c] * value[c]);
-    for (int c = 0; c < moments; ++c) q[moments + c] += w2 * value[c];
-    for (int c = 0; c < moments; ++c) q[2 * moments + c] += w * (value[c] * value[c]);
-    q[3 * moments] += w2;
-}
 
 // Sums over a rectangle: of the channels' values times filter weights and, last, of the weights themselves. With
 // `moments` also of squares x^2 of values with weights w: w^2 x^2, w^2 x, w x^2 and w^2 (see variance_of_mean).

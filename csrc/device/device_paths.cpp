@@ -66,7 +66,18 @@ struct DevicePaths::Work {
     TreeView tree;
     std::vector<int32_t> kinds;  // that are launched
     int moments;
-    uint32_t n_targets;
+    const TileSchedule &schedule;
+
+    // Wanted pixels that the units of a batch may reach: the first of them, and how many.
+    std::pair<uint32_t, uint32_t> targets(const std::vector<FilmUnit> &units) const {
+        if (call.pixels) return {0, uint32_t(schedule.n_targets())};
+        const Rect &wanted = schedule.rect();
+        int y0 = wanted.y1, y1 = wanted.y0;
+        for (const FilmUnit &unit : units) y0 = std::min(y0, unit.rect.y0), y1 = std::max(y1, unit.rect.y1);
+        y0 = std::max(wanted.y0, y0 - call.filter.reach()), y1 = std::min(wanted.y1, y1 + call.filter.reach());
+        const auto width = uint32_t(wanted.width());
+        return {uint32_t(y0 - wanted.y0) * width, uint32_t(std::max(0, y1 - y0)) * width};
+    }
 };
 
 size_t DevicePaths::bytes_per_path() {
@@ -193,7 +204,7 @@ RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<f
     const SceneView<float> &scene = scene_.upload(launcher_, data);
     const Work work{call,    {scene, call.config, at_.slots, at_.lost, float(call.film_width), float(call.film_height)},
                     tree,    kinds_in(host),
-                    moments, uint32_t(schedule.n_targets())};
+                    moments, schedule};
     int64_t done = 0;
     for_batches(call, schedule, batch_size, [&](const Batch &batch) {
         run_batch(work, batch);
@@ -222,11 +233,12 @@ void DevicePaths::run_batch(const Work &work, const Batch &batch) {
     trace_paths(work, n);
     units_.upload(launcher_, batch.units.data(), batch.units.size());
     spans_.upload(launcher_, batch.spans.data(), batch.spans.size());
+    const auto [first, n_targets] = work.targets(batch.units);
     launcher_.run(
         AddToFilm{work.call.filter, int32_t(std::min(work.call.filter.reach(), MaxReach)), int32_t(work.call.values),
                   int32_t(work.moments), units_.get(), uint32_t(batch.units.size()), spans_.get(), targets_.get(),
-                  sums_.get(), open_.get(), at_.slots},
-        work.n_targets);
+                  first, sums_.get(), open_.get(), at_.slots},
+        n_targets);
     launcher_.synchronize();
 }
 

@@ -2,8 +2,9 @@
 // cpu/tile_schedule.h) and in double precision. So sums depend neither on the order of items nor on batches.
 #pragma once
 
+#include "core/film/filter.h"
+#include "core/film/sums.h"
 #include "core/state/queues.h"
-#include "cpu/film.h"
 
 namespace tr {
 
@@ -39,10 +40,12 @@ struct AddToFilm {
     uint32_t n_units;
     const FilmSpan *spans;
     const int32_t *targets;  // (n, 2), row and column of each wanted pixel
+    uint32_t first;          // of those of this launch
     double *sums, *open;     // by wanted pixel: of the film, and of the unit that is open, see FilmBlock
     SlotColumns<float> slots;
 
-    TR_HD void operator()(uint32_t target) const {
+    TR_HD void operator()(uint32_t i) const {
+        const uint32_t target = first + i;
         const int32_t y = targets[2 * target], x = targets[2 * target + 1];
         const int channels = colors + 2 + (moments ? 3 * moments + 1 : 0);
         double *film = sums + size_t(target) * size_t(channels), *block = open + size_t(target) * size_t(channels);

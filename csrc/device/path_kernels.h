@@ -11,6 +11,9 @@
 #include "core/integrator/camera.h"
 #include "core/integrator/classify.h"
 #include "tree_traversal.h"
+#if defined(__CUDACC_RTC__)  // compiled kernel by kernel; what shades has all models, and is not yet compiled so
+#include "core/integrator/camera.cpp"
+#endif
 
 namespace tr {
 

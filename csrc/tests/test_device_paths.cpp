@@ -1,7 +1,16 @@
 // The path tracer on the emulated device: images are those of the CPU, whatever the batches.
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <sstream>
+
 #include "accel/embree_library.h"
+#include "device/compiler.h"
 #include "device/emulated.h"
 #include "device/scene_rays.h"
+#include "find_nvrtc.h"
 #include "scene_builder.h"
 
 #if !TR_HAS_PACKETS
@@ -89,6 +98,38 @@ TR_TEST(images_of_the_device_are_those_of_the_cpu_in_any_batches) {
             CHECK(found.stats.closest_rays == expected.stats.closest_rays);
             CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
         }
+    }
+}
+
+// By NVRTC 12.2 for sm_90, see kernel_resources.txt: a kernel may take a tenth more than it did.
+TR_TEST(kernels_take_no_more_of_a_card) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    if (nvrtc->version() != "12.2") {
+        std::printf("  left out: it is NVRTC %s, but what kernels take is known by 12.2\n", nvrtc->version().c_str());
+        return;
+    }
+    std::map<std::string, std::array<size_t, 4>> known;
+    std::ifstream file(sources() + "/tests/kernel_resources.txt");
+    for (std::string name, line; std::getline(file, line);) {
+        std::istringstream words(line);
+        std::array<size_t, 4> row{};
+        if (words >> name >> row[0] >> row[1] >> row[2] >> row[3]) known[name] = row;
+    }
+    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache("/proc/torchrender_none"));
+    for (const Kernel &kernel :
+         {kernel_of<StartPaths>(), kernel_of<TracePaths>(), kernel_of<TraceShadows>(), kernel_of<CountKeys>(),
+          kernel_of<SumKeys>(), kernel_of<PlaceKeys>(), kernel_of<FillWords>(), kernel_of<AddToFilm>(),
+          kernel_of<IntersectRays>(), kernel_of<OccludeRays>()}) {
+        const auto [registers, stack, spilled, code] = compiler.resources(kernel, 90);
+        const std::array<size_t, 4> found{registers, stack, spilled, code};
+        bool within = known.count(kernel.name) != 0;
+        for (size_t k = 0; within && k < 4; ++k) within = 10 * found[k] <= 11 * known[kernel.name][k];
+        if (!within)
+            report(__FILE__, __LINE__,
+                   "more than kernel_resources.txt has, or nothing there: " + std::string(kernel.name) + " " +
+                       std::to_string(registers) + " " + std::to_string(stack) + " " + std::to_string(spilled) + " " +
+                       std::to_string(code));
     }
 }
 
