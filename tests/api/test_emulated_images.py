@@ -14,30 +14,18 @@ import small_scene
 import torch
 
 import torchrender as tr
-from torchrender import devices
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = tr.PathTracer(max_depth=5)
 
 
-@pytest.fixture
-def on(monkeypatch):
-    """Chooses a device, by its name, from there on. On ``tree`` the CPU's rays walk the tree of devices."""
-
-    def choose(name: str) -> None:
-        monkeypatch.setattr(devices, "_chosen", name)
-
-    choose("emulated")
-    return choose
-
-
-def check_same(on, scene: tr.Scene, names: tuple[str, ...] = ("rgb", "alpha"), **settings) -> torch.Tensor:
+def check_same(device, scene: tr.Scene, names: tuple[str, ...] = ("rgb", "alpha"), **settings) -> torch.Tensor:
     """What the device renders is what the CPU renders, bit for bit; returns the image."""
     settings = {"integrator": PATH, "spp": 4, "seed": 3, **settings}
-    on("tree")
+    device("tree")
     expected = tr.render(scene, outputs=names, **settings)
     rays = {name: scene.statistics["render"][name] for name in ("closest_rays", "shadow_rays")}
-    on("emulated")
+    device("emulated")
     found = tr.render(scene, outputs=names, **settings)
     for name, a, b in zip(names, found, expected, strict=True):
         assert torch.equal(a, b), f"{name}: {(a != b).double().mean():.3%} differ, by {(a - b).abs().max()} at most"
@@ -51,8 +39,8 @@ REFERENCES = {**reference_scenes.SCENES, **reference_scenes.CAMERAS}
 
 
 @pytest.mark.parametrize("name", sorted(REFERENCES))
-def test_images_are_those_of_the_cpu(on, name):
-    check_same(on, tr.load_dict(REFERENCES[name]().scene), spp=1)
+def test_images_are_those_of_the_cpu(device, name):
+    check_same(device, tr.load_dict(REFERENCES[name]().scene), spp=1)
 
 
 def materials() -> dict[str, dict]:
@@ -69,7 +57,7 @@ def materials() -> dict[str, dict]:
     }
 
 
-def test_every_bsdf(on):
+def test_every_bsdf(device):
     found = materials()
     columns = math.ceil(math.sqrt(len(found)))
     objects = {
@@ -85,10 +73,10 @@ def test_every_bsdf(on):
     }
     lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
     scene = tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
-    check_same(on, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
+    check_same(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
 
 
-def test_every_emitter(on):
+def test_every_emitter(device):
     lights = {
         "area": light_scenes.area(),
         "beam": light_scenes.beam(),
@@ -102,8 +90,8 @@ def test_every_emitter(on):
     }
     scene = tr.load_dict(light_scenes.room(**lights))
     for integrator in (PATH, tr.PathTracer(max_depth=3, emitter_sampling="power"), tr.PathTracer(max_depth=1)):
-        check_same(on, scene, integrator=integrator)
-    check_same(on, tr.load_dict(light_scenes.room(sky={"type": "constant"})), integrator=tr.PathTracer())
+        check_same(device, scene, integrator=integrator)
+    check_same(device, tr.load_dict(light_scenes.room(sky={"type": "constant"})), integrator=tr.PathTracer())
 
 
 @pytest.mark.parametrize(
@@ -116,33 +104,33 @@ def test_every_emitter(on):
         tr.DirectIllumination(emitter_samples=0, bsdf_samples=2),
     ],
 )
-def test_integrators(on, integrator):
+def test_integrators(device, integrator):
     scene = tr.load_dict(light_scenes.room(lamp=light_scenes.area(), ball=light_scenes.ball_light()))
-    check_same(on, scene, integrator=integrator)
+    check_same(device, scene, integrator=integrator)
 
 
-def test_parts_of_a_film_and_moments(on):
+def test_parts_of_a_film_and_moments(device):
     names = ("rgb", "alpha", "variance", "second_moment")
     for rfilter in ("box", "gaussian"):
         film = {"type": "hdrfilm", "width": 20, "height": 15, "rfilter": {"type": rfilter}}  # two tiles
         objects = REFERENCES["shapes"]().scene
         scene = tr.load_dict({**objects, "sensor": {**objects["sensor"], "film": film}})
-        whole = check_same(on, scene, names, spp=70)  # two chunks of samples
+        whole = check_same(device, scene, names, spp=70)  # two chunks of samples
         assert torch.equal(tr.render(scene, integrator=PATH, spp=70, seed=3, crop=(3, 2, 9, 16)), whole[3:12, 2:18])
         pixels = torch.tensor([[14, 19], [0, 0], [7, 3], [7, 4], [0, 0], [7, 16]])
         listed = tr.render(scene, integrator=PATH, spp=70, seed=3, pixels=pixels)
         assert torch.equal(listed, whole[pixels[:, 0], pixels[:, 1]])
-    check_same(on, scene, sampler="independent", passes=2)
+    check_same(device, scene, sampler="independent", passes=2)
     moments = tr.render(scene, integrator=tr.Moment(PATH), spp=70, seed=3)
     assert torch.equal(moments[..., :3], whole)
-    check_same(on, scene, sampler="stratified")
+    check_same(device, scene, sampler="stratified")
 
 
-def test_images_are_those_of_embree(on):
+def test_images_are_those_of_embree(device):
     """Rays find the same but for rounding; a few paths then go another way."""
     scene = tr.load_file(ROOT / "scenes" / "cornell_box.xml")
     found = tr.render(scene, integrator=PATH, spp=4, seed=1, size=(40, 40))
-    on("cpu")
+    device("cpu")
     expected = tr.render(scene, integrator=PATH, spp=4, seed=1, size=(40, 40))
     far = (found - expected).abs() > 1e-3 * (expected.abs() + expected.mean())
     assert float(far.double().mean()) < 0.02
@@ -168,7 +156,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_what_is_not_there_is_refused_by_name(on, words):
+def test_what_is_not_there_is_refused_by_name(device, words):
     settings = dict(REFUSED[words])
     scene = ball(**{name: settings.pop(name) for name in ("variant", "dtype") if name in settings})
     expected = f"^render: TORCHRENDER_BACKEND=emulated does not have .*{re.escape(words)}.*; with TORCHRENDER_BACKEND="
@@ -178,7 +166,7 @@ def test_what_is_not_there_is_refused_by_name(on, words):
     assert not scene.statistics
 
 
-def test_derivatives_are_refused(on):
+def test_derivatives_are_refused(device):
     scene = ball()
     color = scene.train_only("*.reflectance*")[0]
     expected = "does not have derivatives, which a parameter asks for; .* torch.no_grad"
@@ -195,34 +183,34 @@ def test_derivatives_are_refused(on):
         torch.func.jvp(lambda x: tr.render(scene, spp=1, params={name: x}), (color.detach(),), (color.detach(),))
 
 
-def test_shapes_that_are_not_there_are_refused(on):
+def test_shapes_that_are_not_there_are_refused(device):
     curve = {"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}
     with pytest.raises(ValueError, match=r"odd: the emulated device has meshes, .* so far, got a bsplinecurve; with"):
         tr.render(ball(odd=curve), spp=1)
 
 
-def test_what_changes_is_seen(on):
+def test_what_changes_is_seen(device):
     scene = ball()
     first = tr.render(scene, spp=1, seed=1)
     for name in (n for n, _ in scene.named_parameters() if n.endswith(("reflectance", "reflectance.value", "center"))):
         moved = {name: scene.get_parameter(name).detach() * 0.9 + 0.01}
         again = tr.render(scene, spp=1, seed=1, params=moved)
         assert not torch.equal(again, first)
-        on("tree")
+        device("tree")
         assert torch.equal(tr.render(scene, spp=1, seed=1, params=moved), again)
-        on("emulated")
+        device("emulated")
     assert torch.equal(tr.render(scene, spp=1, seed=1), first)
 
 
-def test_mono_images(on):
-    check_same(on, ball("mono"))
+def test_mono_images(device):
+    check_same(device, ball("mono"))
 
 
-def test_values_that_are_not_finite_are_counted(on):
+def test_values_that_are_not_finite_are_counted(device):
     scene = ball(lamp={"type": "point", "position": [0.7, 0, 0.05], "intensity": 3e38})
     counts = []
     for name in ("tree", "emulated"):
-        on(name)
+        device(name)
         with pytest.warns(RuntimeWarning, match="samples were not finite, first at bsdf"):
             tr.render(scene, spp=16, seed=1)
         counts.append(scene.statistics["render"]["nonfinite"])
