@@ -50,7 +50,7 @@ def _missing(scene: Scene, packed: Layout, names: Sequence[str], integrator: Int
     if packed.spectral:
         yield "spectral scenes yet, but those in rgb and mono"
     if scene.polarized:
-        yield "polarised light yet, but scenes with polarized=False"
+        yield "polarised light yet, but variants without it (rgb, mono)"
     if packed.bending:
         yield f"media that light bends in yet, such as {packed.objects['medium'][packed.bending[0]][2]}"
     if packed.torch_bsdfs:

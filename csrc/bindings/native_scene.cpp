@@ -71,6 +71,7 @@ public:
         SceneRays *rays = updated(c.device, values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
+        if (c.light && rays) throw std::invalid_argument("device: light paths are traced on the CPU alone");
         if (c.light) return trace_light<S>(primal, at("image"), c.sums);
         if (c.hits) primal.keep_hits = c.hits->add_pass();
         const RenderOutput<S> to{at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums};

@@ -11,6 +11,8 @@ T *DeviceScene::put(Launcher &launcher, const T *from, size_t n) {
     return reinterpret_cast<T *>(to.get());
 }
 
+static_assert(sizeof(SceneView<float>) == 320, "a table more? SceneView and SceneData list them all");
+
 const SceneView<float> &DeviceScene::upload(Launcher &launcher, const SceneData<float> &data) {
     const SceneView<float> &host = data.view();
     n_used_ = 0;

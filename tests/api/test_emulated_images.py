@@ -76,6 +76,26 @@ def test_every_bsdf(device):
     check_same(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
 
 
+PLACE = tr.Transform.look_at([0.3, -0.2, 4.2], [0, 0, 0], [0, 1, 0])
+PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+CAMERAS = {
+    "perspective with distortion": {"type": "perspective", "fov": 40, "distortion": [-0.2, 0.05, 0.01, -0.01, 0.01]},
+    "fisheye": {"type": "fisheye", "fov": 60, "distortion": [0.05, -0.02, 0.0, 0.0]},
+    "panorama": {"type": "panorama"},
+    "orthographic": {"type": "orthographic"},
+    "thinlens": {"type": "thinlens", "fov": 40, "aperture_radius": 0.1, "focus_distance": 4.0},
+    "radiancemeter": {"type": "radiancemeter", "film": PIXEL},
+    "distant": {"type": "distant", "film": PIXEL, "target": [0.2, 0.1, -1.0]},
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_every_camera(device, name):
+    camera = {"to_world": PLACE, "film": light_scenes.film(), **CAMERAS[name]}
+    check_same(device, tr.load_dict(light_scenes.room(camera, lamp=light_scenes.area(), sky=light_scenes.envmap())))
+
+
+@pytest.mark.filterwarnings("ignore:the scene has a directionalarea light")
 def test_every_emitter(device):
     lights = {
         "area": light_scenes.area(),
@@ -123,7 +143,7 @@ def test_parts_of_a_film_and_moments(device):
     check_same(device, scene, sampler="independent", passes=2)
     moments = tr.render(scene, integrator=tr.Moment(PATH), spp=70, seed=3)
     assert torch.equal(moments[..., :3], whole)
-    check_same(device, scene, sampler="stratified")
+    check_same(device, scene, sampler="stratified", on_interrupt="return")
 
 
 def test_images_are_those_of_embree(device):
