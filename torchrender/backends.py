@@ -76,7 +76,7 @@ def status() -> dict[str, str]:
     present = compiled()
     supported = _supported(present) if present else {}
     used = ""
-    with contextlib.suppress(ImportError, ValueError):
+    with contextlib.suppress(ImportError):
         used = core().isa
     report = {}
     for isa in PREFERENCE:
@@ -117,10 +117,10 @@ def _choose() -> str:
 def core(dtype: Any = None) -> Library:
     """The compiled core that computes in `dtype` (single precision if None), without Embree loaded.
 
-    ImportError says in one sentence what is missing. The emulated device computes a number at a time.
+    ImportError says in one sentence what is missing.
     """
     global _core
-    if str(dtype) == "torch.float64" or not PACKETS or device() != "cpu":
+    if str(dtype) == "torch.float64" or not PACKETS:
         return _scalar()
     if _core is None:
         with _lock:
@@ -138,9 +138,14 @@ def _scalar() -> Library:
     return library("scalar")
 
 
+def scene_core(dtype: Any = None) -> Library:
+    """The compiled core that has scenes in `dtype`: other devices than the CPU compute a number at a time."""
+    return core(dtype) if device() == "cpu" else _scalar()
+
+
 def ready(dtype: Any = None) -> Library:
-    """The compiled core that computes in `dtype` with Embree loaded and tested: what building a scene needs."""
-    found = core(dtype)
+    """`scene_core` with Embree loaded and tested: what building a scene needs."""
+    found = scene_core(dtype)
     if found.isa not in _with_embree:
         with _lock:
             if found.isa not in _with_embree:
