@@ -72,7 +72,7 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 # Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
 ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
 
-# ... and what renders on devices: it calls the renderer for plain numbers, which that module alone has.
+# What renders on devices: it calls the renderer for plain numbers, which that module alone has.
 OF_NUMBERS = ("device_paths", "device_scene")
 
 STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
@@ -244,7 +244,7 @@ class Ninja:
             own = ["-O1"] if source.parent.name == "bindings" else []
             # Rays go back over the very numbers that brought them there, and triangles share their edges' numbers: a
             # product and a sum must round alike wherever they are written.
-            alike = ("bend", "bent_rays", "test_bend", "test_device", "test_tree")
+            alike = ("bend", "bent_rays", "device_paths", "test_bend", "test_device", "test_device_paths", "test_tree")
             own += ["-ffp-contract=off"] if source.stem in alike or source.parent.name == "device" else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
@@ -328,20 +328,21 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         exports.write_text(exports_text)
     is_mac = sys.platform == "darwin"
     products = {}
-    library, shared = [p for p in library_sources() if p.parent.name != "device"], []
-    device = [p for p in library_sources() if p.parent.name == "device" and p.stem not in ON_CARDS]
-    of_numbers = [p for p in device if p.stem in OF_NUMBERS]
-    device = [p for p in device if p not in of_numbers]
+    of_numbers = [p for p in library_sources() if p.stem in OF_NUMBERS]
+    sources = [p for p in library_sources() if p not in of_numbers and p.stem not in ON_CARDS]
+    device = [p for p in sources if p.parent.name == "device"]
+    library, shared = [p for p in sources if p not in device], []
     for isa in isas:
         flags = compile_flags(isa, sanitize)
         if ninja.is_gcc:
             flags.append("-fno-gnu-unique")
             # Of plain numbers these take a tenth of the time, and gain nothing.
             flags += ["-fno-gcse", "-fno-tree-pre"] if isa == "scalar" and IS_X86 else []
-        objects = ninja.objects(library + binding_sources(), isa, flags)
+        own = library + binding_sources() + (of_numbers if isa == "scalar" else [])
+        objects = ninja.objects(own, isa, flags)
         # csrc/device has no packets: compiled once, for the first module, whose code every processor can run
         shared = shared or ninja.objects(device, isa, flags)
-        objects += shared + (ninja.objects(of_numbers, isa, flags) if isa == "scalar" else [])
+        objects += shared
         link = ["-dynamiclib"] if is_mac else ["-shared", f"-Wl,--version-script={exports}"]
         if switched_on("TORCHRENDER_PORTABLE") and sys.platform == "linux":
             objects += ninja.objects([CSRC / "portable" / "older_linux.cpp"], isa, flags)

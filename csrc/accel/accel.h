@@ -12,7 +12,6 @@ namespace rtc {
 struct Api;
 struct SceneObject;
 }  // namespace rtc
-struct TreeView;
 
 // Rays as a structure of arrays. They begin at distance 0, where nothing is hit yet, and end at tmax (infinity is
 // fine). Rays with tmax < 0, with a non-finite number or without a direction hit nothing; directions need not be
@@ -40,6 +39,13 @@ struct EmbreeScene {
 enum class QuadricKind { Sphere, Disk, Cylinder };
 
 class SdfGrid;
+
+// Queries by something else, as Accel's.
+struct RayWalk {
+    virtual ~RayWalk() = default;
+    virtual void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) const = 0;
+    virtual void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const = 0;
+};
 
 class Accel {
 public:
@@ -91,9 +97,9 @@ public:
     // hit[i] = 1 if anything lies between the ray's ends, else 0.
     void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const;
 
-    // From now on queries walk this tree, which stays in use, in place of all else; null: no longer. It is that of
-    // devices (csrc/device), whose hits are compared so.
-    void walk(const TreeView *tree);
+    // From now on something else, which stays in use, answers queries; null: no longer. That is how rays of the CPU
+    // find what those of a device find.
+    void walk(const RayWalk *walk);
 
     // Rays a query: 1, 4, 8 or 16, at most what the processor has; 0 gives the default back. For measurements; affects
     // scenes that are made afterwards.

@@ -8,8 +8,9 @@
 #include "cpu/packet_rows.h"
 #include "cpu/render_response.h"
 #include "device/scene_rays.h"
+#include "device/tree_walk.h"
 #if !TR_HAS_PACKETS
-#include "device/device_paths.h"
+#include "cpu/device_paths.h"
 #endif
 #include "probes.h"
 
@@ -311,7 +312,7 @@ private:
     std::mutex mutex_;
     std::shared_ptr<RayRecord> ray_record_;
     std::unique_ptr<SceneRays> emulated_;  // once it was asked for
-    TreeView walked_{};
+    TreeWalk walk_;
 
     void update(const ParameterValues &values) {
         data_.update(read_only<S>(values.addresses), values.dirty);
@@ -348,8 +349,8 @@ private:
         if (!emulated_) emulated_ = std::make_unique<SceneRays>();
         emulated_->update(data_.view(), data_.geometry_version());
         if (device == "emulated") return emulated_.get();
-        walked_ = emulated_->tree().view();
-        data_.walk(&walked_);
+        walk_.tree = emulated_->tree().view();
+        data_.walk(&walk_);
         return nullptr;
     }
 

@@ -1,7 +1,7 @@
 // The renderer's core compiled for a device, with F = float: the kernels of csrc/device, which the emulated device runs
-// (device_paths.cpp has their schedule), and for all else that a schedule of the CPU calls for a packet a kernel that
-// calls it for one lane. Such a kernel builds the context and the accessors from its arguments and does nothing else;
-// nothing launches it yet.
+// (cpu/device_paths.cpp has their schedule), and for all else that a schedule of the CPU calls for a packet a kernel
+// that calls it for one lane. Such a kernel builds the context and the accessors from its arguments and does nothing
+// else; nothing launches it yet.
 //
 // `make cuda` compiles and links them, which shows that the core needs nothing that device code does not have:
 // functions and data of the host, static variables that are initialised when the program runs, exceptions, virtual

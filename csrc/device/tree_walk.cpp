@@ -13,13 +13,13 @@ RayTable table_of(const RayBatch &rays) {
 }  // namespace
 
 // By the kernels' own functors, of which an item is a call.
-void walk_tree(const TreeView &tree, const RayBatch &rays, const HitBatch &hits, size_t n) {
+void TreeWalk::intersect(const RayBatch &rays, const HitBatch &hits, size_t n) const {
     const IntersectRays kernel{tree, table_of(rays), hits.shape, hits.primitive, hits.t, hits.b1, hits.b2};
     for (size_t i = 0; i < n; ++i) kernel(uint32_t(i));
 }
 
-void walk_tree(const TreeView &tree, const RayBatch &rays, uint8_t *occluded, size_t n) {
-    const OccludeRays kernel{tree, table_of(rays), occluded};
+void TreeWalk::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+    const OccludeRays kernel{tree, table_of(rays), hit};
     for (size_t i = 0; i < n; ++i) kernel(uint32_t(i));
 }
 

@@ -6,8 +6,11 @@
 
 namespace tr {
 
-// As Accel's.
-void walk_tree(const TreeView &tree, const RayBatch &rays, const HitBatch &hits, size_t n);
-void walk_tree(const TreeView &tree, const RayBatch &rays, uint8_t *occluded, size_t n);
+struct TreeWalk final : RayWalk {
+    TreeView tree{};
+
+    void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) const override;
+    void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const override;
+};
 
 }  // namespace tr

@@ -51,8 +51,8 @@ public:
     const SceneView<S> &view() const { return view_; }
     const Accel &accel() const { return *accel_; }
     // See Accel::walk.
-    void walk(const TreeView *tree) {
-        if (accel_) accel_->walk(tree);
+    void walk(const RayWalk *walk) {
+        if (accel_) accel_->walk(walk);
     }
     // How often what follows from the parameters was made; goes on counting over takeovers.
     struct Counters {

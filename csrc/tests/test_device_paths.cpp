@@ -10,11 +10,12 @@
 #include "device/compiler.h"
 #include "device/emulated.h"
 #include "device/scene_rays.h"
+#include "device/tree_walk.h"
 #include "find_nvrtc.h"
 #include "scene_builder.h"
 
 #if !TR_HAS_PACKETS
-#include "device/device_paths.h"
+#include "cpu/device_paths.h"
 
 namespace tr::testing {
 
@@ -49,15 +50,15 @@ struct Balls {
     SceneBuilder<float> builder{3};
     SceneData<float> data;
     SceneRays rays;
-    TreeView tree;
+    TreeWalk walk;
 
     Balls() {
         load_embree(embree_path());
         build_balls(builder);
         builder.build(data);
         rays.update(data.view(), 1);
-        tree = rays.tree().view();
-        data.walk(&tree);
+        walk.tree = rays.tree().view();
+        data.walk(&walk);
     }
     Image on_cpu(const RenderCall<float> &call, size_t n) const {
         Image r(n);

@@ -5,7 +5,7 @@
 #include <set>
 #include <string>
 
-#include "cpu/work_items.h"
+#include "work_items.h"
 
 namespace tr {
 

@@ -1,12 +1,12 @@
-// The path tracer on a device: batches of samples as wavefronts (path_kernels.h), which add to a film there. For
+// The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there. For
 // surfaces, in single precision and rgb; light goes straight.
 #pragma once
 
-#include "cpu/render.h"
-#include "device_scene.h"
-#include "film_kernels.h"
-#include "path_kernels.h"
-#include "sort_kernels.h"
+#include "device/device_scene.h"
+#include "device/film_kernels.h"
+#include "device/path_kernels.h"
+#include "device/sort_kernels.h"
+#include "render.h"
 
 namespace tr {
 
