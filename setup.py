@@ -72,6 +72,9 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 # Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
 ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
 
+# What renders on devices: it calls the renderer for plain numbers, which that module alone has.
+OF_NUMBERS = ("device_paths", "device_scene")
+
 # What the native tests do not call, and what that alone needs: a fifth of their compilation.
 NOT_TESTED = ("render_aovs", "render_boundary", "render_response")
 NOT_TESTED += ("aovs", "bsdf_aovs", "outputs", "revisit", "upsampling")
@@ -245,7 +248,7 @@ class Ninja:
             own = ["-O1"] if source.parent.name == "bindings" else []
             # Rays go back over the very numbers that brought them there, and triangles share their edges' numbers: a
             # product and a sum must round alike wherever they are written.
-            alike = ("bend", "bent_rays", "test_bend", "test_device", "test_tree")
+            alike = ("bend", "bent_rays", "device_paths", "test_bend", "test_device", "test_device_paths", "test_tree")
             own += ["-ffp-contract=off"] if source.stem in alike or source.parent.name == "device" else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
@@ -329,13 +332,16 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         exports.write_text(exports_text)
     is_mac = sys.platform == "darwin"
     products = {}
-    library, shared = [p for p in library_sources() if p.parent.name != "device"], []
-    device = [p for p in library_sources() if p.parent.name == "device" and p.stem not in ON_CARDS]
+    of_numbers = [p for p in library_sources() if p.stem in OF_NUMBERS]
+    sources = [p for p in library_sources() if p not in of_numbers and p.stem not in ON_CARDS]
+    device = [p for p in sources if p.parent.name == "device"]
+    library, shared = [p for p in sources if p not in device], []
     for isa in isas:
         flags = compile_flags(isa, sanitize)
         if ninja.is_gcc:
             flags.append("-fno-gnu-unique")
-        objects = ninja.objects(library + binding_sources(), isa, flags)
+        own = library + binding_sources() + (of_numbers if isa == "scalar" else [])
+        objects = ninja.objects(own, isa, flags)
         # csrc/device has no packets: compiled once, for the first module, whose code every processor can run
         shared = shared or ninja.objects(device, isa, flags)
         objects += shared
@@ -361,6 +367,8 @@ def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
         fail(f"there are no native tests under {CSRC / 'tests'}.")
     ninja = Ninja(directory)
     library = [p for p in library_sources() if p.stem not in NOT_TESTED]
+    if isa != "scalar":
+        library = [p for p in library if p.stem not in OF_NUMBERS]
     # Sanitized code is compiled in half the time without optimising; nothing is timed here.
     flags = compile_flags(isa, sanitize) + (["-O0", "-Wno-maybe-uninitialized"] if sanitize else [])
     objects = ninja.objects(library + sources, isa, flags)

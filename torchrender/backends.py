@@ -139,9 +139,14 @@ def _scalar() -> Library:
     return library("scalar")
 
 
+def scene_core(dtype: Any = None) -> Library:
+    """The compiled core that has scenes in `dtype`: other devices than the CPU compute a number at a time."""
+    return core(dtype) if device() == "cpu" else _scalar()
+
+
 def ready(dtype: Any = None) -> Library:
-    """The compiled core that computes in `dtype` with Embree loaded and tested: what building a scene needs."""
-    found = core(dtype)
+    """`scene_core` with Embree loaded and tested: what building a scene needs."""
+    found = scene_core(dtype)
     if found.isa not in _with_embree:
         with _lock:
             if found.isa not in _with_embree:

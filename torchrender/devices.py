@@ -1,4 +1,4 @@
-"""Where rays are traced: on the CPU or on the emulated device; and what this machine has of CUDA.
+"""Where rays are traced and images rendered: on the CPU or on the emulated device; and what this machine has of CUDA.
 
 The emulated device is the host that behaves like a card, for tests: it has memory of its own, which is guarded, works
 later than it is asked to, and shuffles what runs at once. Environment variables: ``TORCHRENDER_BACKEND`` is ``cpu``
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from .library import Library
 
 CHOICES = ("cpu", "emulated")
-QUERIES = ("ray_intersect", "ray_occluded")
-"""What the emulated device has."""
+FUNCTIONS = ("ray_intersect", "ray_occluded", "render")
+"""What the emulated device has; of `render` a part, see render_devices.py."""
 
-_WHAT = f"ray queries alone ({', '.join(f'tr.{name}' for name in QUERIES)})"
+_WHAT = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
 _chosen: str | None = None
 

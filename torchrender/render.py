@@ -12,7 +12,6 @@ import torch
 
 from .autograd import RenderFunction
 from .compiling import opaque
-from .devices import require_cpu
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
@@ -41,6 +40,7 @@ from .render_checks import (
     check_wavefront,
     warn_of_beams,
 )
+from .render_devices import check_device, refuse_derivatives
 from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_sensors import chosen_sensors, layout_with_room
 from .render_types import (
@@ -224,7 +224,7 @@ def render(
             chosen_integrator, integrator_config = measured, measured.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
-    require_cpu("render")
+    check_device(scene, packed, names, chosen_integrator)
     share = current_share()
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
     of_paths = (*PATH_OUTPUTS, *STOKES_OUTPUTS)
@@ -360,6 +360,7 @@ def render(
             and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
+        refuse_derivatives(used)
         trace: Callable[[RenderCall, list[torch.Tensor]], Any] = _native
         if wavefront:
             from .wavefront.function import wavefront_call

@@ -59,6 +59,7 @@ struct Accel::Impl {
     rtc::Scene scene = nullptr, whole = nullptr;
     int width = 0;
     bool embree_only = false;  // a width was asked for
+    const RayWalk *walk = nullptr;
     // Meshes of few faces, which are not in Embree's tree, and where everything else is.
     FaceList faces;
     Box rest;
@@ -396,7 +397,10 @@ void occluded_near(const Box &box, const RayBatch &rays, uint8_t *hit, size_t n,
 
 }  // namespace
 
+void Accel::walk(const RayWalk *walk) { impl_->walk = walk; }
+
 void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const {
+    if (impl_->walk) return impl_->walk->intersect(rays, hits, n);
     // the list comes first also when it is empty and there is nothing but what is beside both: it marks misses
     if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->intersect(rays, hits, n, coherent);
@@ -413,6 +417,7 @@ void Accel::intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool
 }
 
 void Accel::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
+    if (impl_->walk) return impl_->walk->occluded(rays, hit, n);
     if (impl_->faces.size() == 0 && (!impl_->beside() || !impl_->rest.empty())) {
         impl_->occluded(rays, hit, n);
     } else {

@@ -40,6 +40,13 @@ enum class QuadricKind { Sphere, Disk, Cylinder };
 
 class SdfGrid;
 
+// Queries by something else, as Accel's.
+struct RayWalk {
+    virtual ~RayWalk() = default;
+    virtual void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) const = 0;
+    virtual void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const = 0;
+};
+
 class Accel {
 public:
     static constexpr uint32_t Miss = 0xffffffffu;
@@ -89,6 +96,10 @@ public:
     void intersect(const RayBatch &rays, const HitBatch &hits, size_t n, bool coherent) const;
     // hit[i] = 1 if anything lies between the ray's ends, else 0.
     void occluded(const RayBatch &rays, uint8_t *hit, size_t n) const;
+
+    // From now on something else, which stays in use, answers queries; null: no longer. That is how rays of the CPU
+    // find what those of a device find.
+    void walk(const RayWalk *walk);
 
     // Rays a query: 1, 4, 8 or 16, at most what the processor has; 0 gives the default back. For measurements; affects
     // scenes that are made afterwards.

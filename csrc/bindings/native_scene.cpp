@@ -8,6 +8,10 @@
 #include "cpu/packet_rows.h"
 #include "cpu/render_response.h"
 #include "device/scene_rays.h"
+#include "device/tree_walk.h"
+#if !TR_HAS_PACKETS
+#include "cpu/device_paths.h"
+#endif
 #include "probes.h"
 
 namespace tr {
@@ -65,12 +69,14 @@ public:
 
     RenderStats render(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *rays = updated(c.device, values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
+        if (c.light && rays) throw std::invalid_argument("device: light paths are traced on the CPU alone");
         if (c.light) return trace_light<S>(primal, at("image"), c.sums);
         if (c.hits) primal.keep_hits = c.hits->add_pass();
-        return render_primal<S>(primal, {at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums});
+        const RenderOutput<S> to{at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums};
+        return rays ? render_there(*rays, primal, to) : render_primal<S>(primal, to);
     }
 
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
@@ -306,16 +312,32 @@ private:
     std::mutex mutex_;
     std::shared_ptr<RayRecord> ray_record_;
     std::unique_ptr<SceneRays> emulated_;  // once it was asked for
+    TreeWalk walk_;
 
-    void update(const ParameterValues &values) { data_.update(read_only<S>(values.addresses), values.dirty); }
+    void update(const ParameterValues &values) {
+        data_.update(read_only<S>(values.addresses), values.dirty);
+        data_.walk(nullptr);
+    }
 
-    // Rays of another device than the CPU, null for this one, where the scene is what `values` say.
+    // Images of another device.
+    RenderStats render_there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] const RenderCall<S> &call,
+                             [[maybe_unused]] const RenderOutput<S> &out) {
+#if !TR_HAS_PACKETS
+        if constexpr (sizeof(S) == sizeof(float))
+            return rays.resident<DevicePaths>().render(call, data_, rays.device_tree(), out);
+#endif
+        throw std::invalid_argument("device: images are rendered in single precision, and not in packets");
+    }
+
+    // Rays of another device than the CPU, null for this one, where the scene is what `values` say. On `tree` it is the
+    // CPU that walks the tree of devices, for comparisons.
     SceneRays *updated(const std::string &device, const ParameterValues &values) {
         if (device == "cpu") {
             update(values);
             return nullptr;
         }
-        if (device != "emulated") throw std::invalid_argument("device: expected cpu or emulated, got " + device);
+        if (device != "emulated" && device != "tree")
+            throw std::invalid_argument("device: expected cpu, emulated or tree, got " + device);
         const std::vector<ShapeInfo> &shapes = data_.layout().shapes;
         for (size_t i = 0; i < shapes.size(); ++i)
             if (const char *missing = SceneRays::missing(shapes[i]))
@@ -326,7 +348,10 @@ private:
         update(values);
         if (!emulated_) emulated_ = std::make_unique<SceneRays>();
         emulated_->update(data_.view(), data_.geometry_version());
-        return emulated_.get();
+        if (device == "emulated") return emulated_.get();
+        walk_.tree = emulated_->tree().view();
+        data_.walk(&walk_);
+        return nullptr;
     }
 
     RenderCall<S> call(const Config &c) {

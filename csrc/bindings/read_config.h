@@ -28,6 +28,14 @@ private:
     std::chrono::steady_clock::time_point last_ = std::chrono::steady_clock::now();
 };
 
+// Of this name; false if there is none.
+inline bool filter_of(const std::string &name, FilterKind &kind) {
+    constexpr const char *names[] = {"box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"};
+    for (int i = 0; i < 6; ++i)
+        if (name == names[i]) return kind = FilterKind(i), true;
+    return false;
+}
+
 inline Rect rect(const Value &value) {
     auto r = value.as<std::array<int, 4>>();
     return {r[0], r[1], r[0] + r[2], r[1] + r[3]};
@@ -78,6 +86,7 @@ inline Config read_config(const Value &d, Progress progress) {
                            reinterpret_cast<const void *>(weights)};
     }
     c.path.stokes = flag(d, "stokes");
+    c.device = d.find("device") ? d["device"].as<std::string>() : "cpu";
     c.light = d["integrator"].as<std::string>() == "ptracer";
     c.glued = flag(d, "glued");
     if (d.find("attributes")) c.attributes = d["attributes"].as<std::vector<int32_t>>();

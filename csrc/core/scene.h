@@ -120,6 +120,18 @@ struct SceneView {
     const S *majorants;
     const S *phase_tables;       // see phase/tabulated.h
     const BendMedium<S> *bends;  // by medium, see medium/bend_medium.h; null: light goes straight in all of them
+
+    // Calls visit(pointer) for all tables.
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(values.constants), visit(values.tensors);
+        visit(textures), visit(bsdfs), visit(emitters), visit(sensors), visit(volumes), visit(phases);
+        visit(vertices), visit(faces), visit(shapes), visit(shape_matrices), visit(shape_areas), visit(area_cdf);
+        visit(attributes), visit(emitter_cdf), visit(emitter_pmf), visit(light_cells), visit(cell_marginal);
+        visit(cell_conditional), visit(light_boxes), visit(env_marginal), visit(env_conditional);
+        visit(env_to_local), visit(env_to_world), visit(bsdf_tables), visit(media), visit(volume_to_local);
+        visit(majorants), visit(phase_tables), visit(bends);
+    }
 };
 
 template <class F>

@@ -4,16 +4,10 @@
 #include <stdexcept>
 #include <vector>
 
-#include "filter.h"
+#include "core/film/filter.h"
+#include "core/film/sums.h"
 
 namespace tr {
-
-struct Rect {
-    int y0, x0, y1, x1;  // half open
-    int height() const { return y1 - y0; }
-    int width() const { return x1 - x0; }
-    bool contains(int y, int x) const { return y >= y0 && y < y1 && x >= x0 && x < x1; }
-};
 
 inline Rect intersect(const Rect &a, const Rect &b) {
     return {std::max(a.y0, b.y0), std::max(a.x0, b.x0), std::min(a.y1, b.y1), std::min(a.x1, b.x1)};
@@ -60,17 +54,7 @@ struct FilmBlock {
     // Adds a sample of pixel (row, column), at film position (y, x) in pixels. (The position itself may have been
     // rounded into the next pixel.)
     void splat(const Filter &filter, int row, int column, double y, double x, const double *value) {
-        for_reached(filter, row, column, y, x, [&](double *p, double w) {
-            for (int c = 0; c < values; ++c) p[c] += w * value[c];
-            p[values] += w;
-            if (moments == 0) return;
-            // no product is shared, so that a compiler that fuses products and sums does so in every copy of the loop
-            double *q = p + values + 1, w2 = w * w;
-            for (int c = 0; c < moments; ++c) q[c] += w2 * (value[c] * value[c]);
-            for (int c = 0; c < moments; ++c) q[moments + c] += w2 * value[c];
-            for (int c = 0; c < moments; ++c) q[2 * moments + c] += w * (value[c] * value[c]);
-            q[3 * moments] += w2;
-        });
+        for_reached(filter, row, column, y, x, [&](double *p, double w) { add_sample(p, w, value, values, moments); });
     }
 
     // The same for samples k .. end of one pixel with the box filter, whose values are in columns.
@@ -126,7 +110,6 @@ private:
                 if (wx[i - x0] != 0) visit(at(j, i), wy * wx[i - x0]);
         }
     }
-    static constexpr int MaxReach = 64;
 };
 
 // Variance of the weighted mean sum w x / sum w of independent samples, from the sums of w x, w, w^2 x^2, w^2 x and

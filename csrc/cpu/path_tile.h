@@ -277,15 +277,13 @@ private:
         keep_entries<F>(queue, [&](uint32_t i) { return !mask<F>(Entries<F>(i)(queue.pdf) == F(0)); });
     }
 
-    // The last ray of a path brings something only if it meets a light: one that passes all of them is not traced.
+    // A last ray that passes all lights is not traced.
     void keep_rays_to_lights(PathQueue<S> &queue) {
         const SceneView<S> &scene = wavefront.scene();
         if (scene.n_light_boxes < 0 || wavefront.recorder.on() || wavefront.replay.on()) return;
         keep_entries<F>(queue, [&](uint32_t i) {
-            Entries<F> from(i);
-            // what it meets counts as seen, light or not
-            M kept = may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == U(0u));
-            return wavefront.bender ? kept || mask<F>(from(queue.medium) >= 0) : kept;
+            M kept = last_ray_counts<F>(scene, queue, i);
+            return wavefront.bender ? kept || mask<F>(Entries<F>(i)(queue.medium) >= 0) : kept;
         });
     }
 

@@ -76,25 +76,17 @@ private:
     float *ray_[7], *hit_[3];
 };
 
-// Whether a camera ray that has hit this shape goes on behind it, where emitters are hidden.
-template <class S>
-bool passes_emitter(const SceneView<S> &scene, uint32_t shape) {
-    return shape != NoHit && scene.shapes[shape].emitter >= 0;
-}
-
 // Rays go on behind the shapes that passes(shape) is true of. Calls query() for all rays again until none has met one
 // (rare; those that did not move hit the same).
 template <class S, class Passes, class Query>
 void pass_through(const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n, Passes &&passes, Query &&query) {
-    for (int pass = 0; pass < 256; ++pass) {
+    for (int pass = 0; pass < MostPasses; ++pass) {
         bool again = false;
         for (size_t i = 0; i < n; ++i) {
             if (hits.at.shape[i] == NoHit || !passes(hits.at.shape[i])) continue;
-            const Vec3<S> o = rays.o.get(i), d = rays.d.get(i);
-            Vec3<S> p{o.x + d.x * hits.t[i], o.y + d.y * hits.t[i], o.z + d.z * hits.t[i]};
-            S behind = offset_amount(p);
-            rays.o.set(i, {p.x + d.x * behind, p.y + d.y * behind, p.z + d.z * behind});
-            rays.length[i] -= hits.t[i] + behind;
+            Vec3<S> o = rays.o.get(i);
+            pass_behind(o, rays.d.get(i), hits.t[i], rays.length[i]);
+            rays.o.set(i, o);
             again = true;
         }
         if (!again) return;

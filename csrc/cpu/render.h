@@ -72,6 +72,11 @@ struct DerivativeCall {
     }
 };
 
+inline const char *name_of(Culprit culprit) {
+    constexpr const char *names[] = {"", "emitter", "environment", "bsdf", "medium"};
+    return names[int(culprit)];
+}
+
 struct RenderStats {
     uint64_t non_finite = 0, closest_rays = 0, shadow_rays = 0, lanes = 0, lane_slots = 0;
     uint64_t collisions = 0, majorants_exceeded = 0;  // tentative collisions in gridded media
@@ -105,6 +110,27 @@ struct RenderOutput {
     S *image, *alpha = nullptr, *variance = nullptr, *second_moment = nullptr;
     FilmSums *sums = nullptr;
 };
+
+// The results of a film of radiance and alpha, and `moments` of radiance.
+template <class S>
+void write_results(const RenderCall<S> &call, const TileSchedule &schedule, const Film &film, int moments,
+                   const RenderOutput<S> &out) {
+    const int pixel = call.numbers(), values = pixel + 1;
+    if (out.sums) out.sums->begin(schedule.n_results() * size_t(film.channels()), call.spp);
+    for (size_t i = 0; i < schedule.n_results(); ++i) {
+        const double *p = film.at(schedule.target_of(i));
+        if (out.sums) p = out.sums->add(i * size_t(film.channels()), p, film.channels());
+        const double *q = p + values + 1;
+        double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
+        for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
+        if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
+        for (int c = 0; c < moments; ++c) {
+            const size_t at = i * size_t(pixel) + size_t(c);
+            if (out.second_moment) out.second_moment[at] = S(q[2 * pixel + c] * inverse);
+            if (out.variance) out.variance[at] = S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[3 * pixel]));
+        }
+    }
+}
 
 template <class S>
 RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out);

@@ -53,21 +53,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 merge.push(item, std::move(blocks), stop);
             });
         if (stats.interrupted) return stats;
-        if (out.sums) out.sums->begin(schedule.n_results() * size_t(film.channels()), call.spp);
-        for (size_t i = 0; i < schedule.n_results(); ++i) {
-            const double *p = film.at(schedule.target_of(i));
-            if (out.sums) p = out.sums->add(i * size_t(film.channels()), p, film.channels());
-            const double *q = p + values + 1;
-            double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
-            for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
-            if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
-            for (int c = 0; c < moments; ++c) {
-                const size_t at = i * size_t(pixel) + size_t(c);
-                if (out.second_moment) out.second_moment[at] = S(q[2 * pixel + c] * inverse);
-                if (out.variance)
-                    out.variance[at] = S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[3 * pixel]));
-            }
-        }
+        write_results(call, schedule, film, moments, out);
     }
     return stats;
 }

@@ -236,7 +236,7 @@ private:
     void count_non_finite() {
         if (diagnostics.non_finite)
             stats.count_non_finite(diagnostics.non_finite,
-                                   diagnostics.category + (" " + std::to_string(diagnostics.index)));
+                                   name_of(diagnostics.culprit) + (" " + std::to_string(diagnostics.index)));
         diagnostics = {};
     }
 

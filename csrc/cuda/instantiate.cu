@@ -1,13 +1,17 @@
-// The renderer's core compiled for a device, with F = float: every function that a schedule calls for a packet becomes
-// a kernel that calls it for one lane. A kernel builds the context and the accessors from its arguments and does
-// nothing else; how kernels follow each other is a schedule's matter, as in csrc/cpu.
+// The renderer's core compiled for a device, with F = float: the kernels of csrc/device, which the emulated device runs
+// (cpu/device_paths.cpp has their schedule), and for all else that a schedule of the CPU calls for a packet a kernel
+// that calls it for one lane. Such a kernel builds the context and the accessors from its arguments and does nothing
+// else; nothing launches it yet.
 //
-// Nothing launches these kernels yet: that needs ray queries on the device and a schedule. `make cuda` compiles and
-// links them, which shows that the core needs nothing that device code does not have: functions and data of the host,
-// static variables that are initialised when the program runs, exceptions, virtual functions. It says nothing about
-// results.
+// `make cuda` compiles and links them, which shows that the core needs nothing that device code does not have:
+// functions and data of the host, static variables that are initialised when the program runs, exceptions, virtual
+// functions. It says nothing about results.
 #include "core/medium/estimators.h"
 #include "core_sources.h"  // all .cpp files of the core, see the Makefile
+#include "device/film_kernels.h"
+#include "device/path_kernels.h"
+#include "device/ray_kernels.h"
+#include "device/sort_kernels.h"
 
 namespace tr {
 namespace stages {
@@ -15,19 +19,20 @@ namespace stages {
 using F = float;
 using S = ScalarOf<F>;
 
-// What a PathContext refers to. The tables lie in the device's memory, and so do queues, which count their entries.
+// What a PathContext refers to. The tables lie in the device's memory.
 struct Stage {
     SceneView<S> scene;
     PathConfig config;
     SlotColumns<S> slots;
     GradientNeeds needs;
     TapeColumns<S> tape;
-    S width, height;  // of the film
-    Diagnostics *diagnostics;
+    S width, height;           // of the film
+    Diagnostics *diagnostics;  // by thread
     bool recording, keeps_black;
 
     __device__ PathContext<F> context() const {
-        return {scene, config, slots, *diagnostics, &needs, recording ? &tape : nullptr, keeps_black};
+        Diagnostics &own = diagnostics[blockIdx.x * blockDim.x + threadIdx.x];
+        return {scene, config, slots, own, &needs, recording ? &tape : nullptr, keeps_black};
     }
     __device__ LightSensor<S> light_sensor() const { return {scene, config.sensor, width, height}; }
 };
@@ -62,36 +67,34 @@ __device__ void each(const Hits &at, Do &&f) {
 #define TR_STAGE __grid_constant__ const Stage stage
 #define TR_HITS __grid_constant__ const Hits at
 
-// ------------------------------------------------------------------------------------------------------------- paths
-__global__ void start_paths(TR_STAGE, bool skip_zero_adjoint, uint32_t n_slots, PathQueue<S> *out) {
-    each(n_slots, [&](uint32_t i) {
-        tr::start_paths(stage.context(), stage.width, stage.height, skip_zero_adjoint, i, n_slots, *out);
-    });
+// A queue of its own for an item, which appends `most` entries at most to it; `end` is told where they end.
+template <class Queue, class Do>
+__device__ void append_own(const Queue &queue, uint32_t *end, uint32_t i, uint32_t most, Do &&f) {
+    Queue own = queue;
+    own.n = i * most;
+    f(own);
+    end[i] = own.n;
 }
 
-__global__ void classify_hits(TR_STAGE, TR_HITS, const int32_t *kinds, bool viewed, int32_t *kind) {
-    each(at.queue->n, [&](uint32_t i) {
-        kind[i] = tr::classify_hits(stage.context(), at.step, *at.queue, at.hits, kinds, viewed, i);
-    });
+// -------------------------------------------------------------------------------------- surfaces, rays and the film
+template <class K>
+__global__ void run(__grid_constant__ const K kernel, uint32_t n) {
+    each(n, [&](uint32_t i) { kernel(i); });
 }
-
-__global__ void shade_surfaces(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *shadows) {
-    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        shade_surface(stage.context(), at.kind, at.step, *at.queue, at.hits, lanes, i, *out, *shadows);
-    });
-}
-
-__global__ void shade_environments(TR_STAGE, TR_HITS) {
-    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        shade_environment(stage.context(), at.step, *at.queue, lanes, i);
-    });
-}
-
-__global__ void find_rays_to_lights(TR_STAGE, TR_HITS, uint8_t *may_meet) {
-    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        may_meet[i] = may_meet_light(stage.scene, lanes(at.queue->o), lanes(at.queue->d));
-    });
-}
+#define TR_RUN(K) template __global__ void run(__grid_constant__ const K, uint32_t);
+TR_RUN(StartPaths)
+TR_RUN(TracePaths)
+TR_RUN(ClassifyHits)
+TR_RUN(ShadeHits)
+TR_RUN(TraceShadows)
+TR_RUN(CountKeys)
+TR_RUN(SumKeys)
+TR_RUN(PlaceKeys)
+TR_RUN(FillWords)
+TR_RUN(AddToFilm)
+TR_RUN(IntersectRays)
+TR_RUN(OccludeRays)
+#undef TR_RUN
 
 // ------------------------------------------------------------------------------------------------------------- media
 __global__ void begin_media(TR_STAGE, PathQueue<S> *queue) {
@@ -111,20 +114,30 @@ __global__ void finish_flight(TR_STAGE, MediumContext<F> media, PathQueue<S> *qu
     each(queue->n, [&](uint32_t i) { tr::finish_flight(stage.context(), media, *queue, hits, add_radiance, i); });
 }
 
-__global__ void shade_media(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *shadows) {
+__global__ void shade_media(TR_STAGE, TR_HITS, PathQueue<S> out, ShadowQueue<S> shadows, uint32_t *out_end,
+                            uint32_t *shadow_end) {
     each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        shade_medium(stage.context(), at.step, *at.queue, at.hits, lanes, i, *out, *shadows);
+        append_own(out, out_end, i, 1, [&](PathQueue<S> &own) {
+            append_own(shadows, shadow_end, i, 1, [&](ShadowQueue<S> &own_shadows) {
+                shade_medium(stage.context(), at.step, *at.queue, at.hits, lanes, i, own, own_shadows);
+            });
+        });
     });
 }
 
-__global__ void record_segments(TR_STAGE, TR_HITS, MediumContext<F> media, ShadowQueue<S> *shadows) {
+__global__ void record_segments(TR_STAGE, TR_HITS, MediumContext<F> media, ShadowQueue<S> shadows, uint32_t *end) {
     each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        record_segment(stage.context(), media, at.step, *at.queue, at.hits, lanes, i, *shadows);
+        append_own(shadows, end, i, 1, [&](ShadowQueue<S> &own) {
+            record_segment(stage.context(), media, at.step, *at.queue, at.hits, lanes, i, own);
+        });
     });
 }
 
-__global__ void start_branches(TR_STAGE, MediumContext<F> media, uint32_t n_slots, PathQueue<S> *out) {
-    each(n_slots, [&](uint32_t i) { tr::start_branches(stage.context(), media, i, n_slots, *out); });
+__global__ void start_branches(TR_STAGE, MediumContext<F> media, uint32_t n_slots, PathQueue<S> out, uint32_t *end) {
+    each(n_slots, [&](uint32_t i) {
+        append_own(out, end, i, 1,
+                   [&](PathQueue<S> &own) { tr::start_branches(stage.context(), media, i, n_slots, own); });
+    });
 }
 
 // Entries of a queue that are in one medium.
@@ -217,16 +230,26 @@ __global__ void cross_boundaries(TR_STAGE, ShadowQueue<S> *shadows, Transmittanc
 }
 
 // ------------------------------------------------------------------------------------------------------- light paths
-__global__ void start_light_paths(TR_STAGE, uint32_t n_slots, PathQueue<S> *out, ShadowQueue<S> *connections) {
+__global__ void start_light_paths(TR_STAGE, uint32_t n_slots, PathQueue<S> out, ShadowQueue<S> connections,
+                                  uint32_t *out_end, uint32_t *end) {
     each(n_slots, [&](uint32_t i) {
-        tr::start_light_paths(stage.context(), stage.light_sensor(), i, n_slots, *out, *connections);
+        append_own(out, out_end, i, 1, [&](PathQueue<S> &own) {
+            append_own(connections, end, i, 1, [&](ShadowQueue<S> &own_connections) {
+                tr::start_light_paths(stage.context(), stage.light_sensor(), i, n_slots, own, own_connections);
+            });
+        });
     });
 }
 
-__global__ void shade_light_paths(TR_STAGE, TR_HITS, PathQueue<S> *out, ShadowQueue<S> *connections) {
+__global__ void shade_light_paths(TR_STAGE, TR_HITS, PathQueue<S> out, ShadowQueue<S> connections, uint32_t *out_end,
+                                  uint32_t *end) {
     each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        shade_light_path(stage.context(), stage.light_sensor(), at.kind, at.step, *at.queue, at.hits, lanes, i, *out,
-                         *connections);
+        append_own(out, out_end, i, 1, [&](PathQueue<S> &own) {
+            append_own(connections, end, i, 1, [&](ShadowQueue<S> &own_connections) {
+                shade_light_path(stage.context(), stage.light_sensor(), at.kind, at.step, *at.queue, at.hits, lanes, i,
+                                 own, own_connections);
+            });
+        });
     });
 }
 

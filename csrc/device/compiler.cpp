@@ -46,6 +46,21 @@ std::string fingerprint(const std::string &sources) {
     return sha256(all);
 }
 
+void add_folders(const std::string &sources, std::vector<std::string> &options) {
+    options.push_back("-I" + sources);
+    options.push_back("-I" + sources + "/device/shim");  // what NVRTC lacks of the standard library
+}
+
+// The number in front of `unit`, from `at` on in what the assembler says.
+size_t number_before(const std::string &log, const char *unit, size_t at) {
+    const size_t end = log.find(unit, at);
+    if (at == std::string::npos || end == std::string::npos)
+        throw std::runtime_error("NVRTC does not say what a kernel takes:\n" + log);
+    size_t begin = end;
+    while (begin > at && log[begin - 1] >= '0' && log[begin - 1] <= '9') --begin;
+    return std::stoul(log.substr(begin, end - begin));
+}
+
 }  // namespace
 
 KernelCompiler::KernelCompiler(const Nvrtc &nvrtc, std::string sources, KernelCache cache)
@@ -62,20 +77,36 @@ std::string KernelCompiler::unit(const Kernel &kernel) {
            "kernel(i);\n}\n";
 }
 
+// Products and sums round one by one, as on the host: hits are to be the same. A default of the core's is host and
+// device.
+std::vector<std::string> KernelCompiler::options(int capability) const {
+    return {"-std=c++17", "-default-device", "-fmad=false", "-diag-suppress=20012",
+            "-arch=sm_" + std::to_string(capability)};
+}
+
 std::string KernelCompiler::cubin(const Kernel &kernel, int capability) const {
-    // Products and sums round one by one, as on the host: hits are to be the same.
-    std::vector<std::string> options = {"-std=c++17", "-default-device", "-fmad=false",
-                                        "-arch=sm_" + std::to_string(capability)};
+    std::vector<std::string> all_options = options(capability);
     const std::string source = unit(kernel);
     std::string all = nvrtc_.version() + '\n' + fingerprint_ + '\n' + source;
-    for (const std::string &option : options) all += '\n' + option;
+    for (const std::string &option : all_options) all += '\n' + option;
     const std::string key = sha256(all);
     if (std::optional<std::string> found = cache_.find(key)) return *found;
-    options.push_back("-I" + sources_);
-    options.push_back("-I" + sources_ + "/device/shim");  // what NVRTC lacks of the standard library
-    std::string made = nvrtc_.compile(source, options);
+    add_folders(sources_, all_options);
+    std::string made = nvrtc_.compile(source, all_options);
     cache_.put(key, made);
     return made;
+}
+
+KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int capability) const {
+    std::vector<std::string> all_options = options(capability);
+    add_folders(sources_, all_options);
+    all_options.emplace_back("--ptxas-options=-v");
+    std::string log;
+    const std::string made = nvrtc_.compile(unit(kernel), all_options, &log);
+    const size_t entry = log.find(std::string("Function properties for ") + EntryPoint);
+    const size_t spilled = number_before(log, " bytes spill stores", entry);
+    return {number_before(log, " registers", entry), number_before(log, " bytes stack frame", entry), spilled,
+            made.size()};
 }
 
 }  // namespace tr::cuda

@@ -18,6 +18,13 @@ public:
     // Machine code with the function `EntryPoint`, for a card of this capability (90).
     std::string cubin(const Kernel &kernel, int capability) const;
 
+    // What the kernel itself takes of a card, besides functions that it calls: registers of a thread, bytes of its
+    // stack and of what is spilled to it; and bytes of machine code and tables in all.
+    struct Resources {
+        size_t registers, stack, spilled, code;
+    };
+    Resources resources(const Kernel &kernel, int capability) const;
+
     static constexpr const char *EntryPoint = "tr_kernel";
     // A few lines: the header, a loop over the items, and that host and compiler agree on the size of the functor.
     static std::string unit(const Kernel &kernel);
@@ -26,6 +33,8 @@ private:
     const Nvrtc &nvrtc_;
     std::string sources_, fingerprint_;
     KernelCache cache_;
+
+    std::vector<std::string> options(int capability) const;
 };
 
 }  // namespace tr::cuda

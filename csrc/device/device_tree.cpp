@@ -6,11 +6,7 @@ namespace tr {
 
 static_assert(TreeHit::Miss == Accel::Miss);
 
-// Memory is taken, and given back where it is too small, while the device has nothing to do.
 void DeviceTree::set(const Tree &tree) {
-    nodes_.reserve(launcher_, tree.nodes.size());
-    items_.reserve(launcher_, tree.items.size());
-    matrices_.reserve(launcher_, tree.matrices.size());
     nodes_.upload(launcher_, tree.nodes.data(), tree.nodes.size());
     items_.upload(launcher_, tree.items.data(), tree.items.size());
     matrices_.upload(launcher_, tree.matrices.data(), tree.matrices.size());

@@ -17,6 +17,9 @@ public:
     // Copies a tree there.
     void set(const Tree &tree);
 
+    // The one that was copied last.
+    const TreeView &view() const { return view_; }
+
     // As Accel's.
     void intersect(const RayBatch &rays, const HitBatch &hits, size_t n);
     void occluded(const RayBatch &rays, uint8_t *hit, size_t n);

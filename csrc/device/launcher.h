@@ -52,10 +52,11 @@ public:
         if (at_) launcher_->release(at_);
     }
 
-    // Room for n of them, of none of which there is no address. If there was less, what was there is lost, and the
-    // device must be done with it.
+    // Room for n of them, of none of which there is no address. If there was less, what was there is lost, once the
+    // device is done with it.
     void reserve(Launcher &launcher, size_t n) {
         if (n <= capacity_) return;
+        if (at_) launcher_->synchronize();
         DeviceArray().swap(*this);
         at_ = static_cast<T *>(launcher.allocate(n * sizeof(T)));
         launcher_ = &launcher, capacity_ = n;

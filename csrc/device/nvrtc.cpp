@@ -54,7 +54,7 @@ Nvrtc::Nvrtc(const std::string &path) : api_(std::make_unique<Api>()) {
 
 Nvrtc::~Nvrtc() = default;
 
-std::string Nvrtc::compile(const std::string &source, const std::vector<std::string> &options) const {
+std::string Nvrtc::compile(const std::string &source, const std::vector<std::string> &options, std::string *log) const {
     struct Made {
         const Api &api;
         Program program = nullptr;
@@ -69,15 +69,14 @@ std::string Nvrtc::compile(const std::string &source, const std::vector<std::str
     for (const std::string &option : options) words.push_back(option.c_str());
     const int failed = api_->CompileProgram(made.program, int(words.size()), words.data());
     size_t size = 0;
-    if (failed != 0) {
-        std::string log;
-        if (api_->GetProgramLogSize(made.program, &size) == 0 && size > 1) {
-            log.resize(size);
-            api_->GetProgramLog(made.program, log.data());
-            log.pop_back();  // the zero at its end
-        }
-        throw std::runtime_error("NVRTC " + version_ + " cannot compile a kernel:\n" + log);
+    std::string said;
+    if (api_->GetProgramLogSize(made.program, &size) == 0 && size > 1) {
+        said.resize(size);
+        api_->GetProgramLog(made.program, said.data());
+        said.pop_back();  // the zero at its end
     }
+    if (failed != 0) throw std::runtime_error("NVRTC " + version_ + " cannot compile a kernel:\n" + said);
+    if (log) *log = said;
     std::string cubin;
     if (api_->GetCUBINSize(made.program, &size) != 0 || size == 0)
         throw std::runtime_error("NVRTC " + version_ +

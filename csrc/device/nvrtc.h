@@ -19,8 +19,9 @@ public:
     const std::string &version() const { return version_; }
 
     // Machine code for the architecture that `options` name (-arch=sm_90). std::runtime_error with what the compiler
-    // says.
-    std::string compile(const std::string &source, const std::vector<std::string> &options) const;
+    // says; `log` is told that where it goes well, too.
+    std::string compile(const std::string &source, const std::vector<std::string> &options,
+                        std::string *log = nullptr) const;
 
 private:
     struct Api;

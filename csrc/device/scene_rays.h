@@ -1,4 +1,4 @@
-// Ray queries of a scene on the emulated device: a tree there that follows the scene's shapes.
+// What the emulated device has of a scene: a tree that follows the scene's shapes, ray queries in it, and more.
 #pragma once
 
 #include <sys/types.h>
@@ -29,6 +29,17 @@ public:
     void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) { device_->tree.intersect(rays, hits, n); }
     void occluded(const RayBatch &rays, uint8_t *hit, size_t n) { device_->tree.occluded(rays, hit, n); }
 
+    // The tree in the host's memory, until the next update.
+    const Tree &tree() const { return tree_; }
+    // ... and on the device, with its launcher and whatever else is there, a T that is made of the launcher: until the
+    // next update, which leaves a device behind in the process that it belongs to.
+    const TreeView &device_tree() const { return device_->tree.view(); }
+    template <class T>
+    T &resident() {
+        if (!device_->resident) device_->resident = std::make_shared<T>(*device_->launcher);
+        return *static_cast<T *>(device_->resident.get());
+    }
+
     // How often the tree was made, and how often its boxes alone.
     uint64_t builds() const { return builds_; }
     uint64_t refits() const { return refits_; }
@@ -37,6 +48,7 @@ private:
     struct Device {
         std::unique_ptr<Launcher> launcher;
         DeviceTree tree;
+        std::shared_ptr<void> resident;
         Device();
     };
     std::unique_ptr<Device> device_;

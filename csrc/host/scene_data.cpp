@@ -249,21 +249,13 @@ void SceneData<S>::bounds(S out[6]) const {
 
 template <class S>
 void SceneData<S>::refresh_view() {
-    auto records = [&](const char *category) { return layout_.records.at(category).data(); };
     auto count = [&](const char *category) { return int32_t(layout_.records.at(category).size()); };
     view_.values = {constants_.data(), tensors_.data()};
-    view_.textures = records("texture"), view_.n_textures = count("texture");
-    view_.bsdfs = records("bsdf"), view_.n_bsdfs = count("bsdf");
-    view_.emitters = records("emitter"), view_.n_emitters = count("emitter");
-    view_.sensors = records("sensor"), view_.n_sensors = count("sensor");
-    view_.vertices = reinterpret_cast<const S *>(vertices_.data());
-    view_.faces = layout_.faces.data();
-    view_.shapes = shapes_.data();
-    view_.shape_matrices = matrices_.data();
-    view_.shape_areas = areas_.data();
-    view_.area_cdf = area_cdf_.data();
-    view_.attributes = layout_.attributes.data();
+    for_tables([&](auto member, auto *table, size_t) { view_.*member = table; });
+    view_.n_textures = count("texture"), view_.n_bsdfs = count("bsdf");
+    view_.n_emitters = count("emitter"), view_.n_sensors = count("sensor");
     view_.n_shapes = int32_t(shapes_.size());
+    view_.n_media = int32_t(layout_.media.size());
     const auto &textures = layout_.records.at("texture");
     view_.textured = std::any_of(textures.begin(), textures.end(),
                                  [](const Record &r) { return r.kind != int32_t(TextureKind::Constant); });
@@ -283,22 +275,9 @@ void SceneData<S>::refresh_view() {
     for (const Record &sensor : layout_.records.at("sensor")) view_.textured |= sensor.kind == IrradianceMeterKind;
     choose_emitters(false);
     view_.environment = layout_.environment;
-    view_.light_boxes = light_boxes_.data();
     view_.n_light_boxes = n_light_boxes_;
-    view_.env_marginal = environment_.marginal.data();
-    view_.env_conditional = environment_.conditional.data();
-    view_.env_to_local = env_to_local_;
-    view_.env_to_world = env_to_world_;
     view_.env_columns = environment_.columns;
     view_.env_rows = environment_.rows;
-    view_.volumes = records("volume");
-    view_.phases = records("phase");
-    view_.media = layout_.media.data();
-    view_.n_media = int32_t(layout_.media.size());
-    view_.volume_to_local = volume_to_local_.data();
-    view_.majorants = majorants_.data();
-    view_.phase_tables = phase_tables_.data();
-    view_.bsdf_tables = bsdf_tables_.data();
 }
 
 #define TR_INSTANTIATE(S) template class SceneData<S>;

@@ -50,6 +50,10 @@ public:
 
     const SceneView<S> &view() const { return view_; }
     const Accel &accel() const { return *accel_; }
+    // See Accel::walk.
+    void walk(const RayWalk *walk) {
+        if (accel_) accel_->walk(walk);
+    }
     // How often what follows from the parameters was made; goes on counting over takeovers.
     struct Counters {
         Accel::Counters accel;
@@ -80,6 +84,33 @@ public:
     // those of matrices and rectangles to the small parameters in sums.constants.
     void fill_geometry(const std::vector<const S *> &tangents, const GeometrySizes &sizes, GeometryArrays<S> &to) const;
     void spread_geometry(GradientSums &sums, const std::vector<S *> &gradients) const;
+
+    // Calls visit(&SceneView<S>::table, its memory, how many entries) for the tables of the view that are as large as
+    // the scene; those of `values` and what bends light are not among them. Of vertices entries are numbers.
+    template <class Visit>
+    void for_tables(Visit &&visit) const {
+        using View = SceneView<S>;
+        auto table = [&](auto View::*member, const auto &of) { visit(member, of.data(), of.size()); };
+        auto records = [&](const Record *View::*member, const char *category) {
+            table(member, layout_.records.at(category));
+        };
+        records(&View::textures, "texture"), records(&View::bsdfs, "bsdf"), records(&View::emitters, "emitter");
+        records(&View::sensors, "sensor"), records(&View::volumes, "volume"), records(&View::phases, "phase");
+        visit(&View::vertices, reinterpret_cast<const S *>(vertices_.data()), vertices_.size() * VertexRow<S>::Size);
+        table(&View::faces, layout_.faces), table(&View::shapes, shapes_);
+        table(&View::shape_matrices, matrices_), table(&View::shape_areas, areas_);
+        table(&View::area_cdf, area_cdf_), table(&View::attributes, layout_.attributes);
+        visit(&View::emitter_cdf, view_.emitter_cdf, by_weight_.cdf.size());
+        visit(&View::emitter_pmf, view_.emitter_pmf, by_weight_.pmf.size());
+        visit(&View::light_cells, view_.light_cells, view_.light_cells ? light_cells_.size() : 0);
+        table(&View::cell_marginal, cell_marginal_), table(&View::cell_conditional, cell_conditional_);
+        table(&View::light_boxes, light_boxes_);
+        table(&View::env_marginal, environment_.marginal), table(&View::env_conditional, environment_.conditional);
+        visit(&View::env_to_local, &env_to_local_[0], 12), visit(&View::env_to_world, &env_to_world_[0], 12);
+        table(&View::bsdf_tables, bsdf_tables_), table(&View::media, layout_.media);
+        table(&View::volume_to_local, volume_to_local_), table(&View::majorants, majorants_);
+        table(&View::phase_tables, phase_tables_);
+    }
 
     const SceneLayout &layout() const { return layout_; }
     // The name of an object: category "shape", "bsdf", ... and its index.

@@ -19,6 +19,7 @@
 #include "device/ray_kernels.h"
 #include "device/sha256.h"
 #include "device_kernels.h"
+#include "find_nvrtc.h"
 #include "harness.h"
 
 namespace tr::testing {
@@ -26,11 +27,6 @@ namespace tr::testing {
 namespace {
 
 constexpr EmulatedOptions AllModes[] = {{false, false, 1}, {true, false, 2}, {false, true, 3}, {true, true, 4}};
-
-std::string sources() {
-    const std::string here = __FILE__;
-    return here.substr(0, here.rfind("/tests/"));
-}
 
 // Whether the process of its own that does this dies of a segmentation fault.
 template <class Do>
@@ -324,20 +320,6 @@ TR_TEST(drivers_that_cannot_be_used_are_named) {
     fake.init = 999;
     CHECK_THROWS(cuda::start(api), std::runtime_error,
                  "CUDA reported an error while starting the NVIDIA driver: an error of the test (CUDA_ERROR_TESTED)");
-}
-
-// NVRTC from $TORCHRENDER_NVRTC or the system; without one, what needs it is left out.
-static std::unique_ptr<cuda::Nvrtc> find_nvrtc() {
-    const char *given = std::getenv("TORCHRENDER_NVRTC");
-    for (const char *name : {given ? given : "libnvrtc.so.12", "libnvrtc.so.13"}) {
-        try {
-            return std::make_unique<cuda::Nvrtc>(name);
-        } catch (const std::runtime_error &error) {
-            if (given) throw;
-        }
-    }
-    std::printf("  left out: there is no NVRTC, which TORCHRENDER_NVRTC names\n");
-    return nullptr;
 }
 
 TR_TEST(cards_are_driven) {

@@ -9,21 +9,9 @@ import torch
 from test_queries import all_shapes, grid
 
 import torchrender as tr
-from torchrender import devices
 
 MISSING = ("hills", "distances")
 """Shapes of `all_shapes` that the device does not have."""
-
-
-@pytest.fixture
-def emulated(monkeypatch):
-    """Chooses the device, by its name, from there on."""
-
-    def choose(name: str) -> None:
-        monkeypatch.setattr(devices, "_chosen", name)
-
-    choose("emulated")
-    return choose
 
 
 def shapes(dtype: torch.dtype = torch.float32) -> tr.Scene:
@@ -70,13 +58,13 @@ def check_equal(found: tr.queries.Hits, expected: tr.queries.Hits, others: float
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-def test_hits_are_those_of_embree(emulated, dtype):
+def test_hits_are_those_of_embree(device, dtype):
     scene = shapes(dtype)
     for o, d in (grid(61, dtype), random_rays(20000, 3, dtype)):
         limits = torch.where(torch.arange(len(o)) % 3 == 0, 2.0, math.inf).to(dtype)
-        emulated("cpu")
+        device("cpu")
         expected, hidden = tr.ray_intersect(scene, o, d, limits), tr.ray_occluded(scene, o, d, limits)
-        emulated("emulated")
+        device("emulated")
         found, occluded = tr.ray_intersect(scene, o, d, limits), tr.ray_occluded(scene, o, d, limits)
         assert set(found.shape_id.tolist()) == {-1, *range(10)}
         check_equal(found, expected, 2e-4)
@@ -84,7 +72,7 @@ def test_hits_are_those_of_embree(emulated, dtype):
         assert float((occluded != hidden).double().mean()) <= 1e-4
 
 
-def test_rays_that_are_none_hit_nothing(emulated):
+def test_rays_that_are_none_hit_nothing(device):
     bad = torch.tensor([[0.0, 0.0, 0.0], [math.nan, 0.0, 1.0], [math.inf, 0.0, 1.0]])
     o = torch.tensor([[0.0, 0.0, 3.0]]).expand(3, 3)
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
@@ -97,7 +85,7 @@ def test_rays_that_are_none_hit_nothing(emulated):
     assert tr.ray_intersect(scene, o[:0], down[:0]).t.shape == (0,)
 
 
-def test_no_ray_leaves_a_closed_mesh(emulated):
+def test_no_ray_leaves_a_closed_mesh(device):
     vertices, faces = ball()
     corners = vertices[faces.long()]
     weights = torch.rand(len(faces), 1, generator=torch.Generator().manual_seed(3))
@@ -111,7 +99,7 @@ def test_no_ray_leaves_a_closed_mesh(emulated):
         assert tr.ray_occluded(scene, origins + shift, anywhere).all()
 
 
-def test_ties_and_orders_do_not_matter(emulated):
+def test_ties_and_orders_do_not_matter(device):
     # three in one place, of which the first counts; and corners in which six triangles meet
     square = {"type": "rectangle"}
     twins = tr.load_dict({"type": "scene", "a": square, "b": {**square, "flip_normals": True}, "c": square})
@@ -130,7 +118,7 @@ def test_ties_and_orders_do_not_matter(emulated):
             assert set(first.shape_id.tolist()) == {0}
 
 
-def test_rays_follow_what_moves(emulated):
+def test_rays_follow_what_moves(device):
     vertices, faces = ball()
     scene = mesh(vertices, faces)
     o, d = random_rays(4000, 1.5)
@@ -142,15 +130,15 @@ def test_rays_follow_what_moves(emulated):
         found = tr.ray_intersect(scene, o, d, params={parameter: moved})
         anew = tr.ray_intersect(mesh(moved, faces), o, d)
         assert all(torch.equal(a, b) for a, b in zip(found, anew, strict=True))
-        emulated("cpu")
+        device("cpu")
         check_equal(found, tr.ray_intersect(scene, o, d, params={parameter: moved}), 2e-3)
-        emulated("emulated")
+        device("emulated")
 
 
-def test_derivatives_are_those_of_the_cpu(emulated):
+def test_derivatives_are_those_of_the_cpu(device):
     gradients = []
     for name in ("cpu", "emulated"):
-        emulated(name)
+        device(name)
         scene = shapes(torch.float64)
         o, d = grid(9)
         parameters = [*scene.train_only("*.vertex_positions"), *scene.train_only("*.center"), o.requires_grad_()]
@@ -170,29 +158,19 @@ def test_derivatives_are_those_of_the_cpu(emulated):
         ({"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}, "a bsplinecurve"),
     ],
 )
-def test_shapes_that_are_not_there_are_refused_by_name(emulated, shape, words):
+def test_shapes_that_are_not_there_are_refused_by_name(device, shape, words):
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}, "odd": shape})
     o, d = torch.zeros(1, 3), torch.ones(1, 3)
     expected = f"odd: the emulated device has meshes, .* so far, got {words}; with TORCHRENDER_BACKEND=cpu rays"
     for query in (tr.ray_intersect, tr.ray_occluded):
         with pytest.raises(ValueError, match=expected):
             query(scene, o, d)
-    emulated("cpu")
+    device("cpu")
     assert tr.ray_intersect(scene, o, d).valid.all()
 
 
-def test_what_is_no_ray_query_is_refused(emulated):
-    camera = {"type": "perspective", "film": {"type": "hdrfilm", "width": 4, "height": 4}}
-    scene = tr.load_dict({"type": "scene", "camera": camera, "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
-    alone = r"TORCHRENDER_BACKEND=emulated has ray queries alone \(tr.ray_intersect, tr.ray_occluded\) so far; with"
-    for call in (
-        lambda: tr.render(scene, spp=1),
-        lambda: tr.render(scene, spp=1, integrator=tr.WavefrontPathTracer()),
-        lambda: tr.render(scene, spp=1, outputs=("depth",)),
-        lambda: tr.render(scene, spp=1, sensor=[0], params=[{}]),
-        lambda: tr.Renderer(scene)(),
-    ):
-        with pytest.raises(RuntimeError, match="render: " + alone):
-            call()
-    with pytest.raises(RuntimeError, match="probe: " + alone):
+def test_what_is_not_there_is_refused(device):
+    scene = tr.load_dict({"type": "scene", "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
+    alone = r"ray queries and images without derivatives \(tr.ray_intersect, tr.ray_occluded, tr.render\) so far; with"
+    with pytest.raises(RuntimeError, match="probe: TORCHRENDER_BACKEND=emulated has " + alone):
         tr.testing.sample_emitters(scene, torch.zeros(1, 3), torch.zeros(1, 3))

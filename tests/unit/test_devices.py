@@ -18,7 +18,7 @@ from torchrender import backends, devices
 from torchrender.scene.gather import check_device
 
 ROOT = Path(__file__).resolve().parents[2]
-ALONE = "ray queries alone (tr.ray_intersect, tr.ray_occluded)"
+ALONE = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
 # A driver that says its version, and has all functions that are looked for. As a process's NVRTC it says another.
 FAKE = """
@@ -100,23 +100,29 @@ def cuda():  # libraries of it in this process
     return {line.split("/")[-1] for line in maps if "cuda.so" in line or "nvrtc" in line}
 before = cuda()
 import torchrender as tr
-scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}, "floor": {"type": "rectangle"}})
+camera = {"type": "perspective", "to_world": tr.Transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])}
+camera["film"] = {"type": "hdrfilm", "width": 4, "height": 4}
+shapes = {"ball": {"type": "sphere"}, "floor": {"type": "rectangle"}}
+scene = tr.load_dict({"type": "scene", "camera": camera, "sky": {"type": "constant"}, **shapes})
 o, d = torch.tensor([[0.0, 0.1, 3.0], [0.9, 0.9, 3.0], [3.0, 3.0, 3.0]]), torch.tensor([[0.0, 0.0, -1.0]]).expand(3, 3)
 first = tr.ray_intersect(scene, o, d)
+image = tr.render(scene, spp=2, seed=1)
 print(first.shape_id.tolist(), tr.ray_occluded(scene, o, d).tolist(), cuda() == before, tr.backends.device())
+print(bool(image.any()))
 for moved in (False, True):
     child = os.fork()
     if child == 0:
         params = {"ball.radius": torch.tensor(2.0)} if moved else None
         again = tr.ray_intersect(scene, o, d, params=params)
         good = again.shape_id.tolist() == [0, 0, -1] if moved else torch.equal(again.t, first.t)
+        good = good and torch.equal(tr.render(scene, spp=2, seed=1, params=params), image) != moved
         del scene
         os._exit(0 if good else 1)
     print(os.waitpid(child, 0)[1])
 print(torch.equal(tr.ray_intersect(scene, o, d).t, first.t))
 """
     out = python(code, TORCHRENDER_BACKEND="emulated").splitlines()
-    assert out == ["[0, 1, -1] [True, True, False] True emulated", "0", "0", "True"]
+    assert out == ["[0, 1, -1] [True, True, False] True emulated", "True", "0", "0", "True"]
 
 
 def test_nvrtc_is_looked_for_in_packages_before_the_system(unchosen, tmp_path):

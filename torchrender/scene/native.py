@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from .. import backends
-from ..devices import QUERIES, require_cpu
+from ..devices import FUNCTIONS, device, require_cpu
 from ..library import Watch
 from .packing import Layout
 
@@ -68,9 +68,9 @@ class NativeScene:
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
 
-        ValueError names a parameter that is not finite; RuntimeError says that the device has nothing but ray queries.
+        ValueError names a parameter that is not finite; RuntimeError says that the device does not have this.
         """
-        if function not in QUERIES:
+        if function not in FUNCTIONS:
             require_cpu(function)
         with self.lock:
             dirty = self._dirty(params)
@@ -81,6 +81,8 @@ class NativeScene:
                     watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)
                     if isinstance(settings, dict):
                         settings = {name: value for name, value in settings.items() if name != "progress"}
+                    if function == "render":
+                        settings |= {"device": device()}
                     return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 return getattr(self.handle, function)(*args, addresses, dirty)
             except BaseException as error:

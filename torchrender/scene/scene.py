@@ -270,7 +270,7 @@ class Scene(Container):
         if (
             native is not None
             and native.dtype == self._dtype
-            and native.core is backends.core(self._dtype)
+            and native.core is backends.scene_core(self._dtype)
             and native.shapes == shapes
             and (native.layout is layout or native.layout.objects == layout.objects)
             and native.index_key == layout.index_key()

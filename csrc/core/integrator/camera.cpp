@@ -13,17 +13,19 @@ TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F
     Random4<F> u = choose_position<F>(c.config, c.slots, lens, i);
     write(c.slots.alpha, i, F(0));
     write(c.slots.radiance, i, uniform_spectrum(F(0)));
-    Entries<F> from(i);
-    F adjoint = component_sum(magnitude(from(c.slots.delta)));
     if (c.config.stokes) {
-        const SpectrumColumn<ScalarOf<F>> values[] = {c.slots.q, c.slots.u, c.slots.v},
-                                          adjoints[] = {c.slots.delta_q, c.slots.delta_u, c.slots.delta_v};
-        for (int k = 0; k < 3; ++k) {
-            write(values[k], i, uniform_spectrum(F(0)));
-            adjoint = adjoint + component_sum(magnitude(from(adjoints[k])));
-        }
+        const SpectrumColumn<ScalarOf<F>> values[] = {c.slots.q, c.slots.u, c.slots.v};
+        for (const auto &column : values) write(column, i, uniform_spectrum(F(0)));
     }
-    if (skip_zero_adjoint) active = active && !mask<F>(adjoint == F(0));
+    Entries<F> from(i);
+    if (skip_zero_adjoint) {
+        const SpectrumColumn<ScalarOf<F>> adjoints[] = {c.slots.delta, c.slots.delta_q, c.slots.delta_u,
+                                                        c.slots.delta_v};
+        F adjoint(0);
+        for (int k = 0; k < (c.config.stokes ? 4 : 1); ++k)
+            adjoint = adjoint + component_sum(magnitude(from(adjoints[k])));
+        active = active && !mask<F>(adjoint == F(0));
+    }
     if (!any(active)) return;
     CameraSample<F> at{from(c.slots.film_x), from(c.slots.film_y)};
     if (lens) at.choose_lens(u);

@@ -21,6 +21,9 @@ struct PathConfig {
     bool stokes = false;  // polarised light: paths are recorded, see adjoint/polarization.h
 };
 
+// What of a scene brought a value that is not finite.
+enum class Culprit : uint32_t { None, Emitter, Environment, Bsdf, Medium };
+
 // Blocks of random numbers of a path. Block 0 is the camera's: the place on the film and on the lens; of light paths
 // the place on the emitter. Scattering j takes block 1 + 2 j (an emitter: 3 numbers, roulette: 1) and 2 + 2 j (a BSDF:
 // 3 numbers, the choice in its stack: 1). Of light paths block 1 chooses the emitter and the direction besides.

@@ -8,11 +8,11 @@
 
 namespace tr {
 
-// Values that are not finite and were left out: how many, and where the first one was. (On a device, where lanes share
-// this, the number is right. What is missing there: which lane is the first, and a category that the host can read.)
+// Values that are not finite and were left out: how many, and where the first one was. Each thread has one of its own,
+// of a CPU and of a device.
 struct Diagnostics {
     uint64_t non_finite = 0;
-    const char *category = nullptr;  // of scene objects
+    Culprit culprit = Culprit::None;
     int32_t index = -1;
 };
 
@@ -52,14 +52,14 @@ struct PacketSamples {
 
 // Lanes whose value is finite; the others are counted and the first one remembered.
 template <class F>
-TR_INLINE MaskOf<F> finite(const PathContext<F> &c, const Spectrum<F> &value, const MaskOf<F> &active,
-                           const char *category, const IntOf<F> &index) {
+TR_INLINE MaskOf<F> finite(const PathContext<F> &c, const Spectrum<F> &value, const MaskOf<F> &active, Culprit culprit,
+                           const IntOf<F> &index) {
     auto usable = active && is_finite(value);
     int lost = count(active) - count(usable);
     if (lost) {
         Diagnostics &d = c.diagnostics;
-        accumulate(&d.non_finite, uint64_t(lost));
-        if (!d.category) d.category = category, d.index = first_lane(index, active && !usable);
+        d.non_finite += uint64_t(lost);
+        if (d.culprit == Culprit::None) d.culprit = culprit, d.index = first_lane(index, active && !usable);
     }
     return usable;
 }

@@ -102,11 +102,11 @@ TR_INLINE FoundEmission<F> environment_emission(const PathContext<F> &c, const W
 // Adds what was found, weighted with the throughput.
 template <class F>
 TR_INLINE void add_radiance(const PathContext<F> &c, const UIntOf<F> &slot, const Spectrum<F> &beta,
-                            const FoundEmission<F> &e, const MaskOf<F> &active, const char *category) {
+                            const FoundEmission<F> &e, const MaskOf<F> &active, Culprit culprit) {
     auto some = active && mask<F>(e.weight > F(0));
     if (any(some))
         add_to_entries<F>(c.slots.radiance, slot, apply(beta, e.radiance),
-                          finite(c, e.radiance, some, category, e.point.emitter));
+                          finite(c, e.radiance, some, culprit, e.point.emitter));
 }
 
 }  // namespace tr

@@ -82,7 +82,7 @@ TR_LARGE void start_light_paths(const PathContext<F> &c, const LightSensor<Scala
     EmissionSample<F> e = sample_emission(c.scene, v.u[0], a, b, v.u[1], v.u[2], mask<F>(slot < U(n_slots)));
     PacketSamples<F> samples(c, slot, e.active);
     Spectrum<F> sent = eval_emitter(c.scene, samples.wavelengths(c.config), e.point, e.active, true);
-    e.active = e.active && finite(c, sent, e.active, "emitter", e.point.emitter);
+    e.active = e.active && finite(c, sent, e.active, Culprit::Emitter, e.point.emitter);
     if (!c.tape || !c.needs->black_light) e.active = e.active && mask<F>(max_component(sent) > F(0));
     const EmitterFlags<F> flags(c.scene, e.kind);
     if (c.tape) write_emission(c, i, slot, sent, e);
@@ -216,8 +216,8 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
 
     Spectrum<F> brought = pull(beta, s.f_camera) * to.importance, weight = s.f * s.inverse_pdf, kept = weight;
     M connected = s.connected;
-    if (any(connected)) connected = connected && finite(c, brought, connected, "bsdf", resolved.bsdf);
-    M alive = s.alive && finite(c, weight, s.alive, "bsdf", resolved.bsdf);
+    if (any(connected)) connected = connected && finite(c, brought, connected, Culprit::Bsdf, resolved.bsdf);
+    M alive = s.alive && finite(c, weight, s.alive, Culprit::Bsdf, resolved.bsdf);
     if (c.differentiates(&GradientNeeds::bsdf)) kept = kept_factor(weight, is_differentiated(c, resolved, active));
     Spectrum<F> survival = lanes(in.survival) * kept;
     F throughput = max_component(survival), keep(1);

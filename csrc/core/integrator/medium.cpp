@@ -235,7 +235,7 @@ TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const 
     Random4<F> u_phase = samples.draw(config, BsdfBlock + block, 3);
     MediumScattering<F> s = scatter(c, samples.wavelengths(config), medium, p, d, u_light, u_phase, may);
     Spectrum<F> contribution = apply(pull(beta, s.albedo), s.emitted) * (s.phase_light * s.light_weight);
-    auto lit = s.shadow_ray && finite(c, contribution, s.shadow_ray, "medium", medium);
+    auto lit = s.shadow_ray && finite(c, contribution, s.shadow_ray, Culprit::Medium, medium);
     s.light_weight = select(lit, s.light_weight, F(0));
     if (!c.tape) lit = lit && mask<F>(max_component(contribution) > F(0));
     push_light_ray(p, s.light, contribution, medium, slot, i, ShadowPurpose::Vertex, lit, shadows);

@@ -129,7 +129,7 @@ TR_INLINE void push_light_ray(const PathContext<F> &c, const Interaction<F> &si,
     auto wanted = s.shadow_ray;
     if (!any(wanted)) return;
     Spectrum<F> contribution = apply(pull(beta, s.f_light), s.emitted) * s.light_weight;
-    wanted = wanted && finite(c, contribution, wanted, "bsdf", bsdf);
+    wanted = wanted && finite(c, contribution, wanted, Culprit::Bsdf, bsdf);
     s.light_weight = select(wanted, s.light_weight, F(0));
     // what is black contributes nothing, but may have a derivative
     if (!c.tape && !c.keeps_black) wanted = wanted && mask<F>(max_component(contribution) > F(0));
@@ -195,7 +195,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
         }
         if (c.bent) write_bent(c, i, lanes);
     } else {
-        add_radiance(c, slot, beta, e, active, "emitter");
+        add_radiance(c, slot, beta, e, active, Culprit::Emitter);
     }
     U seen = lanes(in.seen);
     if (!c.tape && !invisible) mark_seen(c, slot, seen, active);
@@ -226,7 +226,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
 
     Spectrum<F> weight = s.f * s.inverse_pdf, kept = weight;
-    M alive = s.alive && finite(c, weight, s.alive, "bsdf", resolved.bsdf);
+    M alive = s.alive && finite(c, weight, s.alive, Culprit::Bsdf, resolved.bsdf);
     if (c.differentiates(&GradientNeeds::bsdf)) kept = kept_factor(weight, is_differentiated(c, resolved, active));
     Spectrum<F> survival = lanes(in.survival) * kept;
     F eta = lanes(in.eta) * s.sample.eta, keep(1), throughput = max_component(survival);
@@ -277,7 +277,7 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
         e = environment_emission(c, samples.wavelengths(c.config), lanes(in.d), from, shown, step.depth);
     }
     Spectrum<F> beta = lanes(in.beta);
-    if (!c.tape) return add_radiance(c, slot, beta, e, shown, "environment");
+    if (!c.tape) return add_radiance(c, slot, beta, e, shown, Culprit::Environment);
     write_vertex(c, i, slot, lanes(in.parent), beta, e.point.at, e);
     if (c.bent) write(c.tape->bent.medium, i, IntOf<F>(-1));
     if (!c.keeps_arrivals()) return;

@@ -21,6 +21,14 @@ struct PathStep {
     TR_INLINE uint32_t scattering() const { return uint32_t(depth + split); }  // counts blocks of random numbers
 };
 
+// Whether the last ray of a path can bring anything, of entries i on of a queue: it does only if it meets a light. What
+// it meets counts as seen, light or not.
+template <class F>
+TR_INLINE MaskOf<F> last_ray_counts(const SceneOf<F> &scene, const PathQueue<ScalarOf<F>> &queue, uint32_t i) {
+    Entries<F> from(i);
+    return may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == UIntOf<F>(0u));
+}
+
 // Where rays hit; lanes that are not active get any place there is.
 template <class F>
 TR_INLINE Interaction<F> hit_interaction(const PathContext<F> &c, const Ray<F> &ray, SurfacePoint<F> at, const F &t,

@@ -196,6 +196,14 @@ template <class F>
 TR_INLINE F offset_along(const Vec3<F> &p, const Vec3<F> &ng, const Vec3<F> &d) {
     return offset_amount(p) / max(abs(dot(ng, d)), F(0.0625));
 }
+// A ray that goes on behind what it has met at the distance t.
+template <class S>
+TR_INLINE void pass_behind(Vec3<S> &o, const Vec3<S> &d, const S &t, S &length) {
+    const Vec3<S> p{o.x + d.x * t, o.y + d.y * t, o.z + d.z * t};
+    const S behind = offset_amount(p);
+    o = {p.x + d.x * behind, p.y + d.y * behind, p.z + d.z * behind};
+    length -= t + behind;
+}
 constexpr double ShadowEpsilon = 8.9406967e-4;  // shadow rays stop this fraction short of the light
 
 template <class F>

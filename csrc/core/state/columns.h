@@ -246,10 +246,13 @@ TR_INLINE void write(const PointColumn<S> &c, size_t i, const SurfacePoint<F> &v
     store(c.b1 + i, v.b1), store(c.b2 + i, v.b2);
 }
 
-// Where `n` more entries begin: `n` is how many there are so far.
+// Where more entries begin, one for each lane of m: `n` is how many there are so far. Each thread appends to a queue of
+// its own; those of a device have one entry each, and what is left of them is put together afterwards.
 template <class F>
 TR_INLINE uint32_t reserve(uint32_t &n, const MaskOf<F> &m) {
-    return accumulate(&n, uint32_t(count(m)));
+    const uint32_t before = n;
+    n = before + uint32_t(count(m));
+    return before;
 }
 
 // The lanes of m, one after the other from `at` on. (A column has room for a packet behind its last entry.)

@@ -63,6 +63,13 @@ TR_PACKET(PathMedium, TR_PATH_MEDIUM_COLUMNS)
 constexpr uint32_t NoHit = 0xFFFFFFFFu, MediumHit = 0xFFFFFFFEu;
 #define TR_HIT_COLUMNS(X) X(Point, at) X(Number, t)
 
+// Whether a camera ray that has hit this shape goes on behind it, where emitters are hidden; and how often at most.
+template <class S>
+TR_INLINE bool passes_emitter(const SceneView<S> &scene, uint32_t shape) {
+    return shape != NoHit && scene.shapes[shape].emitter >= 0;
+}
+constexpr int MostPasses = 256;
+
 template <class S>
 struct HitColumns {
     TR_COLUMNS(TR_HIT_COLUMNS)

@@ -8,22 +8,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <string>
 
-#include "core/math/lanes.h"
-#include "core/math/vector.h"
+#include "../math/lanes.h"
+#include "../math/vector.h"
 
 namespace tr {
 
 enum class FilterKind { Box, Tent, Gaussian, Mitchell, CatmullRom, Lanczos };
-
-// Of this name; false if there is none.
-inline bool filter_of(const std::string &name, FilterKind &kind) {
-    constexpr const char *names[] = {"box", "tent", "gaussian", "mitchell", "catmullrom", "lanczos"};
-    for (int i = 0; i < 6; ++i)
-        if (name == names[i]) return kind = FilterKind(i), true;
-    return false;
-}
 
 class Filter {
 public:

@@ -1,0 +1,219 @@
+// The path tracer as kernels: an item is a sample, a ray or a hit, and calls what is in core/integrator for one lane.
+//
+// An item appends to queues of its own, which begin at its entry: where paths end, entries are left empty. What is left
+// is listed afterwards, in the order of the entries (sort_kernels.h). So no two items of a launch write to one place,
+// and nothing depends on the order of the items.
+//
+// How many items there are to be done is known on the device alone: a launch has as many as there may be, and those
+// behind the end do nothing.
+#pragma once
+
+#include "core/integrator/camera.h"
+#include "core/integrator/classify.h"
+#include "tree_traversal.h"
+#if defined(__CUDACC_RTC__)  // compiled kernel by kernel; what shades has all models, and is not yet compiled so
+#include "core/integrator/camera.cpp"
+#endif
+
+namespace tr {
+
+// By slot: how many values were left out because they are not finite, and what brought the first one.
+struct LostColumns {
+    uint32_t *count, *culprit, *index;
+
+    TR_HD void add(uint32_t slot, const Diagnostics &found) const {
+        if (count[slot] == 0) culprit[slot] = uint32_t(found.culprit), index[slot] = uint32_t(found.index);
+        count[slot] += uint32_t(found.non_finite);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(count), visit(culprit), visit(index);
+    }
+};
+
+// What all kernels of a rendering have: the scene, the settings, the samples. Tables lie in the device's memory.
+struct PathStage {
+    SceneView<float> scene;
+    PathConfig config;
+    SlotColumns<float> slots;
+    LostColumns lost;
+    float width, height;  // of the film
+
+    // Calls f with the context of a path.
+    template <class Do>
+    TR_HD void with_context(uint32_t slot, Do &&f) const {
+        Diagnostics found;
+        f(PathContext<float>{scene, config, slots, found, nullptr});
+        if (found.non_finite != 0) lost.add(slot, found);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
+        visit(slots.lens.x), visit(slots.lens.y);
+    }
+};
+
+// Entries of a queue, in their order, and how many these are.
+struct EntryList {
+    uint32_t *entry, *n;
+
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(entry), visit(n);
+    }
+};
+
+// In lists of what is left of a launch; -1: nothing.
+constexpr int32_t Kept = 0, Gone = -1;
+
+// Camera rays of the samples.
+struct StartPaths {
+    static constexpr const char *Name = "tr::StartPaths", *Header = "device/path_kernels.h";
+    PathStage stage;
+    PathQueue<float> out;
+    int32_t *key;
+    uint32_t n;
+
+    TR_HD void operator()(uint32_t i) const {
+        PathQueue<float> own = out;
+        own.n = i;
+        stage.with_context(i, [&](const PathContext<float> &c) {
+            start_paths<float>(c, stage.width, stage.height, false, i, n, own);
+        });
+        key[i] = own.n != i ? Kept : Gone;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), out.for_arrays(visit), visit(key);
+    }
+};
+
+// Closest hits. `passes`: rays go on behind what emits.
+struct TracePaths {
+    static constexpr const char *Name = "tr::TracePaths", *Header = "device/path_kernels.h";
+    SceneView<float> scene;
+    TreeView tree;
+    PathQueue<float> queue;
+    HitColumns<float> hits;
+    EntryList rays;
+    uint64_t *traced;
+    bool passes;
+
+    TR_HD void operator()(uint32_t k) const {
+        if (k == 0) *traced += *rays.n;
+        if (k >= *rays.n) return;
+        const uint32_t i = rays.entry[k];
+        TreeHit hit = trace(i);
+        for (int pass = 0; passes && pass < MostPasses && passes_emitter(scene, hit.shape); ++pass) {
+            Vec3<float> o = queue.o.get(i);
+            pass_behind(o, queue.d.get(i), hit.t, queue.length[i]);
+            queue.o.set(i, o);
+            hit = trace(i);
+        }
+        hits.at.shape[i] = hit.shape, hits.at.primitive[i] = hit.primitive;
+        hits.at.b1[i] = hit.b1, hits.at.b2[i] = hit.b2, hits.t[i] = hit.t;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        scene.for_pointers(visit), tree.for_pointers(visit), queue.for_arrays(visit), hits.for_arrays(visit);
+        rays.for_pointers(visit), visit(traced);
+    }
+
+private:
+    TR_HD TreeHit trace(uint32_t i) const {
+        const float o[] = {queue.o.x[i], queue.o.y[i], queue.o.z[i]}, d[] = {queue.d.x[i], queue.d.y[i], queue.d.z[i]};
+        return tr::trace<false>(tree, o, d, queue.length[i]);
+    }
+};
+
+// Which model shades them.
+struct ClassifyHits {
+    static constexpr const char *Name = "tr::ClassifyHits", *Header = "device/path_kernels.h";
+    PathStage stage;
+    PathStep step;
+    PathQueue<float> queue;
+    HitColumns<float> hits;
+    const int32_t *kinds;  // by bsdf
+    EntryList rays;
+    int32_t *key;
+
+    TR_HD void operator()(uint32_t k) const {
+        if (k >= *rays.n) return;
+        const uint32_t i = rays.entry[k];
+        stage.with_context(queue.slot[i], [&](const PathContext<float> &c) {
+            key[k] = classify_hits<float>(c, step, queue, hits, kinds, true, i);
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), queue.for_arrays(visit), hits.for_arrays(visit);
+        visit(kinds), rays.for_pointers(visit), visit(key);
+    }
+};
+
+// Shades the hits of one kind. `sorted` lists hits by kind, those of each from `begin` on, `total` of them; what goes
+// on from a hit has its place in that list.
+struct ShadeHits {
+    static constexpr const char *Name = "tr::ShadeHits", *Header = "device/path_kernels.h";
+    PathStage stage;
+    PathStep step;
+    int32_t kind;
+    bool last;  // rays that go on are the last ones
+    PathQueue<float> in;
+    HitColumns<float> hits;
+    const uint32_t *sorted, *begin, *total;  // the last two by kind
+    PathQueue<float> out;
+    ShadowQueue<float> shadows;
+    int32_t *out_key, *shadow_key;
+
+    TR_HD void operator()(uint32_t j) const {
+        if (j >= total[kind]) return;
+        const uint32_t i = begin[kind] + j;
+        PathQueue<float> own = out;
+        ShadowQueue<float> own_shadows = shadows;
+        own.n = own_shadows.n = i;
+        const LaneSet<float> lanes(sorted + i, 1);
+        stage.with_context(in.slot[sorted[i]], [&](const PathContext<float> &c) {
+            if (kind == MissKind)
+                shade_environment<float>(c, step, in, lanes, i);
+            else
+                shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
+        });
+        const bool goes_on = own.n != i && !(last && !last_ray_counts<float>(stage.scene, own, i));
+        out_key[i] = goes_on ? Kept : Gone;
+        shadow_key[i] = own_shadows.n != i ? Kept : Gone;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), in.for_arrays(visit), hits.for_arrays(visit);
+        visit(sorted), visit(begin), visit(total), out.for_arrays(visit), shadows.for_arrays(visit);
+        visit(out_key), visit(shadow_key);
+    }
+};
+
+// Adds what shadow rays bring where nothing is in the way. A path has one of them.
+struct TraceShadows {
+    static constexpr const char *Name = "tr::TraceShadows", *Header = "device/path_kernels.h";
+    TreeView tree;
+    ShadowQueue<float> shadows;
+    EntryList rays;
+    SpectrumColumn<float> radiance;
+    uint64_t *traced;
+
+    TR_HD void operator()(uint32_t k) const {
+        if (k == 0) *traced += *rays.n;
+        if (k >= *rays.n) return;
+        const uint32_t i = rays.entry[k];
+        const float o[] = {shadows.o.x[i], shadows.o.y[i], shadows.o.z[i]},
+                    d[] = {shadows.d.x[i], shadows.d.y[i], shadows.d.z[i]};
+        if (trace<true>(tree, o, d, shadows.length[i]).shape != TreeHit::Miss) return;
+        for (int c = 0; c < SpectrumSize; ++c) radiance[c][shadows.slot[i]] += shadows.contribution[c][i];
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        tree.for_pointers(visit), shadows.for_arrays(visit), rays.for_pointers(visit), radiance.each(visit);
+        visit(traced);
+    }
+};
+
+}  // namespace tr

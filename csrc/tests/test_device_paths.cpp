@@ -1,0 +1,138 @@
+// The path tracer on the emulated device: images are those of the CPU, whatever the batches.
+#include <algorithm>
+#include <array>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <sstream>
+
+#include "accel/embree_library.h"
+#include "device/compiler.h"
+#include "device/emulated.h"
+#include "device/scene_rays.h"
+#include "device/tree_walk.h"
+#include "find_nvrtc.h"
+#include "scene_builder.h"
+
+#if !TR_HAS_PACKETS
+#include "cpu/device_paths.h"
+
+namespace tr::testing {
+
+namespace {
+
+// A glossy and a diffuse ball in a sky, over a floor with a lamp above it.
+void build_balls(SceneBuilder<float> &builder) {
+    const int64_t gray = builder.diffuse(0.5f, 0.4f, 0.6f);
+    const int64_t metal = builder.add("bsdf", "roughconductor", {{"alpha", builder.constant(0.2f, 0.2f, 0.2f)}});
+    builder.add("shape", "sphere", {{"to_world", builder.matrix(-0.6f, 0, 4, 0.5f)}, {"bsdf", gray}});
+    builder.add("shape", "sphere", {{"to_world", builder.matrix(0.6f, 0, 4, 0.5f)}, {"bsdf", metal}});
+    const int64_t lamp = builder.add("emitter", "area", {{"radiance", builder.constant(5, 4, 3)}});
+    builder.add(
+        "shape", "rectangle",
+        {{"to_world", builder.matrix(0, 0.2f, 6, 0.7f)}, {"flip_normals", 1}, {"bsdf", gray}, {"emitter", lamp}});
+    builder.add("emitter", "constant", {{"radiance", builder.color(0.5f, 0.6f, 0.9f)}});
+    builder.camera(0, 0, 0, 40);
+}
+
+struct Image {
+    std::vector<float> image, alpha, variance, second_moment;
+    RenderStats stats;
+
+    explicit Image(size_t n) : image(3 * n), alpha(n), variance(3 * n), second_moment(3 * n) {}
+    RenderOutput<float> out() { return {image.data(), alpha.data(), variance.data(), second_moment.data()}; }
+    bool operator==(const Image &o) const {
+        return image == o.image && alpha == o.alpha && variance == o.variance && second_moment == o.second_moment;
+    }
+};
+
+struct Balls {
+    SceneBuilder<float> builder{3};
+    SceneData<float> data;
+    SceneRays rays;
+    TreeWalk walk;
+
+    Balls() {
+        load_embree(embree_path());
+        build_balls(builder);
+        builder.build(data);
+        rays.update(data.view(), 1);
+        walk.tree = rays.tree().view();
+        data.walk(&walk);
+    }
+    Image on_cpu(const RenderCall<float> &call, size_t n) const {
+        Image r(n);
+        r.stats = render_primal<float>(call, r.out());
+        return r;
+    }
+    // Batches of so many paths.
+    Image on_device(const RenderCall<float> &call, size_t n, size_t batch) const {
+        const auto device = make_emulated();
+        DeviceTree copied(*device);
+        copied.set(rays.tree());
+        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path());
+        Image r(n);
+        r.stats = paths.render(call, data, copied.view(), r.out());
+        return r;
+    }
+};
+
+Settings small(Filter filter) {
+    Settings s;
+    s.height = 18, s.width = 20, s.spp = 70, s.filter = filter;  // four tiles, and two chunks of samples each
+    return s;
+}
+
+}  // namespace
+
+// A batch is smaller than a unit of the film (256 pixels, 64 samples), or has several of them.
+TR_TEST(images_of_the_device_are_those_of_the_cpu_in_any_batches) {
+    Balls balls;
+    for (const Filter &filter : {Filter(), Filter(FilterKind::Gaussian, 0.5)}) {
+        const Settings s = small(filter);
+        const RenderCall<float> call = make_call(balls.data, s);
+        const Image expected = balls.on_cpu(call, 18 * 20);
+        CHECK(*std::max_element(expected.image.begin(), expected.image.end()) > 1);
+        for (const size_t batch : {size_t(1000), size_t(17000), size_t(1) << 20}) {
+            const Image found = balls.on_device(call, 18 * 20, batch);
+            CHECK(found == expected);
+            CHECK(found.stats.closest_rays == expected.stats.closest_rays);
+            CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
+        }
+    }
+}
+
+// By NVRTC 12.2 for sm_90, see kernel_resources.txt: a kernel may take a tenth more than it did.
+TR_TEST(kernels_take_no_more_of_a_card) {
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    if (nvrtc->version() != "12.2") {
+        std::printf("  left out: it is NVRTC %s, but what kernels take is known by 12.2\n", nvrtc->version().c_str());
+        return;
+    }
+    std::map<std::string, std::array<size_t, 4>> known;
+    std::ifstream file(sources() + "/tests/kernel_resources.txt");
+    for (std::string name, line; std::getline(file, line);) {
+        std::istringstream words(line);
+        std::array<size_t, 4> row{};
+        if (words >> name >> row[0] >> row[1] >> row[2] >> row[3]) known[name] = row;
+    }
+    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache("/proc/torchrender_none"));
+    for (const Kernel &kernel :
+         {kernel_of<StartPaths>(), kernel_of<TracePaths>(), kernel_of<TraceShadows>(), kernel_of<CountKeys>(),
+          kernel_of<SumKeys>(), kernel_of<PlaceKeys>(), kernel_of<FillWords>(), kernel_of<AddToFilm>(),
+          kernel_of<IntersectRays>(), kernel_of<OccludeRays>()}) {
+        const auto [registers, stack, spilled, code] = compiler.resources(kernel, 90);
+        const std::array<size_t, 4> found{registers, stack, spilled, code};
+        bool within = known.count(kernel.name) != 0;
+        for (size_t k = 0; within && k < 4; ++k) within = 10 * found[k] <= 11 * known[kernel.name][k];
+        if (!within)
+            report(__FILE__, __LINE__,
+                   "more than kernel_resources.txt has, or nothing there: " + std::string(kernel.name) + " " +
+                       std::to_string(registers) + " " + std::to_string(stack) + " " + std::to_string(spilled) + " " +
+                       std::to_string(code));
+    }
+}
+
+}  // namespace tr::testing
+#endif

@@ -1,0 +1,237 @@
+"""Images on the emulated device: bit for bit those of the CPU where both walk one tree, late and in any order."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import bsdf_models
+import light_scenes
+import pytest
+import reference_scenes
+import small_scene
+import torch
+
+import torchrender as tr
+
+ROOT = Path(__file__).resolve().parents[2]
+PATH = tr.PathTracer(max_depth=5)
+
+
+def check_same(device, scene: tr.Scene, names: tuple[str, ...] = ("rgb", "alpha"), **settings) -> torch.Tensor:
+    """What the device renders is what the CPU renders, bit for bit; returns the image."""
+    settings = {"integrator": PATH, "spp": 4, "seed": 3, **settings}
+    device("tree")
+    expected = tr.render(scene, outputs=names, **settings)
+    rays = {name: scene.statistics["render"][name] for name in ("closest_rays", "shadow_rays")}
+    device("emulated")
+    found = tr.render(scene, outputs=names, **settings)
+    for name, a, b in zip(names, found, expected, strict=True):
+        assert torch.equal(a, b), f"{name}: {(a != b).double().mean():.3%} differ, by {(a - b).abs().max()} at most"
+    assert float(found[0].mean()) > 0.01
+    if not getattr(settings["integrator"], "hide_emitters", False):  # there the CPU traces all again for a few
+        assert {name: scene.statistics["render"][name] for name in rays} == rays
+    return found[0]
+
+
+REFERENCES = {**reference_scenes.SCENES, **reference_scenes.CAMERAS}
+
+
+@pytest.mark.parametrize("name", sorted(REFERENCES))
+def test_images_are_those_of_the_cpu(device, name):
+    check_same(device, tr.load_dict(REFERENCES[name]().scene), spp=1)
+
+
+def materials() -> dict[str, dict]:
+    """Every model of the registry, with what wraps them."""
+    red, image = {"type": "rgb", "value": [0.7, 0.3, 0.2]}, light_scenes.texels(5, 4)
+    found = {kind: {"type": kind} for kind in bsdf_models.DECLARED}
+    diffuse, metal = {"type": "diffuse", "reflectance": red}, {"type": "roughconductor", "alpha": 0.2}
+    return {
+        **found,
+        "blend": {"type": "blendbsdf", "weight": image, "first": diffuse, "second": metal},
+        "mask": {"type": "mask", "opacity": image, "bsdf": {"type": "twosided", "bsdf": diffuse}},
+        "normalmap": {"type": "normalmap", "normalmap": image, "bsdf": metal},
+        "bumpmap": {"type": "bumpmap", "texture": image, "bsdf": metal},
+    }
+
+
+def test_every_bsdf(device):
+    found = materials()
+    columns = math.ceil(math.sqrt(len(found)))
+    objects = {
+        f"ball_{i}": {"type": "sphere", "center": [i % columns, i // columns, 0.0], "radius": 0.45, "bsdf": bsdf}
+        for i, bsdf in enumerate(found.values())
+    }
+    middle = (columns - 1) / 2
+    camera = {
+        "type": "perspective",
+        "fov": 45,
+        "to_world": tr.Transform.look_at([middle, middle, 7.0], [middle, middle, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
+    }
+    lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
+    scene = tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
+    check_same(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
+
+
+PLACE = tr.Transform.look_at([0.3, -0.2, 4.2], [0, 0, 0], [0, 1, 0])
+PIXEL = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+CAMERAS = {
+    "perspective with distortion": {"type": "perspective", "fov": 40, "distortion": [-0.2, 0.05, 0.01, -0.01, 0.01]},
+    "fisheye": {"type": "fisheye", "fov": 60, "distortion": [0.05, -0.02, 0.0, 0.0]},
+    "panorama": {"type": "panorama"},
+    "orthographic": {"type": "orthographic"},
+    "thinlens": {"type": "thinlens", "fov": 40, "aperture_radius": 0.1, "focus_distance": 4.0},
+    "radiancemeter": {"type": "radiancemeter", "film": PIXEL},
+    "distant": {"type": "distant", "film": PIXEL, "target": [0.2, 0.1, -1.0]},
+}
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_every_camera(device, name):
+    camera = {"to_world": PLACE, "film": light_scenes.film(), **CAMERAS[name]}
+    check_same(device, tr.load_dict(light_scenes.room(camera, lamp=light_scenes.area(), sky=light_scenes.envmap())))
+
+
+@pytest.mark.filterwarnings("ignore:the scene has a directionalarea light")
+def test_every_emitter(device):
+    lights = {
+        "area": light_scenes.area(),
+        "beam": light_scenes.beam(),
+        "ball": light_scenes.ball_light(),
+        "mesh": light_scenes.mesh_light(),
+        "point": light_scenes.point_light(),
+        "spot": light_scenes.spot(),
+        "projector": light_scenes.projector(),
+        "sun": light_scenes.sun(),
+        "sky": light_scenes.envmap(),
+    }
+    scene = tr.load_dict(light_scenes.room(**lights))
+    for integrator in (PATH, tr.PathTracer(max_depth=3, emitter_sampling="power"), tr.PathTracer(max_depth=1)):
+        check_same(device, scene, integrator=integrator)
+    check_same(device, tr.load_dict(light_scenes.room(sky={"type": "constant"})), integrator=tr.PathTracer())
+
+
+@pytest.mark.parametrize(
+    "integrator",
+    [
+        tr.PathTracer(max_depth=-1, rr_depth=3),
+        tr.PathTracer(max_depth=24, rr_depth=30),
+        tr.PathTracer(max_depth=4, hide_emitters=True),
+        tr.DirectIllumination(emitter_samples=3, bsdf_samples=2, hide_emitters=True),
+        tr.DirectIllumination(emitter_samples=0, bsdf_samples=2),
+    ],
+)
+def test_integrators(device, integrator):
+    scene = tr.load_dict(light_scenes.room(lamp=light_scenes.area(), ball=light_scenes.ball_light()))
+    check_same(device, scene, integrator=integrator)
+
+
+def test_parts_of_a_film_and_moments(device):
+    names = ("rgb", "alpha", "variance", "second_moment")
+    for rfilter in ("box", "gaussian"):
+        film = {"type": "hdrfilm", "width": 20, "height": 15, "rfilter": {"type": rfilter}}  # two tiles
+        objects = REFERENCES["shapes"]().scene
+        scene = tr.load_dict({**objects, "sensor": {**objects["sensor"], "film": film}})
+        whole = check_same(device, scene, names, spp=70)  # two chunks of samples
+        assert torch.equal(tr.render(scene, integrator=PATH, spp=70, seed=3, crop=(3, 2, 9, 16)), whole[3:12, 2:18])
+        pixels = torch.tensor([[14, 19], [0, 0], [7, 3], [7, 4], [0, 0], [7, 16]])
+        listed = tr.render(scene, integrator=PATH, spp=70, seed=3, pixels=pixels)
+        assert torch.equal(listed, whole[pixels[:, 0], pixels[:, 1]])
+    check_same(device, scene, sampler="independent", passes=2)
+    moments = tr.render(scene, integrator=tr.Moment(PATH), spp=70, seed=3)
+    assert torch.equal(moments[..., :3], whole)
+    check_same(device, scene, sampler="stratified", on_interrupt="return")
+
+
+def test_images_are_those_of_embree(device):
+    """Rays find the same but for rounding; a few paths then go another way."""
+    scene = tr.load_file(ROOT / "scenes" / "cornell_box.xml")
+    found = tr.render(scene, integrator=PATH, spp=4, seed=1, size=(40, 40))
+    device("cpu")
+    expected = tr.render(scene, integrator=PATH, spp=4, seed=1, size=(40, 40))
+    far = (found - expected).abs() > 1e-3 * (expected.abs() + expected.mean())
+    assert float(far.double().mean()) < 0.02
+    torch.testing.assert_close(found.mean(), expected.mean(), rtol=2e-3, atol=0)
+
+
+def ball(variant: str = "rgb", dtype: torch.dtype = torch.float32, **objects) -> tr.Scene:
+    scene = small_scene.ball_and_wall(**objects)
+    return tr.load_dict(scene, variant=variant, dtype=dtype)
+
+
+REFUSED = {
+    "VolumetricPathTracer yet, but PathTracer, DirectIllumination, Moment": {"integrator": tr.VolumetricPathTracer()},
+    "ParticleTracer yet": {"integrator": tr.ParticleTracer()},
+    "WavefrontPathTracer yet": {"integrator": tr.WavefrontPathTracer()},
+    "AOV yet": {"integrator": tr.AOV("d:depth", tr.PathTracer())},
+    "Moment yet": {"integrator": tr.Moment(tr.VolumetricPathTracer())},
+    "the output 'depth' yet, but rgb, alpha, variance, second_moment": {"outputs": ("rgb", "depth")},
+    "float64 yet, but float32": {"dtype": torch.float64},
+    "spectral scenes yet, but those in rgb and mono": {"variant": "spectral"},
+    "polarised light yet": {"variant": "rgb_polarized"},
+}
+
+
+@pytest.mark.parametrize("words", REFUSED)
+def test_what_is_not_there_is_refused_by_name(device, words):
+    settings = dict(REFUSED[words])
+    scene = ball(**{name: settings.pop(name) for name in ("variant", "dtype") if name in settings})
+    expected = f"^render: TORCHRENDER_BACKEND=emulated does not have .*{re.escape(words)}.*; with TORCHRENDER_BACKEND="
+    for call in (lambda: tr.render(scene, **settings), lambda: tr.Renderer(scene)(**settings)):
+        with pytest.raises(RuntimeError, match=expected):
+            call()
+    assert not scene.statistics
+
+
+def test_derivatives_are_refused(device):
+    scene = ball()
+    color = scene.train_only("*.reflectance*")[0]
+    expected = "does not have derivatives, which a parameter asks for; .* torch.no_grad"
+    with pytest.raises(RuntimeError, match=expected):
+        tr.render(scene, spp=1)
+    with pytest.raises(RuntimeError, match=expected):
+        tr.render(scene, spp=1, sensor=[0], params=[{}])
+    with torch.no_grad():
+        image = tr.render(scene, spp=1, seed=1)
+    name = next(n for n, p in scene.named_parameters() if p is color)
+    scene.train_only()
+    assert torch.equal(tr.render(scene, spp=1, seed=1), image)
+    with pytest.raises(RuntimeError, match=expected):
+        torch.func.jvp(lambda x: tr.render(scene, spp=1, params={name: x}), (color.detach(),), (color.detach(),))
+
+
+def test_shapes_that_are_not_there_are_refused(device):
+    curve = {"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}
+    with pytest.raises(ValueError, match=r"odd: the emulated device has meshes, .* so far, got a bsplinecurve; with"):
+        tr.render(ball(odd=curve), spp=1)
+
+
+def test_what_changes_is_seen(device):
+    scene = ball()
+    first = tr.render(scene, spp=1, seed=1)
+    for name in (n for n, _ in scene.named_parameters() if n.endswith(("reflectance", "reflectance.value", "center"))):
+        moved = {name: scene.get_parameter(name).detach() * 0.9 + 0.01}
+        again = tr.render(scene, spp=1, seed=1, params=moved)
+        assert not torch.equal(again, first)
+        device("tree")
+        assert torch.equal(tr.render(scene, spp=1, seed=1, params=moved), again)
+        device("emulated")
+    assert torch.equal(tr.render(scene, spp=1, seed=1), first)
+
+
+def test_mono_images(device):
+    check_same(device, ball("mono"))
+
+
+def test_values_that_are_not_finite_are_counted(device):
+    scene = ball(lamp={"type": "point", "position": [0.7, 0, 0.05], "intensity": 3e38})
+    counts = []
+    for name in ("tree", "emulated"):
+        device(name)
+        with pytest.warns(RuntimeWarning, match="samples were not finite, first at bsdf"):
+            tr.render(scene, spp=16, seed=1)
+        counts.append(scene.statistics["render"]["nonfinite"])
+    assert counts[0] == counts[1] > 2

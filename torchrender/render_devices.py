@@ -1,0 +1,57 @@
+"""What of `render` other devices than the CPU do not have yet: an error by name, before any work is done."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+
+import torch
+
+from .devices import device
+from .first_hit_call import PATH_OUTPUTS
+from .integrators import DirectIllumination, Integrator, Moment, PathTracer
+from .scene.gather import has_derivative
+from .scene.packing import Layout
+from .scene.scene import Scene
+
+_INTEGRATORS = (PathTracer, DirectIllumination)
+
+
+def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> None:
+    """RuntimeError unless the chosen device renders these outputs of a scene by this integrator."""
+    if device() != "cpu":
+        _refuse(_missing(scene, packed, names, integrator))
+
+
+def refuse_derivatives(tensors: Iterable[torch.Tensor]) -> None:
+    """RuntimeError if a derivative is recorded, where the chosen device has none."""
+    if device() != "cpu" and any(has_derivative(tensor) for tensor in tensors):
+        _refuse(iter(["derivatives, which a parameter asks for; without them it renders under torch.no_grad()"]))
+
+
+def _refuse(missing: Iterator[str]) -> None:
+    for what in missing:
+        raise RuntimeError(
+            f"render: TORCHRENDER_BACKEND={device()} does not have {what}; with TORCHRENDER_BACKEND=cpu, or without "
+            "it, everything is there"
+        )
+
+
+def _missing(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> Iterator[str]:
+    """What is not there, with what is."""
+    inner = integrator.integrator if isinstance(integrator, Moment) else integrator
+    if not isinstance(inner, _INTEGRATORS):
+        there = ", ".join(kind.__name__ for kind in (*_INTEGRATORS, Moment))
+        yield f"the integrator {type(integrator).__name__} yet, but {there}"
+    for name in names:
+        if name not in PATH_OUTPUTS:
+            yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)}"
+    if scene.dtype != torch.float32:
+        yield f"{str(scene.dtype).removeprefix('torch.')} yet, but float32"
+    if packed.spectral:
+        yield "spectral scenes yet, but those in rgb and mono"
+    if scene.polarized:
+        yield "polarised light yet, but variants without it (rgb, mono)"
+    if packed.bending:
+        yield f"media that light bends in yet, such as {packed.objects['medium'][packed.bending[0]][2]}"
+    if packed.torch_bsdfs:
+        yield "BSDFs in Python (TorchBSDF), but the others"
