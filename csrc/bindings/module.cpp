@@ -170,7 +170,8 @@ Functions all_functions() {
     // addresses, see host/team.h; 0: threads of our own
     f.add("use_openmp", [](uintptr_t parallel, uintptr_t number, uintptr_t size) {
         use_openmp({reinterpret_cast<decltype(OpenMp::parallel)>(parallel),
-                    reinterpret_cast<decltype(OpenMp::number)>(number), reinterpret_cast<decltype(OpenMp::size)>(size)});
+                    reinterpret_cast<decltype(OpenMp::number)>(number),
+                    reinterpret_cast<decltype(OpenMp::size)>(size)});
     });
     // versions of CUDA, "12.2"
     f.add("cuda_driver", [] { return cuda::driver_version(cuda::find_driver()); });

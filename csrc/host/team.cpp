@@ -1,7 +1,6 @@
 #include "team.h"
 
 #include <atomic>
-#include <mutex>
 #include <system_error>
 #include <thread>
 #include <vector>
@@ -46,8 +45,7 @@ void take_part(void *team) { static_cast<const Team *>(team)->take_part(openmp.n
 
 void use_openmp(const OpenMp &functions) {
 #if defined(__unix__) || defined(__APPLE__)
-    static std::once_flag once;
-    std::call_once(once, [] { pthread_atfork(nullptr, nullptr, [] { forked = true; }); });
+    [[maybe_unused]] static const int watched = pthread_atfork(nullptr, nullptr, [] { forked = true; });
 #endif
     openmp = functions;
 }

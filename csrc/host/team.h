@@ -17,8 +17,8 @@ struct OpenMp {
 };
 void use_openmp(const OpenMp &functions);
 
-// Calls body(0) .. body(n - 1), each on a thread of its own, the first on the calling one; before it absent(k) there for
-// those for which no thread is to be had. Nothing may be thrown.
+// Calls body(0) .. body(n - 1), each on a thread of its own, the first on the calling one, which before calls absent(k)
+// for those for which no thread is to be had. Nothing may be thrown.
 using Member = std::function<void(int)>;
 void run_team(int n, const Member &body, const Member &absent);
 

@@ -13,6 +13,7 @@ import json
 import os
 import re
 import resource
+import shutil
 import subprocess
 import sys
 import time
@@ -61,10 +62,10 @@ RUNS = {
     "room": Run("--demo", ("start result target0",)),
     "shadow_art": Run("--demo", ("target", "result")),
     "paint_spectra": Run("", ("charts", "reflectances")),
-    "schlieren": Run("", ("progress",)),
+    "schlieren": Run("", ("result",)),
     "shape_from_polarisation": Run("", ("photograph", "heights")),
     "slab": Run("", ("target start result albedo_result",)),
-    "smoke": Run("--iterations 30", ("target result held_back_target held_back_result",)),
+    "smoke": Run("--iterations 100", ("target result held_back_target held_back_result",)),
     "svbrdf": Run("--demo", ("target_first target_new result_new",)),
     "textured_monkey": Run("--demo", ("start result target texture_result",)),
     "watch_training": Run("", ()),  # pictures go to TensorBoard
@@ -112,6 +113,7 @@ def joined(folder: Path, rows: tuple[str, ...]) -> Image.Image:
 def run(name: str) -> dict[str, object]:
     """Run a tutorial; its record."""
     folder = ROOT / "output" / "docs" / name
+    shutil.rmtree(folder, ignore_errors=True)  # of an earlier run, which this one would go on from
     options = RUNS.get(name, Run()).options.split()
     command = [sys.executable, str(PROGRAMS / f"{name}.py"), *options, "--output", str(folder)]
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
