@@ -2,6 +2,7 @@
 #include <map>
 #include <random>
 #include <stdexcept>
+#include <thread>
 
 #include "cpu/allocation.h"
 #include "cpu/work_items.h"
