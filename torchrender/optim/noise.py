@@ -15,7 +15,7 @@ class NoiseStop:
 
     Gradients of a rendering are unbiased, and the noise of each is independent of all before it, as long as every step
     has a seed of its own. Within a window of steps let M_i be the sum of the first i gradients g_1, ..., g_i. Where
-    the true gradient is zero, g_i M_{i-1} is zero on average whatever came before (a martingale difference), and
+    the true gradient is zero, g_i M_{i-1} is zero on average whatever came before (a martingale difference), and ::
 
         signal = sum_i g_i M_{i-1} / sqrt(sum_i (g_i M_{i-1})^2)
 
@@ -30,6 +30,8 @@ class NoiseStop:
     "Convergence diagnostics for stochastic gradient descent with constant learning rate", AISTATS 2018); all pairs of a
     window, as here, show a weaker slope. Comparing gradients with their noise: Mahsereci, Balles, Lassner and Hennig,
     "Early stopping without a validation set", 2017.
+
+    In a loop::
 
         stop = tr.optim.NoiseStop(optimizer)
         for it in range(1000):
