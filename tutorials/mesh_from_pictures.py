@@ -197,6 +197,7 @@ def run(
                 curves=curves,
                 judged=judged,
             )
+            scene.rebuild()  # as in a process that begins here: an interrupted run finds the same bits
 
     vertices = smoothing.from_differential(u.detach())
     judged["result"] = judge(vertices, faces)

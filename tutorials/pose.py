@@ -140,6 +140,7 @@ def run(
     if state is not None:
         curves, first = checkpoint.restore(state, iterations, optimiser, generator)
         last = state["last"]
+    scene.rebuild()
 
     bar = tr.progress(range(first, iterations), desc=f"pose from {part}", initial=first, total=iterations)
     for iteration in bar:
@@ -170,6 +171,7 @@ def run(
                 curves=curves,
                 last=last,
             )
+            scene.rebuild()  # as in a process that begins here: an interrupted run finds the same bits
 
     found = torch.stack(last).mean(0)
     with torch.no_grad():

@@ -113,6 +113,7 @@ def run(
                 random=generator.get_state(),
                 curves=curves,
             )
+            scene.rebuild()  # as in a process that begins here: an interrupted run finds the same bits
 
     found = smoothing.from_differential(u.detach())
     write_ply(folder / "tube.ply", found, faces)

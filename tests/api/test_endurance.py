@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import os
 import subprocess
@@ -122,6 +123,20 @@ def test_moved_vertices_refit_and_nothing_else():
         after = counts(scene)
     # A first motion builds in less time, a second one a tree for each mesh, which the following refit.
     assert grown(before, after) == {"meshes": 4, "tree_builds": 2, "mesh_refits": 2}
+
+
+def test_rebuilt_scenes_are_those_of_a_new_process():
+    scene = make_scene()
+    first = counts(scene)
+    for _ in range(4):
+        edit(scene, "sheet.vertex_positions")
+        counts(scene)
+    assert scene.updates["mesh_refits"] > 0
+    scene.rebuild()
+    assert scene.updates == {}
+    image = tr.render(scene, spp=16, seed=1)
+    assert scene.updates == first
+    assert torch.equal(image, tr.render(copy.deepcopy(scene), spp=16, seed=1))
 
 
 def test_vertices_that_were_written_but_not_changed_do_not_count():

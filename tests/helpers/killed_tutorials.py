@@ -56,7 +56,6 @@ def goes_on_after_a_kill(
     *,
     save_every: int,
     total: int,
-    meshes_move: bool = False,
 ) -> Path:
     """Checks that a run that is killed after its first checkpoints goes on from there and finds the same as one that
     was left alone.
@@ -65,10 +64,8 @@ def goes_on_after_a_kill(
         tutorial: the module.
         whole, result, settings: of the run that was left alone: its folder, what it returned, and its settings.
         capsys: what the second run prints is read from there.
-        save_every: iterations after which the killed run writes checkpoints.
+        save_every: iterations after which the killed run writes checkpoints; where meshes move, the other one, too.
         total: iterations of a whole run.
-        meshes_move: the results are about the same. Of two triangles that meet where a ray passes, Embree takes one or
-            the other, in a tree that was built at once or has followed the mesh.
 
     Returns:
         the folder of the killed run, beside the other one.
@@ -78,8 +75,7 @@ def goes_on_after_a_kill(
     at = checkpoint_in(parts)["iteration"]
     assert save_every <= at < total
     found = tutorial.run(parts, **settings)
-    assert found == (pytest.approx(result, rel=0.1) if meshes_move else result)
+    assert found == result
     assert f"going on from iteration {at} of {total} " in capsys.readouterr().out
-    last = checkpoint_in(parts) if meshes_move else same_checkpoints(whole, parts)
-    assert last["iteration"] == total
+    assert same_checkpoints(whole, parts)["iteration"] == total
     return parts

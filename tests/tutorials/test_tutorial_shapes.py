@@ -21,6 +21,7 @@ MESH = {
     "spp": 4,
     "iterations": 16,
     "finer_iterations": 4,
+    "save_every": 8,  # of both runs: after a checkpoint trees are built anew
     "target_spp": 16,
     "smoothness": 2.0,
     "points": 4000,
@@ -50,7 +51,7 @@ def test_mesh_from_pictures(tutorial, tmp_path, capsys):
     (moments,) = one["optimiser"]["state"].values()
     assert int(moments["step"]) == 4 and moments["exp_avg"].shape == one["u"].shape == one["vertices"].shape
 
-    parts = goes_on_after_a_kill(module, whole, result, MESH, capsys, save_every=8, total=20, meshes_move=True)
+    parts = goes_on_after_a_kill(module, whole, result, MESH, capsys, save_every=MESH["save_every"], total=20)
     with pytest.raises(ValueError, match=r"a run with rate 0\.1 \(now 0\.2\); --restart begins anew"):
         module.run(parts, **{**MESH, "rate": 0.2})
 
@@ -197,6 +198,7 @@ def test_pose_from_a_shadow(tutorial, tmp_path):
 def test_shadow_art(tutorial, tmp_path, capsys):
     module = tutorial("shadow_art")
     small = {"rings": 64, "corners": 16, "resolution": 32, "spp": 8, "iterations": 40, "smoothness": 2.0}
+    small["save_every"] = 20  # of both runs: after a checkpoint trees are built anew
     result = module.run(tmp_path / "whole", **small)
     assert result["start"] > 0.1 and result["end"] < 0.02
     assert "mean squared error of both shadows" in capsys.readouterr().out
@@ -205,4 +207,4 @@ def test_shadow_art(tutorial, tmp_path, capsys):
     tube = trimesh.load(tmp_path / "whole" / "tube.ply", process=False)
     assert len(tube.faces) == 2 * 64 * 16 and tube.is_watertight
 
-    goes_on_after_a_kill(module, tmp_path / "whole", result, small, capsys, save_every=20, total=40, meshes_move=True)
+    goes_on_after_a_kill(module, tmp_path / "whole", result, small, capsys, save_every=20, total=40)

@@ -203,6 +203,15 @@ class Scene(Container):
         """
         return {} if self._native is None else self._native.counters()
 
+    def rebuild(self) -> None:
+        """Let the next rendering make the core's copy of this scene anew, as the first one of a process does.
+
+        A tree that follows moving meshes depends on where they have been: of two triangles that meet where a ray passes
+        it may find one, a tree that is built at once the other. A program that calls this wherever it writes or reads a
+        checkpoint finds the same after an interruption, bit for bit. Costs as much as building the scene.
+        """
+        self._native = None
+
     def bounding_box(self) -> torch.Tensor:
         """Smallest axis-aligned box around all shapes: (2, 3), lower and upper corner; ValueError without shapes."""
         boxes = [m.bounds() for m in self._modules.values() if isinstance(m, Plugin) and m.category == "shape"]
