@@ -83,7 +83,7 @@ public:
                 current = next;
                 std::swap(next, spare);
                 const bool last = config_.max_depth >= 0 && depth + 1 >= config_.max_depth;
-                if (last) keep_rays_to_lights(*current);
+                if (last) keep_rays_to_lights(*current, recording);
                 if (current->n == 0) break;
                 wavefront.trace(*current, false, !recording);
                 step(*current, *next, {depth, 0, !last}, recording, wavefront.tape.size() - 1);
@@ -277,13 +277,16 @@ private:
         keep_entries<F>(queue, [&](uint32_t i) { return !mask<F>(Entries<F>(i)(queue.pdf) == F(0)); });
     }
 
-    // A last ray that passes all lights is not traced.
-    void keep_rays_to_lights(PathQueue<S> &queue) {
+    // A last ray that passes all lights is not traced, nor one whose light has no derivative.
+    void keep_rays_to_lights(PathQueue<S> &queue, bool recording) {
         const SceneView<S> &scene = wavefront.scene();
-        if (scene.n_light_boxes < 0 || wavefront.recorder.on() || wavefront.replay.on()) return;
+        const bool bsdfs_alone = recording && wavefront.bsdfs_alone();
+        if (wavefront.recorder.on() || wavefront.replay.on() || (scene.n_light_boxes < 0 && !bsdfs_alone)) return;
         keep_entries<F>(queue, [&](uint32_t i) {
-            M kept = last_ray_counts<F>(scene, queue, i);
-            return wavefront.bender ? kept || mask<F>(Entries<F>(i)(queue.medium) >= 0) : kept;
+            const Entries<F> from(i);
+            M kept = M(scene.n_light_boxes < 0) || last_ray_counts<F>(scene, queue, i);
+            if (bsdfs_alone) kept = kept && has_differentiated<F>(from(queue.seen));
+            return wavefront.bender ? kept || mask<F>(from(queue.medium) >= 0) : kept;
         });
     }
 

@@ -104,7 +104,15 @@ public:
         return {scene_,        call_.config,
                 slots,         diagnostics,
                 &needs_,       recording ? &tape.last().columns : nullptr,
-                recorder.on(), bender ? &bender->columns : nullptr};
+                recorder.on(), bender ? &bender->columns : nullptr,
+                recording && bsdfs_alone()};
+    }
+
+    // See PathContext. Hits that are replayed belong to all rays.
+    bool bsdfs_alone() const {
+        const PathConfig &config = call_.config;
+        const bool plain = !config.volumetric && !config.stokes && !bender && !replay.on();
+        return plain && needs_.bsdf && !needs_.emitter && !needs_.numbers() && !needs_.camera;
     }
 
     // Records onto another tape, for a derivative by something else, until called again.

@@ -27,6 +27,8 @@ struct PathContext {
     const TapeColumns<S> *tape = nullptr;  // the level of this step; null: radiance is added up
     bool keeps_black = false;              // shadow rays that bring nothing are traced, too
     const BentColumns<S> *bent = nullptr;  // by entry of the queue; null: no medium bends light
+    // Of the tape: nothing but values of BSDFs is differentiated, so that light counts from the first such vertex on.
+    bool bsdfs_alone = false;
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
     // How rays arrive: they move, or polarised light is turned about them.
@@ -70,6 +72,11 @@ TR_INLINE void mark_seen(const PathContext<F> &c, const UIntOf<F> &slot, const U
                          const MaskOf<F> &active) {
     auto first = active && mask<F>(seen == 0u);
     if (any(first)) scatter_lanes<F>(c.slots.alpha.at, slot, F(1), first);
+}
+
+template <class F>
+TR_INLINE MaskOf<F> has_differentiated(const UIntOf<F> &seen) {
+    return mask<F>((seen & SeenDifferentiated) != 0u);
 }
 
 // Of a model that disperses: how paths go through it, and what they are afterwards.

@@ -102,7 +102,7 @@ template <class F>
 TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
                                 const Interaction<F> &si, const Vec3<F> &wi, const ResolvedBsdf<F> &resolved,
                                 const PathStep &step, const UIntOf<F> &seen, const Random4<F> &u_light,
-                                const Random4<F> &u_bsdf, const MaskOf<F> &active) {
+                                const Random4<F> &u_bsdf, const MaskOf<F> &active, const MaskOf<F> &lit) {
     using S = ScalarOf<F>;
     BsdfParameters<F> params;
     load_parameters(c.scene, waves, bsdf, resolved.bsdf, si.at, active, params);
@@ -110,8 +110,8 @@ TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &w
     const bool first = step.depth == 0;
     F n_light(S(first ? c.config.emitter_samples : 1)), n_bsdf(S(first ? c.config.bsdf_samples : 1));
     Scattering<F> r;
-    if (bsdf.is(HasSmoothLobes) && c.scene.n_emitters > 0 && step.split < c.config.emitter_samples)
-        sample_light(c, waves, bsdf, params, si, wi, resolved, u_light, n_light, n_bsdf, active, r);
+    if (bsdf.is(HasSmoothLobes) && c.scene.n_emitters > 0 && step.split < c.config.emitter_samples && any(lit))
+        sample_light(c, waves, bsdf, params, si, wi, resolved, u_light, n_light, n_bsdf, lit, r);
     bsdf.sample(params, wi, u_bsdf.u[0], u_bsdf.u[1], u_bsdf.u[2], Transport::Radiance, r.sample, r.f);
     r.alive = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(S(step.split)) < n_bsdf);
     r.inverse_pdf = select(r.alive, F(1) / select(r.alive, n_bsdf * r.sample.pdf, F(1)), F(0));
@@ -219,15 +219,23 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     orient(c, bsdf, si, active);
     Vec3<F> wi = resolved.mirror(si.frame.to_local(-ray.d));
     const uint32_t block = BlocksPerScattering * step.scattering();
-    Random4<F> u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
+    const bool differentiates = c.differentiates(&GradientNeeds::bsdf);
+    M differentiated(false), lit = may;  // lanes in which an emitter sample counts
+    if (differentiates) differentiated = is_differentiated(c, resolved, active);
+    if (c.bsdfs_alone) {
+        seen = select(mask<U>(differentiated), seen | SeenDifferentiated, seen);
+        lit = lit && has_differentiated<F>(seen);
+    }
+    Random4<F> u_light{};
+    if (roulette || any(lit)) u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
     Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
-    Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, seen, u_light, u_bsdf, may);
+    Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, seen, u_light, u_bsdf, may, lit);
     if (c.bent) leave_bending(c.scene, si, medium, resolved, active, s);
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);
 
     Spectrum<F> weight = s.f * s.inverse_pdf, kept = weight;
     M alive = s.alive && finite(c, weight, s.alive, Culprit::Bsdf, resolved.bsdf);
-    if (c.differentiates(&GradientNeeds::bsdf)) kept = kept_factor(weight, is_differentiated(c, resolved, active));
+    if (differentiates) kept = kept_factor(weight, differentiated);
     Spectrum<F> survival = lanes(in.survival) * kept;
     F eta = lanes(in.eta) * s.sample.eta, keep(1), throughput = max_component(survival);
     alive = alive && mask<F>(throughput > F(0));

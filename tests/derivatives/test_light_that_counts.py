@@ -1,0 +1,85 @@
+"""Derivatives of BSDFs alone leave out the light of vertices before the first BSDF that is differentiated.
+
+Where lights are differentiated, too, nothing is left out: gradients of BSDFs are the same to rounding, since other lanes
+stand beside each other in packets.
+"""
+
+from __future__ import annotations
+
+import copy
+
+import pytest
+import reference_scenes
+import torch
+
+import torchrender as tr
+
+LIGHTS = ("radiance", "intensity", "irradiance", "sky", "lamp", "emitter", "sun")
+SIZE = 16
+
+
+def gradients(scene: tr.Scene, names: list[str], **settings) -> list[torch.Tensor | None]:
+    image = tr.render(scene, **{"spp": 4, "seed": 3, **settings})
+    adjoint = torch.randn(image.shape, generator=torch.Generator().manual_seed(2)).to(image.dtype)
+    leaves = [scene.get_parameter(name) for name in names]
+    return list(torch.autograd.grad(image, leaves, adjoint, allow_unused=True))
+
+
+def room() -> tr.Scene:
+    """The Cornell box, with the box at the back as the only thing that is differentiated."""
+    return tr.load_file("scenes/cornell_box.xml", resolution=32, variant="mono", dtype=torch.float64)
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize("settings", [{}, {"correlated": True}, {"sampler": "independent"}], ids=str)
+@pytest.mark.parametrize("name", sorted(reference_scenes.SCENES))
+def test_gradients_of_bsdfs_alone_are_those_beside_lights(name, settings):
+    description = copy.deepcopy(reference_scenes.SCENES[name]().scene)
+    film = description["sensor"]["film"]
+    film.update({key: SIZE for key in (("crop_width", "crop_height") if "crop_width" in film else ("width", "height"))})
+    scene = tr.load_dict(description, dtype=torch.float64)
+    scene.train_only("*")
+    trained = [n for n, p in scene.named_parameters() if p.requires_grad]
+    lights = [n for n in trained if any(word in n for word in LIGHTS)]
+    values = [n for n in trained if n not in lights and "bsdf" in n]
+    if not values:
+        pytest.skip(f"{name} has no BSDF with a derivative")
+    for value in values:
+        scene.train_only(value, *lights)
+        (beside,) = gradients(scene, [value], **settings)
+        scene.train_only(value)
+        (alone,) = gradients(scene, [value], **settings)
+        torch.testing.assert_close(alone, beside, rtol=1e-11, atol=1e-11 * float(beside.abs().max()))
+
+
+def test_few_rays_are_traced_for_a_small_thing():
+    """All four vertices that scatter send a ray to the lamp, those before the box's do not."""
+    scene = room()
+    rays = {}
+    for what in ("box.reflectance.value", "*.reflectance.value"):
+        scene.train_only(what)
+        tr.render(scene, spp=16, seed=0).sum().backward()
+        rays[what] = scene.statistics["vjp"]
+    few, many = rays.values()
+    assert few["shadow_rays"] < 0.6 * many["shadow_rays"]
+    assert few["closest_rays"] < many["closest_rays"]
+
+
+@pytest.mark.parametrize("mode", ["forward", "reverse"])
+def test_the_derivative_of_a_thing_alone(mode):
+    """By the reflectance of the box: the same beside the lamp's radiance."""
+    scene = room()
+    found = []
+    for patterns in (["box.reflectance.value"], ["box.reflectance.value", "*radiance*"]):
+        scene.train_only(*patterns)
+        box = scene.get_parameter("box.reflectance.value")
+        if mode == "reverse":
+            found.append(torch.autograd.grad(tr.render(scene, spp=16, seed=0).sum(), box)[0])
+        else:
+            tangents = {n: torch.zeros_like(p) for n, p in scene.named_parameters() if p.requires_grad}
+            tangents["box.reflectance.value"] += 1
+            values = {n: scene.get_parameter(n).detach() for n in tangents}
+            _, change = torch.func.jvp(lambda v: tr.render(scene, spp=16, seed=0, params=v), (values,), (tangents,))
+            found.append(change)
+    torch.testing.assert_close(*found, rtol=1e-11, atol=1e-14)
+    assert float(found[0].abs().sum()) > 0
