@@ -36,6 +36,7 @@ from .peers import Peer, PeerError
 from .report import Result, Table
 
 RENDERS = False  # sizes and samples are the problems' own
+SEARCH_SEED = 1 << 10  # far from the rounds'
 SETTINGS = Path(__file__).with_name("inverse_settings.json")
 
 
@@ -52,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--cap", type=float, default=120.0, help="seconds after which a run ends (default %(default)s)")
     parser.add_argument("--search", action="store_true", help="search for the best settings first")
+    parser.add_argument(
+        "--search-runs", type=positive, default=3, help="runs of each setting that is tried (default %(default)s)"
+    )
     parser.add_argument(
         "--by-cpu", action="store_true", help="search by seconds of the processor: where other work runs beside"
     )
@@ -75,7 +79,13 @@ def search(problem: Problem, task: Task, peers: list[Peer], folder: Path, settin
     """Puts the best setting of every program into `settings`; rows of all that was tried."""
     rows, goal = [], problem.goal(options.quick)
     for peer in peers:
-        searched = Search(lambda s, peer=peer: Run(peer, task, s, folder), goal, options.cap, options.by_cpu)
+        searched = Search(
+            lambda setting, seed, peer=peer: Run(peer, task, setting, folder, SEARCH_SEED + seed),
+            goal,
+            options.cap,
+            options.by_cpu,
+            options.search_runs,
+        )
         others = problem.others.get(peer.name, [])
         try:
             best = searched.search(start_of(settings, problem, peer), peer.name, others)

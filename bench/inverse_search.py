@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from statistics import mean
 from typing import Any
 
 from .inverse_race import Run
@@ -24,11 +25,14 @@ Setting = dict[str, Any]
 
 @dataclass(frozen=True)
 class Trial:
-    """A setting, whether it came to the target, and where it was then or when its time was up."""
+    """A setting, whether all of its runs came to the target, and where they were then or when their time was up.
+
+    Numbers are means of the runs.
+    """
 
     setting: Setting
     reached: bool
-    iterations: int
+    iterations: float
     seconds: float
     cost: float  # by which settings are compared: seconds, or those of the processor
     error: float
@@ -54,14 +58,17 @@ class Search:
     """Trials of one program at one problem.
 
     Args:
-        run_of: makes a run with a setting.
+        run_of: makes a run with a setting and a seed.
         target: the error to be reached.
         cap: seconds of the first trial; later ones end where they cannot be the best any more.
         by_cpu: compare seconds of the processor: where other work runs on the machine.
+        runs: of each setting, with seeds of their own: of many settings the best one with a single seed is a lucky one.
     """
 
-    def __init__(self, run_of: Callable[[Setting], Run], target: float, cap: float, by_cpu: bool = False) -> None:
-        self.run_of, self.target, self.cap, self.by_cpu = run_of, target, cap, by_cpu
+    def __init__(
+        self, run_of: Callable[[Setting, int], Run], target: float, cap: float, by_cpu: bool = False, runs: int = 1
+    ) -> None:
+        self.run_of, self.target, self.cap, self.by_cpu, self.runs = run_of, target, cap, by_cpu, runs
         self.trials: list[Trial] = []
         self.best: Trial | None = None
 
@@ -69,16 +76,22 @@ class Search:
         """Whether a setting is better than all before."""
         if any(trial.setting == setting for trial in self.trials):
             return False
-        run = self.run_of(setting)
-        try:
-            run.begin()
-            while not run.over(self.target, self.cap) and not self._beaten(run):
-                run.check()
-        except PeerError as error:  # a sampler that does not take such a number of samples, values without bounds
-            print(f"{setting}: {error}", file=sys.stderr, flush=True)
-            return False
-        last = run.last
-        trial = Trial(setting, run.reached(self.target), last.iterations, last.seconds, self._cost(run), last.error)
+        ends, spent, reached = [], 0.0, True
+        for seed in range(self.runs):
+            run = self.run_of(setting, seed)
+            try:
+                run.begin()
+                while not run.over(self.target, self.cap) and not self._beaten(spent + self._cost(run)):
+                    run.check()
+            except PeerError as error:  # a sampler that does not take such a number of samples, values without bounds
+                print(f"{setting}: {error}", file=sys.stderr, flush=True)
+                return False
+            ends.append(run.last)
+            spent, reached = spent + self._cost(run), run.reached(self.target)
+            if not reached:
+                break
+        numbers = [mean([getattr(end, name) for end in ends]) for name in ("iterations", "seconds")]
+        trial = Trial(setting, reached, *numbers, spent / len(ends), mean([end.error for end in ends]))
         self.trials.append(trial)
         print(f"{run.peer.title}: {trial}", file=sys.stderr, flush=True)
         better = self.best is None or self._key(trial) < self._key(self.best)
@@ -89,8 +102,9 @@ class Search:
     def _cost(self, run: Run) -> float:
         return run.last.cpu if self.by_cpu else run.last.seconds
 
-    def _beaten(self, run: Run) -> bool:
-        return self.best is not None and self.best.reached and self._cost(run) >= self.best.cost
+    def _beaten(self, spent: float) -> bool:
+        """Whether a setting whose runs have cost so much so far cannot be the best any more."""
+        return self.best is not None and self.best.reached and spent >= self.runs * self.best.cost
 
     @staticmethod
     def _key(trial: Trial) -> tuple[bool, float]:

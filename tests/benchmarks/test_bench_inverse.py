@@ -160,10 +160,12 @@ def test_rates_are_halved():
 class Counted:
     """A run whose time is known: least at the rate 0.1, with 2 to 4 samples, by Sobol' points."""
 
-    def __init__(self, setting: dict) -> None:
+    def __init__(self, setting: dict, seed: int) -> None:
         self.setting, self.peer = setting, SimpleNamespace(title="counted")
         slowness = abs(np.log2(setting["rate"] / 0.1)) + (setting["sampler"] != "sobol")
         self.need = 10 * (1 + slowness) + 8 / setting["spp"] + setting["spp"] + setting["halving"] / 64
+        if setting["sampler"] == "lucky":
+            self.need = 1.0 if seed == 0 else 60.0
         self.last = SimpleNamespace(iterations=0, seconds=0.0, cpu=0.0, error=1.0)
 
     def begin(self) -> None:
@@ -199,6 +201,12 @@ def test_a_search_tries_what_a_problem_names():
     search = Search(Counted, 0.5, 200.0)
     search.search(SETTING, "no such program", [other])
     assert [{**trial.setting, **other} == trial.setting for trial in search.trials].count(True) == 1
+
+
+def test_a_search_is_not_taken_in_by_one_lucky_run():
+    lucky = {"sampler": "lucky"}
+    found = [Search(Counted, 0.5, 200.0, runs=runs).search(SETTING, "no such program", [lucky]) for runs in (1, 3)]
+    assert [setting["sampler"] == "lucky" for setting in found] == [True, False]
 
 
 def test_given_pictures_and_cameras(tmp_path):
