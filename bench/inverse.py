@@ -177,7 +177,7 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
             peer.close()
     rows = [row_of(problem, goal, *each) for each in zip(by_program, memory, differences, strict=True)]
     for row, runs in zip(rows[1:], by_program[1:], strict=True):
-        pairs = zip(runs, by_program[0], strict=True)
+        pairs = [(theirs, mine) for theirs, mine in zip(runs, by_program[0], strict=True) if not theirs.failed]
         seconds = [(theirs.last.seconds, mine.last.seconds) for theirs, mine in pairs if mine.last.seconds]
         row["seconds / ours"] = Measured.of(theirs / mine for theirs, mine in seconds) if seconds else None
     for row in rows:

@@ -130,9 +130,13 @@ TR_LARGE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeCo
 template <class F>
 TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                                   const TapeColumns<ScalarOf<F>> *parents, uint32_t level, int kind, bool scatters,
-                                  uint32_t i, const MaskOf<F> &active, GradientSink<F> &sink) {
+                                  uint32_t i, const MaskOf<F> &given, GradientSink<F> &sink) {
     const GradientNeeds &needs = c.needs;
     Entries<F> from(i);
+    UIntOf<F> slot = from(tape.vertex.slot);
+    const MaskOf<F> active = given && mask<F>(slot != UIntOf<F>(NoSlot));
+    if (!any(active)) return uniform_spectrum(F(0));
+    slot = active_only<F>(slot, active);
     const bool volumetric = c.config.volumetric, moves = volumetric && needs.geometry;
     const bool collided = kind == CollisionKind, passes = volumetric && kind == NullKind,
                surface = kind < MissKind && scatters && !passes;
@@ -146,7 +150,6 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
         v.through = segment.through;
     }
     if (needs.geometry || collided) read_arrival(tape, i, v);
-    UIntOf<F> slot = active_only<F>(from(tape.vertex.slot), active);
     Spectrum<F> delta = uniform_spectrum(F(1));
     if (!c.unit_adjoint) delta = LaneSet<F>(slot, active)(c.slots.delta);
     Spectrum<F> a = pull(delta, v.beta), r = v.emission_radiance;

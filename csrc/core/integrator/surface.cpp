@@ -180,7 +180,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     M bent(false);
     if (c.bent) bent = arrive_bent(c, lanes, si.p, e);
     if (c.tape) {
-        write_vertex(c, i, slot, lanes(in.parent), beta, si.at, e);
+        write_vertex(c, i, slot_on_tape(c, slot, lanes(in.seen)), lanes(in.parent), beta, si.at, e);
         if (c.keeps_arrivals()) {
             Vec3<F> segment = si.p - from.p;
             // light is sampled by places, which are glued to what emits; all else by directions, in which points slide
@@ -225,6 +225,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     if (c.bsdfs_alone) {
         seen = select(mask<U>(differentiated), seen | SeenDifferentiated, seen);
         lit = lit && has_differentiated<F>(seen);
+        if (any(differentiated)) write(c.tape->vertex.slot, i, slot_on_tape(c, slot, seen));
     }
     Random4<F> u_light{};
     if (roulette || any(lit)) u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
@@ -286,7 +287,7 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
     }
     Spectrum<F> beta = lanes(in.beta);
     if (!c.tape) return add_radiance(c, slot, beta, e, shown, Culprit::Environment);
-    write_vertex(c, i, slot, lanes(in.parent), beta, e.point.at, e);
+    write_vertex(c, i, slot_on_tape(c, slot, lanes(in.seen)), lanes(in.parent), beta, e.point.at, e);
     if (c.bent) write(c.tape->bent.medium, i, IntOf<F>(-1));
     if (!c.keeps_arrivals()) return;
     Vec3<F> zero{F(0), F(0), F(0)};

@@ -84,6 +84,12 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
 
 // ------------------------------------------------------------------------------------------------------ tape entries
 template <class F>
+TR_INLINE UIntOf<F> slot_on_tape(const PathContext<F> &c, const UIntOf<F> &slot, const UIntOf<F> &seen) {
+    using U = UIntOf<F>;
+    return c.bsdfs_alone ? select(mask<U>(has_differentiated<F>(seen)), slot, U(NoSlot)) : slot;
+}
+
+template <class F>
 TR_INLINE void write_vertex(const PathContext<F> &c, size_t i, const UIntOf<F> &slot, const UIntOf<F> &parent,
                             const Spectrum<F> &beta, const SurfacePoint<F> &at, const FoundEmission<F> &e) {
     Spectrum<F> none = uniform_spectrum(F(0));

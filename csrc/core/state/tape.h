@@ -9,7 +9,8 @@
 namespace tr {
 
 // clang-format off
-// Every vertex; `suffix` is the radiance from the next one, which the sweep writes.
+// Every vertex; `slot` is NoSlot where nothing has a derivative (see PathContext::bsdfs_alone); `suffix` is the radiance
+// from the next one, which the sweep writes.
 #define TR_VERTEX_COLUMNS(X) \
     X(Index, slot) X(Index, parent) X(Point, at) X(Spectrum, beta) X(Integer, emission_emitter) \
     X(Number, emission_weight) X(Spectrum, emission_radiance) X(Spectrum, suffix)
@@ -53,6 +54,8 @@ namespace tr {
 // `emitted`.
 #define TR_CONNECTED_COLUMNS(X) X(Spectrum, q) X(Spectrum, u) X(Spectrum, v)
 // clang-format on
+
+constexpr uint32_t NoSlot = 0xFFFFFFFFu;
 
 TR_PACKET(VertexPacket, TR_VERTEX_COLUMNS)
 TR_PACKET(OutgoingPacket, TR_OUTGOING_COLUMNS)
