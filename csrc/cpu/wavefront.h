@@ -101,10 +101,14 @@ public:
 
     // `recording`: onto the tape's last level.
     PathContext<F> context(bool recording) {
-        return {scene_,        call_.config,
-                slots,         diagnostics,
-                &needs_,       recording ? &tape.last().columns : nullptr,
-                recorder.on(), bender ? &bender->columns : nullptr,
+        return {scene_,
+                call_.config,
+                slots,
+                diagnostics,
+                &needs_,
+                recording ? &tape.last().columns : nullptr,
+                recorder.on(),
+                bender ? &bender->columns : nullptr,
                 recording && bsdfs_alone()};
     }
 

@@ -1,6 +1,6 @@
 """Derivatives of BSDFs alone leave out the light of vertices before the first BSDF that is differentiated.
 
-Where lights are differentiated, too, nothing is left out: gradients of BSDFs are the same to rounding, since other lanes
+Where lights are differentiated, too, nothing is left out: gradients of BSDFs are the same to rounding, since others
 stand beside each other in packets.
 """
 
@@ -36,7 +36,7 @@ def room() -> tr.Scene:
 def test_gradients_of_bsdfs_alone_are_those_beside_lights(name, settings):
     description = copy.deepcopy(reference_scenes.SCENES[name]().scene)
     film = description["sensor"]["film"]
-    film.update({key: SIZE for key in (("crop_width", "crop_height") if "crop_width" in film else ("width", "height"))})
+    film.update(dict.fromkeys(("crop_width", "crop_height") if "crop_width" in film else ("width", "height"), SIZE))
     scene = tr.load_dict(description, dtype=torch.float64)
     scene.train_only("*")
     trained = [n for n, p in scene.named_parameters() if p.requires_grad]

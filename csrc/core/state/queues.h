@@ -46,8 +46,8 @@ struct SlotColumns {
 #define TR_PATH_MEDIUM_COLUMNS(X) X(Integer, medium) X(Index, depth) X(Spectrum, channel) X(Number, ray_offset)
 #define TR_PATH_QUEUE_COLUMNS(X) TR_PATH_COLUMNS(X) TR_PATH_MEDIUM_COLUMNS(X)
 
-// Something that is not invisible; dispersion has left the first of the wavelengths alone; a BSDF that is differentiated
-// (only where PathContext::bsdfs_alone).
+// Something that is not invisible; dispersion has left the first of the wavelengths alone; a BSDF that is
+// differentiated (only where PathContext::bsdfs_alone).
 constexpr uint32_t SeenSomething = 1, SingleWave = 2, SeenDifferentiated = 4;
 
 template <class S>
