@@ -32,7 +32,7 @@ def test_metals_and_their_unknowns(tutorial):
         torch.testing.assert_close(numbers[name], value, rtol=2e-3, atol=0)
 
 
-@pytest.mark.parametrize(("material", "iterations", "rate"), [("glass", 40, 0.2), ("plastic", 100, 0.1)])
+@pytest.mark.parametrize(("material", "iterations", "rate"), [("glass", 60, 0.2), ("plastic", 100, 0.1)])
 def test_glass_and_plastic_are_found_too(tutorial, tmp_path, material, iterations, rate):
     settings = {"material": material, "iterations": iterations, "rate": rate}
     result = tutorial("polarised_ball").run(tmp_path, resolution=16, spp=16, spp_photograph=256, points=0, **settings)
