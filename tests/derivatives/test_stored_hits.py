@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import gc
 import warnings
 
@@ -19,13 +18,7 @@ SIZE = 16
 
 def make(name: str, **settings) -> tr.Scene:
     """A reference scene with few pixels, of which everything that can be is to be differentiated."""
-    description = copy.deepcopy(reference_scenes.SCENES[name]().scene)
-    film = description["sensor"]["film"]
-    if "crop_width" in film:
-        film.update(crop_width=SIZE, crop_height=SIZE)
-    else:
-        film.update(width=SIZE, height=SIZE)
-    scene = tr.load_dict(description, **settings)
+    scene = tr.load_dict(reference_scenes.in_few_pixels(name, SIZE), **settings)
     scene.train_only("*")
     return scene
 

@@ -6,6 +6,8 @@ renders them with torchrender and compares. This module needs NumPy alone, so th
 
 from __future__ import annotations
 
+import copy
+
 from reference_lights import _area, _direct, _directional, _environment, _hidden_and_null, _projector, _spot
 from reference_materials import (  # noqa: F401 (those that are used elsewhere, too)
     PRINCIPLED,
@@ -149,3 +151,11 @@ SCENES = {
     "volume_texture": _volume_texture,
     "instances": _instances,
 }
+
+
+def in_few_pixels(name: str, size: int) -> dict:
+    """The description of a scene of `SCENES` with so many pixels along a side, its crop's if it has one."""
+    description = copy.deepcopy(SCENES[name]().scene)
+    film = description["sensor"]["film"]
+    film.update(dict.fromkeys(("crop_width", "crop_height") if "crop_width" in film else ("width", "height"), size))
+    return description

@@ -98,6 +98,7 @@ TR_NOINLINE MaskOf<F> arrive_bent(const PathContext<F> &c, const LaneSet<F> &lan
     return lanes.active && mask<F>(within >= 0);
 }
 
+// `lit`: lanes in which an emitter sample counts.
 template <class F>
 TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &waves, const BsdfKernels<F> &bsdf,
                                 const Interaction<F> &si, const Vec3<F> &wi, const ResolvedBsdf<F> &resolved,
@@ -220,7 +221,7 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     Vec3<F> wi = resolved.mirror(si.frame.to_local(-ray.d));
     const uint32_t block = BlocksPerScattering * step.scattering();
     const bool differentiates = c.differentiates(&GradientNeeds::bsdf);
-    M differentiated(false), lit = may;  // lanes in which an emitter sample counts
+    M differentiated(false), lit = may;
     if (differentiates) differentiated = is_differentiated(c, resolved, active);
     if (c.bsdfs_alone) {
         seen = select(mask<U>(differentiated), seen | SeenDifferentiated, seen);

@@ -83,6 +83,7 @@ TR_LARGE void shade_environment(const PathContext<F> &c, const PathStep &step, c
                                 const LaneSet<F> &lanes, uint32_t i);
 
 // ------------------------------------------------------------------------------------------------------ tape entries
+// A path's slot, of vertices that the sweep is to visit.
 template <class F>
 TR_INLINE UIntOf<F> slot_on_tape(const PathContext<F> &c, const UIntOf<F> &slot, const UIntOf<F> &seen) {
     using U = UIntOf<F>;
