@@ -69,11 +69,10 @@ CPU_FLAGS = {"avx2": frozenset("avx2 fma f16c bmi1 bmi2 abm movbe".split())}
 CPU_FLAGS["avx512"] = CPU_FLAGS["avx2"] | frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())
 PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a register
 
-# Of csrc/device what runs kernels on cards: called by the native tests alone so far, and in no module.
-ON_CARDS = ("compiler", "cuda_launcher", "kernel_cache", "sha256")
-
-# What renders on devices: it calls the renderer for plain numbers, which that module alone has.
-OF_NUMBERS = ("device_paths", "device_scene")
+# What renders on devices, and runs kernels on cards: it calls the renderer for plain numbers, which that module alone
+# has.
+OF_NUMBERS = ("device_paths", "device_scene", "scene_facts")
+ON_CARDS = ("cards", "compiler", "cuda_launcher", "kernel_cache", "sha256")
 
 # What the native tests do not call, and what that alone needs: a fifth of their compilation.
 NOT_TESTED = ("render_aovs", "render_boundary", "render_response")
@@ -332,8 +331,8 @@ def build_modules(directory: Path, isas: list[str], sanitize: bool) -> dict[str,
         exports.write_text(exports_text)
     is_mac = sys.platform == "darwin"
     products = {}
-    of_numbers = [p for p in library_sources() if p.stem in OF_NUMBERS]
-    sources = [p for p in library_sources() if p not in of_numbers and p.stem not in ON_CARDS]
+    of_numbers = [p for p in library_sources() if p.stem in (*OF_NUMBERS, *ON_CARDS)]
+    sources = [p for p in library_sources() if p not in of_numbers]
     device = [p for p in sources if p.parent.name == "device"]
     library, shared = [p for p in sources if p not in device], []
     for isa in isas:
@@ -392,6 +391,12 @@ def replace_file(source: Path, target: Path) -> None:
     os.replace(temporary, target)
 
 
+def copy_kernels(target: Path) -> None:
+    """What kernels for cards are compiled from when they are first used."""
+    for name in ("core", "device"):
+        shutil.copytree(CSRC / name, target / name, dirs_exist_ok=True)
+
+
 class BuildModules(build_ext):
     """build_ext through Ninja. In a checkout objects are kept in build/native, else in setuptools' build folder."""
 
@@ -408,6 +413,8 @@ class BuildModules(build_ext):
         for extension in self.extensions:
             product = products[extension.name.rsplit("_", 1)[1]]
             replace_file(product, Path(self.get_ext_fullpath(extension.name)))
+        if not self.inplace:
+            copy_kernels(Path(self.build_lib) / "torchrender" / "_kernels")
 
 
 class Wheel(bdist_wheel):

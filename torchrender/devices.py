@@ -1,13 +1,14 @@
-"""Where rays are traced and images rendered: on the CPU or on the emulated device; and what this machine has of CUDA.
+"""Where rays are traced and images rendered: on the CPU, on a card or on the emulated device; what there is of CUDA.
 
 The emulated device is the host that behaves like a card, for tests: it has memory of its own, which is guarded, works
 later than it is asked to, and shuffles what runs at once. Environment variables: ``TORCHRENDER_BACKEND`` is ``cpu``
-(the default) or ``emulated``, read when it is first needed; ``TORCHRENDER_NVRTC`` is the path of CUDA's compiler.
-Nothing of CUDA is loaded but by `report`.
+(the default), ``cuda``, ``cuda:NUMBER`` or ``emulated``, read when it is first needed; ``TORCHRENDER_NVRTC`` is the
+path of CUDA's compiler. Nothing of CUDA is loaded unless a card is chosen, but by `report`.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import os
 import re
@@ -20,25 +21,63 @@ if TYPE_CHECKING:
 
     from .library import Library
 
-CHOICES = ("cpu", "emulated")
+CHOICES = ("cpu", "emulated")  # and cards
 FUNCTIONS = ("ray_intersect", "ray_occluded", "render")
-"""What the emulated device has; of `render` a part, see render_devices.py."""
+"""What other devices have; of `render` a part, see render_devices.py."""
 
 _WHAT = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
+_NO_NVRTC = "there is no NVRTC: pip install nvidia-cuda-nvrtc-cu12, or set TORCHRENDER_NVRTC"
+
 _chosen: str | None = None
+_with_compiler: set[str] = set()  # cores that know one
 
 
 def device() -> str:
-    """The device that ``TORCHRENDER_BACKEND`` has chosen for this process: ``"cpu"`` or ``"emulated"``."""
+    """The device that ``TORCHRENDER_BACKEND`` has chosen for this process: ``"cpu"``, ``"emulated"``, ``"cuda:0"``."""
     global _chosen
     if _chosen is None:
         given = os.environ.get("TORCHRENDER_BACKEND", "").strip() or "cpu"
-        if given not in CHOICES:
-            cards = "; nothing runs on a card yet" if given.startswith("cuda") else ""
-            raise ValueError(f"TORCHRENDER_BACKEND: expected {' or '.join(CHOICES)}, got {given!r}{cards}")
+        given = "cuda:0" if given == "cuda" else given
+        if given not in CHOICES and not re.fullmatch(r"cuda:\d{1,3}", given):
+            raise ValueError(f"TORCHRENDER_BACKEND: expected cpu, emulated, cuda or cuda:NUMBER, got {given!r}")
         _chosen = given
     return _chosen
+
+
+@contextlib.contextmanager
+def chosen(name: str) -> Iterator[None]:
+    """Another device for a while: one of `CHOICES`, a card, or ``tree``, where the CPU walks the tree of devices."""
+    global _chosen
+    before, _chosen = _chosen, name
+    try:
+        yield
+    finally:
+        _chosen = before
+
+
+def kernels() -> Path:
+    """The folder of the sources that kernels are compiled from: of the package, or of the repository that it is in."""
+    package = Path(__file__).resolve().parent
+    installed = package / "_kernels"
+    return installed if installed.is_dir() else package.parent / "csrc"
+
+
+def use_compiler(core: Library) -> None:
+    """Name the compiler of kernels to a core that is to use a card. RuntimeError if there is none."""
+    if core.isa in _with_compiler:
+        return
+    problem = ""
+    for path in nvrtc_candidates():
+        try:
+            core.use_cuda_compiler(path, str(kernels()))
+        except RuntimeError as error:
+            if os.sep in path:
+                problem = problem or str(error)
+        else:
+            _with_compiler.add(core.isa)
+            return
+    raise RuntimeError(problem or _NO_NVRTC)
 
 
 def require_cpu(what: str) -> None:
@@ -52,23 +91,24 @@ def require_cpu(what: str) -> None:
 
 def refusal(place: torch.device) -> str:
     """The end of the sentence that refuses a tensor which does not lie on the CPU."""
-    what = "nothing runs on a card yet, torchrender" if place.type == "cuda" else "torchrender"
-    return f"{what} computes on the CPU: use .to('cpu')"
+    if place.type == "cuda":
+        return "scenes and tensors are the CPU's (TORCHRENDER_BACKEND=cuda renders them on a card): use .to('cpu')"
+    return "torchrender computes on the CPU: use .to('cpu')"
 
 
 def report(core: Library) -> dict[str, str]:
     """What `torchrender.backends.devices` returns."""
+    used = device()
+    name = used.partition(":")[0]
     sentences = {
         "cpu": "used for everything",
-        "emulated": f"a test of what will run on cards, has {_WHAT}; TORCHRENDER_BACKEND=emulated chooses it",
+        "emulated": f"a test of what runs on cards, has {_WHAT}; TORCHRENDER_BACKEND=emulated chooses it",
+        "cuda": f"has {_WHAT}; TORCHRENDER_BACKEND=cuda chooses it",
     }
-    if device() == "emulated":
-        sentences = {
-            "cpu": "not used, by TORCHRENDER_BACKEND=emulated; without it everything runs here",
-            "emulated": f"used by TORCHRENDER_BACKEND, has {_WHAT} so far",
-        }
-    cards = "nothing runs on a card yet (compiled and emulated, never run on a card)"
-    return {**sentences, "cuda": f"{cards}; {_driver(core)}; {_nvrtc(core)}"}
+    if used != "cpu":
+        sentences["cpu"] = f"not used, by TORCHRENDER_BACKEND={used}; without it everything runs here"
+        sentences[name] = f"used by TORCHRENDER_BACKEND, has {_WHAT} so far"
+    return {**sentences, "cuda": f"{sentences['cuda']}; {_driver(core)}; {_nvrtc(core)}"}
 
 
 def _driver(core: Library) -> str:
@@ -87,7 +127,7 @@ def _nvrtc(core: Library) -> str:
         except RuntimeError as error:
             if os.sep in path:  # it was meant, or is there
                 problem = problem or str(error)
-    return problem or "there is no NVRTC: pip install nvidia-cuda-nvrtc-cu12, or set TORCHRENDER_NVRTC"
+    return problem or _NO_NVRTC
 
 
 def nvrtc_candidates() -> Iterator[str]:

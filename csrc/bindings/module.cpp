@@ -8,6 +8,8 @@
 #include "declare_bsdf_functions.h"
 #include "declare_scene.h"
 #include "declare_upsampling.h"
+#include "device/cards.h"
+#include "device/cuda_launcher.h"
 #include "device/driver.h"
 #include "device/nvrtc.h"
 #include "functions.h"
@@ -176,6 +178,14 @@ Functions all_functions() {
     // versions of CUDA, "12.2"
     f.add("cuda_driver", [] { return cuda::driver_version(cuda::find_driver()); });
     f.add("nvrtc", [](const std::string &path) { return cuda::Nvrtc(path).version(); });
+#if !TR_HAS_PACKETS
+    f.add("use_cuda_compiler", &cuda::use_compiler);  // the path of NVRTC, and the folder of the core's sources
+    f.add("cuda_kernel_times", [] {
+        std::map<std::string, std::array<double, 2>> r;  // launches, seconds
+        for (const auto &[name, time] : cuda::take_kernel_times()) r[name] = {double(time.launches), time.seconds};
+        return r;
+    });
+#endif
     f.add("philox", [](uint64_t seed, uint32_t sensor, uint32_t pixel, uint32_t sample, uint32_t block) {
         Random4<double> r = random4<double>(seed, sensor, pixel, sample, block);
         return std::array<double, 4>{r.u[0], r.u[1], r.u[2], r.u[3]};

@@ -7,6 +7,7 @@
 #include "cpu/aovs.h"
 #include "cpu/packet_rows.h"
 #include "cpu/render_response.h"
+#include "device/cards.h"
 #include "device/scene_rays.h"
 #include "device/tree_walk.h"
 #if !TR_HAS_PACKETS
@@ -311,12 +312,21 @@ private:
     SceneData<S> data_;
     std::mutex mutex_;
     std::shared_ptr<RayRecord> ray_record_;
-    std::unique_ptr<SceneRays> emulated_;  // once it was asked for
+    std::map<std::string, std::unique_ptr<SceneRays>> devices_;  // that were asked for
     TreeWalk walk_;
 
     void update(const ParameterValues &values) {
         data_.update(read_only<S>(values.addresses), values.dirty);
         data_.walk(nullptr);
+    }
+
+    static std::unique_ptr<SceneRays> make_rays(const std::string &device) {
+        if (device == "emulated" || device == "tree") return std::make_unique<SceneRays>();
+#if !TR_HAS_PACKETS
+        if (device.compare(0, 5, "cuda:") == 0)
+            return std::make_unique<SceneRays>(&cuda::make_card, std::stoi(device.substr(5)));
+#endif
+        throw std::invalid_argument("device: expected cpu, emulated, tree or a card (cuda:0), got " + device);
     }
 
     // Images of another device.
@@ -336,20 +346,19 @@ private:
             update(values);
             return nullptr;
         }
-        if (device != "emulated" && device != "tree")
-            throw std::invalid_argument("device: expected cpu, emulated or tree, got " + device);
         const std::vector<ShapeInfo> &shapes = data_.layout().shapes;
         for (size_t i = 0; i < shapes.size(); ++i)
             if (const char *missing = SceneRays::missing(shapes[i]))
                 throw std::invalid_argument(
                     data_.path("shape", int(i)) +
-                    ": the emulated device has meshes, rectangles, spheres, disks and cylinders so far, got " +
-                    missing + "; with TORCHRENDER_BACKEND=cpu rays meet everything");
+                    ": devices have meshes, rectangles, spheres, disks and cylinders so far, got " + missing +
+                    "; with TORCHRENDER_BACKEND=cpu rays meet everything");
         update(values);
-        if (!emulated_) emulated_ = std::make_unique<SceneRays>();
-        emulated_->update(data_.view(), data_.geometry_version());
-        if (device == "emulated") return emulated_.get();
-        walk_.tree = emulated_->tree().view();
+        std::unique_ptr<SceneRays> &rays = devices_[device == "tree" ? "emulated" : device];
+        if (!rays) rays = make_rays(device);
+        rays->update(data_.view(), data_.geometry_version());
+        if (device != "tree") return rays.get();
+        walk_.tree = rays->tree().view();
         data_.walk(&walk_);
         return nullptr;
     }

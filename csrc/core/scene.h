@@ -3,6 +3,7 @@
 #pragma once
 
 #include "color/spectral.h"
+#include "math/facts.h"
 #include "model.h"
 
 namespace tr {
@@ -87,10 +88,10 @@ struct SceneView {
     const S *area_cdf;  // of the faces of emitting meshes
     const AttributeInfo *attributes;
     int32_t n_shapes;
-    bool textured;          // there is a texture that is not constant
-    bool has_stacks;        // there is a BSDF that chooses by chance, or perturbs normals
-    bool follows_tangent;   // there is a BSDF whose frame follows the texture coordinates
-    bool polarized_lights;  // there is an emitter whose light is polarised
+    TR_FACT(bool, textured, TR_TEXTURED);         // there is a texture that is not constant
+    TR_FACT(bool, has_stacks, TR_STACKS);         // there is a BSDF that chooses by chance, or perturbs normals
+    TR_FACT(bool, follows_tangent, TR_TANGENTS);  // ... whose frame follows the texture coordinates
+    TR_FACT(bool, polarized_lights, false);       // there is an emitter whose light is polarised
     TR_INLINE bool has_tangents() const { return has_stacks || follows_tangent || polarized_lights; }
 
     // choosing an emitter
@@ -118,8 +119,9 @@ struct SceneView {
     int32_t n_media;
     const S *volume_to_local;  // 12 a volume
     const S *majorants;
-    const S *phase_tables;       // see phase/tabulated.h
-    const BendMedium<S> *bends;  // by medium, see medium/bend_medium.h; null: light goes straight in all of them
+    const S *phase_tables;  // see phase/tabulated.h
+    // by medium, see medium/bend_medium.h; null: light goes straight in all of them
+    TR_FACT(const BendMedium<S> *, bends, nullptr);
 
     // Calls visit(pointer) for all tables.
     template <class Visit>
@@ -171,14 +173,14 @@ struct ShapeLanes {
         gather_few_rows<F>(&table->flags, shape * 16u, active, row);
         flags = row[0], face_offset = row[1], bsdf = row[2], emitter = row[3];
     }
-    TR_INLINE MaskOf<F> has(int32_t some) const { return mask<F>((flags & some) != 0); }
+    TR_INLINE MaskOf<F> has(int32_t some) const { return mask<F>((flags & (some & facts::ShapeFlags)) != 0); }
 };
 
 // A colour in the block of small parameters.
 template <class F, class S>
 TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &waves, const IntOf<F> &offset,
                                         const MaskOf<F> &active) {
-    if (waves.spectral) return table_spectrum(values.constants, waves, UIntOf<F>(offset), active);
+    if (waves.spectral()) return table_spectrum(values.constants, waves, UIntOf<F>(offset), active);
     Spectrum<F> r;
     gather_few_rows<F>(values.constants, UIntOf<F>(offset), active, r.c);
     return r;
@@ -187,7 +189,7 @@ TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengt
 // The same of one colour for all lanes.
 template <class F, class S>
 TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengths<F> &waves, int32_t offset) {
-    if (waves.spectral) return table_spectrum(values.constants, waves, UIntOf<F>(uint32_t(offset)), MaskOf<F>(true));
+    if (waves.spectral()) return table_spectrum(values.constants, waves, UIntOf<F>(uint32_t(offset)), MaskOf<F>(true));
     Spectrum<F> r;
     for (int c = 0; c < SpectrumSize; ++c) r[c] = F(values.constants[offset + c]);
     return r;

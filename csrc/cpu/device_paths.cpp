@@ -100,7 +100,8 @@ void DevicePaths::reserve(size_t n) {
     counts_.reserve(launcher_, size_t(Kinds) * chunks_of(n));
     begin_.reserve(launcher_, Kinds), total_.reserve(launcher_, Kinds);
     begin_of_one_.reserve(launcher_, 1), total_of_one_.reserve(launcher_, 1);
-    traced_.reserve(launcher_, 2);
+    totals_.reserve(launcher_, 3);
+    at_.lost.total = totals_.get() + 2;
     capacity_ = n;
 }
 
@@ -146,20 +147,16 @@ void DevicePaths::for_batches(const RenderCall<float> &call, const TileSchedule 
                 const Pixel at = tile.pixel(p);
                 const auto [first, last] = schedule.samples(work, u, tile, p);
                 for (int64_t s = first; s < last;) {
-                    if (batch.row.size() == size) {
+                    if (batch.size == size) {
                         if (!body(batch)) return;
                         batch = {};
                         open(rect, false);
                     }
-                    const auto begin = uint32_t(batch.row.size()),
-                               end = uint32_t(std::min<int64_t>(int64_t(size), begin + last - s));
+                    const auto begin = batch.size, end = uint32_t(std::min<int64_t>(int64_t(size), begin + last - s));
                     batch.spans[batch.units.back().first_span + size_t(at.y - rect.y0) * size_t(rect.width()) +
                                 size_t(at.x - rect.x0)] = {begin, end};
-                    for (uint32_t k = begin; k < end; ++k, ++s) {
-                        batch.row.push_back(uint32_t(at.y)), batch.column.push_back(uint32_t(at.x));
-                        batch.pixel.push_back(pixel_number(at.y, at.x));
-                        batch.sample.push_back(uint32_t(call.sample_offset + s));
-                    }
+                    batch.pixels.push_back({begin, at.y, at.x, uint32_t(call.sample_offset + s)});
+                    s += end - begin, batch.size = end;
                 }
             }
             batch.units.back().closes = true;
@@ -187,17 +184,20 @@ RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<f
     const size_t n_sums = schedule.n_targets() * size_t(film.channels());
     if (schedule.n_targets() > UINT32_MAX / (2 * size_t(film.channels())))
         throw std::invalid_argument("device: the image has too many pixels");
-    std::vector<int32_t> targets;
-    for (size_t i = 0; i < schedule.n_targets(); ++i) {
-        const Pixel at = schedule.target(i);
-        targets.insert(targets.end(), {at.y, at.x});
+    if (call.pixels) {
+        std::vector<int32_t> targets;
+        for (size_t i = 0; i < schedule.n_targets(); ++i) {
+            const Pixel at = schedule.target(i);
+            targets.insert(targets.end(), {at.y, at.x});
+        }
+        targets_.upload(launcher_, targets.data(), targets.size());
     }
-    targets_.upload(launcher_, targets.data(), targets.size());
     sums_.reserve(launcher_, n_sums), open_.reserve(launcher_, n_sums);
     clear(sums_.get(), n_sums), clear(open_.get(), n_sums);
-    clear(at_.lost.count, capacity_), clear(traced_.get(), 2);
+    clear(at_.lost.count, capacity_), clear(totals_.get(), 3);
 
     const SceneView<float> &host = *call.scene;
+    launcher_.know(SceneFacts(host, call.config));
     std::vector<int32_t> kinds(size_t(host.n_bsdfs));
     for (int b = 0; b < host.n_bsdfs; ++b) kinds[size_t(b)] = resolved_kind(host, b);
     kinds_.upload(launcher_, kinds.data(), kinds.size());
@@ -208,37 +208,34 @@ RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<f
     int64_t done = 0;
     for_batches(call, schedule, batch_size, [&](const Batch &batch) {
         run_batch(work, batch);
-        done += int64_t(batch.row.size());
+        done += int64_t(batch.size);
         stats.interrupted = call.interrupted && call.interrupted(double(done) / double(n_paths));
         return !stats.interrupted;
     });
     stats.seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
     if (stats.interrupted) return stats;
     if (n_sums != 0) sums_.download(film.at(0), n_sums);
-    uint64_t traced[2];
-    traced_.download(traced, 2);
-    stats.closest_rays = traced[0], stats.shadow_rays = traced[1];
-    count_lost(stats);
+    uint64_t totals[3];
+    totals_.download(totals, 3);
+    stats.closest_rays = totals[0], stats.shadow_rays = totals[1];
+    if (totals[2] != 0) count_lost(stats);
     write_results(call, schedule, film, moments, out);
     return stats;
 }
 
 void DevicePaths::run_batch(const Work &work, const Batch &batch) {
-    const auto n = uint32_t(batch.row.size());
-    const std::pair<uint32_t *, const std::vector<uint32_t> *> columns[] = {{at_.slots.row.at, &batch.row},
-                                                                            {at_.slots.column.at, &batch.column},
-                                                                            {at_.slots.pixel.at, &batch.pixel},
-                                                                            {at_.slots.sample.at, &batch.sample}};
-    for (const auto &[to, from] : columns) launcher_.upload(to, from->data(), n * sizeof(uint32_t));
+    const uint32_t n = batch.size;
+    pixels_.upload(launcher_, batch.pixels.data(), batch.pixels.size());
+    launcher_.run(NumberSamples{pixels_.get(), uint32_t(batch.pixels.size()), at_.slots}, n);
     trace_paths(work, n);
     units_.upload(launcher_, batch.units.data(), batch.units.size());
     spans_.upload(launcher_, batch.spans.data(), batch.spans.size());
     const auto [first, n_targets] = work.targets(batch.units);
-    launcher_.run(
-        AddToFilm{work.call.filter, int32_t(std::min(work.call.filter.reach(), MaxReach)), int32_t(work.call.values),
-                  int32_t(work.moments), units_.get(), uint32_t(batch.units.size()), spans_.get(), targets_.get(),
-                  first, sums_.get(), open_.get(), at_.slots},
-        n_targets);
+    launcher_.run(AddToFilm{work.call.filter, int32_t(std::min(work.call.filter.reach(), MaxReach)),
+                            int32_t(work.call.values), int32_t(work.moments), units_.get(),
+                            uint32_t(batch.units.size()), spans_.get(), work.call.pixels ? targets_.get() : nullptr,
+                            work.schedule.rect(), first, sums_.get(), open_.get(), at_.slots},
+                  n_targets);
     launcher_.synchronize();
 }
 
@@ -269,7 +266,7 @@ void DevicePaths::trace_paths(const Work &work, uint32_t n) {
 
 void DevicePaths::trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes,
                              uint32_t n) {
-    launcher_.run(TracePaths{work.stage.scene, work.tree, queue, at_.hits, rays, traced_.get(), passes}, n);
+    launcher_.run(TracePaths{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
 }
 
 // Shades what the rays have hit; those that go on are in `out`, and listed in live_.
@@ -283,10 +280,10 @@ void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &i
     for (const int32_t kind : work.kinds)
         launcher_.run(ShadeHits{work.stage, at, kind, last, in, at_.hits, sorted_.entry, begin_.get(), total_.get(),
                                 out, at_.shadows, at_.out_key, at_.shadow_key},
-                      n);
+                      n, kind);
     if (!at.scatters) return;
     sort(at_.shadow_key, nullptr, sorted_.n, lit_, false, n);
-    launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance, traced_.get() + 1}, n);
+    launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance, totals_.get() + 1}, n);
     sort(at_.out_key, nullptr, sorted_.n, live_, false, n);
 }
 

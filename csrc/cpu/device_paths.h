@@ -40,7 +40,8 @@ struct BatchColumns {
 class DevicePaths {
 public:
     // The launcher has to live longer. `memory`: bytes for the paths of a batch; scene and film have theirs besides.
-    explicit DevicePaths(Launcher &launcher, size_t memory = size_t(16) << 20) : launcher_(launcher), memory_(memory) {}
+    DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
+    explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
     DevicePaths(const DevicePaths &) = delete;
     DevicePaths &operator=(const DevicePaths &) = delete;
 
@@ -55,7 +56,8 @@ public:
 private:
     // The samples of a batch as the host numbers them, and where the film finds them.
     struct Batch {
-        std::vector<uint32_t> row, column, pixel, sample;
+        uint32_t size = 0;
+        std::vector<SampledPixel> pixels;
         std::vector<FilmUnit> units;
         std::vector<FilmSpan> spans;
     };
@@ -72,8 +74,9 @@ private:
     DeviceArray<uint32_t> lengths_;  // of these lists
     DeviceArray<uint32_t> counts_, begin_, total_, begin_of_one_, total_of_one_;
     DeviceArray<int32_t> kinds_, targets_;
-    DeviceArray<uint64_t> traced_;  // closest hits, shadow rays
+    DeviceArray<uint64_t> totals_;  // closest hits, shadow rays, values that are not finite
     DeviceArray<double> sums_, open_;
+    DeviceArray<SampledPixel> pixels_;
     DeviceArray<FilmUnit> units_;
     DeviceArray<FilmSpan> spans_;
 

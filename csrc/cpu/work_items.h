@@ -165,9 +165,6 @@ void run_tiles(size_t n_items, const RenderCall<S> &call, Assignment assignment,
     });
 }
 
-// Pixels are numbered alike whatever is rendered of a film, those outside of it included.
-inline uint32_t pixel_number(int y, int x) { return (uint32_t(y + 32768) << 16) + uint32_t(x + 32768); }
-
 // Paths begin .. end of a batch belong to one unit of the item and, where pixels have numbers of samples of their own,
 // to one pixel. A path counts `weight` times: the schedule's number of samples over the pixel's.
 struct Span {

@@ -68,24 +68,32 @@ KernelCompiler::KernelCompiler(const Nvrtc &nvrtc, std::string sources, KernelCa
 
 std::string KernelCompiler::unit(const Kernel &kernel) {
     const std::string type = kernel.name;
+    const std::string work =
+        kernel.blocks ? "    __shared__ " + type +
+                            "::Shared shared;\n"
+                            "    for (unsigned i = blockIdx.x; i < n; i += gridDim.x)\n"
+                            "        kernel(tr::Block<" +
+                            type + "::Shared>{shared, i}, i);\n"
+                      : "    for (unsigned i = blockIdx.x * blockDim.x + threadIdx.x; i < n; i += gridDim.x * "
+                        "blockDim.x) kernel(i);\n";
     return "#include \"" + std::string(kernel.header) + "\"\nstatic_assert(sizeof(" + type +
            ") == " + std::to_string(kernel.size) + " && alignof(" + type + ") == " + std::to_string(kernel.alignment) +
            ", \"a functor is not what it is on the host\");\nextern \"C\" __global__ void " + EntryPoint +
-           "(__grid_constant__ const " + type +
-           " kernel, unsigned n) {\n"
-           "    for (unsigned i = blockIdx.x * blockDim.x + threadIdx.x; i < n; i += gridDim.x * blockDim.x) "
-           "kernel(i);\n}\n";
+           "(__grid_constant__ const " + type + " kernel, unsigned n) {\n" + work + "}\n";
 }
 
 // Products and sums round one by one, as on the host: hits are to be the same. A default of the core's is host and
 // device.
-std::vector<std::string> KernelCompiler::options(int capability) const {
-    return {"-std=c++17", "-default-device", "-fmad=false", "-diag-suppress=20012",
-            "-arch=sm_" + std::to_string(capability)};
+std::vector<std::string> KernelCompiler::options(int capability, const std::vector<std::string> &definitions) {
+    std::vector<std::string> all{"-std=c++17", "-default-device", "-fmad=false", "-diag-suppress=20012",
+                                 "-arch=sm_" + std::to_string(capability)};
+    all.insert(all.end(), definitions.begin(), definitions.end());
+    return all;
 }
 
-std::string KernelCompiler::cubin(const Kernel &kernel, int capability) const {
-    std::vector<std::string> all_options = options(capability);
+std::string KernelCompiler::cubin(const Kernel &kernel, int capability,
+                                  const std::vector<std::string> &definitions) const {
+    std::vector<std::string> all_options = options(capability, definitions);
     const std::string source = unit(kernel);
     std::string all = nvrtc_.version() + '\n' + fingerprint_ + '\n' + source;
     for (const std::string &option : all_options) all += '\n' + option;
@@ -97,8 +105,9 @@ std::string KernelCompiler::cubin(const Kernel &kernel, int capability) const {
     return made;
 }
 
-KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int capability) const {
-    std::vector<std::string> all_options = options(capability);
+KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int capability,
+                                                    const std::vector<std::string> &definitions) const {
+    std::vector<std::string> all_options = options(capability, definitions);
     add_folders(sources_, all_options);
     all_options.emplace_back("--ptxas-options=-v");
     std::string log;

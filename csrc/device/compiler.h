@@ -15,15 +15,15 @@ public:
     // `sources`: the folder that has core/ and device/.
     KernelCompiler(const Nvrtc &nvrtc, std::string sources, KernelCache cache);
 
-    // Machine code with the function `EntryPoint`, for a card of this capability (90).
-    std::string cubin(const Kernel &kernel, int capability) const;
+    // Machine code with the function `EntryPoint`, for a card of this capability (90). `definitions`: of a scene.
+    std::string cubin(const Kernel &kernel, int capability, const std::vector<std::string> &definitions = {}) const;
 
     // What the kernel itself takes of a card, besides functions that it calls: registers of a thread, bytes of its
     // stack and of what is spilled to it; and bytes of machine code and tables in all.
     struct Resources {
         size_t registers, stack, spilled, code;
     };
-    Resources resources(const Kernel &kernel, int capability) const;
+    Resources resources(const Kernel &kernel, int capability, const std::vector<std::string> &definitions = {}) const;
 
     static constexpr const char *EntryPoint = "tr_kernel";
     // A few lines: the header, a loop over the items, and that host and compiler agree on the size of the functor.
@@ -34,7 +34,7 @@ private:
     std::string sources_, fingerprint_;
     KernelCache cache_;
 
-    std::vector<std::string> options(int capability) const;
+    static std::vector<std::string> options(int capability, const std::vector<std::string> &definitions);
 };
 
 }  // namespace tr::cuda

@@ -1,14 +1,31 @@
 #include "cuda_launcher.h"
 
 #include <algorithm>
-#include <map>
-#include <string>
+#include <chrono>
+#include <cstdlib>
+#include <cstring>
+#include <mutex>
+#include <utility>
 
 namespace tr::cuda {
 
 namespace {
 
-constexpr unsigned BlockSize = 128, BlocksPerMultiprocessor = 16;
+constexpr unsigned Threads = 128, BlocksPerMultiprocessor = 16;
+
+bool waits_for_kernels() {
+    const char *given = std::getenv("TORCHRENDER_CUDA_SYNC");
+    return given && *given && std::strcmp(given, "0") != 0;
+}
+
+std::mutex times_mutex;
+std::map<std::string, KernelTime> times;
+
+void add_time(const char *kernel, double seconds) {
+    const std::lock_guard<std::mutex> lock(times_mutex);
+    KernelTime &of = times[kernel];
+    ++of.launches, of.seconds += seconds;
+}
 
 class CardLauncher final : public Launcher {
 public:
@@ -48,6 +65,11 @@ public:
         check(api_, api_.MemcpyDtoHAsync(to, address(from), bytes, stream_), "copying from " + card_.name);
         check(api_, api_.StreamSynchronize(stream_), after());
     }
+    size_t batch_memory() const override { return size_t(512) << 20; }
+    void know(const SceneFacts &facts) override {
+        facts_ = facts;
+        known_.clear();
+    }
     void synchronize() override {
         const Current current(*this);
         check(api_, api_.StreamSynchronize(stream_), after());
@@ -60,8 +82,11 @@ private:
     const Stream stream_;
     Device device_ = 0;
     Context context_ = nullptr;
-    std::map<std::string, std::pair<Module, Function>> modules_;
-    std::string last_;  // what was launched
+    SceneFacts facts_;
+    std::map<std::pair<const char *, int>, Function> known_;      // compiled for these facts, by kernel and BSDF
+    std::map<std::string, std::pair<Module, Function>> modules_;  // by kernel and all that it was compiled for
+    std::string last_;                                            // what was launched
+    const bool waits_ = waits_for_kernels();
 
     struct Current {
         explicit Current(const CardLauncher &of) : api(of.api_) {
@@ -79,32 +104,51 @@ private:
     static DevicePointer address(const void *memory) { return reinterpret_cast<DevicePointer>(memory); }
     std::string after() const { return last_.empty() ? "waiting for the card" : "running " + last_; }
 
-    Function function(const Kernel &kernel) {
-        auto found = modules_.find(kernel.name);
+    Function function(const Kernel &kernel, int bsdf) {
+        if (kernel.knows != Knowledge::Bsdf) bsdf = -1;
+        Function &known = known_[{kernel.name, bsdf}];
+        if (!known) known = load(kernel, facts_.options(kernel.knows, bsdf));
+        return known;
+    }
+    Function load(const Kernel &kernel, const std::vector<std::string> &options) {
+        std::string key = kernel.name;
+        for (const std::string &option : options) key += option;
+        auto found = modules_.find(key);
         if (found != modules_.end()) return found->second.second;
-        const std::string cubin = compiler_.cubin(kernel, card_.capability),
+        const std::string cubin = compiler_.cubin(kernel, card_.capability, options),
                           doing = std::string("loading ") + kernel.name;
         std::pair<Module, Function> loaded;
         check(api_, api_.ModuleLoadData(&loaded.first, cubin.data()), doing);
-        modules_[kernel.name] = loaded;  // unloaded also if the function is not in it
+        modules_[key] = loaded;  // unloaded also if the function is not in it
         check(api_, api_.ModuleGetFunction(&loaded.second, loaded.first, KernelCompiler::EntryPoint), doing);
-        modules_[kernel.name] = loaded;
+        modules_[key] = loaded;
         return loaded.second;
     }
 
-    void launch(const Kernel &kernel, const void *functor, uint32_t n) override {
+    void launch(const Kernel &kernel, const void *functor, uint32_t n, int bsdf) override {
         const Current current(*this);
-        const Function entry = function(kernel);
+        const Function entry = function(kernel, bsdf);
         const unsigned most = unsigned(card_.multiprocessors) * BlocksPerMultiprocessor,
-                       blocks = std::min((n - 1) / BlockSize + 1, most);
+                       threads = kernel.blocks ? BlockSize : Threads,
+                       blocks = std::min(kernel.blocks ? n : (n - 1) / Threads + 1, most);
         void *parameters[] = {const_cast<void *>(functor), &n};
         last_ = kernel.name;
-        check(api_, api_.LaunchKernel(entry, blocks, 1, 1, BlockSize, 1, 1, 0, stream_, parameters, nullptr),
+        const auto begin = std::chrono::steady_clock::now();
+        check(api_, api_.LaunchKernel(entry, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr),
               "launching " + last_);
+        if (!waits_) return;
+        check(api_, api_.StreamSynchronize(stream_), after());
+        const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+        add_time(kernel.name, seconds);
     }
 };
 
 }  // namespace
+
+std::map<std::string, KernelTime> take_kernel_times() {
+    const std::lock_guard<std::mutex> lock(times_mutex);
+    return std::exchange(times, {});
+}
 
 std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal, Stream stream) {
     return std::make_unique<CardLauncher>(api, compiler, ordinal, stream);

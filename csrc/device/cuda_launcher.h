@@ -1,7 +1,9 @@
-// Kernels on a card, through the driver. Nobody has run this on one yet: tests have a driver of their own.
+// Kernels on a card, through the driver. Tests have a driver of their own.
 #pragma once
 
+#include <map>
 #include <memory>
+#include <string>
 
 #include "compiler.h"
 #include "driver.h"
@@ -14,5 +16,13 @@ namespace tr::cuda {
 // what is called after it.
 std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal,
                                         Stream stream = nullptr);
+
+// Where TORCHRENDER_CUDA_SYNC is set the host waits for every kernel, so that errors are named at their place: how
+// often each was launched since the last call, and how long that took.
+struct KernelTime {
+    uint64_t launches = 0;
+    double seconds = 0;
+};
+std::map<std::string, KernelTime> take_kernel_times();
 
 }  // namespace tr::cuda

@@ -189,7 +189,7 @@ private:
         Emulated &of;
     };
 
-    void launch(const Kernel &kernel, const void *functor, uint32_t n) override {
+    void launch(const Kernel &kernel, const void *functor, uint32_t n, int) override {
         kernel.pointers(functor, [&](const void *p) {
             if (p) require(p, 1, kernel.name);
         });

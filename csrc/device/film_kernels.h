@@ -20,6 +20,40 @@ struct FillWords {
     }
 };
 
+// A pixel of a batch: its samples, from this one on, have the slots from `begin` on.
+struct SampledPixel {
+    uint32_t begin;
+    int32_t y, x;
+    uint32_t sample;
+};
+
+// Which sample every slot has. Pixels are in the order of their slots.
+struct NumberSamples {
+    static constexpr const char *Name = "tr::NumberSamples", *Header = "device/film_kernels.h";
+    const SampledPixel *pixels;
+    uint32_t n_pixels;
+    SlotColumns<float> slots;
+
+    TR_HD void operator()(uint32_t i) const {
+        uint32_t low = 0, high = n_pixels;
+        while (high - low > 1) {
+            const uint32_t middle = (low + high) / 2;
+            if (pixels[middle].begin <= i)
+                low = middle;
+            else
+                high = middle;
+        }
+        const SampledPixel &pixel = pixels[low];
+        slots.row.at[i] = uint32_t(pixel.y), slots.column.at[i] = uint32_t(pixel.x);
+        slots.pixel.at[i] = pixel_number(pixel.y, pixel.x);
+        slots.sample.at[i] = pixel.sample + (i - pixel.begin);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(pixels), slots.for_arrays(visit);
+    }
+};
+
 // Samples of a batch that belong to one unit of the schedule: the rectangle of its pixels, and where the spans of these
 // are. A unit that is longer than a batch opens in one and closes in another one.
 struct FilmUnit {
@@ -39,14 +73,17 @@ struct AddToFilm {
     const FilmUnit *units;
     uint32_t n_units;
     const FilmSpan *spans;
-    const int32_t *targets;  // (n, 2), row and column of each wanted pixel
-    uint32_t first;          // of those of this launch
-    double *sums, *open;     // by wanted pixel: of the film, and of the unit that is open, see FilmBlock
+    const int32_t *targets;  // (n, 2), row and column of each wanted pixel; null: all of `wanted`
+    Rect wanted;
+    uint32_t first;       // of those of this launch
+    double *sums, *open;  // by wanted pixel: of the film, and of the unit that is open, see FilmBlock
     SlotColumns<float> slots;
 
     TR_HD void operator()(uint32_t i) const {
         const uint32_t target = first + i;
-        const int32_t y = targets[2 * target], x = targets[2 * target + 1];
+        const auto width = uint32_t(wanted.width());
+        const int32_t y = targets ? targets[2 * target] : wanted.y0 + int32_t(target / width),
+                      x = targets ? targets[2 * target + 1] : wanted.x0 + int32_t(target % width);
         const int channels = colors + 2 + (moments ? 3 * moments + 1 : 0);
         double *film = sums + size_t(target) * size_t(channels), *block = open + size_t(target) * size_t(channels);
         for (uint32_t u = 0; u < n_units; ++u) {

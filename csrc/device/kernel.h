@@ -10,14 +10,29 @@
 //
 // A device compiles the header and gets the members byte by byte; the host calls the same function in a loop. Items of
 // a launch run in any order, also at once. Pointers are of the device's memory, or null; for_pointers names them all.
+//
+// One with `static constexpr Knowledge Knows` is compiled for a scene. One with a type `Shared` has blocks of threads
+// as items, which share one of it: see block.h.
 #pragma once
 
 #include <functional>
 #include <type_traits>
 
+#include "block.h"
 #include "core/math/config.h"
+#include "knowledge.h"
 
 namespace tr {
+
+template <class K, class = void>
+struct KnowledgeOf : std::integral_constant<Knowledge, Knowledge::Nothing> {};
+template <class K>
+struct KnowledgeOf<K, std::void_t<decltype(K::Knows)>> : std::integral_constant<Knowledge, K::Knows> {};
+
+template <class K, class = void>
+struct IsBlockKernel : std::false_type {};
+template <class K>
+struct IsBlockKernel<K, std::void_t<typename K::Shared>> : std::true_type {};
 
 // What launchers know of a functor.
 struct Kernel {
@@ -25,6 +40,8 @@ struct Kernel {
     size_t size, alignment;
     void (*item)(const void *functor, uint32_t i);
     void (*pointers)(const void *functor, const std::function<void(const void *)> &visit);
+    Knowledge knows;
+    bool blocks;  // its items are blocks of threads
 };
 
 template <class K>
@@ -36,10 +53,20 @@ const Kernel &kernel_of() {
         K::Header,
         sizeof(K),
         alignof(K),
-        [](const void *functor, uint32_t i) { (*static_cast<const K *>(functor))(i); },
+        [](const void *functor, uint32_t i) {
+            const K &k = *static_cast<const K *>(functor);
+            if constexpr (IsBlockKernel<K>::value) {
+                typename K::Shared shared;
+                k(Block<typename K::Shared>{shared, i}, i);
+            } else {
+                k(i);
+            }
+        },
         [](const void *functor, const std::function<void(const void *)> &visit) {
             static_cast<const K *>(functor)->for_pointers([&](const void *p) { visit(p); });
         },
+        KnowledgeOf<K>::value,
+        IsBlockKernel<K>::value,
     };
     return kernel;
 }

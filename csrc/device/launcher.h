@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "kernel.h"
+#include "scene_facts.h"
 
 namespace tr {
 
@@ -25,14 +26,20 @@ public:
     virtual void download(void *to, const void *from, size_t bytes) = 0;
     virtual void synchronize() = 0;
 
-    // The items 0 .. n - 1.
+    // Bytes that the paths of a batch should take.
+    virtual size_t batch_memory() const { return size_t(16) << 20; }
+
+    // What kernels are compiled for from now on, where they are compiled at all.
+    virtual void know(const SceneFacts &) {}
+
+    // The items 0 .. n - 1. `bsdf`: the kind that the kernel shades, where it has to know that.
     template <class K>
-    void run(const K &kernel, uint32_t n) {
-        if (n != 0) launch(kernel_of<K>(), &kernel, n);
+    void run(const K &kernel, uint32_t n, int bsdf = -1) {
+        if (n != 0) launch(kernel_of<K>(), &kernel, n, bsdf);
     }
 
 private:
-    virtual void launch(const Kernel &kernel, const void *functor, uint32_t n) = 0;
+    virtual void launch(const Kernel &kernel, const void *functor, uint32_t n, int bsdf) = 0;
 };
 
 // Memory of a device that is released with its owner. The launcher has to live longer.

@@ -10,9 +10,10 @@
 
 #include "core/integrator/camera.h"
 #include "core/integrator/classify.h"
+#include "knowledge.h"
 #include "tree_traversal.h"
-#if defined(__CUDACC_RTC__)  // compiled kernel by kernel; what shades has all models, and is not yet compiled so
-#include "core/integrator/camera.cpp"
+#if defined(__CUDACC_RTC__)
+#include "core_parts.h"
 #endif
 
 namespace tr {
@@ -20,14 +21,16 @@ namespace tr {
 // By slot: how many values were left out because they are not finite, and what brought the first one.
 struct LostColumns {
     uint32_t *count, *culprit, *index;
+    uint64_t *total;  // of all slots
 
     TR_HD void add(uint32_t slot, const Diagnostics &found) const {
+        accumulate(total, found.non_finite);
         if (count[slot] == 0) culprit[slot] = uint32_t(found.culprit), index[slot] = uint32_t(found.index);
         count[slot] += uint32_t(found.non_finite);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(count), visit(culprit), visit(index);
+        visit(count), visit(culprit), visit(index), visit(total);
     }
 };
 
@@ -69,6 +72,7 @@ constexpr int32_t Kept = 0, Gone = -1;
 // Camera rays of the samples.
 struct StartPaths {
     static constexpr const char *Name = "tr::StartPaths", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
     PathStage stage;
     PathQueue<float> out;
     int32_t *key;
@@ -91,6 +95,7 @@ struct StartPaths {
 // Closest hits. `passes`: rays go on behind what emits.
 struct TracePaths {
     static constexpr const char *Name = "tr::TracePaths", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Shapes;
     SceneView<float> scene;
     TreeView tree;
     PathQueue<float> queue;
@@ -129,6 +134,7 @@ private:
 // Which model shades them.
 struct ClassifyHits {
     static constexpr const char *Name = "tr::ClassifyHits", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
     PathStage stage;
     PathStep step;
     PathQueue<float> queue;
@@ -155,9 +161,10 @@ struct ClassifyHits {
 // on from a hit has its place in that list.
 struct ShadeHits {
     static constexpr const char *Name = "tr::ShadeHits", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Bsdf;
     PathStage stage;
     PathStep step;
-    int32_t kind;
+    TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
     bool last;  // rays that go on are the last ones
     PathQueue<float> in;
     HitColumns<float> hits;
@@ -176,8 +183,10 @@ struct ShadeHits {
         stage.with_context(in.slot[sorted[i]], [&](const PathContext<float> &c) {
             if (kind == MissKind)
                 shade_environment<float>(c, step, in, lanes, i);
+#if !defined(TR_BSDF_KIND) || defined(TR_ONE_BSDF)
             else
                 shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
+#endif
         });
         const bool goes_on = own.n != i && !(last && !last_ray_counts<float>(stage.scene, own, i));
         out_key[i] = goes_on ? Kept : Gone;
@@ -194,6 +203,7 @@ struct ShadeHits {
 // Adds what shadow rays bring where nothing is in the way. A path has one of them.
 struct TraceShadows {
     static constexpr const char *Name = "tr::TraceShadows", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Shapes;
     TreeView tree;
     ShadowQueue<float> shadows;
     EntryList rays;

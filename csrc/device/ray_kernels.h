@@ -1,6 +1,7 @@
 // Ray queries as kernels, an item a ray.
 #pragma once
 
+#include "knowledge.h"
 #include "tree_traversal.h"
 
 namespace tr {
@@ -24,6 +25,7 @@ TR_HD TreeHit trace(const TreeView &tree, const RayTable &rays, uint32_t i) {
 
 struct IntersectRays {
     static constexpr const char *Name = "tr::IntersectRays", *Header = "device/ray_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Shapes;
     TreeView tree;
     RayTable rays;
     uint32_t *shape, *primitive;
@@ -43,6 +45,7 @@ struct IntersectRays {
 
 struct OccludeRays {
     static constexpr const char *Name = "tr::OccludeRays", *Header = "device/ray_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Shapes;
     TreeView tree;
     RayTable rays;
     uint8_t *hit;

@@ -3,6 +3,7 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <stdexcept>
 #include <thread>
 
 #include "emulated.h"
@@ -40,9 +41,12 @@ TreeItem curved_item(const SceneView<S> &scene, uint32_t shape) {
 
 }  // namespace
 
-SceneRays::Device::Device() : launcher(make_emulated()), tree(*launcher) {}
+SceneRays::Device::Device(std::unique_ptr<Launcher> made) : launcher(std::move(made)), tree(*launcher) {}
 
-SceneRays::SceneRays() : device_(std::make_unique<Device>()), process_(getpid()) {}
+SceneRays::SceneRays() : emulated_(true), device_(std::make_unique<Device>(make_emulated())), process_(getpid()) {}
+
+SceneRays::SceneRays(MakeLauncher make, int ordinal)
+    : emulated_(false), device_(std::make_unique<Device>(make(ordinal))), process_(getpid()) {}
 
 SceneRays::~SceneRays() {
     if (process_ != getpid()) leave_to_parent();
@@ -53,8 +57,12 @@ void SceneRays::leave_to_parent() { [[maybe_unused]] const Device *left = device
 
 void SceneRays::ensure_process() {
     if (process_ == getpid()) return;
+    if (!emulated_)
+        throw std::runtime_error(
+            "device: a card cannot be used by a process that was forked from one that has used it; "
+            "start it by the method spawn");
     leave_to_parent();
-    device_ = std::make_unique<Device>();
+    device_ = std::make_unique<Device>(make_emulated());
     process_ = getpid();
     if (version_ != 0) device_->tree.set(tree_);
 }
@@ -76,6 +84,7 @@ void SceneRays::update(const SceneView<S> &scene, uint64_t version) {
     for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
         const ShapeInfo &info = scene.shapes[shape];
         const bool curved = info.flags & IsCurved;
+        shapes_.shape_flags |= info.flags;
         if (curved) single_matrix(scene.shape_matrices + 24 * size_t(shape) + 12, tree_.matrices[shape].to_object);
         if (!first) continue;
         if (curved)

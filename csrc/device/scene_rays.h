@@ -1,4 +1,4 @@
-// What the emulated device has of a scene: a tree that follows the scene's shapes, ray queries in it, and more.
+// What a device has of a scene: a tree that follows the scene's shapes, ray queries in it, and more.
 #pragma once
 
 #include <sys/types.h>
@@ -12,7 +12,10 @@ namespace tr {
 
 class SceneRays {
 public:
+    using MakeLauncher = std::unique_ptr<Launcher> (*)(int ordinal);
+    // On the emulated device; or on the device of this number that is made so, and lost to processes that are forked.
     SceneRays();
+    SceneRays(MakeLauncher make, int ordinal);
     ~SceneRays();
     SceneRays(const SceneRays &) = delete;
     SceneRays &operator=(const SceneRays &) = delete;
@@ -26,8 +29,14 @@ public:
     void update(const SceneView<S> &scene, uint64_t version);
 
     // As Accel's.
-    void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) { device_->tree.intersect(rays, hits, n); }
-    void occluded(const RayBatch &rays, uint8_t *hit, size_t n) { device_->tree.occluded(rays, hit, n); }
+    void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) {
+        device_->launcher->know(shapes_);
+        device_->tree.intersect(rays, hits, n);
+    }
+    void occluded(const RayBatch &rays, uint8_t *hit, size_t n) {
+        device_->launcher->know(shapes_);
+        device_->tree.occluded(rays, hit, n);
+    }
 
     // The tree in the host's memory, until the next update.
     const Tree &tree() const { return tree_; }
@@ -49,11 +58,13 @@ private:
         std::unique_ptr<Launcher> launcher;
         DeviceTree tree;
         std::shared_ptr<void> resident;
-        Device();
+        explicit Device(std::unique_ptr<Launcher> launcher);
     };
+    const bool emulated_;
     std::unique_ptr<Device> device_;
     pid_t process_;  // in which it was made
     Tree tree_;
+    SceneFacts shapes_;  // what kernels of rays have to know
     uint64_t version_ = 0, builds_ = 0, refits_ = 0;
 
     void leave_to_parent();

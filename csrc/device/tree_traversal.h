@@ -5,6 +5,7 @@
 // Sums and products round one by one (-ffp-contract=off, -fmad=false): of two triangles one edge is the same number.
 #pragma once
 
+#include "core/scene.h"
 #include "core/shape/quadric_hit.h"
 #include "tree.h"
 
@@ -57,7 +58,7 @@ public:
     // Whether an item is hit, by a hit that is nearer than `best`, or as near and of a smaller number; it replaces it.
     TR_HD bool hit(const TreeView &tree, const TreeItem &item, TreeHit &best) const {
         float enter, leave, lower[3], upper[3];
-        const bool triangle = item.kind == TreeKind::Triangle;
+        const bool triangle = !(facts::ShapeFlags & IsCurved) || item.kind == TreeKind::Triangle;
         for (int k = 0; k < 3; ++k) {
             const float a = item.p[0][k], b = item.p[1][k], c = triangle ? item.p[2][k] : a;
             lower[k] = smaller(a, smaller(b, c)), upper[k] = larger(a, larger(b, c));

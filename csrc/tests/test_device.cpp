@@ -354,6 +354,28 @@ TR_TEST(cards_are_driven) {
     CHECK(folder.files().size() == 1);
 }
 
+TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {
+    SceneFacts plain, curved;
+    plain.shape_flags = HasNormals, curved.shape_flags = HasNormals | IsSphere;
+    CHECK(plain.options(Knowledge::Nothing, -1).empty());
+    const auto has = [](const std::vector<std::string> &options, const char *option) {
+        return std::find(options.begin(), options.end(), option) != options.end();
+    };
+    plain.emitters = 5;
+    CHECK(has(plain.options(Knowledge::Scene, -1), "-DTR_EMITTER_KINDS=5u"));
+    CHECK(has(plain.options(Knowledge::Shapes, -1), "-DTR_EMITTER_KINDS=0u"));
+    CHECK(has(plain.options(Knowledge::Bsdf, 0), "-DTR_ONE_BSDF=Diffuse"));
+    CHECK(has(plain.options(Knowledge::Bsdf, 0), "-DTR_BSDF_SOURCE=\"core/bsdf/diffuse.cpp\""));
+    const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
+    if (!nvrtc) return;
+    const TemporaryFolder folder;
+    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    const Kernel &kernel = kernel_of<OccludeRays>();
+    const std::string of_plain = compiler.cubin(kernel, 90, plain.options(kernel.knows, -1)),
+                      of_curved = compiler.cubin(kernel, 90, curved.options(kernel.knows, -1));
+    CHECK(of_plain.size() < of_curved.size() && folder.files().size() == 2);
+}
+
 TR_TEST(kernels_are_compiled_for_cards) {
     const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
     if (!nvrtc) return;

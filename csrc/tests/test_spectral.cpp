@@ -62,7 +62,7 @@ TR_TEST(tables_are_linear_between_nanometres) {
     std::vector<double> table(SpectrumSamples + 5);
     for (int i = 0; i < SpectrumSamples; ++i) table[size_t(i + 5)] = i * i;
     Wavelengths<double> waves;
-    waves.spectral = true;
+    waves.chosen = true;
     waves.at[0] = 0, waves.at[1] = 100.25, waves.at[2] = 470;
     const auto found = table_spectrum(table.data(), waves, 5u, true);
     CHECK_NEAR(found[0], 0, 1e-12);
@@ -75,7 +75,7 @@ TR_TEST(derivatives_of_sigmoid_texels) {
     std::vector<double> texels, tangent;
     for (int i = 0; i < 12; ++i) texels.push_back(std::cos(1.7 * i)), tangent.push_back(std::sin(2.3 * i + 1));
     Wavelengths<double> waves;
-    waves.spectral = true;
+    waves.chosen = true;
     waves.at[0] = 17, waves.at[1] = 250.5, waves.at[2] = 460;
     const uint32_t at[2] = {2, 0};
     const double weight[2] = {0.3, 0.9};

@@ -205,7 +205,7 @@ def test_derivatives_are_refused(device):
 
 def test_shapes_that_are_not_there_are_refused(device):
     curve = {"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}
-    with pytest.raises(ValueError, match=r"odd: the emulated device has meshes, .* so far, got a bsplinecurve; with"):
+    with pytest.raises(ValueError, match=r"odd: devices have meshes, .* so far, got a bsplinecurve; with"):
         tr.render(ball(odd=curve), spp=1)
 
 

@@ -161,7 +161,7 @@ def test_derivatives_are_those_of_the_cpu(device):
 def test_shapes_that_are_not_there_are_refused_by_name(device, shape, words):
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}, "odd": shape})
     o, d = torch.zeros(1, 3), torch.ones(1, 3)
-    expected = f"odd: the emulated device has meshes, .* so far, got {words}; with TORCHRENDER_BACKEND=cpu rays"
+    expected = f"odd: devices have meshes, .* so far, got {words}; with TORCHRENDER_BACKEND=cpu rays"
     for query in (tr.ray_intersect, tr.ray_occluded):
         with pytest.raises(ValueError, match=expected):
             query(scene, o, d)

@@ -211,7 +211,7 @@ def test_texels_out_of_range_are_warned_about():
         ({"variant": "rgb_polarised"}, "unknown variant 'rgb_polarised'; did you mean 'rgb_polarized'"),
         ({"variant": "rbg"}, "unknown variant 'rbg'; did you mean 'rgb'"),
         ({"dtype": torch.float16}, "dtype: expected torch.float32 or torch.float64"),
-        ({"device": "cuda"}, "device: expected 'cpu', got 'cuda'; nothing runs on a card yet, torchrender computes on"),
+        ({"device": "cuda"}, "device: expected 'cpu', got 'cuda'; scenes and tensors are the CPU's"),
         ({"device": "abacus"}, "device: expected 'cpu'"),
     ],
 )

@@ -20,6 +20,8 @@ from torchrender.scene.gather import check_device
 ROOT = Path(__file__).resolve().parents[2]
 ALONE = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
+CPUS = "scenes and tensors are the CPU's (TORCHRENDER_BACKEND=cuda renders them on a card)"
+
 # A driver that says its version, and has all functions that are looked for. As a process's NVRTC it says another.
 FAKE = """
 #include <cstdlib>
@@ -68,13 +70,11 @@ def test_the_emulated_device_is_chosen_by_a_variable(unchosen, capsys):
         assert f"\n{name:<12}{sentence}" in text and "\n" not in sentence
 
 
-@pytest.mark.parametrize(
-    ("name", "end"), [("cuda", "; nothing runs on a card yet"), ("cuda:1", "; nothing runs on a card yet"), ("gpu", "")]
-)
-def test_other_devices_are_refused(unchosen, capsys, name, end):
+@pytest.mark.parametrize("name", ["gpu", "cuda:", "cuda:one", "tree"])
+def test_other_devices_are_refused(unchosen, capsys, name):
     unchosen.setenv("TORCHRENDER_BACKEND", name)
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
-    sentence = f"TORCHRENDER_BACKEND: expected cpu or emulated, got {name!r}{end}"
+    sentence = f"TORCHRENDER_BACKEND: expected cpu, emulated, cuda or cuda:NUMBER, got {name!r}"
     with pytest.raises(ValueError, match=f"^{sentence}$"):
         tr.ray_intersect(scene, torch.zeros(1, 3), torch.ones(1, 3))
     assert f"problem     {sentence}" in tr.show_config()
@@ -83,12 +83,12 @@ def test_other_devices_are_refused(unchosen, capsys, name, end):
 
 def test_tensors_on_cards_are_refused():
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
-    for place, end in (("cuda:1", "nothing runs on a card yet, torchrender"), ("meta", "torchrender")):
+    for place, end in (("cuda:1", CPUS), ("meta", "torchrender computes on the CPU")):
         tensor = SimpleNamespace(device=torch.device(place))
-        sentence = f"ball.radius: lies on {place}, but the scene on cpu; {end} computes on the CPU: use .to('cpu')"
+        sentence = f"ball.radius: lies on {place}, but the scene on cpu; {end}: use .to('cpu')"
         with pytest.raises(ValueError, match=re.escape(sentence)):
             check_device(scene, "ball.radius", tensor)
-    with pytest.raises(ValueError, match="device: expected 'cpu', got 'cuda:0'; nothing runs on a card yet, torch"):
+    with pytest.raises(ValueError, match=re.escape(f"device: expected 'cpu', got 'cuda:0'; {CPUS}")):
         tr.load_dict({"type": "scene"}, device="cuda:0")
 
 
@@ -163,8 +163,28 @@ for version in ("11080", "12020"):
     os.environ["FAKE_CUDA"] = version
     print(tr.backends.devices()["cuda"])
 """
-    none = "nothing runs on a card yet (compiled and emulated, never run on a card); "
+    none = f"has {ALONE}; TORCHRENDER_BACKEND=cuda chooses it; "
     nvrtc = f"NVRTC 12.8 at {library}"
     out = python(code, LD_LIBRARY_PATH=str(tmp_path), TORCHRENDER_NVRTC=str(library)).splitlines()
     old = "the NVIDIA driver is made for CUDA 11.8, expected at least 12.0; install driver 525 or newer"
     assert out == [f"{none}{old}; there is {nvrtc}", f"{none}there is an NVIDIA driver for CUDA 12.2; there is {nvrtc}"]
+
+
+def test_a_card_that_is_chosen_is_asked_for(unchosen):
+    unchosen.setenv("TORCHRENDER_BACKEND", "cuda")
+    assert backends.device() == "cuda:0"
+    with devices.chosen("cpu"):
+        assert backends.device() == "cpu"
+    report = backends.devices()
+    assert report["cpu"] == "not used, by TORCHRENDER_BACKEND=cuda:0; without it everything runs here"
+    assert report["cuda"].startswith(f"used by TORCHRENDER_BACKEND, has {ALONE} so far; ")
+    unchosen.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
+    unchosen.setattr(devices, "_with_compiler", set())
+    scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
+    with pytest.raises(RuntimeError, match=r"^NVRTC at /nowhere/libnvrtc\.so cannot be loaded"):
+        tr.ray_occluded(scene, torch.zeros(1, 3), torch.ones(1, 3))
+
+
+def test_kernels_are_compiled_from_the_sources_that_the_core_is_made_of():
+    assert (devices.kernels() / "device" / "path_kernels.h").is_file()
+    assert (devices.kernels() / "core" / "integrator" / "surface.cpp").is_file()

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from .. import backends
-from ..devices import FUNCTIONS, device, require_cpu
+from ..devices import FUNCTIONS, device, require_cpu, use_compiler
 from ..library import Watch
 from .packing import Layout
 
@@ -76,6 +76,8 @@ class NativeScene:
             dirty = self._dirty(params)
             addresses = [t.data_ptr() for t in params]
             try:
+                if device().startswith("cuda"):
+                    use_compiler(self.handle.library)
                 if function in _WITH_CONFIG:
                     settings, *rest = args
                     watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)

@@ -106,7 +106,7 @@ template <class F>
 TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g, const M &active) {
     if (forward) return add_derivative(g * constant_spectrum<F>(tangent, waves, offset, active), active);
     auto usable = count_finite(active && is_finite(g), active);
-    if (waves.spectral) return add_to_tables(offset, g, usable);
+    if (waves.spectral()) return add_to_tables(offset, g, usable);
     if constexpr (Lanes<F>::Width > 1) {
         if (!any(usable)) return;
         int32_t first = first_lane(offset, usable);
@@ -163,7 +163,7 @@ TR_NOINLINE void GradientSink<F>::footprint(const Scene &scene, int32_t slot, co
     auto usable = count_finite(active && is_finite(g), active);
     const TensorView<S> &tensor = scene.values.tensors[slot];
     const int channels = tensor.shape[2];
-    if (waves.spectral && channels == SigmoidChannels) return add_sigmoid_texels(tensor, gradient, at, g, usable);
+    if (waves.spectral() && channels == SigmoidChannels) return add_sigmoid_texels(tensor, gradient, at, g, usable);
     for (int i = 0; i < Lanes<F>::Width; ++i) {
         if (!lane_is_set(usable, i)) continue;
         for (int k = 0; k < at.n; ++k) {

@@ -334,7 +334,8 @@ private:
 template <class M, class F>
 TR_DEVICE_CONSTEXPR BsdfKernels<F> bsdf_kernels_of() {
     using K = KernelsOf<M, F>;
-    return {bsdf_info<M>(), &K::eval_pdf, &K::sample, &K::vjp, K::Delta ? &K::direction_vjp : nullptr};
+    return {bsdf_info<M>(), &K::eval_pdf, &K::sample, TR_OF_DERIVATIVES(&K::vjp),
+            K::Delta ? TR_OF_DERIVATIVES(&K::direction_vjp) : nullptr};
 }
 
 }  // namespace tr

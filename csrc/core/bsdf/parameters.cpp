@@ -34,7 +34,7 @@ struct ParameterWriter {
         for (int c = 0; c < SpectrumSize; ++c) *color++ = value[c];
         if (field != luminance_of) return;
         *luminance_to =
-            waves.spectral ? daylight_luminance(scene, scene.values, texture, at, active) : luminance(value);
+            waves.spectral() ? daylight_luminance(scene, scene.values, texture, at, active) : luminance(value);
     }
 };
 
@@ -63,7 +63,7 @@ TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &wav
     using I = IntOf<F>;
     ParameterWriter<F> writer(scene, waves, at, active, model, to);
     to.table = scene.bsdf_tables;
-    to.refraction = IntOf<F>(waves.spectral ? RefractsFirst : RefractsAll);
+    to.refraction = IntOf<F>(waves.spectral() ? RefractsFirst : RefractsAll);
     const bool bent = model.bent;
     const int32_t first = any(active) ? int32_t(first_lane(bsdf, active)) : -1;
     if (first >= 0 && !any(active && mask<F>(bsdf != first))) {  // one object in all lanes: its record is read once
@@ -109,7 +109,7 @@ TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, c
             // see sweep_boundary
         } else if (use == BsdfInfo::Number) {
             sink.number(field, g[i], active);
-        } else if (!is_field && sink.waves.spectral) {
+        } else if (!is_field && sink.waves.spectral()) {
             sweep_daylight_luminance(scene, field, at, g[i], needs, active, to, sink);
         } else if (use == BsdfInfo::Luminance) {
             if (needs.bsdf) sink.scalar_texture(scene, field, at, g[i], active);

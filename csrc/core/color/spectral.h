@@ -23,7 +23,7 @@ constexpr int SigmoidChannels = 4;
 struct SpectralConfig {
     // The inverse of their cumulative distribution at 3 `intervals` + 1 equally spaced numbers: linear in between, so
     // that the density is exact.
-    const void *positions;
+    TR_FACT(const void *, positions, nullptr);
     int32_t intervals;
     const void *weights;  // (SpectrumSamples, 3): what a wavelength adds to the channels of the film
     // The bits of both by which samples of a pixel choose their own; what differs in others alone has the same.
@@ -56,7 +56,7 @@ TR_NOINLINE ChosenWavelengths<F> choose_wavelengths(const SpectralConfig &config
     U third = k - (mul_hi(k, U(0xAAAAAAABu)) >> 1) * 3u;
     const S *positions = static_cast<const S *>(config.positions);
     ChosenWavelengths<F> r;
-    r.waves.spectral = true;
+    r.waves.chosen = true;
     for (uint32_t c = 0; c < SpectrumSize; ++c) {
         U index = U(I(below)) + third * uint32_t(config.intervals);
         F end[2];
@@ -189,7 +189,7 @@ template <class F>
 TR_INLINE Wavelengths<F> luminance_wavelengths(int third) {
     constexpr double nodes[LuminanceNodes] = {492.48, 518.03, 532.05, 543.97, 555.41, 567.35, 580.61, 597.45, 624.05};
     Wavelengths<F> r;
-    r.spectral = true;
+    r.chosen = true;
     for (int c = 0; c < SpectrumSize; ++c) r.at[c] = F(ScalarOf<F>(nodes[SpectrumSize * third + c] - FirstWavelength));
     return r;
 }

@@ -6,6 +6,7 @@
 // (a run-time number, see RenderCall::values). In the spectral variant a path has three wavelengths, see spectral.h.
 #pragma once
 
+#include "../math/facts.h"
 #include "../math/vector.h"
 
 namespace tr {
@@ -24,8 +25,9 @@ struct Spectrum {
 // a spectrum's components are the channels.
 template <class F>
 struct Wavelengths {
-    bool spectral = false;
+    bool chosen = false;
     F at[SpectrumSize];  // in nm above FirstWavelength
+    TR_INLINE bool spectral() const { return facts::Spectral && chosen; }
 };
 
 template <int N = SpectrumSize, class F>

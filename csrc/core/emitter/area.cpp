@@ -165,8 +165,16 @@ struct Area : OnShape<AreaEmitter, F> {
     }
 
     static constexpr EmitterKernels<F> table() {
-        return {AreaEmitter::model, Base::eval, sample_direct, pdf_direct,   nullptr,
-                sample_emission,    Base::vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
+        return {AreaEmitter::model,
+                Base::eval,
+                sample_direct,
+                pdf_direct,
+                nullptr,
+                TR_OF_LIGHT_PATHS(sample_emission),
+                TR_OF_DERIVATIVES(Base::vjp),
+                TR_OF_DERIVATIVES(direct_vjp),
+                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_HOST_POINTER(power)};
     }
 };
 

@@ -187,8 +187,16 @@ struct DeltaPosition {
     }
 
     static constexpr EmitterKernels<F> table() {
-        return {Model::model,    eval, sample_direct, nullptr,      nullptr,
-                sample_emission, vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
+        return {Model::model,
+                eval,
+                sample_direct,
+                nullptr,
+                nullptr,
+                TR_OF_LIGHT_PATHS(sample_emission),
+                TR_OF_DERIVATIVES(vjp),
+                TR_OF_DERIVATIVES(direct_vjp),
+                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_HOST_POINTER(power)};
     }
 
 private:

@@ -79,8 +79,16 @@ struct Directional {
     }
 
     static constexpr EmitterKernels<F> table() {
-        return {DirectionalEmitter::model, eval, sample_direct, nullptr,      nullptr,
-                sample_emission,           vjp,  direct_vjp,    emission_vjp, TR_HOST_POINTER(power)};
+        return {DirectionalEmitter::model,
+                eval,
+                sample_direct,
+                nullptr,
+                nullptr,
+                TR_OF_LIGHT_PATHS(sample_emission),
+                TR_OF_DERIVATIVES(vjp),
+                TR_OF_DERIVATIVES(direct_vjp),
+                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_HOST_POINTER(power)};
     }
 
 private:

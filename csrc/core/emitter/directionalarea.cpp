@@ -56,10 +56,10 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
                 nullptr,
                 nullptr,
                 nullptr,
-                sample_emission,
-                Base::vjp,
+                TR_OF_LIGHT_PATHS(sample_emission),
+                TR_OF_DERIVATIVES(Base::vjp),
                 nullptr,
-                emission_vjp,
+                TR_OF_LIGHT_PATHS(emission_vjp),
                 TR_HOST_POINTER(power)};
     }
 };

@@ -73,9 +73,11 @@ TR_LARGE F shape_emitter_pdf(const SceneOf<F> &scene, const EmitterPoint<F> &poi
 template <class F>
 TR_LARGE EmitterPoint<F> environment_point(const SceneOf<F> &scene, const Vec3<F> &d, F &pdf, const MaskOf<F> &active) {
     EmitterPoint<F> r{IntOf<F>(scene.environment), {UIntOf<F>(0u), UIntOf<F>(0u), F(0), F(0)}};
-    const EmitterKernels<F> &environment = emitter_kernels<F>(scene.emitters[scene.environment].kind);
-    environment.point_of_direction(scene, d, r);
-    pdf = environment.pdf_direct(scene, r, d, d, d, active) * F(scene.emitter_pmf[scene.environment]);
+    visit_emitter_kind<F>(scene.emitters[scene.environment].kind, [&](const EmitterKernels<F> &environment) {
+        if (!environment.point_of_direction) return;
+        environment.point_of_direction(scene, d, r);
+        pdf = environment.pdf_direct(scene, r, d, d, d, active) * F(scene.emitter_pmf[scene.environment]);
+    });
     return r;
 }
 

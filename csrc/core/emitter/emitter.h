@@ -163,10 +163,28 @@ TR_HD const EmitterKernels<F> &emitter_kernels(int kind);
 // What the host adds to records: of emitters that are on a shape its index; where the aspect of the image is.
 constexpr int EmitterShape = Record::Extra, ImageAspect = Record::Extra;
 
+// Calls visit(table) for the model of a kind.
+template <class F, class Visit>
+TR_INLINE void visit_emitter_kind(int32_t kind, Visit &&visit) {
+#if defined(TR_ONE_SCENE)  // calls of known functions, which are compiled for all lanes together
+#define TR_CASE(M)                                                                 \
+    if constexpr (facts::has(facts::EmitterKinds, kind_of_model<M>(Emitters{}))) { \
+        constexpr EmitterKernels<F> of_##M = emitter_kernels_of<M, F>();           \
+        if (kind == kind_of_model<M>(Emitters{})) visit(of_##M);                   \
+    }
+    TR_EMITTERS(TR_CASE)
+#undef TR_CASE
+#else
+    visit(emitter_kernels<F>(kind));
+#endif
+}
+
 // Calls visit(table, lanes) for every model that lanes have an emitter of.
 template <class F, class Visit>
 TR_INLINE void for_each_emitter_kind(const IntOf<F> &kind, const MaskOf<F> &active, Visit &&visit) {
-    for_each_distinct<F>(kind, active, [&](int32_t k, const MaskOf<F> &lanes) { visit(emitter_kernels<F>(k), lanes); });
+    for_each_distinct<F>(kind, active, [&](int32_t k, const MaskOf<F> &lanes) {
+        visit_emitter_kind<F>(k, [&](const EmitterKernels<F> &emitter) { visit(emitter, lanes); });
+    });
 }
 
 template <class F>

@@ -58,8 +58,8 @@ struct Environment {
                 sample_direct,
                 Functions::pdf_direct,
                 Functions::point_of_direction,
-                sample_emission,
-                Functions::vjp,
+                TR_OF_LIGHT_PATHS(sample_emission),
+                TR_OF_DERIVATIVES(Functions::vjp),
                 nullptr,
                 nullptr,
                 TR_HOST_POINTER(Functions::power)};

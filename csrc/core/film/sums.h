@@ -12,6 +12,9 @@ struct Rect {
     bool contains(int y, int x) const { return y >= y0 && y < y1 && x >= x0 && x < x1; }
 };
 
+// Pixels are numbered alike whatever is rendered of a film, those outside of it included.
+TR_HD inline uint32_t pixel_number(int y, int x) { return (uint32_t(y + 32768) << 16) + uint32_t(x + 32768); }
+
 // Pixels on each side of its own that a sample's weights are computed for.
 constexpr int MaxReach = 64;
 

@@ -16,9 +16,9 @@ struct PathConfig {
     uint64_t seed;
     uint32_t sensor;
     SamplerConfig sampler;
-    bool volumetric;  // through media
+    TR_FACT(bool, volumetric, false);  // through media
     SpectralConfig spectral{};
-    bool stokes = false;  // polarised light: paths are recorded, see adjoint/polarization.h
+    TR_FACT(bool, stokes, false) = false;  // polarised light: paths are recorded, see adjoint/polarization.h
 };
 
 // What of a scene brought a value that is not finite.

@@ -23,10 +23,10 @@ struct PathContext {
     const PathConfig &config;
     const SlotColumns<S> &slots;
     Diagnostics &diagnostics;
-    const GradientNeeds *needs;            // of the tape
-    const TapeColumns<S> *tape = nullptr;  // the level of this step; null: radiance is added up
-    bool keeps_black = false;              // shadow rays that bring nothing are traced, too
-    const BentColumns<S> *bent = nullptr;  // by entry of the queue; null: no medium bends light
+    const GradientNeeds *needs;                                // of the tape
+    TR_TAPE(const TapeColumns<S> *, tape) = nullptr;           // the level of this step; null: radiance is added up
+    bool keeps_black = false;                                  // shadow rays that bring nothing are traced, too
+    TR_FACT(const BentColumns<S> *, bent, nullptr) = nullptr;  // by entry of the queue; null: no medium bends light
     // Of the tape: nothing but values of BSDFs is differentiated, so that light counts from the first such vertex on.
     bool bsdfs_alone = false;
 

@@ -2,6 +2,7 @@
 // sample, a function of seed, sensor, pixel, sample and block alone.
 #pragma once
 
+#include "../math/facts.h"
 #include "strata.h"
 
 namespace tr {
@@ -9,7 +10,7 @@ namespace tr {
 enum class SamplerKind : int32_t { Independent, Stratified, Sobol };
 
 struct SamplerConfig {
-    SamplerKind kind;
+    TR_FACT(SamplerKind, kind, SamplerKind(TR_SAMPLER));
     uint32_t first;             // number of the first sample of a pixel
     Strata all, columns, rows;  // stratified: samples of a pattern, and the grid of cells that has at least as many
     // Sobol: a pattern has 2^bits samples of each pixel of a tile of 2^tile_bits pixels on a side. Bit i of the index
@@ -22,6 +23,7 @@ struct SamplerConfig {
 constexpr int32_t LargestBits = 16, LargestTileBits = 4;
 constexpr int64_t LargestPattern = 1 << LargestBits;
 
+#if !defined(TR_ONE_SCENE)  // on the host
 // For samples first .. first + count - 1 of every pixel. More samples than a pattern has are several patterns; if a
 // sampler is asked for samples beyond, they begin another one.
 inline SamplerConfig make_sampler(SamplerKind kind, int64_t first, int64_t count) {
@@ -51,6 +53,7 @@ inline SamplerConfig make_sampler(SamplerKind kind, int64_t first, int64_t count
     }
     return r;
 }
+#endif
 
 // What tells the numbers that choose permutations and scrambles from those that are used themselves.
 constexpr uint32_t KeyBlocks = 1u << 31;

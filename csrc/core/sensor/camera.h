@@ -27,16 +27,21 @@ struct CameraRay {
 };
 
 TR_INLINE bool is_pinhole(const Record &record) {
+    if constexpr (!facts::Lens || !facts::Pinhole) return facts::Pinhole;
     return record.kind == kind_of_model<Perspective>(Sensors{}) && record.field[Perspective::Distortion] < 0;
 }
 
 // Calls f with a value of the camera's model, which is not that of an ideal pinhole.
 template <class Call>
 TR_INLINE void with_lens(const Record &record, Call &&f) {
-    if (record.kind == kind_of_model<Perspective>(Sensors{})) return f(DistortedPerspective{});
+    if (facts::has(facts::SensorKinds, kind_of_model<Perspective>(Sensors{})) &&
+        record.kind == kind_of_model<Perspective>(Sensors{}))
+        return f(DistortedPerspective{});
     dispatch(Sensors{}, record.kind, [&](auto model) {
         using Model = decltype(model);
-        if constexpr (!std::is_same_v<Model, Perspective> && !std::is_same_v<Model, IrradianceMeter>) f(model);
+        if constexpr (!std::is_same_v<Model, Perspective> && !std::is_same_v<Model, IrradianceMeter> &&
+                      facts::has(facts::SensorKinds, kind_of_model<Model>(Sensors{})))
+            f(model);
     });
 }
 

@@ -92,7 +92,7 @@ template <class F, class S>
 TR_INLINE Spectrum<F> gather_taps(const TensorView<S> &tensor, const Wavelengths<F> &waves, const UIntOf<F> *texel,
                                   const F *weight, int n, const MaskOf<F> &active) {
     const int channels = tensor.shape[2];
-    if (waves.spectral && channels == SigmoidChannels)
+    if (waves.spectral() && channels == SigmoidChannels)
         return sigmoid_texels(tensor.data, tensor.base, waves, texel, weight, n, active);
     Spectrum<F> r = uniform_spectrum(F(0));
     for (int i = 0; i < n; ++i) {

@@ -33,9 +33,27 @@ TR_INLINE void for_each_distinct(const IntOf<F> &index, MaskOf<F> rest, Visit &&
 //   visitor.bitmap(record, footprint, uv, lanes)
 //   visitor.attribute(record, info, footprint, lanes)      (without the factor `scale`)
 //   visitor.volume(index, position, lanes)
+constexpr int MostNested = 8;  // textures in a texture
+
+// The texture that is seen through checkerboards, of one lane: devices have little room for calls in calls.
+template <class F, class S, class Point>
+TR_INLINE int32_t behind_checkerboards(const SceneView<S> &scene, int32_t id, const Point &at) {
+    if constexpr (!facts::has(facts::TextureKinds, int(TextureKind::Checkerboard))) return id;
+    for (int depth = 0; depth < MostNested; ++depth) {
+        const Record &record = scene.textures[id];
+        if (record.kind != int32_t(TextureKind::Checkerboard)) break;
+        const bool second = Checkerboard::second(scene, record, lookup_coordinates<F>(scene, at, true));
+        id = record.field[second ? Checkerboard::Color1 : Checkerboard::Color0];
+    }
+    return id;
+}
+
 template <class F, class S, class Point, class Visitor>
-TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Point &at, const MaskOf<F> &active,
+TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &given, const Point &at, const MaskOf<F> &active,
                          Visitor &visitor, int depth = 0) {
+    IntOf<F> id = given;
+    if constexpr (Lanes<F>::Width == 1)
+        if (scene.textured && active) id = behind_checkerboards<F>(scene, given, at);
     if (!scene.textured)
         return visitor.constant(record_field<F>(scene.textures, ConstantTexture::Value, id, active), active);
     auto rest = active;
@@ -53,16 +71,20 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
         const Record &record = scene.textures[i];
         switch (TextureKind(record.kind)) {
             case TextureKind::Bitmap:
+                if constexpr (!facts::has(facts::TextureKinds, int(TextureKind::Bitmap))) break;
                 visitor.bitmap(record, Bitmap::footprint(scene, record, uv), uv, lanes);
                 break;
             case TextureKind::Checkerboard: {
+                if constexpr (Lanes<F>::Width == 1) break;
                 auto second = Checkerboard::second(scene, record, uv);
                 IntOf<F> nested = select(mask<IntOf<F>>(second), IntOf<F>(record.field[Checkerboard::Color1]),
                                          IntOf<F>(record.field[Checkerboard::Color0]));
-                if (depth < 8) visit_texture<F>(scene, nested, at, lanes, visitor, depth + 1);
+                if constexpr (Lanes<F>::Width > 1)
+                    if (depth < MostNested) visit_texture<F>(scene, nested, at, lanes, visitor, depth + 1);
                 break;
             }
             case TextureKind::MeshAttribute:
+                if constexpr (!facts::has(facts::TextureKinds, int(TextureKind::MeshAttribute))) break;
                 for_each_distinct<F>(IntOf<F>(at.shape), lanes, [&](int32_t shape, const MaskOf<F> &same) {
                     int32_t a = MeshAttribute::find(scene, record, uint32_t(shape));
                     if (a < 0) return;
@@ -72,6 +94,7 @@ TR_HD void visit_texture(const SceneView<S> &scene, const IntOf<F> &id, const Po
                 });
                 break;
             case TextureKind::Volume:
+                if constexpr (!facts::has(facts::TextureKinds, int(TextureKind::Volume))) break;
                 visitor.volume(record.field[VolumeTexture::VolumeIndex], surface_position<F>(scene, at, lanes), lanes);
                 break;
             default:

@@ -1,0 +1,27 @@
+// What kernels are told of a scene when they are compiled (core/math/facts.h): with it they are a tenth as large, and
+// compiled in a second each.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "core/integrator/config.h"
+#include "core/scene.h"
+#include "kernel.h"
+
+namespace tr {
+
+struct SceneFacts {
+    int32_t shape_flags = 0;
+    uint32_t textures = 0, emitters = 0, sensors = 0;  // kinds, a bit each
+    bool textured = false, pinhole = false, stacks = false, tangents = false;
+    int32_t sampler = 0;
+
+    SceneFacts() = default;
+    SceneFacts(const SceneView<float> &scene, const PathConfig &config);
+
+    // Definitions for the compiler, of what such a kernel has to know. `bsdf`: the kind that it shades.
+    std::vector<std::string> options(Knowledge knowledge, int bsdf) const;
+};
+
+}  // namespace tr

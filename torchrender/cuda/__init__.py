@@ -1,0 +1,1 @@
+"""What is known of cards: ``python -m torchrender.cuda check`` finds out whether torchrender works on this one."""

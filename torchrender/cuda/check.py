@@ -1,0 +1,237 @@
+"""A card beside the CPU, step by step: rays, images with every BSDF, what repeats, what it costs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import platform
+import shutil
+import statistics
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from .. import devices
+from ..backends import scene_core
+from ..integrators import PathTracer
+from ..loaders.dict import load_dict, load_file
+from ..queries import ray_intersect, ray_occluded
+from ..render import render
+from ..renderer import Renderer
+from ..scene.declaration import models
+from ..transform import Transform
+
+FAR = 1e-3
+"""Pixels that differ by more than this, relative to their own value and the mean, are counted."""
+MOST_FAR = 0.01
+"""... and that share of them is allowed: rounding sends a few paths another way."""
+
+ROWS = {
+    "Cornell box": ("cornell_box.xml", {}),
+    "sphere, texture 512": ("textured_sphere.xml", {"texture": "textures/blocks_512.exr"}),
+    "sphere, texture 1024": ("textured_sphere.xml", {"texture": "textures/blocks_1024.exr"}),
+    "monkey, texture 512": ("textured_monkey.xml", {"texture": "textures/blocks_512.exr"}),
+    "monkey, texture 1024": ("textured_monkey.xml", {"texture": "textures/blocks_1024.exr"}),
+}
+
+_KERNELS = """
+import json, sys
+import torchrender as tr
+from torchrender.backends import scene_core
+scene = tr.load_file(sys.argv[1], resolution=256, spp=16, **json.loads(sys.argv[2]))
+for seed in range(3):
+    tr.render(scene, integrator=tr.PathTracer(max_depth=5, rr_depth=100), spp=16, seed=seed)
+    times = scene_core().cuda_kernel_times()
+print("KERNELS", json.dumps(times))
+"""
+_SMALL = """
+import torch, torchrender as tr
+from torchrender.cuda.check import room
+scene = tr.load_dict(room({"type": "roughconductor", "alpha": 0.2}, size=16))
+tr.render(scene, integrator=tr.PathTracer(max_depth=4), spp=4, seed=1)
+tr.ray_occluded(scene, torch.zeros(100, 3), torch.randn(100, 3))
+"""
+
+
+def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
+    """A ball of a material over a floor, under a lamp, a point and a sky."""
+    film = {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": "gaussian"}}
+    place = Transform.look_at([0, 1.5, 5.0], [0, 0, 0], [0, 1, 0])
+    down = Transform.translate([1, 3, 0]) @ Transform.rotate([1, 0, 0], 90) @ Transform.scale(0.5)
+    floor = Transform.translate([0, -1, 0]) @ Transform.rotate([1, 0, 0], -90) @ Transform.scale(4)
+    checks = {"type": "checkerboard", "to_uv": Transform.scale(8)}
+    return {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 45, "to_world": place, "film": film},
+        "ball": {"type": "sphere", "bsdf": bsdf},
+        "block": {"type": "cube", "to_world": Transform.translate([2, -0.5, -1]) @ Transform.scale(0.5)},
+        "floor": {"type": "rectangle", "to_world": floor, "bsdf": {"type": "diffuse", "reflectance": checks}},
+        "lamp": {"type": "rectangle", "to_world": down, "emitter": {"type": "area", "radiance": 8.0}},
+        "spot": {"type": "point", "position": [-2, 2, 2], "intensity": 6.0},
+        "sky": {"type": "constant", "radiance": 0.3},
+    }
+
+
+class Check:
+    """The report, and whether everything in it passed."""
+
+    def __init__(self, card: str, out: Path, commit: str) -> None:
+        self.card, self.out, self.commit, self.good = card, out, commit, True
+        self.report: dict[str, Any] = {}
+
+    def step(self, name: str, work: Callable[[], dict[str, Any]]) -> None:
+        begin = time.perf_counter()
+        try:
+            found = work()
+        except Exception as error:  # the others are still worth knowing
+            traceback.print_exc()
+            found = {"passed": False, "error": f"{type(error).__name__}: {error}"[:2000]}
+        self.good = self.good and found.get("passed", True)
+        self.report[name] = {**found, "seconds": round(time.perf_counter() - begin, 2)}
+        self.report["passed"] = self.good
+        self.out.write_text(json.dumps(self.report, indent=1) + "\n")
+        said = "done" if "passed" not in found else "passed" if found["passed"] else "FAILED"
+        print(f"{name}: {said} ({self.report[name]['seconds']} s)", flush=True)
+
+    def both(self, call: Callable[[], Any]) -> tuple[Any, Any]:
+        """What the CPU finds in the card's tree, and what the card finds."""
+        with devices.chosen("tree"):
+            expected = call()
+        return expected, call()
+
+    def versions(self) -> dict[str, Any]:
+        core = scene_core()
+        name = _said(["nvidia-smi", "--query-gpu=name,driver_version,memory.total", "--format=csv,noheader"])
+        sources = hashlib.sha256()
+        for path in sorted(p for part in ("core", "device") for p in (devices.kernels() / part).rglob("*.*")):
+            sources.update(path.read_bytes())
+        return {
+            "date": time.strftime("%Y-%m-%d"),
+            "commit": self.commit,
+            "kernels": sources.hexdigest(),
+            "card": name,
+            "machine": f"{platform.machine()}, {os.cpu_count()} processors",
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+            "cuda": devices.report(core)["cuda"],
+        }
+
+    def rays(self) -> dict[str, Any]:
+        scene = load_dict(room({"type": "diffuse"}))
+        generator = torch.Generator().manual_seed(1)
+        o = 3 * torch.randn(300_000, 3, generator=generator)
+        d = torch.randn(300_000, 3, generator=generator) - o
+        a, b = self.both(lambda: ray_intersect(scene, o, d))
+        hidden = [x.double().mean().item() for x in self.both(lambda: ray_occluded(scene, o, d))]
+        same = {name: (getattr(a, name) == getattr(b, name)).double().mean().item() for name in ("t", "shape_id")}
+        return {"passed": min(same.values()) > 0.9999 and hidden[0] == hidden[1], "same": same, "occluded": hidden}
+
+    def images(self) -> dict[str, Any]:
+        """Every BSDF, with the CPU's walk through the same tree: equal but for the rounding of elementary functions."""
+        found, passed = {}, True
+        for kind in sorted(name for category, name in models() if category == "bsdf"):
+            if kind in ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap"):
+                continue
+            scene = load_dict(room({"type": kind}))
+            a, b = self.both(lambda scene=scene: render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3))
+            again = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3)
+            far = ((a - b).abs() > FAR * (a.abs() + a.mean())).any(-1).double().mean().item()
+            off = (b.mean() / a.mean() - 1).item()
+            found[kind] = {"far": far, "mean off by": off, "repeats": torch.equal(b, again)}
+            passed = passed and far <= MOST_FAR and abs(off) < 1e-3 and torch.equal(b, again)
+        return {"passed": passed, "images": found}
+
+    def repeats(self) -> dict[str, Any]:
+        """Equal bits in parts of a film, with lists of pixels, and in batches: 512 samples of these pixels are many."""
+        scene = load_dict(room({"type": "roughplastic"}, size=128))
+        settings = {"integrator": PathTracer(max_depth=5), "spp": 128, "seed": 3}
+        whole = render(scene, **settings)
+        part = render(scene, crop=(20, 30, 40, 50), **settings)
+        pixels = torch.tensor([[3, 4], [100, 7], [64, 64]])
+        listed = render(scene, pixels=pixels, **settings)
+        same = torch.equal(part, whole[20:60, 30:80]) and torch.equal(listed, whole[pixels[:, 0], pixels[:, 1]])
+        digest = hashlib.sha256(whole.numpy().tobytes()).hexdigest()
+        return {"passed": same and torch.equal(whole, render(scene, **settings)), "image": digest}
+
+    def rates(self, scenes: Path) -> dict[str, Any]:
+        """Seconds of images, warm, whole calls: 256 x 256 pixels of 16 samples, and 1024 x 1024 of 64."""
+        found = {}
+        for name, (file, arguments) in ROWS.items():
+            begin = time.perf_counter()
+            scene = load_file(scenes / file, resolution=256, spp=16, **arguments)
+            renderer = Renderer(scene, integrator=PathTracer(max_depth=5, rr_depth=100), spp=16)
+            with torch.no_grad():
+                renderer(seed=0)
+                first = time.perf_counter() - begin
+                small = _median(lambda seed, renderer=renderer: renderer(seed=seed), 30)
+                large = _median(lambda seed, renderer=renderer: renderer(seed=seed, spp=64, size=(1024, 1024)), 3)
+            rays = scene.statistics["render"]
+            count = rays["closest_rays"] + rays["shadow_rays"]
+            found[name] = {"first": first, "small": small, "large": large, "rays a second, large": count / large}
+        return found
+
+    def kernels(self, scenes: Path) -> dict[str, Any]:
+        """Milliseconds of each kernel in an image of 256 x 256 pixels, 16 samples, waiting after every launch."""
+        found = {}
+        for name in ("Cornell box", "monkey, texture 512"):
+            file, arguments = ROWS[name]
+            out = self._run([sys.executable, "-c", _KERNELS, str(scenes / file), json.dumps(arguments)])
+            line = next(line for line in out.splitlines() if line.startswith("KERNELS "))
+            times = json.loads(line.removeprefix("KERNELS "))
+            found[name] = {kernel: [int(n), round(1e3 * seconds, 3)] for kernel, (n, seconds) in times.items()}
+        return found
+
+    def sanitizers(self) -> dict[str, Any]:
+        tool = shutil.which("compute-sanitizer")
+        if tool is None:
+            return {"none": "there is no compute-sanitizer"}
+        found = {}
+        for kind in ("memcheck", "racecheck", "initcheck", "synccheck"):
+            out = self._run([tool, "--tool", kind, "--error-exitcode", "7", sys.executable, "-c", _SMALL])
+            found[kind] = next((line for line in reversed(out.splitlines()) if "SUMMARY" in line), "no summary")
+        return {"passed": all("0 errors" in line or "0 hazards" in line for line in found.values()), **found}
+
+    def _run(self, command: list[str]) -> str:
+        environment = {**os.environ, "TORCHRENDER_BACKEND": self.card, "TORCHRENDER_CUDA_SYNC": "1"}
+        done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=240, check=False)
+        if done.returncode not in (0, 7):
+            raise RuntimeError(f"{command[0]} returned {done.returncode}: {(done.stdout + done.stderr)[-1500:]}")
+        return done.stdout
+
+
+def _said(command: list[str]) -> str | None:
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return None
+
+
+def _median(call: Callable[[int], object], n: int) -> float:
+    times = []
+    for seed in range(n):
+        begin = time.perf_counter()
+        call(seed)
+        times.append(time.perf_counter() - begin)
+    return statistics.median(times)
+
+
+def check(card: str, out: Path, scenes: Path, commit: str) -> bool:
+    """Whether everything passed on this card (``"cuda:0"``); the report is in `out`."""
+    run = Check(card, out, commit)
+    with devices.chosen(card):
+        run.step("versions", run.versions)
+        run.step("rays", run.rays)
+        run.step("repeats", run.repeats)
+        if scenes.is_dir():
+            run.step("rates", lambda: run.rates(scenes))
+            run.step("kernels", lambda: run.kernels(scenes))
+        run.step("sanitizers", run.sanitizers)
+        run.step("images", run.images)
+    return run.good
