@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
@@ -188,3 +189,19 @@ def test_a_card_that_is_chosen_is_asked_for(unchosen):
 def test_kernels_are_compiled_from_the_sources_that_the_core_is_made_of():
     assert (devices.kernels() / "device" / "path_kernels.h").is_file()
     assert (devices.kernels() / "core" / "integrator" / "surface.cpp").is_file()
+
+
+def test_the_page_claims_what_was_found_on_a_card():
+    path = max((ROOT / "bench" / "device").glob("*.json"))
+    found = json.loads(path.read_text())
+    assert found["passed"]
+    page = (ROOT / "docs" / "cuda.md").read_text()
+    assert path.name in page
+    card, driver = found["versions"]["card"].split(", ")[:2]
+    assert card in page
+    assert driver in page
+    for name, rates in found["rates"].items():
+        if name == "seconds":
+            continue
+        assert f"\n| {name} | {rates['small']:.4f} |" in page
+        assert f"| {rates['large']:.2f} |" in page.split(f"\n| {name} |")[1].splitlines()[0]
