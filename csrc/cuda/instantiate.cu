@@ -79,7 +79,12 @@ __device__ void append_own(const Queue &queue, uint32_t *end, uint32_t i, uint32
 // -------------------------------------------------------------------------------------- surfaces, rays and the film
 template <class K>
 __global__ void run(__grid_constant__ const K kernel, uint32_t n) {
-    each(n, [&](uint32_t i) { kernel(i); });
+    if constexpr (IsBlockKernel<K>::value) {
+        __shared__ typename K::Shared shared;
+        for (uint32_t i = blockIdx.x; i < n; i += gridDim.x) kernel(Block<typename K::Shared>{shared, i}, i);
+    } else {
+        each(n, [&](uint32_t i) { kernel(i); });
+    }
 }
 #define TR_RUN(K) template __global__ void run(__grid_constant__ const K, uint32_t);
 TR_RUN(StartPaths)
@@ -91,6 +96,7 @@ TR_RUN(CountKeys)
 TR_RUN(SumKeys)
 TR_RUN(PlaceKeys)
 TR_RUN(FillWords)
+TR_RUN(NumberSamples)
 TR_RUN(AddToFilm)
 TR_RUN(IntersectRays)
 TR_RUN(OccludeRays)

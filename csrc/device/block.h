@@ -3,6 +3,8 @@
 // `Shared`. The host runs the threads of a phase one by one, forwards or backwards by the item's number.
 #pragma once
 
+#include <type_traits>
+
 #include "core/math/config.h"
 
 namespace tr {
@@ -25,5 +27,11 @@ struct Block {
 #endif
     }
 };
+
+// Whether a kernel's items are such blocks: see kernel.h.
+template <class K, class = void>
+struct IsBlockKernel : std::false_type {};
+template <class K>
+struct IsBlockKernel<K, std::void_t<typename K::Shared>> : std::true_type {};
 
 }  // namespace tr

@@ -29,11 +29,6 @@ struct KnowledgeOf : std::integral_constant<Knowledge, Knowledge::Nothing> {};
 template <class K>
 struct KnowledgeOf<K, std::void_t<decltype(K::Knows)>> : std::integral_constant<Knowledge, K::Knows> {};
 
-template <class K, class = void>
-struct IsBlockKernel : std::false_type {};
-template <class K>
-struct IsBlockKernel<K, std::void_t<typename K::Shared>> : std::true_type {};
-
 // What launchers know of a functor.
 struct Kernel {
     const char *name, *header;  // as code says it in the namespace of all; a path below the folder of the sources
