@@ -1,10 +1,11 @@
 """Mitsuba's half of the benchmarks. Runs in Mitsuba's own environment, where torchrender is not installed.
 
-The protocol is in `serving.py`.
+The protocol is in `serving.py`. The environment variable MITSUBA_VARIANT names another variant than llvm_ad_rgb.
 """
 
 from __future__ import annotations
 
+import os
 import time
 
 from serving import serve, weight_of  # beside this script
@@ -16,7 +17,8 @@ class Server:
         import drjit as dr
         import mitsuba as mi
 
-        mi.set_variant("llvm_ad_rgb")
+        self.variant = os.environ.get("MITSUBA_VARIANT", "llvm_ad_rgb")
+        mi.set_variant(self.variant)
         dr.set_thread_count(threads)
         self.import_seconds = time.perf_counter() - started
         self.mi, self.dr, self.version = mi, dr, mi.__version__
@@ -30,10 +32,10 @@ class Server:
         spp: int,
         arrays: str | None,
         integrator: dict | None = None,
-        variant: str = "llvm_ad_rgb",
+        variant: str | None = None,
     ) -> dict:
         mi, dr = self.mi, self.dr
-        mi.set_variant(variant)
+        mi.set_variant(variant or self.variant)
         # Without `optimize=False` surfaces of equal values are merged into one and lose their parameter names.
         if resolution is not None:
             arguments = {"resolution": resolution, "spp": spp, **arguments}

@@ -165,18 +165,24 @@ class Peer:
 class Peers:
     """The peers that were asked for, running, in a ``with`` block."""
 
-    def __init__(self, chosen: list[tuple[str, str]], threads: int, settings: Iterable[tuple[str, Any]] = ()) -> None:
+    def __init__(
+        self,
+        chosen: list[tuple[str, str]],
+        threads: int,
+        settings: Iterable[tuple[str, Any]] = (),
+        environment: dict[str, str] | None = None,
+    ) -> None:
         names = [name for name, _ in chosen]
         twice = [name for name in names if names.count(name) > 1]
         if twice:
             raise PeerError(f"--peer: {twice[0]} is given twice")
-        self.chosen, self.threads, self.settings = chosen, threads, dict(settings)
+        self.chosen, self.threads, self.settings, self.environment = chosen, threads, dict(settings), environment
         self.running: list[Peer] = []
 
     def __enter__(self) -> list[Peer]:
         try:
             for name, python in self.chosen:
-                self.running.append(Peer(name, python, self.threads, settings=self.settings))
+                self.running.append(Peer(name, python, self.threads, self.environment, self.settings))
         except BaseException:
             self.__exit__()
             raise

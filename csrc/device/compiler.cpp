@@ -82,18 +82,24 @@ std::string KernelCompiler::unit(const Kernel &kernel) {
            "(__grid_constant__ const " + type + " kernel, unsigned n) {\n" + work + "}\n";
 }
 
-// Products and sums round one by one, as on the host: hits are to be the same. A default of the core's is host and
-// device.
-std::vector<std::string> KernelCompiler::options(int capability, const std::vector<std::string> &definitions) {
-    std::vector<std::string> all{"-std=c++17", "-default-device", "-fmad=false", "-diag-suppress=20012",
+// What traces rays and adds up has the host's rounding: products and sums one by one, so that hits are the same. Light
+// is as good with products that are added unrounded, and quotients and roots whose last bit or two may differ. A
+// default of the core's is host and device.
+std::vector<std::string> KernelCompiler::options(const Kernel &kernel, int capability,
+                                                 const std::vector<std::string> &definitions) {
+    std::vector<std::string> all{"-std=c++17", "-default-device", "-diag-suppress=20012",
                                  "-arch=sm_" + std::to_string(capability)};
+    if (kernel.knows == Knowledge::Scene || kernel.knows == Knowledge::Bsdf)
+        all.insert(all.end(), {"-fmad=true", "-prec-div=false", "-prec-sqrt=false"});
+    else
+        all.emplace_back("-fmad=false");
     all.insert(all.end(), definitions.begin(), definitions.end());
     return all;
 }
 
 std::string KernelCompiler::cubin(const Kernel &kernel, int capability,
                                   const std::vector<std::string> &definitions) const {
-    std::vector<std::string> all_options = options(capability, definitions);
+    std::vector<std::string> all_options = options(kernel, capability, definitions);
     const std::string source = unit(kernel);
     std::string all = nvrtc_.version() + '\n' + fingerprint_ + '\n' + source;
     for (const std::string &option : all_options) all += '\n' + option;
@@ -107,7 +113,7 @@ std::string KernelCompiler::cubin(const Kernel &kernel, int capability,
 
 KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int capability,
                                                     const std::vector<std::string> &definitions) const {
-    std::vector<std::string> all_options = options(capability, definitions);
+    std::vector<std::string> all_options = options(kernel, capability, definitions);
     add_folders(sources_, all_options);
     all_options.emplace_back("--ptxas-options=-v");
     std::string log;

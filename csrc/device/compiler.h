@@ -34,7 +34,8 @@ private:
     std::string sources_, fingerprint_;
     KernelCache cache_;
 
-    static std::vector<std::string> options(int capability, const std::vector<std::string> &definitions);
+    static std::vector<std::string> options(const Kernel &kernel, int capability,
+                                            const std::vector<std::string> &definitions);
 };
 
 }  // namespace tr::cuda

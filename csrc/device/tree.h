@@ -15,7 +15,7 @@ static_assert(sizeof(TreeNode) == 64);
 
 enum class TreeKind : uint32_t { Triangle, Sphere, Disk, Cylinder };
 
-struct TreeItem {
+struct alignas(16) TreeItem {
     float p[3][3];  // corners; of the others, the box: lower corner, upper corner
     uint32_t shape, primitive;
     TreeKind kind;

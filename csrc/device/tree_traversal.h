@@ -37,7 +37,8 @@ public:
         kz_ = x > y ? (x > z ? 0 : 2) : (y > z ? 1 : 2);
         kx_ = kz_ == 2 ? 0 : kz_ + 1;
         ky_ = kx_ == 2 ? 0 : kx_ + 1;
-        sx_ = d[kx_] / d[kz_], sy_ = d[ky_] / d[kz_], sz_ = 1 / d[kz_];
+        const float along = pick(d, kz_);
+        sx_ = pick(d, kx_) / along, sy_ = pick(d, ky_) / along, sz_ = 1 / along;
     }
 
     TR_HD bool valid() const { return valid_; }
@@ -84,14 +85,17 @@ private:
     TR_HD static float smaller(float a, float b) { return a < b ? a : b; }
     TR_HD static float larger(float a, float b) { return a > b ? a : b; }
     TR_HD static float magnitude(float a) { return a < 0 ? -a : a; }
+    // v[k]; an index that is not constant would put v into a device's memory
+    TR_HD static float pick(const float *v, int k) { return k == 0 ? v[0] : k == 1 ? v[1] : v[2]; }
 
     // Woop and others: the corners, seen along the ray, are on the sides of three edges.
     TR_HD bool meet_triangle(const TreeItem &item, TreeHit &found) const {
+        const float o[] = {pick(o_, kx_), pick(o_, ky_), pick(o_, kz_)};
         float x[3], y[3], z[3];
         for (int c = 0; c < 3; ++c) {
-            const float *p = item.p[c], along = p[kz_] - o_[kz_];
-            x[c] = p[kx_] - o_[kx_] - sx_ * along;
-            y[c] = p[ky_] - o_[ky_] - sy_ * along;
+            const float *p = item.p[c], along = pick(p, kz_) - o[2];
+            x[c] = pick(p, kx_) - o[0] - sx_ * along;
+            y[c] = pick(p, ky_) - o[1] - sy_ * along;
             z[c] = sz_ * along;
         }
         // A sum that is not 0 has the right sign: most triangles are not met.
@@ -121,6 +125,21 @@ private:
     }
 };
 
+// An entry of a table, by a device in loads of 16 bytes.
+template <class T>
+TR_HD inline T fetch(const T *entry) {
+    static_assert(sizeof(T) % 16 == 0 && alignof(T) % 16 == 0);
+#if defined(__CUDA_ARCH__)
+    uint4 words[sizeof(T) / 16];
+    for (unsigned i = 0; i < sizeof(T) / 16; ++i) words[i] = __ldg(reinterpret_cast<const uint4 *>(entry) + i);
+    T found;
+    memcpy(&found, words, sizeof(T));
+    return found;
+#else
+    return *entry;
+#endif
+}
+
 // The closest hit, or with `Any` some hit. A miss has the ray's length as its distance.
 template <bool Any>
 TR_HD TreeHit trace(const TreeView &tree, const float *o, const float *d, float tmax) {
@@ -132,21 +151,23 @@ TR_HD TreeHit trace(const TreeView &tree, const float *o, const float *d, float 
     int n = 0;
     uint32_t at = 0;
     for (;;) {
-        const TreeNode &node = tree.nodes[at];
-        float enter[2], leave;
-        bool inner[2];
+        const TreeNode node = fetch(tree.nodes + at);
+        float enter0, enter1, leave;
+        bool in0 = ray.meets(node.lower[0], node.upper[0], best.t, enter0, leave);
+        bool in1 = ray.meets(node.lower[1], node.upper[1], best.t, enter1, leave);
         for (int k = 0; k < 2; ++k) {
-            inner[k] = ray.meets(node.lower[k], node.upper[k], best.t, enter[k], leave);
-            if (!inner[k] || node.count[k] == 0) continue;
-            inner[k] = false;
-            for (uint32_t i = node.child[k]; i < node.child[k] + node.count[k]; ++i)
-                if (ray.hit(tree, tree.items[i], best) && Any) return best;
+            if (!(k == 0 ? in0 : in1)) continue;
+            const uint32_t begin = node.child[k], end = begin + node.count[k];
+            for (uint32_t i = begin; i < end; ++i)
+                if (ray.hit(tree, fetch(tree.items + i), best) && Any) return best;
         }
+        in0 = in0 && node.count[0] == 0 && enter0 <= best.t;
+        in1 = in1 && node.count[1] == 0 && enter1 <= best.t;
         // the nearer child first
-        const int first = inner[0] && inner[1] ? (enter[1] < enter[0] ? 1 : 0) : (inner[0] ? 0 : 1);
-        if (inner[0] && inner[1]) stack[n] = node.child[1 - first], distance[n] = enter[1 - first], ++n;
-        if (inner[first]) {
-            at = node.child[first];
+        const bool second = in1 && (!in0 || enter1 < enter0);
+        if (in0 && in1) stack[n] = second ? node.child[0] : node.child[1], distance[n] = second ? enter0 : enter1, ++n;
+        if (in0 || in1) {
+            at = second ? node.child[1] : node.child[0];
             continue;
         }
         do {

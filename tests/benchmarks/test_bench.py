@@ -110,6 +110,15 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
     assert picture.read_bytes().startswith(b"\x89PNG")
 
 
+def test_images_with_a_peer(tmp_path, fake_peer):
+    options = ["--only", "Cornell", "--peer", f"mitsuba={sys.executable}", "--variant", "cuda_ad_rgb"]
+    (table,) = run(tmp_path, "images", *TINY, *options)["tables"]
+    (row,) = table["rows"]
+    assert row["Mitsuba image s"]["median"] == 0.5 and row["image s"]["n"] == 2
+    assert row["Mitsuba / ours"] == pytest.approx(0.5 / row["image s"]["median"])
+    assert "backend cpu, Mitsuba's variant cuda_ad_rgb" in table["title"]
+
+
 def test_polarized_with_a_peer(tmp_path, fake_peer):
     options = ["--only", "gold", "--peer", f"mitsuba={sys.executable}"]
     tables = run(tmp_path, "polarized", *TINY, *options, "--samples", "3")["tables"]

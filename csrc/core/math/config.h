@@ -30,9 +30,12 @@
 #endif
 
 // Functions that are compiled once for all who call them: out of line in device code, too, where they are in the same
-// translation unit.
-#if defined(__CUDACC__)
+// translation unit. Where it is compiled for one scene, little is left of them, and the compiler may decide: arguments
+// then stay in registers.
+#if defined(__CUDACC__) && !defined(TR_ONE_SCENE)
 #define TR_LARGE TR_HD __noinline__
+#elif defined(__CUDACC__)
+#define TR_LARGE TR_HD
 #else
 #define TR_LARGE
 #endif
