@@ -229,9 +229,9 @@ def check(card: str, out: Path, scenes: Path, commit: str) -> bool:
         run.step("versions", run.versions)
         run.step("rays", run.rays)
         run.step("repeats", run.repeats)
+        run.step("images", run.images)
         if scenes.is_dir():
             run.step("rates", lambda: run.rates(scenes))
             run.step("kernels", lambda: run.kernels(scenes))
         run.step("sanitizers", run.sanitizers)
-        run.step("images", run.images)
     return run.good
