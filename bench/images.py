@@ -6,11 +6,12 @@ On a card with TORCHRENDER_BACKEND=cuda and, for Mitsuba beside it, --variant cu
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable
 from typing import Any
 
 import torch
+
+from torchrender import backends
 
 from .arguments import peer_argument
 from .measured import Measured, rounds
@@ -45,9 +46,8 @@ def run(options: argparse.Namespace) -> Result:
     with Peers(options.peer, options.threads, options.renderer, environment) as peers:
         table = [measure_row(row, peers, options) for row in chosen(options)]
         versions = {peer.key: peer.version for peer in peers}
-    backend = os.environ.get("TORCHRENDER_BACKEND") or "cpu"
     title = (
-        f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, backend {backend}, "
+        f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, backend {backends.device()}, "
         f"Mitsuba's variant {options.variant}, medians of {options.rounds} alternating rounds"
     )
     plot = {"kind": "bars", "columns": [name for name in table[0] if name.endswith(" s")], "y": "an image, s"}
