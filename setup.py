@@ -71,7 +71,7 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 
 # What renders on devices, and runs kernels on cards: it calls the renderer for plain numbers, which that module alone
 # has.
-OF_NUMBERS = ("device_paths", "device_scene", "scene_facts")
+OF_NUMBERS = ("device_derivative", "device_paths", "device_scene", "device_tape", "scene_facts")
 ON_CARDS = ("cards", "compiler", "cuda_launcher", "kernel_cache", "sha256")
 
 # What the native tests do not call, and what that alone needs: a fifth of their compilation.
@@ -247,8 +247,9 @@ class Ninja:
             own = ["-O1"] if source.parent.name == "bindings" else []
             # Rays go back over the very numbers that brought them there, and triangles share their edges' numbers: a
             # product and a sum must round alike wherever they are written.
-            alike = ("bend", "bent_rays", "device_paths", "test_bend", "test_device", "test_device_paths", "test_tree")
-            own += ["-ffp-contract=off"] if source.stem in alike or source.parent.name == "device" else []
+            alike = ("bend", "bent_rays", "test_bend", "test_tree")
+            on_devices = source.parent.name == "device" or source.stem.removeprefix("test_").startswith("device")
+            own += ["-ffp-contract=off"] if source.stem in alike or on_devices else []
             self._edge("compile", target, [source], flags + own, [header] if header else [])
             made.append(target)
         return made

@@ -1,4 +1,4 @@
-"""Time of images without derivatives of the five scenes, in rounds in which every program runs once.
+"""Time of images of the five scenes, and of them with gradients, in rounds in which every program runs once.
 
 On a card with TORCHRENDER_BACKEND=cuda and, for Mitsuba beside it, --variant cuda_ad_rgb.
 """
@@ -21,8 +21,11 @@ from .report import Result, Table
 from .rows import Row
 from .scene_arrays import load_peer
 
+Program = Callable[[int], dict[str, float]]
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--gradients", action="store_true", help="also forward and backward passes")
     parser.add_argument("--variant", default="llvm_ad_rgb", help="Mitsuba's (default %(default)s)")
     peer_argument(parser)
 
@@ -30,14 +33,28 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> dict[str, Any]:
     """Seconds of a row and ratios of them."""
     ours = Ours.of_row(row, options.resolution, options.spp, **dict(options.renderer))
-    programs: dict[str, Callable[[int], dict[str, float]]] = {"": ours.forward}
+    programs = {"": _timed(ours.forward, ours.step, options.gradients)}
     for peer in peers:
         load_peer(peer, row, options.resolution, options.spp)
-        programs[peer.title] = lambda seed, peer=peer: peer.ask("forward", seed=seed)
-    found = {who: Measured.of(times["forward"]) for who, times in rounds(programs, options).items()}
-    seconds: dict[str, Any] = {f"{who} image s".strip(): measured for who, measured in found.items()}
-    ratios = {f"{peer.title} / ours": found[peer.title].median / found[""].median for peer in peers}
+        forward, step = (lambda seed, peer=peer, what=what: peer.ask(what, seed=seed) for what in ("forward", "step"))
+        programs[peer.title] = _timed(forward, step, options.gradients)
+    found = rounds(programs, options)
+    seconds: dict[str, Any] = {}
+    ratios: dict[str, float] = {}
+    for what in found[""]:
+        measured = {who: Measured.of(times[what]) for who, times in found.items()}
+        seconds |= {f"{who} {what} s".strip(): value for who, value in measured.items()}
+        ratios |= {f"{p.title} / ours, {what}": measured[p.title].median / measured[""].median for p in peers}
     return {"scene": row.name, **seconds, **ratios}
+
+
+def _timed(forward: Program, step: Program, gradients: bool) -> Program:
+    """Seconds of an image and, if wanted, of a forward and a backward pass."""
+
+    def run(seed: int) -> dict[str, float]:
+        return {"image": forward(seed)["forward"], **({"sum": sum(step(seed).values())} if gradients else {})}
+
+    return run
 
 
 def run(options: argparse.Namespace) -> Result:
@@ -50,5 +67,5 @@ def run(options: argparse.Namespace) -> Result:
         f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, backend {backends.device()}, "
         f"Mitsuba's variant {options.variant}, medians of {options.rounds} alternating rounds"
     )
-    plot = {"kind": "bars", "columns": [name for name in table[0] if name.endswith(" s")], "y": "an image, s"}
+    plot = {"kind": "bars", "columns": [name for name in table[0] if name.endswith(" s")], "y": "s"}
     return Result([Table(title, ["scene"], table, [], plot)], versions)

@@ -22,10 +22,11 @@ if TYPE_CHECKING:
     from .library import Library
 
 CHOICES = ("cpu", "emulated")  # and cards
-FUNCTIONS = ("ray_intersect", "ray_occluded", "render")
-"""What other devices have; of `render` a part, see render_devices.py."""
+RENDERS = ("render", "render_vjp", "render_jvp")
+FUNCTIONS = ("ray_intersect", "ray_occluded", *RENDERS, "find_outlines", "boundary")
+"""What other devices have; of `RENDERS` a part, see render_devices.py. The last two are the CPU's there, too."""
 
-_WHAT = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
+_WHAT = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
 _NO_NVRTC = "there is no NVRTC: pip install nvidia-cuda-nvrtc-cu12, or set TORCHRENDER_NVRTC"
 

@@ -12,6 +12,7 @@ import torch
 
 from .autograd import RenderFunction
 from .compiling import opaque
+from .devices import device
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
@@ -40,7 +41,7 @@ from .render_checks import (
     check_wavefront,
     warn_of_beams,
 )
-from .render_devices import check_device, refuse_derivatives
+from .render_devices import check_derivatives, check_device
 from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_sensors import chosen_sensors, layout_with_room
 from .render_types import (
@@ -356,11 +357,12 @@ def render(
             and not bends
             and call.spp_grad == call.spp
             and not _mixes(packed)
+            and device() == "cpu"
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
-        refuse_derivatives(used)
+        check_derivatives(used, adaptive_grad)
         trace: Callable[[RenderCall, list[torch.Tensor]], Any] = _native
         if wavefront:
             from .wavefront.function import wavefront_call

@@ -73,23 +73,28 @@ public:
         SceneRays *rays = updated(c.device, values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
-        if (c.light && rays) throw std::invalid_argument("device: light paths are traced on the CPU alone");
+        refuse_light(c, rays);
         if (c.light) return trace_light<S>(primal, at("image"), c.sums);
         if (c.hits) primal.keep_hits = c.hits->add_pass();
         const RenderOutput<S> to{at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums};
-        return rays ? render_there(*rays, primal, to) : render_primal<S>(primal, to);
+        if (!rays) return render_primal<S>(primal, to);
+        return there(*rays, [&](auto &paths, const auto &tree) { return paths.render(primal, data_, tree, to); });
     }
 
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *rays = updated(c.device, values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
         d.adaptive = c.adaptive;
         RenderCall<S> reverse = call(c);
         if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
-        RenderStats stats = c.light ? trace_light_reverse<S>(reverse, d) : render_reverse<S>(reverse, d);
+        refuse_light(c, rays);
+        RenderStats stats =
+            rays ? there(*rays, [&](auto &paths, const auto &tree) { return paths.reverse(reverse, data_, tree, d); })
+            : c.light ? trace_light_reverse<S>(reverse, d)
+                      : render_reverse<S>(reverse, d);
         add_gradients(data_, d, gradients);
         return stats;
     }
@@ -97,9 +102,13 @@ public:
     RenderStats forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
                         uintptr_t image) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *rays = updated(c.device, values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
         S *to = reinterpret_cast<S *>(image);
+        refuse_light(c, rays);
+        if (rays)
+            return there(
+                *rays, [&](auto &paths, const auto &tree) { return paths.forward(call(c), data_, tree, d.call, to); });
         return c.light ? trace_light_forward<S>(call(c), d.call, to) : render_forward<S>(call(c), d.call, to);
     }
 
@@ -329,12 +338,15 @@ private:
         throw std::invalid_argument("device: expected cpu, emulated, tree or a card (cuda:0), got " + device);
     }
 
-    // Images of another device.
-    RenderStats render_there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] const RenderCall<S> &call,
-                             [[maybe_unused]] const RenderOutput<S> &out) {
+    static void refuse_light(const Config &c, const SceneRays *rays) {
+        if (c.light && rays) throw std::invalid_argument("device: light paths are traced on the CPU alone");
+    }
+
+    // Paths on another device: what f(paths, tree) returns.
+    template <class Do>
+    RenderStats there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] Do &&f) {
 #if !TR_HAS_PACKETS
-        if constexpr (sizeof(S) == sizeof(float))
-            return rays.resident<DevicePaths>().render(call, data_, rays.device_tree(), out);
+        if constexpr (sizeof(S) == sizeof(float)) return f(rays.resident<DevicePaths>(), rays.device_tree());
 #endif
         throw std::invalid_argument("device: images are rendered in single precision, and not in packets");
     }

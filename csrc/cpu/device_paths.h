@@ -1,68 +1,46 @@
 // The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there. For
-// surfaces, in single precision and rgb; light goes straight.
+// surfaces, in single precision and rgb; light goes straight. Of a derivative paths are on a tape, over which
+// device/derivative_kernels.h then runs backwards.
 #pragma once
 
 #include "device/device_scene.h"
-#include "device/film_kernels.h"
-#include "device/path_kernels.h"
 #include "device/sort_kernels.h"
+#include "device_batch.h"
+#include "device_derivative.h"
+#include "device_tape.h"
 #include "render.h"
 
 namespace tr {
 
-// What a batch of paths has, by sample or by entry of a queue: an array of device memory each.
-struct BatchColumns {
-    SlotColumns<float> slots{};
-    LostColumns lost{};
-    PathQueue<float> queues[3]{};  // the first has the camera's rays
-    HitColumns<float> hits{};
-    ShadowQueue<float> shadows{};
-    int32_t *key, *out_key, *shadow_key;                       // of hits, and of what goes on from them
-    uint32_t *camera_rays, *live_rays, *sorted, *shadow_rays;  // lists of entries
-
-    template <class Visit>
-    void for_arrays(Visit &&visit) {
-        auto each = [&](auto &...column) { (column.each(visit), ...); };
-#define TR_VISIT(type, name) each(of.name);
-        auto of_samples = [&](auto &of) { TR_SAMPLE_COLUMNS(TR_VISIT) };
-        auto of_paths = [&](auto &of) { TR_PATH_COLUMNS(TR_VISIT) };
-        auto of_shadows = [&](auto &of) { TR_SHADOW_COLUMNS(TR_VISIT) TR_SHADOW_VALUE_COLUMNS(TR_VISIT) };
-#undef TR_VISIT
-        of_samples(slots), each(slots.radiance, slots.alpha);
-        visit(lost.count), visit(lost.culprit), visit(lost.index);
-        for (auto &queue : queues) of_paths(queue);
-        hits.for_arrays(visit), of_shadows(shadows);
-        visit(key), visit(out_key), visit(shadow_key);
-        visit(camera_rays), visit(live_rays), visit(sorted), visit(shadow_rays);
-    }
-};
-
 class DevicePaths {
 public:
-    // The launcher has to live longer. `memory`: bytes for the paths of a batch; scene and film have theirs besides.
+    // The launcher has to live longer. `memory`: bytes for the paths of a batch, and `TapeShare` times as many for
+    // those of a derivative; scene and film have theirs besides.
     DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
     explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
     DevicePaths(const DevicePaths &) = delete;
     DevicePaths &operator=(const DevicePaths &) = delete;
 
-    // As render_primal: the same samples, summed in the same order. `call.scene` is that of `data`, and `tree` its tree
-    // on the device. std::invalid_argument for what is not there, see the beginning.
+    // As render_primal, render_reverse and render_forward: the same samples; images are summed in the same order,
+    // gradients in any. `call.scene` is that of `data`, and `tree` its tree on the device. std::invalid_argument for
+    // what is not there, see the beginning. A call that is interrupted changes nothing.
     RenderStats render(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                        const RenderOutput<float> &out);
+    RenderStats reverse(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                        DerivativeCall<float> &derivative);
+    RenderStats forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                        const DerivativeCall<float> &derivative, float *image);
 
-    // Of `memory` a path takes.
+    // Of `memory` a path takes, without the tape.
     static size_t bytes_per_path();
+    static constexpr size_t TapeShare = 4;
 
 private:
-    // The samples of a batch as the host numbers them, and where the film finds them.
-    struct Batch {
-        uint32_t size = 0;
-        std::vector<SampledPixel> pixels;
-        std::vector<FilmUnit> units;
-        std::vector<FilmSpan> spans;
-    };
-    // What one call of render is about.
+    // What one call is about, and where the pixels of a tile are in a list of them.
     struct Work;
+    struct TileList {
+        uint32_t pixel = 0, place = 0;
+    };
 
     Launcher &launcher_;
     const size_t memory_;
@@ -72,28 +50,44 @@ private:
     std::vector<DeviceArray<uint32_t>> arrays_;  // of it
     EntryList camera_{}, live_{}, sorted_{}, lit_{};
     DeviceArray<uint32_t> lengths_;  // of these lists
-    DeviceArray<uint32_t> counts_, begin_, total_, begin_of_one_, total_of_one_;
+    DeviceArray<uint32_t> counts_, ranges_, range_of_one_;
     DeviceArray<int32_t> kinds_, targets_;
-    DeviceArray<uint64_t> totals_;  // closest hits, shadow rays, values that are not finite
+    DeviceArray<uint64_t> totals_;  // closest hits, shadow rays, values that are not finite: of paths, of derivatives
     DeviceArray<double> sums_, open_;
-    DeviceArray<SampledPixel> pixels_;
+    HostBuffer film_;  // the sums on their way back
+    DeviceArray<int32_t> pixels_, places_;
     DeviceArray<FilmUnit> units_;
-    DeviceArray<FilmSpan> spans_;
+    DeviceTapeLevels levels_;
+    DeviceDerivative derivative_;
 
+    Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+               const TileSchedule &schedule, const DerivativeCall<float> *derivative);
     void reserve(size_t n);
-    template <class T>
-    void clear(T *array, size_t n);
     template <class Body>
-    static void for_batches(const RenderCall<float> &call, const TileSchedule &schedule, size_t size, Body &&body);
-    void sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to, bool by_kind,
+    void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
+    void finish(const Work &work, RenderStats &stats) const;
+    void count_lost(RenderStats &stats) const;
+
+    // the film
+    ListedPixels list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists);
+    void begin_film(const Work &work, int channels);
+    void number_samples(const Work &work, const SampleNumbers &batch);
+    void add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments);
+    const double *download_film(const Work &work, int channels);
+    void begin_adjoint(const Work &work, const float *image, RenderStats &stats);
+
+    // a batch of n paths
+    struct Sorted;
+    void sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to, const Sorted &ranges,
               uint32_t launched);
-    void run_batch(const Work &work, const Batch &batch);
+    void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched);
     void trace_paths(const Work &work, uint32_t n);
     void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
     void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
-              const PathQueue<float> &out, uint32_t n);
-    bool nothing_left() const;
-    void count_lost(RenderStats &stats) const;
+              const PathQueue<float> &out, uint32_t n, int parents);
+    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint);
+    void sweep_components(const Work &work, DerivativePlaces to, uint32_t n);
+    uint32_t live() const;
 };
 
 }  // namespace tr

@@ -12,6 +12,7 @@
 #include "core/integrator/config.h"
 #include "film.h"
 #include "host/gradient.h"
+#include "host/parallel.h"
 #include "stored_hits.h"
 #include "tile_schedule.h"
 
@@ -111,15 +112,16 @@ struct RenderOutput {
     FilmSums *sums = nullptr;
 };
 
-// The results of a film of radiance and alpha, and `moments` of radiance.
+// The results of a film of radiance and alpha, and `moments` of radiance: the sums of its wanted pixels, one after the
+// other.
 template <class S>
-void write_results(const RenderCall<S> &call, const TileSchedule &schedule, const Film &film, int moments,
+void write_results(const RenderCall<S> &call, const TileSchedule &schedule, const double *film, int moments,
                    const RenderOutput<S> &out) {
-    const int pixel = call.numbers(), values = pixel + 1;
-    if (out.sums) out.sums->begin(schedule.n_results() * size_t(film.channels()), call.spp);
-    for (size_t i = 0; i < schedule.n_results(); ++i) {
-        const double *p = film.at(schedule.target_of(i));
-        if (out.sums) p = out.sums->add(i * size_t(film.channels()), p, film.channels());
+    const int pixel = call.numbers(), values = pixel + 1, channels = FilmBlock::channels(values, moments);
+    if (out.sums) out.sums->begin(schedule.n_results() * size_t(channels), call.spp);
+    auto write = [&](size_t i) {
+        const double *p = film + schedule.target_of(i) * size_t(channels);
+        if (out.sums) p = out.sums->add(i * size_t(channels), p, channels);
         const double *q = p + values + 1;
         double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
         for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
@@ -129,7 +131,10 @@ void write_results(const RenderCall<S> &call, const TileSchedule &schedule, cons
             if (out.second_moment) out.second_moment[at] = S(q[2 * pixel + c] * inverse);
             if (out.variance) out.variance[at] = S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[3 * pixel]));
         }
-    }
+    };
+    for_ranges(schedule.n_results(), call.threads, [&](size_t begin, size_t end, int) {
+        for (size_t i = begin; i < end; ++i) write(i);
+    });
 }
 
 template <class S>

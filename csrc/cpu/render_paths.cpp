@@ -53,7 +53,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                 merge.push(item, std::move(blocks), stop);
             });
         if (stats.interrupted) return stats;
-        write_results(call, schedule, film, moments, out);
+        write_results(call, schedule, film.sums(), moments, out);
     }
     return stats;
 }

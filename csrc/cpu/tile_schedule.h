@@ -139,6 +139,7 @@ public:
     const double *at(size_t target) const { return &sum_[target * size_t(channels_)]; }
     double *at(size_t target) { return &sum_[target * size_t(channels_)]; }
     int channels() const { return channels_; }
+    const double *sums() const { return sum_.data(); }
 
     void add(const Tile &tile, const FilmBlock &block) {
         schedule_.for_targets(tile, [&](size_t target, int y, int x) {

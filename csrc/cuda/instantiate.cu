@@ -8,6 +8,8 @@
 // functions. It says nothing about results.
 #include "core/medium/estimators.h"
 #include "core_sources.h"  // all .cpp files of the core, see the Makefile
+#include "device/adjoint_kernels.h"
+#include "device/derivative_kernels.h"
 #include "device/film_kernels.h"
 #include "device/path_kernels.h"
 #include "device/ray_kernels.h"
@@ -98,6 +100,11 @@ TR_RUN(PlaceKeys)
 TR_RUN(FillWords)
 TR_RUN(NumberSamples)
 TR_RUN(AddToFilm)
+TR_RUN(PlaceSamples)
+TR_RUN(DivideAdjoint)
+TR_RUN(CollectAdjoints)
+TR_RUN(SweepVertices)
+TR_RUN(SumCopies)
 TR_RUN(IntersectRays)
 TR_RUN(OccludeRays)
 #undef TR_RUN
@@ -290,15 +297,6 @@ struct Sweep {
         accumulate(non_finite, own.non_finite);
     }
 };
-
-// `radiance`: at the vertices, see sweep_vertex.
-__global__ void sweep_vertices(TR_STAGE, __grid_constant__ const Sweep sweep, SpectrumColumn<S> radiance) {
-    sweep.each([&](uint32_t i, const TapeColumns<S> *parents, GradientSink<F> &sink) {
-        write(radiance, i,
-              sweep_vertex(sweep.context(stage), stage.tape, parents, sweep.level, sweep.kind, sweep.scatters, i, true,
-                           sink));
-    });
-}
 
 __global__ void sweep_light_vertices(TR_STAGE, __grid_constant__ const Sweep sweep) {
     sweep.each([&](uint32_t i, const TapeColumns<S> *parents, GradientSink<F> &sink) {

@@ -55,9 +55,21 @@ public:
         Context before;
         api_.CtxPopCurrent(&before);
     }
+    void *allocate_host(size_t bytes) override {
+        const Current current(*this);
+        void *memory = nullptr;
+        check(api_, api_.MemHostAlloc(&memory, std::max<size_t>(bytes, 1), 0), "reserving memory of the host");
+        return memory;
+    }
+    void release_host(void *memory) noexcept override {
+        if (api_.CtxPushCurrent(context_) != Success) return;
+        api_.MemFreeHost(memory);
+        Context before;
+        api_.CtxPopCurrent(&before);
+    }
     void upload(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
-        // pageable memory: it was read when this returns
+        // of pageable memory it was read when this returns
         check(api_, api_.MemcpyHtoDAsync(address(to), from, bytes, stream_), "copying to " + card_.name);
     }
     void download(void *to, const void *from, size_t bytes) override {
@@ -66,6 +78,7 @@ public:
         check(api_, api_.StreamSynchronize(stream_), after());
     }
     size_t batch_memory() const override { return size_t(512) << 20; }
+    uint32_t gradient_copies() const override { return 1024; }
     void know(const SceneFacts &facts) override {
         facts_ = facts;
         known_.clear();
@@ -105,7 +118,7 @@ private:
     std::string after() const { return last_.empty() ? "waiting for the card" : "running " + last_; }
 
     Function function(const Kernel &kernel, int bsdf) {
-        if (kernel.knows != Knowledge::Bsdf) bsdf = -1;
+        if (!knows_bsdf(kernel.knows)) bsdf = -1;
         Function &known = known_[{kernel.name, bsdf}];
         if (!known) known = load(kernel, facts_.options(kernel.knows, bsdf));
         return known;

@@ -10,17 +10,23 @@ namespace tr {
 
 class DeviceScene {
 public:
-    // Copies all tables and parameters there, as they are now; the view is of the device. Nothing of light that bends
-    // is copied.
-    const SceneView<float> &upload(Launcher &launcher, const SceneData<float> &data);
+    // Tables and parameters as they are now, of which those are copied that have changed since the last time, also
+    // without a word; the view is of the device. Nothing of light that bends is copied. The device is done with what
+    // was launched before.
+    const SceneView<float> &upload(Launcher &launcher, const SceneData<float> &data, int threads);
 
 private:
     SceneView<float> view_{};
-    std::vector<DeviceArray<uint8_t>> memory_;
+    struct Table {
+        DeviceArray<uint8_t> there;
+        HostBuffer here;  // the same
+        size_t bytes = 0;
+    };
+    std::vector<Table> tables_;
     size_t n_used_ = 0;
 
     template <class T>
-    T *put(Launcher &launcher, const T *from, size_t n);
+    T *put(Launcher &launcher, const T *from, size_t n, int threads);
 };
 
 }  // namespace tr

@@ -37,6 +37,8 @@ enum Code { Success = 0, OutOfMemory = 2, NoDevice = 100 };
     X(ModuleGetFunction, "cuModuleGetFunction", (Function * function, Module module, const char *name))           \
     X(MemAlloc, "cuMemAlloc_v2", (DevicePointer * memory, size_t bytes))                                          \
     X(MemFree, "cuMemFree_v2", (DevicePointer memory))                                                            \
+    X(MemHostAlloc, "cuMemHostAlloc", (void **memory, size_t bytes, unsigned flags))                              \
+    X(MemFreeHost, "cuMemFreeHost", (void *memory))                                                               \
     X(MemcpyHtoDAsync, "cuMemcpyHtoDAsync_v2", (DevicePointer to, const void *from, size_t bytes, Stream stream)) \
     X(MemcpyDtoHAsync, "cuMemcpyDtoHAsync_v2", (void *to, DevicePointer from, size_t bytes, Stream stream))       \
     X(StreamSynchronize, "cuStreamSynchronize", (Stream stream))                                                  \

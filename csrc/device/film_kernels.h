@@ -20,50 +20,61 @@ struct FillWords {
     }
 };
 
-// A pixel of a batch: its samples, from this one on, have the slots from `begin` on.
-struct SampledPixel {
-    uint32_t begin;
-    int32_t y, x;
-    uint32_t sample;
+// Samples of a batch that belong to one unit of the schedule, pixel by pixel of its rectangle, or of a list of them, in
+// each `samples` from `first_sample` on. A unit that is longer than a batch opens in one and closes in another one.
+struct FilmUnit {
+    Rect rect;
+    int32_t begin;         // the slot of its first sample, which is below 0 if that was in an earlier batch
+    uint32_t first_pixel;  // where the list of its pixels begins, and
+    uint32_t first_place;  // where they are in that list
+    uint32_t samples, first_sample;
+    bool opens, closes;
 };
 
-// Which sample every slot has. Pixels are in the order of their slots.
+// The pixels that units have where they are not all of their rectangles; null: they are.
+struct ListedPixels {
+    const int32_t *pixel;  // (n, 2), row and column
+    const int32_t *place;  // of each pixel of a unit's rectangle, its number in the unit or -1
+
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(pixel), visit(place);
+    }
+};
+
+// Which sample every slot has. Units are in the order of their slots.
 struct NumberSamples {
     static constexpr const char *Name = "tr::NumberSamples", *Header = "device/film_kernels.h";
-    const SampledPixel *pixels;
-    uint32_t n_pixels;
+    const FilmUnit *units;
+    uint32_t n_units;
+    ListedPixels list;
     SlotColumns<float> slots;
 
     TR_HD void operator()(uint32_t i) const {
-        uint32_t low = 0, high = n_pixels;
+        uint32_t low = 0, high = n_units;
         while (high - low > 1) {
             const uint32_t middle = (low + high) / 2;
-            if (pixels[middle].begin <= i)
+            if (units[middle].begin <= int32_t(i))
                 low = middle;
             else
                 high = middle;
         }
-        const SampledPixel &pixel = pixels[low];
-        slots.row.at[i] = uint32_t(pixel.y), slots.column.at[i] = uint32_t(pixel.x);
-        slots.pixel.at[i] = pixel_number(pixel.y, pixel.x);
-        slots.sample.at[i] = pixel.sample + (i - pixel.begin);
+        const FilmUnit &unit = units[low];
+        const uint32_t k = uint32_t(int32_t(i) - unit.begin), pixel = k / unit.samples;
+        const auto width = uint32_t(unit.rect.width());
+        int32_t y = unit.rect.y0 + int32_t(pixel / width), x = unit.rect.x0 + int32_t(pixel % width);
+        if (list.pixel) {
+            const int32_t *at = list.pixel + 2 * (size_t(unit.first_pixel) + pixel);
+            y = at[0], x = at[1];
+        }
+        slots.row.at[i] = uint32_t(y), slots.column.at[i] = uint32_t(x);
+        slots.pixel.at[i] = pixel_number(y, x);
+        slots.sample.at[i] = unit.first_sample + (k - pixel * unit.samples);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(pixels), slots.for_arrays(visit);
+        visit(units), list.for_pointers(visit), slots.for_arrays(visit);
     }
-};
-
-// Samples of a batch that belong to one unit of the schedule: the rectangle of its pixels, and where the spans of these
-// are. A unit that is longer than a batch opens in one and closes in another one.
-struct FilmUnit {
-    Rect rect;
-    uint32_t first_span;
-    bool opens, closes;
-};
-// Samples begin .. end of a pixel.
-struct FilmSpan {
-    uint32_t begin, end;
 };
 
 struct AddToFilm {
@@ -71,8 +82,8 @@ struct AddToFilm {
     Filter filter;
     int32_t reach, colors, moments;
     const FilmUnit *units;
-    uint32_t n_units;
-    const FilmSpan *spans;
+    uint32_t n_units, n_slots;
+    ListedPixels list;
     const int32_t *targets;  // (n, 2), row and column of each wanted pixel; null: all of `wanted`
     Rect wanted;
     uint32_t first;       // of those of this launch
@@ -95,9 +106,12 @@ struct AddToFilm {
                 for (int c = 0; c < channels; ++c) block[c] = 0;
             for (int32_t row = near.y0; row < near.y1; ++row)
                 for (int32_t column = near.x0; column < near.x1; ++column) {
-                    const FilmSpan span = spans[unit.first_span + uint32_t((row - unit.rect.y0) * unit.rect.width() +
-                                                                           column - unit.rect.x0)];
-                    for (uint32_t k = span.begin; k < span.end; ++k) add(k, y, x, block);
+                    int32_t pixel = (row - unit.rect.y0) * unit.rect.width() + column - unit.rect.x0;
+                    if (list.place) pixel = list.place[unit.first_place + uint32_t(pixel)];
+                    if (pixel < 0) continue;
+                    const int32_t begin = unit.begin + pixel * int32_t(unit.samples);
+                    const int32_t end = min(begin + int32_t(unit.samples), int32_t(n_slots));
+                    for (int32_t k = max(begin, 0); k < end; ++k) add(uint32_t(k), y, x, block);
                 }
             if (unit.closes)
                 for (int c = 0; c < channels; ++c) film[c] += block[c];
@@ -105,7 +119,7 @@ struct AddToFilm {
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(units), visit(spans), visit(targets), visit(sums), visit(open), slots.for_arrays(visit);
+        visit(units), list.for_pointers(visit), visit(targets), visit(sums), visit(open), slots.for_arrays(visit);
     }
 
 private:

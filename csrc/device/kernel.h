@@ -12,7 +12,8 @@
 // a launch run in any order, also at once. Pointers are of the device's memory, or null; for_pointers names them all.
 //
 // One with `static constexpr Knowledge Knows` is compiled for a scene. One with a type `Shared` has blocks of threads
-// as items, which share one of it: see block.h.
+// as items, which share one of it: see block.h. Of one with `static constexpr bool Adds = true` items add
+// floating-point numbers to the same places (`accumulate`), which threads of a host cannot do at once.
 #pragma once
 
 #include <functional>
@@ -29,6 +30,11 @@ struct KnowledgeOf : std::integral_constant<Knowledge, Knowledge::Nothing> {};
 template <class K>
 struct KnowledgeOf<K, std::void_t<decltype(K::Knows)>> : std::integral_constant<Knowledge, K::Knows> {};
 
+template <class K, class = void>
+struct AddsTogether : std::false_type {};
+template <class K>
+struct AddsTogether<K, std::void_t<decltype(K::Adds)>> : std::bool_constant<K::Adds> {};
+
 // What launchers know of a functor.
 struct Kernel {
     const char *name, *header;  // as code says it in the namespace of all; a path below the folder of the sources
@@ -37,6 +43,7 @@ struct Kernel {
     void (*pointers)(const void *functor, const std::function<void(const void *)> &visit);
     Knowledge knows;
     bool blocks;  // its items are blocks of threads
+    bool adds;
 };
 
 template <class K>
@@ -62,6 +69,7 @@ const Kernel &kernel_of() {
         },
         KnowledgeOf<K>::value,
         IsBlockKernel<K>::value,
+        AddsTogether<K>::value,
     };
     return kernel;
 }

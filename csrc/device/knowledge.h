@@ -1,9 +1,12 @@
 // What of a scene a kernel has to know when it is compiled: nothing; its shapes; the models of what it has; and of its
-// BSDFs the one that the kernel shades.
+// BSDFs the one that the kernel shades, or whose derivatives it takes.
 #pragma once
 
 namespace tr {
 
-enum class Knowledge { Nothing, Shapes, Scene, Bsdf };
+enum class Knowledge { Nothing, Shapes, Scene, Bsdf, Derivative };
+
+constexpr bool knows_light(Knowledge of) { return of != Knowledge::Nothing && of != Knowledge::Shapes; }
+constexpr bool knows_bsdf(Knowledge of) { return of == Knowledge::Bsdf || of == Knowledge::Derivative; }
 
 }  // namespace tr

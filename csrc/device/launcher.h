@@ -2,6 +2,7 @@
 // `download` and `synchronize` wait. Used by one thread at a time.
 #pragma once
 
+#include <new>
 #include <utility>
 #include <vector>
 
@@ -21,13 +22,20 @@ public:
     virtual void *allocate(size_t bytes) = 0;
     // Nothing that was launched may still need it: there was a download or synchronize since.
     virtual void release(void *memory) noexcept = 0;
-    // `from` is of the host and may be changed after the call.
+    // Memory of the host that is copied from and to without detours. std::bad_alloc if there is none.
+    virtual void *allocate_host(size_t bytes) { return ::operator new(bytes); }
+    virtual void release_host(void *memory) noexcept { ::operator delete(memory); }
+    // `from` is of the host and may be changed after the call, but what `allocate_host` returned not before the device
+    // is done.
     virtual void upload(void *to, const void *from, size_t bytes) = 0;
     virtual void download(void *to, const void *from, size_t bytes) = 0;
     virtual void synchronize() = 0;
 
     // Bytes that the paths of a batch should take.
     virtual size_t batch_memory() const { return size_t(16) << 20; }
+
+    // Of each small sum that many items add to at once, so many are kept.
+    virtual uint32_t gradient_copies() const { return 4; }
 
     // What kernels are compiled for from now on, where they are compiled at all.
     virtual void know(const SceneFacts &) {}
@@ -40,6 +48,36 @@ public:
 
 private:
     virtual void launch(const Kernel &kernel, const void *functor, uint32_t n, int bsdf) = 0;
+};
+
+// Memory of the host for copies, which is released with its owner. The launcher has to live longer.
+class HostBuffer {
+public:
+    HostBuffer() = default;
+    HostBuffer(HostBuffer &&other) noexcept { *this = std::move(other); }
+    HostBuffer &operator=(HostBuffer &&other) noexcept {
+        std::swap(launcher_, other.launcher_), std::swap(at_, other.at_), std::swap(capacity_, other.capacity_);
+        return *this;
+    }
+    ~HostBuffer() {
+        if (at_) launcher_->release_host(at_);
+    }
+    // Room for so many bytes; if there was less, what was there is lost, once the device is done with it.
+    void *reserve(Launcher &launcher, size_t bytes) {
+        if (bytes > capacity_ || !at_) {
+            if (at_) launcher_->synchronize();
+            *this = HostBuffer();
+            at_ = launcher.allocate_host(bytes);
+            launcher_ = &launcher, capacity_ = bytes;
+        }
+        return at_;
+    }
+    void *get() const { return at_; }
+
+private:
+    Launcher *launcher_ = nullptr;
+    void *at_ = nullptr;
+    size_t capacity_ = 0;
 };
 
 // Memory of a device that is released with its owner. The launcher has to live longer.
@@ -56,7 +94,7 @@ public:
     DeviceArray(const DeviceArray &) = delete;
     DeviceArray &operator=(const DeviceArray &) = delete;
     ~DeviceArray() {
-        if (at_) launcher_->release(at_);
+        if (at_) launcher_->release(static_cast<void *>(at_));
     }
 
     // Room for n of them, of none of which there is no address. If there was less, what was there is lost, once the
@@ -70,10 +108,10 @@ public:
     }
     void upload(Launcher &launcher, const T *from, size_t n) {
         reserve(launcher, n);
-        if (n != 0) launcher.upload(at_, from, n * sizeof(T));
+        if (n != 0) launcher.upload(static_cast<void *>(at_), static_cast<const void *>(from), n * sizeof(T));
     }
     void download(T *to, size_t n) const {
-        if (n != 0) launcher_->download(to, at_, n * sizeof(T));
+        if (n != 0) launcher_->download(static_cast<void *>(to), static_cast<const void *>(at_), n * sizeof(T));
     }
     T *get() const { return at_; }
 

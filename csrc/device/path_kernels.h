@@ -10,51 +10,13 @@
 
 #include "core/integrator/camera.h"
 #include "core/integrator/classify.h"
-#include "knowledge.h"
+#include "path_stage.h"
 #include "tree_traversal.h"
 #if defined(__CUDACC_RTC__)
 #include "core_parts.h"
 #endif
 
 namespace tr {
-
-// By slot: how many values were left out because they are not finite, and what brought the first one.
-struct LostColumns {
-    uint32_t *count, *culprit, *index;
-    uint64_t *total;  // of all slots
-
-    TR_HD void add(uint32_t slot, const Diagnostics &found) const {
-        accumulate(total, found.non_finite);
-        if (count[slot] == 0) culprit[slot] = uint32_t(found.culprit), index[slot] = uint32_t(found.index);
-        count[slot] += uint32_t(found.non_finite);
-    }
-    template <class Visit>
-    void for_pointers(Visit &&visit) const {
-        visit(count), visit(culprit), visit(index), visit(total);
-    }
-};
-
-// What all kernels of a rendering have: the scene, the settings, the samples. Tables lie in the device's memory.
-struct PathStage {
-    SceneView<float> scene;
-    PathConfig config;
-    SlotColumns<float> slots;
-    LostColumns lost;
-    float width, height;  // of the film
-
-    // Calls f with the context of a path.
-    template <class Do>
-    TR_HD void with_context(uint32_t slot, Do &&f) const {
-        Diagnostics found;
-        f(PathContext<float>{scene, config, slots, found, nullptr});
-        if (found.non_finite != 0) lost.add(slot, found);
-    }
-    template <class Visit>
-    void for_pointers(Visit &&visit) const {
-        scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
-        visit(slots.lens.x), visit(slots.lens.y);
-    }
-};
 
 // Entries of a queue, in their order, and how many these are.
 struct EntryList {
@@ -69,7 +31,7 @@ struct EntryList {
 // In lists of what is left of a launch; -1: nothing.
 constexpr int32_t Kept = 0, Gone = -1;
 
-// Camera rays of the samples.
+// Camera rays of the samples; `skip_zero_adjoint`: see start_paths.
 struct StartPaths {
     static constexpr const char *Name = "tr::StartPaths", *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
@@ -77,18 +39,36 @@ struct StartPaths {
     PathQueue<float> out;
     int32_t *key;
     uint32_t n;
+    bool skip_zero_adjoint;
 
     TR_HD void operator()(uint32_t i) const {
         PathQueue<float> own = out;
         own.n = i;
         stage.with_context(i, [&](const PathContext<float> &c) {
-            start_paths<float>(c, stage.width, stage.height, false, i, n, own);
+            start_paths<float>(c, stage.width, stage.height, skip_zero_adjoint, i, n, own);
         });
         key[i] = own.n != i ? Kept : Gone;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         stage.for_pointers(visit), out.for_arrays(visit), visit(key);
+    }
+};
+
+// Where the samples are on the film, which AddToFilm then weights.
+struct PlaceSamples {
+    static constexpr const char *Name = "tr::PlaceSamples", *Header = "device/path_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
+    PathConfig config;
+    SlotColumns<float> slots;
+
+    TR_HD void operator()(uint32_t i) const {
+        choose_position<float>(config, slots, false, i);
+        slots.alpha[i] = 1;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        slots.for_arrays(visit);
     }
 };
 
@@ -165,7 +145,7 @@ struct ShadeHits {
     PathStage stage;
     PathStep step;
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
-    bool last;  // rays that go on are the last ones
+    bool last;  // rays that go on are the last ones of their paths
     PathQueue<float> in;
     HitColumns<float> hits;
     const uint32_t *sorted, *begin, *total;  // the last two by kind
@@ -188,8 +168,7 @@ struct ShadeHits {
                 shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
 #endif
         });
-        const bool goes_on = own.n != i && !(last && !last_ray_counts<float>(stage.scene, own, i));
-        out_key[i] = goes_on ? Kept : Gone;
+        out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
         shadow_key[i] = own_shadows.n != i ? Kept : Gone;
     }
     template <class Visit>
@@ -198,9 +177,17 @@ struct ShadeHits {
         visit(sorted), visit(begin), visit(total), out.for_arrays(visit), shadows.for_arrays(visit);
         visit(out_key), visit(shadow_key);
     }
+
+private:
+    // As PathTile::keep_rays_to_lights.
+    TR_HD bool last_counts(const PathQueue<float> &own, uint32_t i) const {
+        if (stage.bsdfs_alone && !has_differentiated<float>(own.seen[i])) return false;
+        return stage.scene.n_light_boxes < 0 || last_ray_counts<float>(stage.scene, own, i);
+    }
 };
 
-// Adds what shadow rays bring where nothing is in the way. A path has one of them.
+// Adds what shadow rays bring where nothing is in the way; a path has one of them. On a tape, whose vertices have them,
+// those that meet something lose their weight instead.
 struct TraceShadows {
     static constexpr const char *Name = "tr::TraceShadows", *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Shapes;
@@ -208,6 +195,7 @@ struct TraceShadows {
     ShadowQueue<float> shadows;
     EntryList rays;
     SpectrumColumn<float> radiance;
+    float *light_weight;  // of the tape; null: there is none
     uint64_t *traced;
 
     TR_HD void operator()(uint32_t k) const {
@@ -216,13 +204,15 @@ struct TraceShadows {
         const uint32_t i = rays.entry[k];
         const float o[] = {shadows.o.x[i], shadows.o.y[i], shadows.o.z[i]},
                     d[] = {shadows.d.x[i], shadows.d.y[i], shadows.d.z[i]};
-        if (trace<true>(tree, o, d, shadows.length[i]).shape != TreeHit::Miss) return;
+        const bool occluded = trace<true>(tree, o, d, shadows.length[i]).shape != TreeHit::Miss;
+        if (light_weight && occluded) light_weight[shadows.position[i]] = 0;
+        if (light_weight || occluded) return;
         for (int c = 0; c < SpectrumSize; ++c) radiance[c][shadows.slot[i]] += shadows.contribution[c][i];
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         tree.for_pointers(visit), shadows.for_arrays(visit), rays.for_pointers(visit), radiance.each(visit);
-        visit(traced);
+        visit(light_weight), visit(traced);
     }
 };
 

@@ -72,7 +72,7 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
         r.push_back(std::string("-DTR_") + name + "=" + value);
     };
     const auto number = [&](const char *name, int64_t value) { define(name, std::to_string(value)); };
-    const bool all = knowledge != Knowledge::Shapes;
+    const bool all = knows_light(knowledge);
     number("SHAPE_FLAGS", shape_flags);
     define("TEXTURE_KINDS", std::to_string(all ? textures : 0) + "u");
     define("EMITTER_KINDS", std::to_string(all ? emitters : 0) + "u");
@@ -80,8 +80,9 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     number("TEXTURED", all && textured), number("PINHOLE", all && pinhole);
     number("STACKS", all && stacks), number("TANGENTS", all && tangents);
     number("SAMPLER", all ? sampler : 0);
-    number("RECORDS", 0), number("DERIVATIVES", 0);
-    if (knowledge != Knowledge::Bsdf) return r;
+    number("RECORDS", all && records), number("DERIVATIVES", knowledge == Knowledge::Derivative);
+    number("FORWARD", knowledge == Knowledge::Derivative && forward), number("MOTION", all && motion);
+    if (!knows_bsdf(knowledge)) return r;
     number("BSDF_KIND", bsdf);
     if (bsdf < 0 || size_t(bsdf) >= std::size(Sources)) return r;
     define("ONE_BSDF", Sources[bsdf].name);

@@ -1,11 +1,22 @@
 #include "gradient_requirements.h"
 
 #include <algorithm>
+#include <cstring>
 
 #include "../core/registry.h"
 #include "models.h"
 
 namespace tr {
+
+namespace {
+
+// Whether rays go elsewhere when a parameter of a BSDF changes, by what its declaration says of the derivative.
+bool turns_rays(const Field &field) {
+    const char *said = field.derivative;
+    return said && (std::strstr(said, "edges seen through") || std::strstr(said, "a normal begins to hide"));
+}
+
+}  // namespace
 
 GradientRequirements::GradientRequirements(const SceneLayout &layout, const std::vector<bool> &needs_grad)
     : layout_(layout), needs_grad_(needs_grad) {
@@ -104,9 +115,11 @@ bool GradientRequirements::motion(size_t sensor) const {
     const std::vector<Record> &bsdfs = layout_.records.at("bsdf");
     for (size_t i = 0; i < bsdfs.size(); ++i) {
         const Model &model = model_of("bsdf", bsdfs[i]);
-        if ((model.is(HasDeltaLobes) && any_number("bsdf", i, {Kind::Float})) ||
-            ((model.is(PerturbsNormals) || model.is(Disperses)) && values("bsdf", i)))
-            return true;
+        for (int f = 0; f < model.n_fields; ++f) {
+            if (!turns_rays(model.fields[f])) continue;
+            const int32_t at = bsdfs[i].field[f];
+            if (model.fields[f].kind == Kind::Float ? number(at) : values("texture", size_t(at))) return true;
+        }
     }
     return false;
 }

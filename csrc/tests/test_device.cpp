@@ -283,6 +283,14 @@ cuda::Api fake_api() {
         --fake.allocations;
         return std::free(reinterpret_cast<void *>(memory)), 0;
     };
+    api.MemHostAlloc = [](void **memory, size_t bytes, unsigned) {
+        ++fake.allocations;
+        return *memory = std::malloc(bytes), 0;
+    };
+    api.MemFreeHost = [](void *memory) {
+        --fake.allocations;
+        return std::free(memory), 0;
+    };
     api.MemcpyHtoDAsync = [](DevicePointer to, const void *from, size_t bytes, Stream) {
         return std::memcpy(reinterpret_cast<void *>(to), from, bytes), 0;
     };

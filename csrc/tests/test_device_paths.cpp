@@ -15,6 +15,7 @@
 #include "scene_builder.h"
 
 #if !TR_HAS_PACKETS
+#include "cpu/derivative_call.h"
 #include "cpu/device_paths.h"
 
 namespace tr::testing {
@@ -77,6 +78,30 @@ struct Balls {
     }
 };
 
+// The derivative of the sum of an image, by everything that does not move: the numbers of the slots one after the
+// other.
+struct Gradient {
+    std::vector<std::vector<float>> of_slots;
+    RenderStats stats;
+
+    template <class Reverse>
+    Gradient(const Balls &balls, const RenderCall<float> &call, Reverse &&reverse) {
+        const SceneBuilder<float> &builder = balls.builder;
+        const std::vector<float> ones(size_t(call.film_height * call.film_width) * 3, 1.f);
+        Addresses addresses;
+        for (size_t i = 0; i < builder.values.size(); ++i) {
+            of_slots.emplace_back(builder.values[i].size(), 0.f);
+            // (matrices are those of shapes and the camera, single numbers those of the camera)
+            const bool at_rest = builder.values[i].size() == 3 || builder.values[i].size() > 16;
+            addresses.push_back(at_rest ? reinterpret_cast<uintptr_t>(of_slots[i].data()) : 0);
+        }
+        DerivativeCall<float> d = reverse_call(balls.data, call.config, false, addresses);
+        d.adjoint = ones.data();
+        stats = reverse(call, d);
+        add_gradients(balls.data, d, addresses);
+    }
+};
+
 Settings small(Filter filter) {
     Settings s;
     s.height = 18, s.width = 20, s.spp = 70, s.filter = filter;  // four tiles, and two chunks of samples each
@@ -98,6 +123,36 @@ TR_TEST(images_of_the_device_are_those_of_the_cpu_in_any_batches) {
             CHECK(found == expected);
             CHECK(found.stats.closest_rays == expected.stats.closest_rays);
             CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
+        }
+    }
+}
+
+// ... gradients but for the order of sums, to which the emulated device has one thread add.
+TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
+    Balls balls;
+    for (const Filter &filter : {Filter(), Filter(FilterKind::Gaussian, 0.5)}) {
+        const RenderCall<float> call = make_call(balls.data, small(filter));
+        const Gradient expected(balls, call, [](const RenderCall<float> &c, DerivativeCall<float> &d) {
+            return render_reverse<float>(c, d);
+        });
+        for (const size_t batch : {size_t(1000), size_t(1) << 20}) {
+            const auto device = make_emulated();
+            DeviceTree copied(*device);
+            copied.set(balls.rays.tree());
+            DevicePaths paths(*device, batch * DevicePaths::bytes_per_path());
+            const Gradient found(balls, call, [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
+                return paths.reverse(c, balls.data, copied.view(), d);
+            });
+            CHECK(found.stats.closest_rays == expected.stats.closest_rays);
+            CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
+            float largest = 0;
+            for (size_t i = 0; i < expected.of_slots.size(); ++i)
+                for (size_t k = 0; k < expected.of_slots[i].size(); ++k) {
+                    const float a = expected.of_slots[i][k], b = found.of_slots[i][k];
+                    largest = std::max(largest, std::abs(a));
+                    CHECK(std::abs(a - b) <= 1e-4f * std::abs(a));
+                }
+            CHECK(largest > 1);
         }
     }
 }
@@ -125,6 +180,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     more = room;
     more.shape_flags |= IsSphere | FlipNormals, more.textures = 3, more.textured = true, more.emitters = 15;
     more.stacks = true;
+    SceneFacts recorded = room, forward = room;
+    recorded.records = forward.records = forward.forward = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
     struct Case {
         const Kernel &kernel;
@@ -141,6 +198,14 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<ShadeHits>(), more, diffuse, ",diffuse,more"},
                              {kernel_of<ShadeHits>(), more, principled, ",principled,more"},
                              {kernel_of<ShadeHits>(), more, MissKind, ",miss,more"},
+                             {kernel_of<ShadeHits>(), recorded, diffuse, ",diffuse,recorded"},
+                             {kernel_of<SweepVertices>(), recorded, diffuse, ",diffuse"},
+                             {kernel_of<SweepVertices>(), recorded, MissKind, ",miss"},
+                             {kernel_of<SweepVertices>(), forward, diffuse, ",diffuse,forward"},
+                             {kernel_of<PlaceSamples>(), room, -1, ""},
+                             {kernel_of<DivideAdjoint>(), room, -1, ""},
+                             {kernel_of<CollectAdjoints>(), room, -1, ""},
+                             {kernel_of<SumCopies>(), room, -1, ""},
                              {kernel_of<NumberSamples>(), room, -1, ""},
                              {kernel_of<CountKeys>(), room, -1, ""},
                              {kernel_of<SumKeys>(), room, -1, ""},

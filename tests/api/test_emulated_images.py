@@ -186,23 +186,6 @@ def test_what_is_not_there_is_refused_by_name(device, words):
     assert not scene.statistics
 
 
-def test_derivatives_are_refused(device):
-    scene = ball()
-    color = scene.train_only("*.reflectance*")[0]
-    expected = "does not have derivatives, which a parameter asks for; .* torch.no_grad"
-    with pytest.raises(RuntimeError, match=expected):
-        tr.render(scene, spp=1)
-    with pytest.raises(RuntimeError, match=expected):
-        tr.render(scene, spp=1, sensor=[0], params=[{}])
-    with torch.no_grad():
-        image = tr.render(scene, spp=1, seed=1)
-    name = next(n for n, p in scene.named_parameters() if p is color)
-    scene.train_only()
-    assert torch.equal(tr.render(scene, spp=1, seed=1), image)
-    with pytest.raises(RuntimeError, match=expected):
-        torch.func.jvp(lambda x: tr.render(scene, spp=1, params={name: x}), (color.detach(),), (color.detach(),))
-
-
 def test_shapes_that_are_not_there_are_refused(device):
     curve = {"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}
     with pytest.raises(ValueError, match=r"odd: devices have meshes, .* so far, got a bsplinecurve; with"):

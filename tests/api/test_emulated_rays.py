@@ -171,6 +171,6 @@ def test_shapes_that_are_not_there_are_refused_by_name(device, shape, words):
 
 def test_what_is_not_there_is_refused(device):
     scene = tr.load_dict({"type": "scene", "sky": {"type": "constant"}, "ball": {"type": "sphere"}})
-    alone = r"ray queries and images without derivatives \(tr.ray_intersect, tr.ray_occluded, tr.render\) so far; with"
+    alone = r"ray queries, images and their derivatives \(tr.ray_intersect, tr.ray_occluded, tr.render\) so far; with"
     with pytest.raises(RuntimeError, match="probe: TORCHRENDER_BACKEND=emulated has " + alone):
         tr.testing.sample_emitters(scene, torch.zeros(1, 3), torch.zeros(1, 3))

@@ -19,7 +19,7 @@ from torchrender import backends, devices
 from torchrender.scene.gather import check_device
 
 ROOT = Path(__file__).resolve().parents[2]
-ALONE = "ray queries and images without derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
+ALONE = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
 CPUS = "scenes and tensors are the CPU's (TORCHRENDER_BACKEND=cuda renders them on a card)"
 

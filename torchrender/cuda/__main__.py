@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from .check import check
+from .check import STEPS, check
 
 
 def main() -> int:
@@ -18,8 +18,9 @@ def main() -> int:
     of.add_argument("--card", type=int, default=0, help="its number (default: 0)")
     of.add_argument("--scenes", type=Path, default=Path("scenes"), help="the repository's, which are timed if there")
     of.add_argument("--commit", default="", help="of the state that is checked, which the report names")
+    of.add_argument("--only", nargs="+", choices=STEPS, default=STEPS, metavar="STEP", help=f"of {', '.join(STEPS)}")
     options = parser.parse_args()
-    return 0 if check(f"cuda:{options.card}", options.out, options.scenes, options.commit) else 1
+    return 0 if check(f"cuda:{options.card}", options.out, options.scenes, options.commit, options.only) else 1
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""A card beside the CPU, step by step: rays, images with every BSDF, what repeats, what it costs."""
+"""A card beside the CPU, step by step: rays, images and gradients with every BSDF, what repeats, what it costs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +26,18 @@ from ..queries import ray_intersect, ray_occluded
 from ..render import render
 from ..renderer import Renderer
 from ..scene.declaration import models
+from ..scene.derivatives import moves_rays
+from ..scene.scene import Scene
 from ..transform import Transform
 
 FAR = 1e-3
 """Pixels that differ by more than this, relative to their own value and the mean, are counted."""
 MOST_FAR = 0.01
 """... and that share of them is allowed: rounding sends a few paths another way."""
+MOST_OFF = 1e-2
+"""Of gradients, relative to their largest number: the same few paths, of which some weigh much."""
+
+STEPS = ("versions", "rays", "repeats", "images", "gradients", "rates", "kernels", "sanitizers")
 
 ROWS = {
     "Cornell box": ("cornell_box.xml", {}),
@@ -45,17 +51,23 @@ _KERNELS = """
 import json, sys
 import torchrender as tr
 from torchrender.backends import scene_core
+from torchrender.cuda.check import train_all
 scene = tr.load_file(sys.argv[1], resolution=256, spp=16, **json.loads(sys.argv[2]))
+train_all(scene, but_what_moves=True)
 for seed in range(3):
-    tr.render(scene, integrator=tr.PathTracer(max_depth=5, rr_depth=100), spp=16, seed=seed)
-    times = scene_core().cuda_kernel_times()
-print("KERNELS", json.dumps(times))
+    image = tr.render(scene, integrator=tr.PathTracer(max_depth=5, rr_depth=100), spp=16, seed=seed)
+    of_image = scene_core().cuda_kernel_times()
+    image.sum().backward()
+    of_gradient = scene_core().cuda_kernel_times()
+print("KERNELS", json.dumps([of_image, of_gradient]))
 """
 _SMALL = """
 import torch, torchrender as tr
 from torchrender.cuda.check import room
 scene = tr.load_dict(room({"type": "roughconductor", "alpha": 0.2}, size=16))
 tr.render(scene, integrator=tr.PathTracer(max_depth=4), spp=4, seed=1)
+scene.train_only("ball.bsdf.alpha.value", "ball.center", "sensor.to_world")
+tr.render(scene, integrator=tr.PathTracer(max_depth=4), spp=4, seed=1).sum().backward()
 tr.ray_occluded(scene, torch.zeros(100, 3), torch.randn(100, 3))
 """
 
@@ -79,14 +91,28 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
     }
 
 
+def train_all(scene: Scene, but_what_moves: bool = False) -> list[str]:
+    """Every parameter is to have a gradient, or those that do not move rays; returns their names."""
+    slots = {slot.name: slot for slot in scene.layout().slots}
+    names = [
+        name
+        for name, _ in scene.named_parameters()
+        if not slots[name].refusal and not (but_what_moves and moves_rays(slots[name]))
+    ]
+    scene.train_only(*names)
+    return names
+
+
 class Check:
     """The report, and whether everything in it passed."""
 
-    def __init__(self, card: str, out: Path, commit: str) -> None:
-        self.card, self.out, self.commit, self.good = card, out, commit, True
+    def __init__(self, card: str, out: Path, commit: str, only: Sequence[str] = STEPS) -> None:
+        self.card, self.out, self.commit, self.only, self.good = card, out, commit, only, True
         self.report: dict[str, Any] = {}
 
     def step(self, name: str, work: Callable[[], dict[str, Any]]) -> None:
+        if name not in self.only:
+            return
         begin = time.perf_counter()
         try:
             found = work()
@@ -136,9 +162,7 @@ class Check:
     def images(self) -> dict[str, Any]:
         """Every BSDF, with the CPU's walk through the same tree: equal but for the rounding of elementary functions."""
         found, passed = {}, True
-        for kind in sorted(name for category, name in models() if category == "bsdf"):
-            if kind in ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap"):
-                continue
+        for kind in _plain_bsdfs():
             scene = load_dict(room({"type": kind}))
             a, b = self.both(lambda scene=scene: render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3))
             again = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3)
@@ -147,6 +171,35 @@ class Check:
             found[kind] = {"far": far, "mean off by": off, "repeats": torch.equal(b, again)}
             passed = passed and far <= MOST_FAR and abs(off) < 1e-3 and torch.equal(b, again)
         return {"passed": passed, "images": found}
+
+    def gradients(self) -> dict[str, Any]:
+        """Of every BSDF, by all parameters: the largest difference from the CPU's, of its largest number.
+
+        Of what moves, whose gradients cancel, of the largest number of those; without edges, which are the CPU's.
+        """
+        found, passed = {}, True
+        for kind in _plain_bsdfs():
+            scene = load_dict(room({"type": kind}))
+            names = train_all(scene)
+
+            def gradients(scene: Scene = scene, names: list[str] = names) -> list[torch.Tensor]:
+                image = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3, visibility=False)
+                weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
+                return list(torch.autograd.grad((image * weights).sum(), [scene.get_parameter(n) for n in names]))
+
+            expected, got = self.both(gradients)
+            size = {name: a.abs().max().item() for name, a in zip(names, expected, strict=True)}
+            moves = {slot.name for slot in scene.layout().slots if moves_rays(slot)}
+            moved = max(size[name] for name in names if name in moves)
+            off = {
+                name: (b - a).abs().max().item() / (moved if name in moves else size[name])
+                for name, a, b in zip(names, expected, got, strict=True)
+                if size[name] > 0
+            }
+            worst = max(off, key=lambda name: off[name])
+            found[kind] = {"off by": off[worst], "in": worst, "of": len(off)}
+            passed = passed and off[worst] < MOST_OFF
+        return {"passed": passed, "gradients": found}
 
     def repeats(self) -> dict[str, Any]:
         """Equal bits in parts of a film, with lists of pixels, and in batches: 512 samples of these pixels are many."""
@@ -161,7 +214,10 @@ class Check:
         return {"passed": same and torch.equal(whole, render(scene, **settings)), "image": digest}
 
     def rates(self, scenes: Path) -> dict[str, Any]:
-        """Seconds of images, warm, whole calls: 256 x 256 pixels of 16 samples, and 1024 x 1024 of 64."""
+        """Seconds, warm, whole calls: images of 256 x 256 pixels and 16 samples, with gradients, of 1024 x 1024 and 64.
+
+        Gradients are those by everything that does not move.
+        """
         found = {}
         for name, (file, arguments) in ROWS.items():
             begin = time.perf_counter()
@@ -175,17 +231,21 @@ class Check:
             rays = scene.statistics["render"]
             count = rays["closest_rays"] + rays["shadow_rays"]
             found[name] = {"first": first, "small": small, "large": large, "rays a second, large": count / large}
+            train_all(scene, but_what_moves=True)
+            found[name]["small with gradient"] = _median(lambda seed, r=renderer: r(seed=seed).sum().backward(), 30)
         return found
 
     def kernels(self, scenes: Path) -> dict[str, Any]:
-        """Milliseconds of each kernel in an image of 256 x 256 pixels, 16 samples, waiting after every launch."""
+        """Milliseconds of kernels, 256 x 256 pixels of 16 samples, waiting after every launch: images, gradients."""
         found = {}
         for name in ("Cornell box", "monkey, texture 512"):
             file, arguments = ROWS[name]
             out = self._run([sys.executable, "-c", _KERNELS, str(scenes / file), json.dumps(arguments)])
             line = next(line for line in out.splitlines() if line.startswith("KERNELS "))
             times = json.loads(line.removeprefix("KERNELS "))
-            found[name] = {kernel: [int(n), round(1e3 * seconds, 3)] for kernel, (n, seconds) in times.items()}
+            for what, of in zip(("image", "gradient"), times, strict=True):
+                each = {kernel: [int(n), round(1e3 * seconds, 3)] for kernel, (n, seconds) in of.items()}
+                found[f"{name}, {what}"] = each
         return found
 
     def sanitizers(self) -> dict[str, Any]:
@@ -206,6 +266,11 @@ class Check:
         return done.stdout
 
 
+def _plain_bsdfs() -> list[str]:
+    wrappers = ("twosided", "blendbsdf", "mask", "normalmap", "bumpmap")
+    return sorted(name for category, name in models() if category == "bsdf" and name not in wrappers)
+
+
 def _said(command: list[str]) -> str | None:
     try:
         return subprocess.run(command, capture_output=True, text=True, timeout=30, check=True).stdout.strip()
@@ -222,14 +287,15 @@ def _median(call: Callable[[int], object], n: int) -> float:
     return statistics.median(times)
 
 
-def check(card: str, out: Path, scenes: Path, commit: str) -> bool:
-    """Whether everything passed on this card (``"cuda:0"``); the report is in `out`."""
-    run = Check(card, out, commit)
+def check(card: str, out: Path, scenes: Path, commit: str, only: Sequence[str] = STEPS) -> bool:
+    """Whether everything passed on this card (``"cuda:0"``), or these steps; the report is in `out`."""
+    run = Check(card, out, commit, only)
     with devices.chosen(card):
         run.step("versions", run.versions)
         run.step("rays", run.rays)
         run.step("repeats", run.repeats)
         run.step("images", run.images)
+        run.step("gradients", run.gradients)
         if scenes.is_dir():
             run.step("rates", lambda: run.rates(scenes))
             run.step("kernels", lambda: run.kernels(scenes))

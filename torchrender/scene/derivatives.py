@@ -21,7 +21,8 @@ WITHOUT = "interior, without "
 # When a missing term vanishes, where the declaration does not say it more precisely.
 ZERO = "zero where no such edge is in view"
 
-TURNED = "a normal begins to hide from the viewer"  # in the declarations of what turns normals
+# In the declarations of what turns rays, or normals (also in csrc/host/gradient_requirements.cpp).
+TURNING = ("edges seen through", "a normal begins to hide")
 
 
 @dataclass(frozen=True)
@@ -59,13 +60,10 @@ def moves_rays(slot: Slot) -> bool:
         return slot.attribute in slot.module.fields()  # other tensors of a mesh are colours
     if category == "sensor" or slot.kind == "transform2":
         return True
-    if category == "bsdf":
-        return bool(slot.caveat)  # what bends rays at smooth surfaces moves the edges that are seen through them
     if category in ("emitter", "volume"):
         return slot.kind in ("transform", "point")
-    if TURNED in slot.caveat:  # a texture that turns normals, and with them what is reflected and refracted
-        return True
-    return slot.module.type == "mesh_attribute"
+    # of BSDFs and their textures what is reflected and refracted
+    return any(words in slot.caveat for words in TURNING) or slot.module.type == "mesh_attribute"
 
 
 def moves_outlines(slot: Slot) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from .. import backends
-from ..devices import FUNCTIONS, device, require_cpu, use_compiler
+from ..devices import FUNCTIONS, RENDERS, device, require_cpu, use_compiler
 from ..library import Watch
 from .packing import Layout
 
@@ -83,7 +83,7 @@ class NativeScene:
                     watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)
                     if isinstance(settings, dict):
                         settings = {name: value for name, value in settings.items() if name != "progress"}
-                    if function == "render":
+                    if function in RENDERS:
                         settings |= {"device": device()}
                     return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 return getattr(self.handle, function)(*args, addresses, dirty)

@@ -9,6 +9,15 @@ TR_INLINE MaskOf<F> GradientSink<F>::count_finite(const M &usable, const M &acti
     return usable;
 }
 
+// Where the gradient of a small parameter is.
+template <class F>
+TR_INLINE UIntOf<F> GradientSink<F>::constant(const U &offset) const {
+    if constexpr (Lanes<F>::Width > 1)
+        return offset;
+    else
+        return offset * copies;
+}
+
 template <class F>
 TR_INLINE void GradientSink<F>::add(double *to, const U &index, const F &g, const M &active) {
     auto usable = count_finite(active && is_finite(Spectrum<F, 1>{{g}}), active);
@@ -119,7 +128,8 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
     double *const to = constants;  // not read again after every addition
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
-            for (int c = 0; c < SpectrumSize; ++c) accumulate(&to[lane(offset, i) + c], double(lane(g[c], i)));
+            for (int c = 0; c < SpectrumSize; ++c)
+                accumulate(&to[lane(constant(U(offset) + uint32_t(c)), i)], double(lane(g[c], i)));
 }
 
 template <class F>
@@ -131,8 +141,8 @@ TR_NOINLINE void GradientSink<F>::add_to_tables(const I &offset, const Spectrum<
         const F upper = g[c] * place.fraction, lower = g[c] - upper;
         for (int i = 0; i < Lanes<F>::Width; ++i) {
             if (!lane_is_set(active, i)) continue;
-            accumulate(&to[lane(index, i)], double(lane(lower, i)));
-            accumulate(&to[lane(index, i) + 1], double(lane(upper, i)));
+            accumulate(&to[lane(constant(index), i)], double(lane(lower, i)));
+            accumulate(&to[lane(constant(index + 1u), i)], double(lane(upper, i)));
         }
     }
 }
@@ -140,13 +150,13 @@ TR_NOINLINE void GradientSink<F>::add_to_tables(const I &offset, const Spectrum<
 template <class F>
 TR_NOINLINE void GradientSink<F>::number(const I &offset, const Spectrum<F> &g, const M &active) {
     if (forward) return add_derivative(g * gather<F>(tangent.constants, U(offset), active), active);
-    add(constants, U(offset), component_sum(g), active);
+    add(constants, constant(U(offset)), component_sum(g), active);
 }
 
 template <class F>
 TR_NOINLINE void GradientSink<F>::scalar(const I &offset, const F &g, const M &active) {
     if (forward) return add_derivative(g * gather<F>(tangent.constants, U(offset), active), active);
-    add(constants, U(offset), g, active);
+    add(constants, constant(U(offset)), g, active);
 }
 
 // ---------------------------------------------------------------------------------------------------------- tensors

@@ -38,7 +38,7 @@ class GradientSink {
     using Scene = SceneView<S>;
 
 public:
-    bool forward = false;
+    TR_FACT(bool, forward, TR_FORWARD) = false;
     // The matrices of curved shapes, 12 numbers a shape, follow the block of small parameters, at `matrices`.
     uint32_t matrices = 0;
     const int32_t *shape_wanted = nullptr;  // by shape
@@ -48,6 +48,7 @@ public:
     // reverse mode: the gradient of the block of small parameters; of large tensors by slot, null where it is not
     // wanted; of vertices, null without meshes that have one
     double *constants = nullptr;
+    uint32_t copies = 1;  // of each of them, side by side, one of which is added to; of devices, and 1 with packets
     S *const *tensors = nullptr;
     double *vertices[VertexArrays] = {};
 
@@ -102,6 +103,7 @@ private:
     template <class Point>
     TR_HD void any_texture(const Scene &, const I &id, const Point &at, const Spectrum<F> &g, const M &active);
     TR_HD M count_finite(const M &usable, const M &active);
+    TR_HD U constant(const U &offset) const;
     TR_HD void add(double *to, const U &index, const F &g, const M &active);
     TR_HD void add_derivative(const Spectrum<F> &d, const M &active);
     TR_HD void add_derivative(const F &d, const M &active);

@@ -1,7 +1,7 @@
 // What a derivative asks for.
 #pragma once
 
-#include "../math/config.h"
+#include "../math/facts.h"
 
 namespace tr {
 
@@ -12,9 +12,10 @@ struct MediumNeeds {
 };
 
 struct GradientNeeds {
-    bool bsdf, emitter, light_position;
-    bool geometry;  // anything that moves rays, hits or look-ups
-    bool camera;
+    bool bsdf, emitter;
+    TR_MOVES(light_position);
+    TR_MOVES(geometry);  // anything that moves rays, hits or look-ups
+    TR_MOVES(camera);
     MediumNeeds medium{};
     bool lookups = true;             // with `geometry`: what BSDFs look up varies over surfaces
     bool black_light = true;         // light paths that carry nothing may have a derivative

@@ -44,7 +44,8 @@ TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const Ve
     if (connected)
         for (int i = 0; i < bsdf.n_variables; ++i) path.by_variable[i] = path.by_variable[i] + light.by_variable[i];
     sweep_parameters(scene, bsdf, v.bsdf, v.at, path.by_variable, needs, active, hit.at, sink);
-    if (bsdf.bent) sweep_boundary(scene, v.at, v.p, component_sum(path.by_variable[0]), active, hit, sink);
+    if (facts::Bends && bsdf.bent)
+        sweep_boundary(scene, v.at, v.p, component_sum(path.by_variable[0]), active, hit, sink);
 }
 
 template <class F>
@@ -68,7 +69,7 @@ TR_LARGE void BsdfAdjoint<F>::sweep_continuation(const SceneOf<F> &scene, const 
         if (smooth) turned = select(mask<F>(v.lobe == 0), Vec3<F>{F(0), F(0), F(0)}, turned);
         F number_bar[BsdfInfo::MaxFields];
         bsdf.direction_vjp(params, v.wi, v.lobe, frame.out_of(v.wo, turned), wi_bar, number_bar);
-        if (bsdf.bent)
+        if (facts::Bends && bsdf.bent)
             sweep_boundary(scene, v.at, v.p, number_bar[0], active, hit, sink);
         else
             sweep_numbers(scene, bsdf, v.bsdf, v.at, number_bar, active, sink);

@@ -24,7 +24,7 @@ TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumn
                                       const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar,
                                       const F &emitted_bar, const BentLight<F> &light, HitAdjoint<F> hit,
                                       const MaskOf<F> &active, GradientSink<F> &sink) {
-    if (!tape.bent.medium.at)
+    if (!facts::Bends || !tape.bent.medium.at)
         return sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
     BentPacket<F> bent;
     read(tape.bent, Entries<F>(i), bent);
@@ -178,8 +178,9 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
     }
     const Spectrum<F> arrived = r;
     BentLight<F> light;
-    if (tape.bent.medium.at) light = sweep_bent_light(c.scene, tape, i, delta, active, r, sink);
-    if (parents) hand_radiance(*parents, parent, r, active);
+    if (facts::Bends && tape.bent.medium.at) light = sweep_bent_light(c.scene, tape, i, delta, active, r, sink);
+    const bool hands_on = has_parents(parents);
+    if (hands_on) hand_radiance(*parents, parent, r, active);
     if (needs.geometry && !moves) {
         RayAdjoint<F> ray{{F(0), F(0), F(0)}, d_bar};
         Vec3<F> u{F(0), F(0), F(0)};
@@ -188,7 +189,7 @@ TR_LARGE Spectrum<F> sweep_vertex(const SweepContext<F> &c, const TapeColumns<Sc
                                 hit, active, sink);
             u = glued_segment(v, active);
         }
-        if (parents)
+        if (hands_on)
             hand_motion(*parents, parent, ray, u, v.p, v.at, active);
         else if (needs.camera)
             sweep_start(c, slot, ray, active, sink);
@@ -259,7 +260,8 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
         UIntOf<F> parent = active_only<F>(from(tape.vertex.parent), active);
         const Spectrum<F> arrived = r;
         BentLight<F> light;
-        if (tape.bent.medium.at) light = sweep_bent_light(c.scene, tape, i, uniform_spectrum(F(1)), active, r, sink);
+        if (facts::Bends && tape.bent.medium.at)
+            light = sweep_bent_light(c.scene, tape, i, uniform_spectrum(F(1)), active, r, sink);
         hand_radiance(*parents, parent, r, active);
         if (needs.geometry) {
             RayAdjoint<F> ray =

@@ -9,6 +9,12 @@
 
 namespace tr {
 
+// Whether there are vertices before: devices have null columns in place of null.
+template <class S>
+TR_INLINE bool has_parents(const TapeColumns<S> *parents) {
+    return parents && parents->vertex.suffix[0];
+}
+
 // Every entry has at most one child.
 template <class F>
 TR_INLINE void hand_radiance(const TapeColumns<ScalarOf<F>> &parents, const UIntOf<F> &parent, const Spectrum<F> &r,

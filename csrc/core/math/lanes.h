@@ -180,7 +180,7 @@ TR_INLINE auto first_lane(const T &x, [[maybe_unused]] const M &m) {
 }
 
 // Adds to a number in memory and returns what it was before. Other lanes of a device may add to it at the same time;
-// threads of a CPU have numbers of their own.
+// threads of a CPU have numbers of their own, but for whole ones of the emulated device.
 template <class T>
 TR_INLINE T accumulate(T *to, T value) {
 #if defined(__CUDA_ARCH__)
@@ -189,6 +189,9 @@ TR_INLINE T accumulate(T *to, T value) {
     else
         return atomicAdd(to, value);
 #else
+#if defined(__GNUC__) && !TR_HAS_PACKETS
+    if constexpr (std::is_integral_v<T>) return __atomic_fetch_add(to, value, __ATOMIC_RELAXED);
+#endif
     T before = *to;
     *to = before + value;
     return before;

@@ -1,0 +1,55 @@
+// What a batch of paths has on a device: the samples of it, and what of these the host knows.
+#pragma once
+
+#include <algorithm>
+#include <vector>
+
+#include "device/film_kernels.h"
+#include "device/launcher.h"
+#include "device/path_kernels.h"
+
+namespace tr {
+
+// Zeros.
+template <class T>
+void clear(Launcher &launcher, T *array, size_t n) {
+    static_assert(sizeof(T) % 4 == 0);
+    constexpr size_t words = sizeof(T) / 4, part = size_t(1) << 30;
+    for (size_t i = 0; i < n * words; i += part)
+        launcher.run(FillWords{reinterpret_cast<uint32_t *>(array) + i, 0}, uint32_t(std::min(part, n * words - i)));
+}
+
+// By sample or by entry of a queue: an array of device memory each.
+struct BatchColumns {
+    SlotColumns<float> slots{};
+    LostColumns lost{};
+    PathQueue<float> queues[3]{};  // the first has the camera's rays
+    HitColumns<float> hits{};
+    ShadowQueue<float> shadows{};
+    int32_t *key, *out_key, *shadow_key;                       // of hits, and of what goes on from them
+    uint32_t *camera_rays, *live_rays, *sorted, *shadow_rays;  // lists of entries
+
+    template <class Visit>
+    void for_arrays(Visit &&visit) {
+        auto each = [&](auto &...column) { (column.each(visit), ...); };
+#define TR_VISIT(type, name) each(of.name);
+        auto of_samples = [&](auto &of) { TR_SAMPLE_COLUMNS(TR_VISIT) };
+        auto of_paths = [&](auto &of) { TR_PATH_COLUMNS(TR_VISIT) };
+        auto of_shadows = [&](auto &of) { TR_SHADOW_COLUMNS(TR_VISIT) TR_SHADOW_VALUE_COLUMNS(TR_VISIT) };
+#undef TR_VISIT
+        of_samples(slots), each(slots.delta, slots.radiance, slots.alpha);
+        visit(lost.count), visit(lost.culprit), visit(lost.index);
+        for (auto &queue : queues) of_paths(queue);
+        hits.for_arrays(visit), of_shadows(shadows);
+        visit(key), visit(out_key), visit(shadow_key);
+        visit(camera_rays), visit(live_rays), visit(sorted), visit(shadow_rays);
+    }
+};
+
+// The samples of a batch.
+struct SampleNumbers {
+    uint32_t size = 0;
+    std::vector<FilmUnit> units;
+};
+
+}  // namespace tr

@@ -1,0 +1,159 @@
+#include "device_derivative.h"
+
+#include <algorithm>
+#include <array>
+#include <stdexcept>
+#include <string>
+
+#include "device_batch.h"
+#include "host/parallel.h"
+
+namespace tr {
+
+namespace {
+
+constexpr size_t MostOfCopies = size_t(16) << 20;  // bytes
+
+std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<float> &call) {
+    const GeometrySizes &sizes = call.geometry_sizes;
+    return {sizes.positions, sizes.normals, sizes.texcoords};
+}
+
+}  // namespace
+
+void DeviceDerivative::check(const DerivativeCall<float> &call) {
+    if (call.adaptive)
+        throw std::invalid_argument("device: there are no samples that are spread by the adjoint on devices yet");
+}
+
+GradientNeeds DeviceDerivative::needs(Launcher &launcher, const DerivativeCall<float> &call) {
+    GradientNeeds r = call.gradient_needs();
+    if (!r.bsdfs) return r;
+    bsdfs_.upload(launcher, call.bsdfs.data(), call.bsdfs.size());
+    r.bsdfs = bsdfs_.get();
+    return r;
+}
+
+WantedPixels DeviceDerivative::wanted(Launcher &launcher, const TileSchedule &schedule, bool list) {
+    if (!list) return {schedule.rect(), nullptr};
+    Rect around{INT32_MAX, INT32_MAX, INT32_MIN, INT32_MIN};
+    for (size_t i = 0; i < schedule.n_targets(); ++i) {
+        const Pixel at = schedule.target(i);
+        around.y0 = std::min(around.y0, at.y), around.x0 = std::min(around.x0, at.x);
+        around.y1 = std::max(around.y1, at.y + 1), around.x1 = std::max(around.x1, at.x + 1);
+    }
+    if (schedule.n_targets() == 0) around = {0, 0, 0, 0};
+    std::vector<int32_t> numbers(size_t(around.height()) * size_t(around.width()), -1);
+    for (size_t i = 0; i < schedule.n_targets(); ++i) {
+        const Pixel at = schedule.target(i);
+        numbers[size_t(at.y - around.y0) * size_t(around.width()) + size_t(at.x - around.x0)] = int32_t(i);
+    }
+    numbers_.upload(launcher, numbers.data(), numbers.size());
+    return {around, numbers_.get()};
+}
+
+void DeviceDerivative::begin_adjoint(Launcher &launcher, const RenderCall<float> &call, const TileSchedule &schedule,
+                                     const float *image, const double *sums) {
+    const auto colors = size_t(call.values);
+    std::vector<float> by_target;
+    if (call.pixels) {  // one that was asked for twice has two results
+        by_target.assign(schedule.n_targets() * colors, 0.f);
+        for (size_t i = 0; i < schedule.n_results(); ++i)
+            for (size_t c = 0; c < colors; ++c) by_target[schedule.target_of(i) * colors + c] += image[i * colors + c];
+        image = by_target.data();
+    }
+    image_.upload(launcher, image, schedule.n_targets() * colors);
+    adjoint_.reserve(launcher, schedule.n_targets() * colors);
+    wanted_ = wanted(launcher, schedule, call.pixels != nullptr);
+    launcher.run(DivideAdjoint{image_.get(), int32_t(colors), sums, double(schedule.spp()), adjoint_.get()},
+                 uint32_t(schedule.n_targets()));
+}
+
+void DeviceDerivative::collect(Launcher &launcher, const RenderCall<float> &call, const SlotColumns<float> &slots,
+                               uint32_t n) {
+    launcher.run(CollectAdjoints{call.filter, int32_t(std::min(call.filter.reach(), MaxReach)), int32_t(call.values),
+                                 wanted_, adjoint_.get(), slots},
+                 n);
+}
+
+DerivativePlaces DeviceDerivative::begin_gradients(Launcher &launcher, const DerivativeCall<float> &call,
+                                                   uint64_t *non_finite) {
+    const size_t room = MostOfCopies / (sizeof(double) * std::max<size_t>(1, call.n_constants));
+    for (copies_ = launcher.gradient_copies(); copies_ > 1 && copies_ > room;) copies_ /= 2;
+    const size_t n = call.n_constants * copies_;
+    constants_.reserve(launcher, n);
+    clear(launcher, constants_.get(), n);
+    std::vector<float *> pointers(call.gradients.size(), nullptr);
+    if (tensors_.size() < pointers.size()) tensors_.resize(pointers.size());
+    for (size_t i = 0; i < pointers.size(); ++i) {
+        const auto size = size_t(call.sizes[i]);
+        if (!call.gradients[i] || size == 0) continue;
+        tensors_[i].reserve(launcher, size);
+        clear(launcher, tensors_[i].get(), size);
+        pointers[i] = tensors_[i].get();
+    }
+    pointers_.upload(launcher, pointers.data(), pointers.size());
+    DerivativePlaces r = places(launcher, call, non_finite);
+    r.constants = constants_.get(), r.copies = copies_, r.tensors = pointers_.get();
+    const auto of_vertices = numbers_of_vertices(call);
+    for (size_t k = 0; k < VertexArrays; ++k) {
+        if (of_vertices[k] == 0) continue;
+        vertices_[k].reserve(launcher, of_vertices[k]);
+        clear(launcher, vertices_[k].get(), of_vertices[k]);
+        r.vertices[k] = vertices_[k].get();
+    }
+    return r;
+}
+
+// What both modes have.
+DerivativePlaces DeviceDerivative::places(Launcher &launcher, const DerivativeCall<float> &call, uint64_t *non_finite) {
+    DerivativePlaces r{};
+    shapes_.upload(launcher, call.shapes.data(), call.shapes.size());
+    r.copies = 1, r.matrices = call.matrices, r.shape_wanted = shapes_.get(), r.non_finite = non_finite;
+    return r;
+}
+
+void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float> &call, int threads) {
+    sums_.reserve(launcher, call.n_constants);
+    launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
+    call.sums.reset(call.n_constants, call.geometry_sizes);
+    sums_.download(call.sums.constants.data(), call.n_constants);
+    std::vector<double> *const to_vertices[] = {&call.sums.positions, &call.sums.normals, &call.sums.texcoords};
+    for (int k = 0; k < VertexArrays; ++k) vertices_[k].download(to_vertices[k]->data(), to_vertices[k]->size());
+    for (size_t i = 0; i < call.gradients.size(); ++i) {
+        const auto n = size_t(call.sizes[i]);
+        float *to = call.gradients[i];
+        if (!to || n == 0) continue;
+        auto *found = static_cast<float *>(found_.reserve(launcher, n * sizeof(float)));
+        tensors_[i].download(found, n);
+        for_ranges(n, threads, [&](size_t begin, size_t end, int) {
+            for (size_t k = begin; k < end; ++k) to[k] += found[k];
+        });
+    }
+}
+
+DerivativePlaces DeviceDerivative::tangents(Launcher &launcher, const DerivativeCall<float> &call,
+                                            uint64_t *non_finite) {
+    // (those of the matrices of shapes are there where something moves)
+    tangents_.upload(launcher, call.tangent.constants, call.needs.geometry ? call.n_constants : call.matrices);
+    std::vector<TensorView<float>> views(call.tangent.tensors, call.tangent.tensors + call.sizes.size());
+    if (tensors_.size() < views.size()) tensors_.resize(views.size());
+    for (size_t i = 0; i < views.size(); ++i) {
+        views[i].base = nullptr;
+        if (!views[i].data) continue;
+        tensors_[i].upload(launcher, views[i].data, size_t(call.sizes[i]));
+        views[i].data = tensors_[i].get();
+    }
+    views_.upload(launcher, views.data(), views.size());
+    DerivativePlaces r = places(launcher, call, non_finite);
+    r.forward = true, r.tangent = {tangents_.get(), views_.get()};
+    const auto of_vertices = numbers_of_vertices(call);
+    for (size_t k = 0; k < VertexArrays; ++k) {
+        if (!call.vertex_tangent[k]) continue;
+        vertex_tangents_[k].upload(launcher, call.vertex_tangent[k], of_vertices[k]);
+        r.vertex_tangent[k] = vertex_tangents_[k].get();
+    }
+    return r;
+}
+
+}  // namespace tr

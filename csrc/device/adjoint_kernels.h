@@ -1,0 +1,99 @@
+// What is before and behind the sweep of a derivative: from the adjoint of the image to those of samples, and from
+// copies of sums to the sums.
+#pragma once
+
+#include "film_kernels.h"
+
+namespace tr {
+
+// Wanted pixels by their place.
+struct WantedPixels {
+    Rect around;            // all of them
+    const int32_t *number;  // of each pixel in there, -1: not wanted; null: they are numbered by rows
+
+    TR_HD int32_t at(int32_t y, int32_t x) const {
+        if (y < around.y0 || y >= around.y1 || x < around.x0 || x >= around.x1) return -1;
+        const int32_t i = (y - around.y0) * around.width() + (x - around.x0);
+        return number ? number[i] : i;
+    }
+};
+
+// The adjoint of the image becomes that of the film's sums; see adjoint_film. An item is a wanted pixel.
+struct DivideAdjoint {
+    static constexpr const char *Name = "tr::DivideAdjoint", *Header = "device/adjoint_kernels.h";
+    const float *image;  // (n, colors)
+    int32_t colors;
+    const double *sums;  // (n, 2), the second of which are the sums of weights; null: that is `weight` everywhere
+    double weight;
+    double *to;
+
+    TR_HD void operator()(uint32_t i) const {
+        const double total = sums ? sums[2 * size_t(i) + 1] : weight;
+        for (int32_t c = 0; c < colors; ++c) {
+            const size_t at = size_t(i) * size_t(colors) + size_t(c);
+            to[at] = total == 0 ? 0 : double(image[at]) / total;
+        }
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(image), visit(sums), visit(to);
+    }
+};
+
+// What samples get of it; see collect_adjoints and FilmBlock::collect.
+struct CollectAdjoints {
+    static constexpr const char *Name = "tr::CollectAdjoints", *Header = "device/adjoint_kernels.h";
+    Filter filter;
+    int32_t reach, colors;
+    WantedPixels wanted;
+    const double *adjoint;
+    SlotColumns<float> slots;
+
+    TR_HD void operator()(uint32_t i) const {
+        const auto row = int32_t(slots.row[i]), column = int32_t(slots.column[i]);
+        double d[SpectrumSize] = {};
+        if (reach == 0) {
+            add(row, column, 1, d);
+        } else {
+            const double y = double(slots.film_y[i]), x = double(slots.film_x[i]);
+            for (int32_t r = row - reach; r <= row + reach; ++r) {
+                const double wy = filter.weight<double>(r + 0.5 - y);
+                for (int32_t k = column - reach; wy != 0 && k <= column + reach; ++k) {
+                    const double wx = filter.weight<double>(k + 0.5 - x);
+                    if (wx != 0) add(r, k, wy * wx, d);
+                }
+            }
+        }
+        for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][i] = c < colors ? float(d[c]) : 0.f;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(wanted.number), visit(adjoint), slots.for_arrays(visit);
+    }
+
+private:
+    TR_HD void add(int32_t y, int32_t x, double weight, double *d) const {
+        const int32_t target = wanted.at(y, x);
+        if (target < 0) return;
+        for (int32_t c = 0; c < colors; ++c) d[c] += weight * adjoint[size_t(target) * size_t(colors) + size_t(c)];
+    }
+};
+
+struct SumCopies {
+    static constexpr const char *Name = "tr::SumCopies", *Header = "device/adjoint_kernels.h";
+    const double *from;  // (n, copies)
+    uint32_t copies;
+    double *to;
+
+    TR_HD void operator()(uint32_t i) const {
+        double sum = 0;
+        for (uint32_t k = 0; k < copies; ++k) sum += from[size_t(i) * size_t(copies) + k];
+        to[i] = sum;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(from), visit(to);
+    }
+};
+
+}  // namespace tr

@@ -1,0 +1,13 @@
+// The functions of the core that a kernel of the sweep calls besides those in core_parts.h.
+#pragma once
+
+#include "core/adjoint/camera.cpp"
+#include "core/adjoint/gradient_sink.cpp"
+#include "core/adjoint/lookup.cpp"
+#include "core/adjoint/scattering.cpp"
+#include "core/adjoint/surface.cpp"
+#include "core/adjoint/sweep.cpp"
+#include "core_parts.h"
+#if TR_STACKS
+#include "core/adjoint/stack.cpp"
+#endif

@@ -1,0 +1,93 @@
+// The sweep over the tape as a kernel, an item of which is a vertex.
+//
+// Gradients are sums over many vertices at once: those of the small parameters are kept in copies, side by side, so
+// that neighbouring items add to neighbouring places; those of texels lie apart as they are.
+#pragma once
+
+#include "core/adjoint/sweep.h"
+#include "path_stage.h"
+#if defined(__CUDACC_RTC__)
+#include "adjoint_parts.h"
+#endif
+
+namespace tr {
+
+// Where derivatives go, see GradientSink: gradients, or in forward mode tangents that the samples' radiance gets the
+// derivatives by.
+struct DerivativePlaces {
+    double *constants;  // (n, copies)
+    uint32_t copies;
+    float *const *tensors;  // by slot, null where it is not wanted
+    double *vertices[VertexArrays];
+    Values<float> tangent;
+    const float *vertex_tangent[VertexArrays];
+    TR_FACT(bool, forward, TR_FORWARD);
+    int32_t component;  // in forward mode, where something moves
+    uint32_t matrices;
+    const int32_t *shape_wanted;
+    uint64_t *non_finite;
+
+    TR_HD GradientSink<float> sink(uint32_t item) const {
+        GradientSink<float> r;
+#if !defined(TR_ONE_SCENE)
+        r.forward = forward;
+#endif
+        r.copies = copies, r.constants = constants ? constants + item % copies : nullptr;
+        r.tensors = tensors, r.tangent = tangent;
+        for (int k = 0; k < VertexArrays; ++k) r.vertices[k] = vertices[k], r.vertex_tangent[k] = vertex_tangent[k];
+        r.component = component, r.matrices = matrices, r.shape_wanted = shape_wanted;
+        return r;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(constants), visit(static_cast<const void *>(tensors)), visit(tangent.constants), visit(tangent.tensors),
+            visit(non_finite);
+        for (int k = 0; k < VertexArrays; ++k) visit(vertices[k]), visit(vertex_tangent[k]);
+        visit(shape_wanted);
+    }
+};
+
+// What vertices hand to those before them; null: there are none.
+struct TapeBefore {
+    SpectrumColumn<float> suffix{};
+    NextColumns<float> next{};
+
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        suffix.each(visit), next.for_arrays(visit);
+    }
+};
+
+// Vertices of one kind on a level of the tape: those of the kind from `begin` on, `total` of them. `unit_adjoint`: see
+// SweepContext.
+struct SweepVertices {
+    static constexpr const char *Name = "tr::SweepVertices", *Header = "device/derivative_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Derivative;
+    static constexpr bool Adds = true;
+    PathStage stage;  // with the level
+    TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
+    uint32_t level;
+    bool scatters;
+    const uint32_t *begin, *total;  // by kind
+    TapeBefore before;
+    DerivativePlaces to;
+    bool unit_adjoint;
+
+    TR_HD void operator()(uint32_t j) const {
+        if (j >= total[kind]) return;
+        const uint32_t i = begin[kind] + j;
+        TapeColumns<float> parents{};
+        parents.vertex.suffix = before.suffix, parents.next = before.next;
+        const SweepContext<float> c{stage.scene, stage.config, stage.slots, stage.needs,
+                                    stage.width, stage.height, nullptr,     unit_adjoint};
+        GradientSink<float> sink = to.sink(i);
+        sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
+        if (sink.non_finite != 0) accumulate(to.non_finite, uint64_t(sink.non_finite));
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), visit(begin), visit(total), before.for_pointers(visit), to.for_pointers(visit);
+    }
+};
+
+}  // namespace tr

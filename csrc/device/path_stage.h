@@ -1,0 +1,55 @@
+// What the kernels of paths and of their derivatives work on.
+#pragma once
+
+#include "core/integrator/context.h"
+#include "knowledge.h"
+#include "tape.h"
+
+namespace tr {
+
+// By slot: how many values were left out because they are not finite, and what brought the first one.
+struct LostColumns {
+    uint32_t *count, *culprit, *index;
+    uint64_t *total;  // of all slots
+
+    TR_HD void add(uint32_t slot, const Diagnostics &found) const {
+        accumulate(total, found.non_finite);
+        if (count[slot] == 0) culprit[slot] = uint32_t(found.culprit), index[slot] = uint32_t(found.index);
+        count[slot] += uint32_t(found.non_finite);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(count), visit(culprit), visit(index), visit(total);
+    }
+};
+
+// What all kernels of a rendering have: the scene, the settings, the samples. Tables lie in the device's memory.
+struct PathStage {
+    SceneView<float> scene;
+    PathConfig config;
+    SlotColumns<float> slots;
+    LostColumns lost;
+    float width, height;  // of the film
+    // of a derivative: what it asks for, the level of the tape that vertices are on, see PathContext
+    GradientNeeds needs{};
+    TapeColumns<float> tape{};
+    TR_FACT(bool, records, TR_RECORDS) = false;
+    bool bsdfs_alone = false;
+
+    // Calls f with the context of a path.
+    template <class Do>
+    TR_HD void with_context(uint32_t slot, Do &&f) const {
+        Diagnostics found;
+        f(PathContext<float>{scene, config, slots, found, &needs, records ? &tape : nullptr, false, nullptr,
+                             bsdfs_alone});
+        if (found.non_finite != 0) lost.add(slot, found);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
+        visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs);
+        for_tape_arrays(tape, {true, true, true}, visit);
+    }
+};
+
+}  // namespace tr

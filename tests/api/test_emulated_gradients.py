@@ -1,0 +1,189 @@
+"""Derivatives on the emulated device: those of the CPU, which walks the same tree, but for the order of sums."""
+
+from __future__ import annotations
+
+import bsdf_models
+import light_scenes
+import pytest
+import reference_scenes
+import small_scene
+import torch
+
+import torchrender as tr
+
+pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+PATH = tr.PathTracer(max_depth=5)
+CLOSE = 2e-5
+"""Of the largest number of a gradient: both add the same numbers of single precision, in another order."""
+REFERENCES = {**reference_scenes.SCENES, **reference_scenes.CAMERAS}
+
+
+def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
+    """All parameters that the image has a derivative by, which alone are trained afterwards."""
+    scene.train_only()
+    refused = {slot.name for slot in scene.layout().slots if slot.refusal}
+    found = {name: parameter for name, parameter in scene.named_parameters() if name not in refused}
+    for parameter in found.values():
+        parameter.requires_grad_(True)
+    return found
+
+
+def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **settings) -> dict[str, torch.Tensor]:
+    image = tr.render(scene, **{"integrator": PATH, "spp": 2, "seed": 3, **settings})
+    weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
+    found = torch.autograd.grad((image * weights).sum(), list(parameters.values()))
+    return dict(zip(parameters, found, strict=True))
+
+
+def check_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    assert any(float(g.abs().max()) > 0 for g in expected.values())
+    for name, g in expected.items():
+        most = CLOSE * float(g.abs().max())
+        torch.testing.assert_close(found[name], g, rtol=0, atol=most, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def check_same(device, scene: tr.Scene, parameters: dict[str, torch.nn.Parameter] | None = None, **settings) -> None:
+    """Gradients by everything that does not move, or by these parameters."""
+    device("emulated")
+    chosen = differentiable(scene) if parameters is None else parameters
+    assert chosen
+    device("tree")
+    expected = gradients(scene, chosen, **settings)
+    rays = {name: scene.statistics["vjp"][name] for name in ("closest_rays", "shadow_rays")}
+    device("emulated")
+    check_close(gradients(scene, chosen, **settings), expected)
+    if not getattr(settings.get("integrator"), "hide_emitters", False):  # there the CPU traces all again for a few
+        assert {name: scene.statistics["vjp"][name] for name in rays} == rays
+
+
+@pytest.mark.parametrize("name", sorted(REFERENCES))
+def test_gradients_are_those_of_the_cpu(device, name):
+    check_same(device, tr.load_dict(REFERENCES[name]().scene))
+
+
+@pytest.mark.parametrize("only", ["everything", "bsdfs"])
+def test_every_bsdf(device, only):
+    """Also where nothing but BSDFs is differentiated, so that paths count from the first of them on."""
+    objects = {
+        f"ball_{i}": {"type": "sphere", "center": [i % 5, i // 5, 0.0], "radius": 0.45, "bsdf": {"type": kind}}
+        for i, kind in enumerate(sorted(bsdf_models.DECLARED))
+    }
+    camera = {
+        "type": "perspective",
+        "fov": 45,
+        "to_world": tr.Transform.look_at([2, 2, 7.0], [2, 2, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "gaussian"}},
+    }
+    lamp = {"type": "point", "position": [2, 2, 6.0], "intensity": 20.0}
+    scene = tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
+    chosen = differentiable(scene)
+    if only == "bsdfs":
+        for name in [n for n in chosen if ".bsdf." not in n]:
+            chosen.pop(name).requires_grad_(False)
+    assert len(chosen) > 30
+    check_same(device, scene, chosen, integrator=tr.PathTracer(max_depth=6, rr_depth=2))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        {"integrator": tr.PathTracer(max_depth=-1, rr_depth=3)},
+        {"integrator": tr.PathTracer(max_depth=20, rr_depth=30)},
+        {"integrator": tr.PathTracer(max_depth=1)},
+        {"integrator": tr.PathTracer(max_depth=4, hide_emitters=True)},
+        {"integrator": tr.DirectIllumination(emitter_samples=3, bsdf_samples=2)},
+        {"crop": (3, 2, 5, 6)},
+        {"pixels": torch.tensor([[7, 9], [0, 0], [7, 9], [3, 4], [3, 5]])},
+        {"passes": 2, "sampler": "independent"},
+        {"correlated": True, "spp": 70},
+        {"spp": 3, "spp_grad": 5},
+    ],
+)
+@pytest.mark.parametrize("rfilter", ["box", "gaussian"])
+def test_settings(device, rfilter, settings):
+    film = {"type": "hdrfilm", "width": 12, "height": 10, "rfilter": {"type": rfilter}}
+    objects = light_scenes.room(lamp=light_scenes.area(), ball=light_scenes.ball_light(), sky=light_scenes.envmap())
+    camera = next(name for name, value in objects.items() if isinstance(value, dict) and "film" in value)
+    objects = {**objects, camera: {**objects[camera], "film": film}}
+    check_same(device, tr.load_dict(objects), **settings)
+
+
+def test_mono(device):
+    check_same(device, tr.load_dict(small_scene.ball_and_wall(), variant="mono"))
+
+
+def test_forward_mode(device):
+    """Tangents of the image are the CPU's, and <J t, w> = <t, J^T w> with the same samples."""
+    scene = tr.load_dict(REFERENCES["glossy"]().scene)
+    chosen = differentiable(scene)
+    scene.train_only()
+    generator = torch.Generator().manual_seed(1)
+    values = tuple(p.detach() for p in chosen.values())
+    tangents = tuple(torch.randn(v.shape, generator=generator) for v in values)
+    settings = {"integrator": PATH, "spp": 4, "seed": 3, "seed_grad": 5}
+
+    def image(*given: torch.Tensor) -> torch.Tensor:
+        return tr.render(scene, params=dict(zip(chosen, given, strict=True)), **settings)
+
+    found, expected = {}, {}
+    for name, to in (("tree", expected), ("emulated", found)):
+        device(name)
+        to["image"], to["tangent"] = torch.func.jvp(image, values, tangents)
+    assert torch.equal(found["image"], expected["image"])
+    check_close({"tangent": found["tangent"]}, {"tangent": expected["tangent"]})
+    weights = torch.randn(found["image"].shape, generator=generator)
+    back = torch.func.vjp(image, *values)[1](weights)
+    one = (found["tangent"] * weights).sum(dtype=torch.float64)
+    other = sum((t * g).sum(dtype=torch.float64) for t, g in zip(tangents, back, strict=True))
+    scale = (found["tangent"] * weights).abs().sum(dtype=torch.float64)
+    assert abs(float(one - other)) < 1e-5 * float(scale)
+
+
+def test_an_optimisation(device):
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    color = scene.train_only("*.reflectance.value")[0]
+    with torch.no_grad():
+        target = tr.render(scene, spp=16, seed=1)
+        wanted = color.clone()
+        color.mul_(0.5)
+    optimizer = torch.optim.Adam([color], lr=0.05)
+    for step in range(40):
+        optimizer.zero_grad()
+        ((tr.render(scene, spp=4, seed=2 + step) - target) ** 2).mean().backward()
+        optimizer.step()
+    assert float((color.detach() - wanted).abs().max()) < 0.05
+
+
+def test_gradients_repeat(device):
+    scene = tr.load_dict(REFERENCES["bitmaps"]().scene)
+    chosen = differentiable(scene)
+    first = gradients(scene, chosen)
+    check_close(gradients(scene, chosen), first)
+
+
+def test_what_is_not_there(device):
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    scene.train_only("*.reflectance.value")
+    with pytest.raises(RuntimeError, match="does not have adaptive_grad yet"):
+        tr.render(scene, spp=1, adaptive_grad=True)
+
+
+@pytest.mark.parametrize("warn_only", [False, True])
+def test_deterministic_algorithms(device, warn_only, monkeypatch):
+    """PyTorch's own operations on cards do likewise."""
+    from torchrender import render_devices
+
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    scene.train_only("*.reflectance.value")
+    torch.use_deterministic_algorithms(True, warn_only=warn_only)
+    try:
+        tr.render(scene, spp=1).sum().backward()  # those of the emulated device are
+        monkeypatch.setattr(render_devices, "device", lambda: "cuda:0")  # of which nothing else is asked
+        if warn_only:
+            with pytest.warns(UserWarning, match="the gradients of cuda:0 are not deterministic"):
+                tr.render(scene, spp=1)
+        else:
+            with pytest.raises(RuntimeError, match="cuda:0 does not have deterministic gradients"):
+                tr.render(scene, spp=1)
+    finally:
+        torch.use_deterministic_algorithms(False)
