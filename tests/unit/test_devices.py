@@ -194,8 +194,9 @@ def test_kernels_are_compiled_from_the_sources_that_the_core_is_made_of():
 def test_the_page_claims_what_was_found_on_a_card():
     path = max((ROOT / "bench" / "device").glob("*.json"))
     found = json.loads(path.read_text())
-    assert found["passed"]
     page = (ROOT / "docs" / "cuda.md").read_text()
+    for step, of in found.items():  # what did not pass is said
+        assert not isinstance(of, dict) or of.get("passed", True) or f"The step `{step}` did not pass" in page
     assert path.name in page
     card, driver = found["versions"]["card"].split(", ")[:2]
     assert card in page
@@ -204,4 +205,5 @@ def test_the_page_claims_what_was_found_on_a_card():
         if name == "seconds":
             continue
         assert f"\n| {name} | {rates['small']:.4f} |" in page
-        assert f"| {rates['large']:.2f} |" in page.split(f"\n| {name} |")[1].splitlines()[0]
+        row = page.split(f"\n| {name} |")[1].splitlines()[0]
+        assert f"| {rates['small with gradient']:.4f} | {rates['large']:.2f} |" in row

