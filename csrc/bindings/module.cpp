@@ -11,6 +11,7 @@
 #include "device/cards.h"
 #include "device/cuda_launcher.h"
 #include "device/driver.h"
+#include "device/launcher.h"
 #include "device/nvrtc.h"
 #include "functions.h"
 #include "host/models.h"
@@ -213,6 +214,8 @@ std::pair<Outcome, Value> outcome(const char *name, const char *arguments, size_
         return {IsIndexError, error.what()};
     } catch (const std::logic_error &error) {
         return {IsValueError, error.what()};
+    } catch (const DeviceMemoryError &error) {
+        return {IsMemoryError, error.what()};
     } catch (const std::bad_alloc &) {
         return {IsMemoryError, "not enough memory"};
     } catch (const std::exception &error) {

@@ -114,9 +114,14 @@ DerivativePlaces DeviceDerivative::places(Launcher &launcher, const DerivativeCa
 }
 
 void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float> &call, int threads) {
+    size_t most = 1;
+    for (size_t i = 0; i < call.gradients.size(); ++i)
+        if (call.gradients[i]) most = std::max(most, size_t(call.sizes[i]));
     sums_.reserve(launcher, call.n_constants);
-    launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
+    auto *found = static_cast<float *>(found_.reserve(launcher, most * sizeof(float)));
     call.sums.reset(call.n_constants, call.geometry_sizes);
+    // nothing that can fail for lack of memory is behind this
+    launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
     sums_.download(call.sums.constants.data(), call.n_constants);
     std::vector<double> *const to_vertices[] = {&call.sums.positions, &call.sums.normals, &call.sums.texcoords};
     for (int k = 0; k < VertexArrays; ++k) vertices_[k].download(to_vertices[k]->data(), to_vertices[k]->size());
@@ -124,7 +129,6 @@ void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float
         const auto n = size_t(call.sizes[i]);
         float *to = call.gradients[i];
         if (!to || n == 0) continue;
-        auto *found = static_cast<float *>(found_.reserve(launcher, n * sizeof(float)));
         tensors_[i].download(found, n);
         for_ranges(n, threads, [&](size_t begin, size_t end, int) {
             for (size_t k = begin; k < end; ++k) to[k] += found[k];

@@ -14,8 +14,9 @@ namespace {
 
 constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
 static_assert(Kinds <= SortTable::MostKinds);
-constexpr int LevelsBetweenLooks = 8;  // at how many paths are left
-constexpr int MostLevels = 16;         // of a tape that batches are sized for; deeper ones have few paths left
+constexpr int LevelsBetweenLooks = 8;            // at how many paths are left
+constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
+constexpr int MostLevels = 16;  // of a tape that batches are sized for; deeper ones have few paths left
 
 uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
 
@@ -111,6 +112,7 @@ size_t DevicePaths::bytes_per_path() {
 void DevicePaths::reserve(size_t n) {
     if (n <= capacity_) return;
     launcher_.synchronize();
+    capacity_ = 0;
     arrays_.clear();
     at_.for_arrays([&](auto *&array) {
         static_assert(sizeof(*array) == sizeof(uint32_t));
@@ -205,74 +207,90 @@ void DevicePaths::for_batches(const Work &work, RenderStats &stats, bool silent,
     if (!batch.units.empty()) finish();
 }
 
+// Calls f(work, stats); where memory is short again, with smaller batches. Nothing is written before all is computed.
+template <class Do>
+RenderStats DevicePaths::run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                             const DerivativeCall<float> *derivative, Do &&f) {
+    check(call);
+    if (derivative) DeviceDerivative::check(*derivative);
+    const TileSchedule schedule = make_schedule(call);
+    for (;;) {
+        try {
+            RenderStats stats;
+            const Finish finished(launcher_);
+            launcher_.synchronize();
+            Work work = begin(call, data, tree, schedule, derivative);
+            f(work, stats);
+            return stats;
+        } catch (const std::bad_alloc &) {
+            if (memory_ < LeastMemory) throw DeviceMemoryError();
+            memory_ /= 2;
+            release();
+        }
+    }
+}
+
+// What the paths of batches take.
+void DevicePaths::release() {
+    launcher_.synchronize();
+    capacity_ = 0;
+    arrays_.clear();
+    levels_ = DeviceTapeLevels();
+}
+
 RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                 const RenderOutput<float> &out) {
-    check(call);
-    RenderStats stats;
-    const Finish finished(launcher_);
-    launcher_.synchronize();
-    const TileSchedule schedule = make_schedule(call);
-    const Work work = begin(call, data, tree, schedule, nullptr);
-    const int colors = call.values, moments = out.variance || out.second_moment ? colors : 0;
-    const int channels = FilmBlock::channels(colors + 1, moments);
-    begin_film(work, channels);
-    for_batches(work, stats, false, [&](const SampleNumbers &batch) {
-        number_samples(work, batch);
-        trace_paths(work, batch.size);
-        add_to_film(work, batch, colors, moments);
+    return run(call, data, tree, nullptr, [&](Work &work, RenderStats &stats) {
+        const int colors = call.values, moments = out.variance || out.second_moment ? colors : 0;
+        const int channels = FilmBlock::channels(colors + 1, moments);
+        begin_film(work, channels);
+        for_batches(work, stats, false, [&](const SampleNumbers &batch) {
+            number_samples(work, batch);
+            trace_paths(work, batch.size);
+            add_to_film(work, batch, colors, moments);
+        });
+        if (stats.interrupted) return;
+        finish(work, stats);
+        write_results(call, work.schedule, download_film(work, channels), moments, out);
     });
-    if (stats.interrupted) return stats;
-    write_results(call, schedule, download_film(work, channels), moments, out);
-    finish(work, stats);
-    return stats;
 }
 
 RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                  DerivativeCall<float> &derivative) {
-    check(call), DeviceDerivative::check(derivative);
-    RenderStats stats;
-    const Finish finished(launcher_);
-    launcher_.synchronize();
-    const TileSchedule schedule = make_schedule(call);
-    Work work = begin(call, data, tree, schedule, &derivative);
-    work.reverse = true;
-    begin_adjoint(work, derivative.adjoint, stats);
-    if (stats.interrupted) return stats;
-    const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
-    for_batches(work, stats, false, [&](const SampleNumbers &batch) {
-        number_samples(work, batch);
-        if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
-        derivative_.collect(launcher_, call, at_.slots, batch.size);
-        trace_paths(work, batch.size);
-        sweep(work, to, false);
+    return run(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
+        work.reverse = true;
+        begin_adjoint(work, derivative.adjoint, stats);
+        if (stats.interrupted) return;
+        const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        for_batches(work, stats, false, [&](const SampleNumbers &batch) {
+            number_samples(work, batch);
+            if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
+            derivative_.collect(launcher_, call, at_.slots, batch.size);
+            trace_paths(work, batch.size);
+            sweep(work, to, false);
+        });
+        if (stats.interrupted) return;
+        finish(work, stats);
+        derivative_.finish_gradients(launcher_, derivative, call.threads);
     });
-    if (stats.interrupted) return stats;
-    derivative_.finish_gradients(launcher_, derivative, call.threads);
-    finish(work, stats);
-    return stats;
 }
 
 RenderStats DevicePaths::forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                  const DerivativeCall<float> &derivative, float *image) {
-    check(call), DeviceDerivative::check(derivative);
-    RenderStats stats;
-    const Finish finished(launcher_);
-    launcher_.synchronize();
-    const TileSchedule schedule = make_schedule(call);
-    const Work work = begin(call, data, tree, schedule, &derivative);
-    const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
-    const int channels = FilmBlock::channels(call.values + 1, 0);
-    begin_film(work, channels);
-    for_batches(work, stats, false, [&](const SampleNumbers &batch) {
-        number_samples(work, batch);
-        trace_paths(work, batch.size);
-        sweep_components(work, to, batch.size);
-        add_to_film(work, batch, call.values, 0);
+    return run(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
+        const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const int channels = FilmBlock::channels(call.values + 1, 0);
+        begin_film(work, channels);
+        for_batches(work, stats, false, [&](const SampleNumbers &batch) {
+            number_samples(work, batch);
+            trace_paths(work, batch.size);
+            sweep_components(work, to, batch.size);
+            add_to_film(work, batch, call.values, 0);
+        });
+        if (stats.interrupted) return;
+        finish(work, stats);
+        write_results(call, work.schedule, download_film(work, channels), 0, RenderOutput<float>{image});
     });
-    if (stats.interrupted) return stats;
-    write_results(call, schedule, download_film(work, channels), 0, RenderOutput<float>{image});
-    finish(work, stats);
-    return stats;
 }
 
 void DevicePaths::finish(const Work &work, RenderStats &stats) const {

@@ -15,7 +15,7 @@ namespace tr {
 class DevicePaths {
 public:
     // The launcher has to live longer. `memory`: bytes for the paths of a batch, and `TapeShare` times as many for
-    // those of a derivative; scene and film have theirs besides.
+    // those of a derivative, less where there is not that much; scene and film have theirs besides.
     DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
     explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
     DevicePaths(const DevicePaths &) = delete;
@@ -43,7 +43,7 @@ private:
     };
 
     Launcher &launcher_;
-    const size_t memory_;
+    size_t memory_;
     DeviceScene scene_;
     size_t capacity_ = 0;  // paths of a batch
     BatchColumns at_{};
@@ -60,6 +60,10 @@ private:
     DeviceTapeLevels levels_;
     DeviceDerivative derivative_;
 
+    template <class Do>
+    RenderStats run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                    const DerivativeCall<float> *derivative, Do &&f);
+    void release();
     Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                const TileSchedule &schedule, const DerivativeCall<float> *derivative);
     void reserve(size_t n);

@@ -11,6 +11,15 @@
 
 namespace tr {
 
+// What is left to say when batches cannot be smaller.
+struct DeviceMemoryError : std::bad_alloc {
+    const char *what() const noexcept override {
+        return "the device has not enough memory for this scene and image: smaller textures, meshes and films take "
+               "less, "
+               "and so do parts of a film (crop) and what else is on the device";
+    }
+};
+
 class Launcher {
 public:
     Launcher() = default;

@@ -148,6 +148,39 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
     }
 }
 
+// Where memory is short batches are smaller, as long as they fit at all.
+TR_TEST(batches_of_a_device_shrink) {
+    Balls balls;
+    const RenderCall<float> call = make_call(balls.data, small(Filter()));
+    const Image expected = balls.on_cpu(call, 18 * 20);
+    const auto on_device = [&](size_t capacity, auto &&use) {
+        EmulatedOptions options;
+        options.capacity = capacity;
+        const auto device = make_emulated(options);
+        DeviceTree copied(*device);
+        copied.set(balls.rays.tree());
+        DevicePaths paths(*device, (size_t(1) << 20) * DevicePaths::bytes_per_path());
+        use(paths, copied.view());
+    };
+    on_device(size_t(6) << 20, [&](DevicePaths &paths, const TreeView &tree) {
+        Image found(18 * 20);
+        found.stats = paths.render(call, balls.data, tree, found.out());
+        CHECK(found == expected);
+        const auto on_cpu = [](const RenderCall<float> &c, DerivativeCall<float> &d) {
+            return render_reverse<float>(c, d);
+        };
+        const auto there = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
+            return paths.reverse(c, balls.data, tree, d);
+        };
+        const float a = Gradient(balls, call, on_cpu).of_slots[0][0], b = Gradient(balls, call, there).of_slots[0][0];
+        CHECK(std::abs(a - b) <= 1e-4f * std::abs(a));
+    });
+    on_device(size_t(1) << 19, [&](DevicePaths &paths, const TreeView &tree) {
+        Image found(18 * 20);
+        CHECK_THROWS(paths.render(call, balls.data, tree, found.out()), DeviceMemoryError, "smaller textures");
+    });
+}
+
 // By NVRTC 12.2 for sm_90, see kernel_resources.txt: a kernel may take a tenth more than it did.
 TR_TEST(kernels_take_no_more_of_a_card) {
     const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
