@@ -12,7 +12,7 @@ from .peers import PeerError
 # Each is a module of this folder with `add_arguments(parser)` and `run(options) -> Result`.
 BENCHMARKS = {
     "table2": "forward and backward time of five scenes, warm, beside Embree alone and beside peers",
-    "images": "time of images without derivatives, beside peers; on a card, too",
+    "images": "time of images, and with gradients, beside peers; on a card, too",
     "gradients": "whether all programs find the same gradients, and how noisy one estimate is",
     "overhead": "what a call costs besides rendering",
     "coldstart": "from a fresh process to the first gradient",
