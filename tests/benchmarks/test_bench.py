@@ -112,10 +112,12 @@ def test_table2_with_a_peer(tmp_path, capsys, fake_peer):
 
 def test_images_with_a_peer(tmp_path, fake_peer):
     options = ["--only", "Cornell", "--peer", f"mitsuba={sys.executable}", "--variant", "cuda_ad_rgb"]
-    (table,) = run(tmp_path, "images", *TINY, *options)["tables"]
+    (table,) = run(tmp_path, "images", *TINY, *options, "--gradients")["tables"]
     (row,) = table["rows"]
     assert row["Mitsuba image s"]["median"] == 0.5 and row["image s"]["n"] == 2
-    assert row["Mitsuba / ours"] == pytest.approx(0.5 / row["image s"]["median"])
+    assert row["Mitsuba / ours, image"] == pytest.approx(0.5 / row["image s"]["median"])
+    ratio = row["Mitsuba sum s"]["median"] / row["sum s"]["median"]
+    assert row["Mitsuba / ours, sum"] == pytest.approx(ratio) and ratio > 0
     assert "backend cpu, Mitsuba's variant cuda_ad_rgb" in table["title"]
 
 
