@@ -9,9 +9,10 @@ TR_INLINE MaskOf<F> GradientSink<F>::count_finite(const M &usable, const M &acti
     return usable;
 }
 
-// Where the gradient of a small parameter is.
+// Where the gradient of a small parameter is, or of those of a packet.
 template <class F>
-TR_INLINE UIntOf<F> GradientSink<F>::constant(const U &offset) const {
+template <class Index>
+TR_INLINE Index GradientSink<F>::constant(const Index &offset) const {
     if constexpr (Lanes<F>::Width > 1)
         return offset;
     else
@@ -129,7 +130,7 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
             for (int c = 0; c < SpectrumSize; ++c)
-                accumulate(&to[lane(constant(U(offset) + uint32_t(c)), i)], double(lane(g[c], i)));
+                accumulate(&to[constant(uint32_t(lane(offset, i)) + uint32_t(c))], double(lane(g[c], i)));
 }
 
 template <class F>
@@ -141,8 +142,8 @@ TR_NOINLINE void GradientSink<F>::add_to_tables(const I &offset, const Spectrum<
         const F upper = g[c] * place.fraction, lower = g[c] - upper;
         for (int i = 0; i < Lanes<F>::Width; ++i) {
             if (!lane_is_set(active, i)) continue;
-            accumulate(&to[lane(constant(index), i)], double(lane(lower, i)));
-            accumulate(&to[lane(constant(index + 1u), i)], double(lane(upper, i)));
+            accumulate(&to[constant(lane(index, i))], double(lane(lower, i)));
+            accumulate(&to[constant(lane(index, i) + 1)], double(lane(upper, i)));
         }
     }
 }

@@ -103,7 +103,8 @@ private:
     template <class Point>
     TR_HD void any_texture(const Scene &, const I &id, const Point &at, const Spectrum<F> &g, const M &active);
     TR_HD M count_finite(const M &usable, const M &active);
-    TR_HD U constant(const U &offset) const;
+    template <class Index>
+    TR_HD Index constant(const Index &offset) const;
     TR_HD void add(double *to, const U &index, const F &g, const M &active);
     TR_HD void add_derivative(const Spectrum<F> &d, const M &active);
     TR_HD void add_derivative(const F &d, const M &active);
