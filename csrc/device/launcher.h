@@ -15,8 +15,7 @@ namespace tr {
 struct DeviceMemoryError : std::bad_alloc {
     const char *what() const noexcept override {
         return "the device has not enough memory for this scene and image: smaller textures, meshes and films take "
-               "less, "
-               "and so do parts of a film (crop) and what else is on the device";
+               "less, and so do parts of a film (crop)";
     }
 };
 

@@ -175,11 +175,11 @@ TR_INLINE NextVertex<F> read_next(const TapeColumns<ScalarOf<F>> &tape, size_t i
     const auto &c = tape.next;
     next.ray = {from(c.ray_o_bar), from(c.ray_d_bar)};
     next.segment = from(c.next_segment);
+    if (tape.motion.rest_bar.x) next.rest = from(tape.motion.rest_bar), next.from = from(tape.motion.from_bar);
     // nothing is glued there, and nothing has been written
     if (Lanes<F>::Width == 1 && !any(mask<F>(squared_norm(next.segment) > F(0)))) return next;
     next.p = from(c.next_p);
     next.at = from(c.next_at);
-    if (tape.motion.rest_bar.x) next.rest = from(tape.motion.rest_bar), next.from = from(tape.motion.from_bar);
     return next;
 }
 
