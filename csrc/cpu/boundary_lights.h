@@ -92,7 +92,11 @@ public:
         if (!deep) return;
         u_.resize(n), inverse_.resize(n);
         for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
-        this->choose_vertices(n, u_, inverse_, total_);
+        // those that are close to S get more of it
+        this->choose_vertices(n, u_, inverse_, total_, [&](const V &p, uint32_t k) {
+            const V apart = at_.s.get(k) - p;
+            return 1 / (double(dot(apart, apart)) + boundary_.near * boundary_.near);
+        });
         this->find_normals();
         see_from_vertices(n);
         settle(first, n, 1, paths_.slots, sink, false);
@@ -140,13 +144,14 @@ private:
     void find_edges(uint64_t first, uint32_t n) {
         edges_.clear(), rays_.clear();
         for (uint32_t k = 0; k < n; ++k) {
+            at_.s.set(k, {S(0), S(0), S(0)});
             const EmitterKernels<F> &light = lights_.kernels(at_, k);
             const bool on_shape = light.is(IsOnShape);
             Edge x{};
             x.slot = k, x.far = light.is(IsInfinite);
             const V y = at_.y.get(k), yn = at_.yn.get(k), origin = x.far ? at_.travel.get(k) : y;
             OutlineAnchor anchor{};
-            anchor.p = Base::single(origin), anchor.n = anchor.axis = Base::single(yn);
+            anchor.p = Base::single(origin), anchor.n = anchor.axis = anchor.ng = Base::single(yn);
             anchor.still =
                 on_shape ? this->still(boundary_.moves[at_.at.shape[k]]) : 0.2f;  // lights at points may move
             anchor.parallel = x.far, anchor.own = on_shape ? int32_t(at_.at.shape[k]) : -1;
@@ -189,7 +194,7 @@ private:
             const V s = rays_[k].o + rays_[k].d * t;
             at_.s.set(x.slot, s), at_.d.set(x.slot, -rays_[k].d);
             x.end = rays_[k].at;
-            x.length = Base::length(x.b - s);
+            x.length = at_.b_distance[x.slot] = Base::length(x.b - s);
             at_.e_distance[x.slot] = x.far ? S(INFINITY) : Base::length(at_.y.get(x.slot) - s);
             x.tau = x.far ? S(0) : x.length / at_.e_distance[x.slot];
             edges_[kept++] = x;
@@ -317,6 +322,7 @@ private:
                           value = found.f * radiance;
         const bool first = depth == 0;
         if (first) density = density * F(S(boundary_.in_view));
+        density = density / this->beside_lights(from(at_.b_distance));
         F n_light(S(first ? call_.config.emitter_samples : 1)), n_bsdf(S(first ? call_.config.bsdf_samples : 1));
         F mis = select(mask<F>(density > F(0)), power_heuristic(n_light * density, n_bsdf * found.pdf), F(-1));
         F ratio = abs(dot(ng, c)) / max(abs(dot(ng, d)), F(S(1e-6)));

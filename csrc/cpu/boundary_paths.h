@@ -122,20 +122,23 @@ protected:
         }
     }
 
-    // One vertex of each path, in proportion to its throughput; `inverse` becomes one over the probability, `total`
-    // what all of its vertices have.
+    // One vertex of each path, in proportion to its throughput times factor(its place, slot); `inverse` becomes one
+    // over the probability, `total` what all of its vertices have.
+    template <class Factor>
     void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse,
-                         std::vector<double> &total) {
+                         std::vector<double> &total, Factor &&factor) {
         Tape<S> &tape = paths_.wavefront.tape;
         const size_t values = size_t(call_.values);
         std::vector<double> before(n, 0);
         total.assign(n, 0);
         auto each = [&](auto &&visit) {
             for_smooth(paths_, [&](uint32_t l, const KindRange &range) {
-                const auto &v = tape[int(l)].columns.vertex;
+                const TapeColumns<S> &columns = tape[int(l)].columns;
+                const auto &v = columns.vertex;
                 for (uint32_t e = range.begin; e < range.begin + range.count; ++e) {
                     double weight = 0;
                     for (size_t c = 0; c < values; ++c) weight += std::fabs(double(v.beta[int(c)][e]));
+                    weight *= factor(columns.arrival.p.get(e), v.slot[e]);
                     if (weight > 0 && std::isfinite(weight)) visit(v.slot[e], l, e, weight);
                 }
             });
@@ -267,6 +270,8 @@ protected:
     OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) {
         OutlineAnchor a{};
         a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
+        const V ng = anchors_.ng.get(slot);
+        a.ng = single(dot(ng, anchors_.n.get(slot)) < 0 ? -ng : ng);
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
         a.parallel = false, a.own = int32_t(shape), a.still = still(vertex_moves(slot));
         return a;

@@ -69,7 +69,7 @@ private:
         this->trace_paths(n, stop);
         u_.resize(n), inverse_.resize(n);
         for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
-        this->choose_vertices(n, u_, inverse_, total_);
+        this->choose_vertices(n, u_, inverse_, total_, [](const V &, uint32_t) { return 1.0; });
         this->find_lobes();
         this->find_normals();
         this->find_rows(n);
@@ -124,7 +124,7 @@ private:
             const uint32_t shape = this->level_of(k).columns.vertex.at.shape[anchors_.entry[k]];
             const OutlineChoice chosen =
                 boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k, copy));
-            if (chosen.element < 0) continue;
+            if (chosen.element < 0 || is_own_face(k, chosen.element)) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
             const V towards = point.p - x.from;
             x.r = this->length(towards);
@@ -141,6 +141,21 @@ private:
             sights_.push_back(x);
         }
         return some;
+    }
+
+    // Whether it is an edge of the face that the vertex is on: nothing comes from along a face, whichever side of the
+    // edge rounding takes for the free one. (Of light that interpolated normals still see there, see motion.md.)
+    bool is_own_face(uint32_t slot, int32_t element) {
+        const OutlineSet &set = *boundary_.outlines;
+        if (!set.is_edge(size_t(element))) return false;
+        const auto &at = this->level_of(slot).columns.vertex.at;
+        const uint32_t e = anchors_.entry[slot];
+        const ShapeInfo &info = scene_.shapes[at.shape[e]];
+        if (info.flags & IsCurved) return false;
+        const uint32_t face = uint32_t(info.face_offset) + at.primitive[e];
+        for (size_t k = 0; k < set.count(size_t(element)); ++k)
+            if (set.half(scene_, size_t(element), k).face == face) return true;
+        return false;
     }
 
     // What the last sights bring, by light of one; those that bring nothing are left out.
@@ -164,7 +179,7 @@ private:
                     for (Spectrum<S> &part : row.at) part = part * geometry;
             }
             // what lights find, too: what a smooth vertex, or the camera, sees, and not too close to it
-            const S pdf = anchors_.pdf[x.slot];
+            const S pdf = anchors_.pdf[x.slot] * this->beside_lights(x.r);
             if (anchors_.level[x.slot] == 0)
                 x.density = pdf / S(boundary_.in_view);
             else

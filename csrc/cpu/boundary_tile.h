@@ -83,6 +83,14 @@ protected:
         return square / (square + boundary_.near * boundary_.near);
     }
 
+    // By how much samples of vertices count less beside those of lights where the outline is close to the surface: a
+    // vertex is seldom found there, and what it brings grows as one over the distance; a light finds such places as
+    // often as others.
+    template <class T>
+    T beside_lights(const T &distance) const {
+        return distance / (distance + T(S(5 * boundary_.near)));
+    }
+
     // Rays of these lengths, at most 2 Capacity, where queries find them.
     template <class Length>
     PathQueue<S> &fill(const std::vector<OutlineRay> &rays, Length &&length) {

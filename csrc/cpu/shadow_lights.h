@@ -18,7 +18,7 @@ namespace tr {
 #define TR_SHADOW_EDGE_COLUMNS(X) \
     X(Integer, emitter) X(Point, at) X(Vector, y) X(Vector, yn) X(Number, left) X(Number, inverse_pmf) \
     X(Number, inverse_pdf) X(Vector, travel) X(Vector, d) X(Vector, s) X(Number, distance) X(Spectrum, value) \
-    X(Number, mis) X(Number, ratio) X(Vector, s_bar) X(Number, e_distance) X(Vector, e_bar) \
+    X(Number, mis) X(Number, ratio) X(Vector, s_bar) X(Number, e_distance) X(Number, b_distance) X(Vector, e_bar) \
     X(Spectrum, q) X(Spectrum, u) X(Spectrum, v)
 // clang-format on
 template <class S>

@@ -8,7 +8,8 @@ namespace tr {
 
 namespace {
 
-constexpr float Any = 0.05f;  // share of choices that leave nothing out
+constexpr float Grazing = 0.02f;  // the least share of what is at the face's horizon, which hardly moves before it
+constexpr float Any = 0.05f;      // share of choices that leave nothing out
 using V = Vec3<float>;
 using F = PacketOf<float>;
 using M = MaskOf<F>;
@@ -44,12 +45,17 @@ TR_INLINE F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_
         const F turned = c * cos_angle + sqrt(max(F(0), F(1) - c * c)) * sin_angle;
         return select(mask<F>(c >= cos_angle), F(1), turned);
     };
-    const F cosine = squared_norm(from.n) > 0 ? max(F(0), nearest(from.n)) : F(1);
-    if (from.share <= 0) return cosine;
+    F cosine(1), grazing(1);
+    if (squared_norm(from.n) > 0) {
+        cosine = max(F(0), nearest(from.n));
+        grazing = max(F(Grazing), min(F(1), nearest(from.ng) / max(cosine, F(1e-6f))));
+    }
+    if (from.share <= 0) return cosine * grazing;
     // with a tail, as lobes of rough surfaces have
     const F lobe = F(1) / (F(1) + (F(1) - nearest(from.axis)) * F(0.5f * from.k));
-    return cosine * F(1 - from.share + 0.02f * from.share) +
-           select(mask<F>(cosine > F(0)), lobe * lobe * F(from.share), F(0));
+    return (cosine * F(1 - from.share + 0.02f * from.share) +
+            select(mask<F>(cosine > F(0)), lobe * lobe * F(from.share), F(0))) *
+           grazing;
 }
 
 // Sums of numbers up to each; in a register where there is one, since what is stored piecewise is slow to load.
@@ -144,7 +150,7 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
         const F narrow = select(bounded, min(F(50), rsqrt(max(sine * sine, F(1e-30f)))), F(1));
         const F r = flux * narrow * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
         store(&to[i], select(counts, select(outside, select(none, F(0), r), flux * inverse_square(r2)), F(0)));
-        const M close = counts && mask<F>(squared < F(1.3f) * r2);
+        const M close = counts && mask<F>(squared < F(2.f) * r2);
         if (!any(close)) continue;
         // what it may be, if all of it is where the ball comes closest
         if (!some) std::fill_n(near, Wide, 0.f);
@@ -296,8 +302,9 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
     Numbers numbers{seed};
     const Front front(*this, from, numbers.single());
     Place places[Descents];
-    for (Place &place : places)
-        if (!front.pick(numbers.single(), place)) return choice;
+    const float u = numbers.single();  // spread evenly over what the front has
+    for (size_t i = 0; i < Descents; ++i)
+        if (!front.pick((float(i) + u) / float(Descents), places[i])) return choice;
     Candidates candidates;
     Weights &weights = candidates.weights;
     alignas(64) float near[Wide];

@@ -14,10 +14,11 @@
 namespace tr {
 
 // Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like
-// (1 - share) max(0, n.d) + share / (1 + k (1 - axis.d) / 2)^2; n = 0: alike in all directions. What is on the curved
+// (1 - share) max(0, n.d) + share / (1 + k (1 - axis.d) / 2)^2, and less close to the horizon of the face whose normal
+// is ng, on the side of n; n = 0: alike in all directions. What is on the curved
 // shape `own` sees no outline of it. `still`: the weight of outlines that rest.
 struct OutlineAnchor {
-    Vec3<float> p, n, axis;
+    Vec3<float> p, n, axis, ng;
     float k, share, still;
     bool parallel;
     int32_t own;
@@ -32,7 +33,7 @@ struct OutlineChoice {
 
 class OutlineTree {
 public:
-    static constexpr size_t Wide = OutlineLeaves::Wide, Descents = 2;
+    static constexpr size_t Wide = OutlineLeaves::Wide, Descents = 8;
 
     // For n_elements that are kept as they are, and n_rounded edges; in leaves of their own. `set` gives a leaf up to
     // sixteen, from the first one on, in an order that keeps close ones together, see `morton_order`; different leaves

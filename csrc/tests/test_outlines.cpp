@@ -91,6 +91,7 @@ TR_TEST(the_tree_chooses_with_its_density) {
         const bool parallel = trial & 1, rounded = trial & 2;
         OutlineAnchor from{};
         from.p = {0, 0, parallel ? 1.f : 0.f}, from.n = from.axis = {0, 0, 1};
+        from.ng = {0.6f, 0, 0.8f};
         from.still = 0.3f, from.k = 20, from.share = parallel ? 0.f : 0.5f, from.parallel = parallel, from.own = -1;
         std::vector<OutlineElement> all(n);
         for (size_t i = 0; i < n; ++i) {

@@ -39,6 +39,25 @@ def test_scenes_move_what_they_say(name, tmp_path):
     assert moved.derivative(3)[0] == pytest.approx(derivative, rel=1e-4, abs=1e-7)
 
 
+def test_shadows_of_a_sky_are_hardly_noisier_than_shading(tmp_path):
+    """Of 48 seeds, fixed; their variance is 1.2 times that without visibility, and was 5 times it.
+
+    Of normal numbers the ratio would be beyond 2.5 of it once in 1000 times.
+    """
+    moved = Moved(BY_NAME["shadow, sky"], tmp_path, 32, 16)
+
+    def variance(visibility: bool) -> float:
+        found = []
+        for seed in range(48):
+            amount = torch.zeros((), requires_grad=True)
+            settings = {"spp": 1, "spp_grad": 16, "visibility": visibility}
+            image = moved.renderer(seed=seed, params=moved.at(amount), **settings)
+            found += torch.autograd.grad(image.mean(), amount)
+        return float(torch.stack(found).var())
+
+    assert variance(True) < 3 * variance(False)
+
+
 def test_differences_are_of_fourth_order():
     """Of f(t) = 2 t + t^3 + t^5 and a part of the seed's own that does not move, D(h) alone is off by h^2."""
     weight = torch.from_numpy(weight_of(4, 4, np)).double()

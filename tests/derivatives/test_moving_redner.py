@@ -188,7 +188,7 @@ CASES = {
         limit=0.05,
         step=0.1,
         spp=16,
-        spp_visibility=(4, 64),
+        spp_visibility=(4, 96),
         differences_spp=64,
     ),
     "two_triangles": Case(
