@@ -43,6 +43,7 @@ class ShadowTile : public BoundaryTile<F> {
         uint32_t edge;
         Spectrum<S> jump[4];  // by part
     };
+    static constexpr size_t Descents = 4;  // lights see about as much of all outlines
     std::vector<Edge> edges_;
     std::vector<Connection> connections_;
     std::vector<OutlineRay> rays_;
@@ -131,7 +132,7 @@ private:
     // An outline before the light of a slot: its element, a place on it, and one over the density of both.
     OutlineChoice choose_outline(uint64_t first, uint32_t k, const OutlineAnchor &from) const {
         const OutlinePieces *pieces = boundary_.shadows->find(at_.emitter[k]);
-        if (!pieces) return boundary_.outlines->tree().choose(from, this->tree_seed(k));
+        if (!pieces) return boundary_.outlines->tree().choose(from, this->tree_seed(k), Descents);
         if (boundary_.part == BoundaryPart::Pieces) {
             const OutlinePiece &piece = pieces->all[size_t(boundary_.first + first + k) % pieces->all.size()];
             const float length = piece.end - piece.begin;

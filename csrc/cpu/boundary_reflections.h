@@ -36,6 +36,7 @@ class ReflectionTile : public BoundaryTile<F> {
         Spectrum<S> jump[2][4];  // on both sides, by part
         uint32_t rows;           // their number, of polarised light
     };
+    static constexpr size_t Descents = 8;
     std::vector<Sight> sights_;
     size_t first_ = 0;  // of those that are looked for
     std::vector<OutlineRay> rays_;
@@ -123,7 +124,7 @@ private:
             x.slot = k, x.copy = copy, x.from = this->place_of(k);
             const uint32_t shape = this->level_of(k).columns.vertex.at.shape[anchors_.entry[k]];
             const OutlineChoice chosen =
-                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k, copy));
+                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k, copy), Descents);
             if (chosen.element < 0 || is_own_face(k, chosen.element)) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
             const V towards = point.p - x.from;

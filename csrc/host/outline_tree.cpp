@@ -296,21 +296,22 @@ private:
     int positive_ = 0;
 };
 
-OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) const {
+OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const {
     OutlineChoice choice{-1, 0, 0};
     if (levels_.empty()) return choice;
     Numbers numbers{seed};
     const Front front(*this, from, numbers.single());
-    Place places[Descents];
+    Place places[MostDescents];
     const float u = numbers.single();  // spread evenly over what the front has
-    for (size_t i = 0; i < Descents; ++i)
-        if (!front.pick((float(i) + u) / float(Descents), places[i])) return choice;
+    for (size_t i = 0; i < descents; ++i)
+        if (!front.pick((float(i) + u) / float(descents), places[i])) return choice;
     Candidates candidates;
     Weights &weights = candidates.weights;
     alignas(64) float near[Wide];
     // level by level, so that descents do not wait for each other
     for (size_t l = levels_.size() - 1; l-- > 0;)
-        for (Place &place : places) {
+        for (size_t i = 0; i < descents; ++i) {
+            Place &place = places[i];
             if (place.level != int(l) + 1 || !(place.probability > 0)) continue;
             importance(levels_[l][place.index], from, weights.each, near);
             place.probability *= weights.add_up() ? weights.choose(numbers.single(), place.index) : 0;
@@ -319,7 +320,8 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
         }
     double sum = 0;
     float target = 0;
-    for (Place &place : places) {
+    for (size_t i = 0; i < descents; ++i) {
+        Place &place = places[i];
         if (place.level == 0 && place.probability > 0) {
             const size_t leaf = place.index;
             propose(leaf, from, numbers.single(), candidates);
@@ -335,7 +337,7 @@ OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed) cons
         choice.element = leaves_.index(place.index / Wide, place.index % Wide);
         choice.s = place.s, target = place.target;
     }
-    if (choice.element >= 0) choice.inverse_density = float(sum / (double(Descents) * double(target)));
+    if (choice.element >= 0) choice.inverse_density = float(sum / (double(descents) * double(target)));
     return choice;
 }
 

@@ -33,7 +33,7 @@ struct OutlineChoice {
 
 class OutlineTree {
 public:
-    static constexpr size_t Wide = OutlineLeaves::Wide, Descents = 8;
+    static constexpr size_t Wide = OutlineLeaves::Wide, MostDescents = 8;
 
     // For n_elements that are kept as they are, and n_rounded edges; in leaves of their own. `set` gives a leaf up to
     // sixteen, from the first one on, in an order that keeps close ones together, see `morton_order`; different leaves
@@ -54,7 +54,8 @@ public:
             if (int32_t index = leaves_.index(leaf, k); index >= 0) visit(index);
     }
 
-    OutlineChoice choose(const OutlineAnchor &from, uint64_t seed) const;
+    // Of so many candidates.
+    OutlineChoice choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const;
 
 private:
     // Everything below a node is in a ball. The cone of its normals has a half angle of at least 90 degrees where its

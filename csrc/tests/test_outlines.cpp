@@ -119,7 +119,8 @@ TR_TEST(the_tree_chooses_with_its_density) {
         tree.build(2);
         std::vector<double> sum(n), squares(n);
         for (int r = 0; r < rounds; ++r) {
-            const OutlineChoice c = tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel));
+            const OutlineChoice c =
+                tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel), parallel ? 2 : 8);
             CHECK(c.element >= 0 && c.s >= 0 && c.s < 1);
             sum[size_t(c.element)] += c.inverse_density,
                 squares[size_t(c.element)] += double(c.inverse_density) * c.inverse_density;
