@@ -145,7 +145,7 @@ private:
     void find_edges(uint64_t first, uint32_t n) {
         edges_.clear(), rays_.clear();
         for (uint32_t k = 0; k < n; ++k) {
-            at_.s.set(k, {S(0), S(0), S(0)});
+            at_.s.set(k, {S(0), S(0), S(0)});  // slots without an edge choose vertices, too
             const EmitterKernels<F> &light = lights_.kernels(at_, k);
             const bool on_shape = light.is(IsOnShape);
             Edge x{};

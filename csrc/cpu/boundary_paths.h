@@ -253,6 +253,11 @@ protected:
     }
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
     V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
+    SurfacePoint<S> point_of(uint32_t slot) {
+        const auto &at = level_of(slot).columns.vertex.at;
+        const uint32_t e = anchors_.entry[slot];
+        return {at.shape[e], at.primitive[e], at.b1[e], at.b2[e]};
+    }
     static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
     // The weight of outlines that rest, as what moves or rests sees them: they count to the latter where light of what
     // moves ends there.
@@ -267,13 +272,13 @@ protected:
         }
         return false;
     }
-    OutlineAnchor anchor(uint32_t slot, const V &p, uint32_t shape) {
+    OutlineAnchor anchor(uint32_t slot) {
         OutlineAnchor a{};
-        a.p = single(p), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
+        a.p = single(place_of(slot)), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
         const V ng = anchors_.ng.get(slot);
         a.ng = single(dot(ng, anchors_.n.get(slot)) < 0 ? -ng : ng);
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = false, a.own = int32_t(shape), a.still = still(vertex_moves(slot));
+        a.parallel = false, a.own = int32_t(point_of(slot).shape), a.still = still(vertex_moves(slot));
         return a;
     }
 

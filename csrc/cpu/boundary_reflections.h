@@ -36,7 +36,7 @@ class ReflectionTile : public BoundaryTile<F> {
         Spectrum<S> jump[2][4];  // on both sides, by part
         uint32_t rows;           // their number, of polarised light
     };
-    static constexpr size_t Descents = 8;
+    static constexpr size_t Descents = OutlineTree::MostDescents;
     std::vector<Sight> sights_;
     size_t first_ = 0;  // of those that are looked for
     std::vector<OutlineRay> rays_;
@@ -122,9 +122,8 @@ private:
             some = true;
             Sight x{};
             x.slot = k, x.copy = copy, x.from = this->place_of(k);
-            const uint32_t shape = this->level_of(k).columns.vertex.at.shape[anchors_.entry[k]];
             const OutlineChoice chosen =
-                boundary_.outlines->tree().choose(this->anchor(k, x.from, shape), this->tree_seed(k, copy), Descents);
+                boundary_.outlines->tree().choose(this->anchor(k), this->tree_seed(k, copy), Descents);
             if (chosen.element < 0 || is_own_face(k, chosen.element)) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
             const V towards = point.p - x.from;
@@ -149,11 +148,10 @@ private:
     bool is_own_face(uint32_t slot, int32_t element) {
         const OutlineSet &set = *boundary_.outlines;
         if (!set.is_edge(size_t(element))) return false;
-        const auto &at = this->level_of(slot).columns.vertex.at;
-        const uint32_t e = anchors_.entry[slot];
-        const ShapeInfo &info = scene_.shapes[at.shape[e]];
+        const SurfacePoint<S> at = this->point_of(slot);
+        const ShapeInfo &info = scene_.shapes[at.shape];
         if (info.flags & IsCurved) return false;
-        const uint32_t face = uint32_t(info.face_offset) + at.primitive[e];
+        const uint32_t face = uint32_t(info.face_offset) + at.primitive;
         for (size_t k = 0; k < set.count(size_t(element)); ++k)
             if (set.half(scene_, size_t(element), k).face == face) return true;
         return false;
@@ -295,9 +293,7 @@ private:
         for (uint32_t k = 0; k < n; ++k) {
             const V p_bar = anchors_.p_bar.get(k);
             if (!(max_abs(p_bar) > 0)) continue;
-            const auto &at = this->level_of(k).columns.vertex.at;
-            const uint32_t e = anchors_.entry[k];
-            this->add_glued(k, {at.shape[e], at.primitive[e], at.b1[e], at.b2[e]}, this->place_of(k), p_bar);
+            this->add_glued(k, this->point_of(k), this->place_of(k), p_bar);
         }
     }
 
