@@ -451,7 +451,7 @@ private:
         b.offset = number("offset"), b.samples = number("samples");
         b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
         b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
-        b.near = number("near"), b.in_view = number("in_view");
+        b.near = number("near"), b.in_view = number("in_view"), b.weighs = number("weighs") != 0;
         b.glued = c.glued;
         b.adjoint = reals("adjoint"), b.place = reals("place"), b.value = reals("value");
         return b;

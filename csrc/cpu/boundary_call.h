@@ -41,11 +41,13 @@ struct BoundaryCall {
     size_t n_cells;
     uint64_t first, count;  // numbers of the samples, of `total` in all passes
     double total;
-    double near;         // what counts as close
-    double in_view;      // the share of the outlines that lights see which the camera sees
-    bool glued = false;  // points move with their surfaces, as those of light paths do, see boundary_tile.h
+    double near;          // what counts as close
+    double in_view;       // the share of the outlines that lights see which the camera sees
+    bool weighs = false;  // samples alone, see `value`
+    bool glued = false;   // points move with their surfaces, as those of light paths do, see boundary_tile.h
     const FilmBlock *film = nullptr;  // reverse: the adjoint, set by the call
     // Pilot: the place, NaN where nothing is seen, and 1 where an edge was found. Pieces: what is seen, as a number.
+    // What weighs: the square of what a sample adds to the film where its outline moves by 1, summed over channels.
     // Reverse: the adjoint of the wanted pixels (height, width, channels) over the integral of their filter.
     // Forward: for each sample its place on the film (count, 2) and what it adds there (count, channels).
     const double *adjoint;

@@ -40,7 +40,7 @@ class ShadowTile : public BoundaryTile<F> {
     };
     // What the camera, or a vertex of the path, gets of an edge.
     struct Connection {
-        uint32_t edge;
+        uint32_t edge, slot;
         Spectrum<S> jump[4];  // by part
     };
     static constexpr size_t Descents = 4;  // lights see about as much of all outlines
@@ -351,7 +351,7 @@ private:
     void connect(uint32_t edge, S number, const V &colours, const StokesRows<S> *rows) {
         const uint32_t k = edges_[edge].slot;
         const S by[3] = {colours.x, colours.y, colours.z};
-        Connection connection{edge, {}};
+        Connection connection{edge, k, {}};
         const SpectrumColumn<S> columns[] = {at_.value, at_.q, at_.u, at_.v};
         for (int part = 0; part < this->parts(); ++part)
             for (int c = 0; c < SpectrumSize; ++c) connection.jump[part][c] = -columns[part][c][k] * number * by[c];
@@ -375,16 +375,18 @@ private:
     // Hands on the adjoints of all connections, `which` of a sample's two.
     void settle(uint64_t first, uint32_t n, uint64_t which, const SlotColumns<S> &slots, GradientSink<F> &sink,
                 bool camera) {
+        if (boundary_.weighs)
+            return this->tell_weights(first, connections_,
+                                      [](const Connection &x, int part, int c) { return double(x.jump[part][c]); });
         if (!sink.forward)
             return add(n, slots, sink, camera, [&](const Connection &x) {
-                const uint32_t k = edges_[x.edge].slot;
+                const uint32_t k = x.slot;
                 return this->contracted(slots.film_x[k], slots.film_y[k], [&](int part) { return x.jump[part]; });
             });
         this->for_parts(n, slots, sink, [&](int part, int c, const SlotColumns<S> &to) {
             add(n, to, sink, camera, [&](const Connection &x) { return x.jump[part][c]; });
         });
-        for (const Connection &x : connections_)
-            this->write_value(2 * (first + edges_[x.edge].slot) + which, slots, edges_[x.edge].slot);
+        for (const Connection &x : connections_) this->write_value(2 * (first + x.slot) + which, slots, x.slot);
     }
 
     template <class Weight>
@@ -425,7 +427,7 @@ private:
         for (const Connection &x : connections_) {
             double sum = 0;
             for (int c = 0; c < call_.values; ++c) sum += std::fabs(double(x.jump[0][c]));
-            boundary_.value[first + edges_[x.edge].slot] = sum;
+            boundary_.value[first + x.slot] = sum;
         }
     }
 
@@ -437,7 +439,7 @@ private:
         }
         for (const Edge &x : edges_) boundary_.value[first + x.slot] = 1;
         for (const Connection &x : connections_) {
-            const uint32_t k = edges_[x.edge].slot;
+            const uint32_t k = x.slot;
             boundary_.place[2 * (first + k)] = double(ends_.slots.film_x[k]);
             boundary_.place[2 * (first + k) + 1] = double(ends_.slots.film_y[k]);
         }

@@ -51,6 +51,10 @@ public:
     template <class Stop>
     void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
         trace(first, n, stop);
+        if (boundary_.weighs)
+            return this->tell_weights(first, sights_, [](const Sight &x, int part, int c) {
+                return double(x.jump[0][part][c]) + double(x.jump[1][part][c]);
+            });
         const auto &slots = paths_.slots;
         if (!sink.forward)
             return add(slots, sink, [&](const Sight &x, size_t h) {

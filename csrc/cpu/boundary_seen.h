@@ -44,6 +44,9 @@ protected:
         look_past();
         jumps_.assign(sights_.size() * channels(), 0);
         look_up();
+        if (boundary_.weighs)
+            return this->tell_weights(
+                first, sights_, [&](const Sight &x, int part, int c) { return jumps_of(x)[part * call_.values + c]; });
         auto &slots = paths_.slots;
         if (!sink.forward)
             return add(n, sink, [&](const Sight &x) {

@@ -187,6 +187,16 @@ protected:
             }
         }
     }
+    // Adds to the weights of samples what these sights, or connections, bring, by part and channel.
+    template <class All, class Jump>
+    void tell_weights(uint64_t first, const All &all, Jump &&jump) const {
+        for (const auto &x : all)
+            for (int part = 0; part < parts(); ++part)
+                for (int c = 0; c < call_.values; ++c) {
+                    const double brings = jump(x, part, c);
+                    boundary_.value[first + x.slot] += brings * brings;
+                }
+    }
     // ... what the sample of a slot adds to the film.
     void write_value(uint64_t row, const SlotColumns<S> &slots, uint32_t slot) const {
         double *place = boundary_.place + 2 * row, *value = boundary_.value + size_t(boundary_.channels) * row;

@@ -11,17 +11,20 @@ namespace tr {
 
 namespace {
 
-constexpr uint64_t SamplesPerItem = 2048;
+constexpr uint64_t SamplesPerItem = 2048, SamplesPerLook = 128;
 
 // Calls work(tile, first, n, thread, stop) for batches of the samples.
 template <class Tile, class S, class Make, class Work>
 RenderStats run_boundary(const RenderCall<S> &call, const BoundaryCall<S> &boundary, Make &&make, Work &&work) {
     RenderStats stats;
     Stopwatch watch(stats.seconds);
-    const size_t items = size_t((boundary.count + SamplesPerItem - 1) / SamplesPerItem);
+    // few samples, for all threads
+    const bool looks = boundary.weighs || boundary.part == BoundaryPart::Pilot;
+    const uint64_t size = looks ? SamplesPerLook : SamplesPerItem;
+    const size_t items = size_t((boundary.count + size - 1) / size);
     run_tiles(items, call, Assignment::Interleaved, stats, make, [&](Tile &tile, size_t item, int thread, auto &&stop) {
-        const uint64_t end = std::min(boundary.count, uint64_t(item + 1) * SamplesPerItem);
-        for (uint64_t first = item * SamplesPerItem; first < end && !stop(); first += Tile::Capacity)
+        const uint64_t end = std::min(boundary.count, uint64_t(item + 1) * size);
+        for (uint64_t first = item * size; first < end && !stop(); first += Tile::Capacity)
             work(tile, first, uint32_t(std::min<uint64_t>(Tile::Capacity, end - first)), thread, stop);
     });
     return stats;

@@ -13,6 +13,7 @@ from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.packing import Layout
+from .allotment import ALONE, OTHERS, SEEN
 
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
@@ -78,7 +79,8 @@ def boundary_of(
     seen_alone = (bool(limited) and outputs is None) or not (any(placed) or lights)
     if seen_alone and not any(moves):
         return None
-    usual = call.spp_grad / 4, call.spp_grad / 16  # the derivative takes about twice as long
+    alone = seen_alone or outputs is not None or 0 <= call.config["max_depth"] < 2
+    usual = call.spp_grad * (ALONE if alone else SEEN), call.spp_grad * OTHERS
     seen, others = spp or usual
     counts = (seen, 0.0) if seen_alone else (seen, others)
     glued = outputs is None and call.config["integrator"] == "ptracer"

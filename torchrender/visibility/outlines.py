@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from ..seeds import mix
+from .allotment import factors
 from .boundary_call import BoundaryCall
 from .film_sums import FilmPlaces
 
@@ -26,7 +27,8 @@ LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a p
 NEAR = 0.02  # what is close, in sizes of the scene
 BLOCK = 1 << 18  # samples whose places and values forward mode keeps at a time
 BATCH = 1024  # samples that the core works on together, of which each may depend on the others
-FEW = 1024  # samples that tell how much the camera sees of what lights find
+FEW = 512  # samples that tell how much the camera sees of what lights find
+LOOKS = 256  # samples that tell how much each part brings, where there are eight times as many
 
 
 @contextlib.contextmanager
@@ -70,8 +72,10 @@ class Outlines:
         self.cells = film.cells(call.config["window"]).contiguous()
         box = call.native.handle.bounding_box()
         max_depth = call.config["max_depth"]
-        self.numbers = {"cells": len(self.cells), "near": NEAR * math.dist(box[:3], box[3:]), "in_view": 1.0}
+        near = NEAR * math.dist(box[:3], box[3:])
+        self.numbers = {"cells": len(self.cells), "near": near, "in_view": 1.0, "weighs": 0}
         self.parts: list[str] = []
+        self.factors: dict[str, float] = {}
         if not len(self.cells):  # no pixel is wanted
             return
         moves = bool(boundary.moves.any())
@@ -80,6 +84,9 @@ class Outlines:
         if outputs is None and boundary.spp[1] > 0 and not 0 <= max_depth < 2:
             self.numbers["in_view"] = self._share_in_view()
             self.parts += ["shadows", "reflections"] if moves else ["shadows"]
+        self.factors |= dict.fromkeys(self.parts, 1.0)
+        if boundary.by_length and "reflections" in self.parts:
+            self._share_out()
 
     def _share_in_view(self) -> float:
         """About which share of the edges that lights find the camera sees, in the wanted pixels: of a few samples.
@@ -90,9 +97,22 @@ class Outlines:
         value = torch.zeros(FEW, dtype=torch.float64)
         out = {"place": place.data_ptr(), "value": value.data_ptr()}
         numbers = {"first": 0, "count": FEW, "total": 1, "offset": 0, "samples": 1}
-        self._call([("pilot", self.configs[0], numbers)], out, [0] * len(self.params), True)
+        self._look("pilot", numbers, out)
         edges, seen = float(value.sum()), place[torch.isfinite(place).all(1)]
         return min(1.0, max(float(self.film.wanted(seen).sum()) / edges, 1e-3)) if edges else 1.0
+
+    def _share_out(self) -> None:
+        """Finds the factors of the usual numbers of samples, from a few of each part: a function of the seed alone."""
+        usual = {part: float(self._count(part)) for part in self.parts}
+        if usual["reflections"] < 8 * LOOKS:  # looking would take too long
+            return
+        value = torch.zeros(LOOKS, dtype=torch.float64)
+        numbers = {"first": 0, "count": LOOKS, "total": LOOKS, "offset": 0, "samples": LOOKS, "weighs": 1}
+        brought, rays = {}, 0.0
+        for part in self.parts:
+            rays = self._look(part, numbers, {"value": value.zero_().data_ptr()}) / LOOKS
+            brought[part] = float(value.sqrt().sum())
+        self.factors = factors(usual, brought, rays)
 
     def reverse(self, adjoint: torch.Tensor, grads: Sequence[torch.Tensor | None]) -> None:
         """Adds to the gradients, by slot; `adjoint` (H, W, channels) is that of the film, see `FilmPlaces`."""
@@ -126,11 +146,18 @@ class Outlines:
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer."""
         if part not in ("silhouettes", "outputs"):
-            return math.ceil(self.boundary.spp[1] * len(self.cells))
-        count = math.ceil(self.boundary.spp[0] * math.prod(self.call.size))
+            return math.ceil(self.factors[part] * self.boundary.spp[1] * len(self.cells))
+        count = self.boundary.spp[0] * math.prod(self.call.size)
         if self.boundary.by_length:
-            count = min(count, math.ceil(LENGTHWISE * self.call.spp_grad * self.length))
-        return count
+            count = min(count, LENGTHWISE * self.call.spp_grad * self.length)
+        return math.ceil(self.factors[part] * count)
+
+    def _look(self, part: str, numbers: Mapping[str, float], out: dict[str, int]) -> int:
+        """Few samples of a part, which tell how the others are to be taken; returns how many rays they had."""
+        config = {**self.configs[0], "seed": mix(self.configs[0]["seed"], STREAMS["pilot"])}
+        before = self.statistics.get("pilot", {"rays": 0.0})["rays"]
+        self._call([(part, config, numbers)], out, [0] * len(self.params), True)
+        return int(self.statistics["pilot"]["rays"] - before)
 
     def _call(
         self,
@@ -147,7 +174,8 @@ class Outlines:
         rest = arrays, self.names, self.handle, addresses, forward
         results = self.call.native.call("boundary", self.params, read, *rest)
         for (part, _, numbers), found in zip(requests, results, strict=True):
-            so_far = self.statistics.setdefault(part, {"samples": 0, "rays": 0, "seconds": 0.0})
+            name = "pilot" if numbers.get("weighs") else part
+            so_far = self.statistics.setdefault(name, {"samples": 0, "rays": 0, "seconds": 0.0})
             so_far["samples"] += int(numbers["count"])
             so_far["rays"] += found["closest_rays"] + found["shadow_rays"]
             so_far["seconds"] += found["seconds"]
