@@ -72,7 +72,6 @@ class Case:
                 "camera": {**camera, "film": film},
                 **copy.deepcopy(self.objects),
             },
-            dtype=DOUBLE,
         )
 
     def directions(self, scene: tr.Scene) -> dict[str, torch.Tensor]:

@@ -66,7 +66,6 @@ class Case:
                 "camera": {"type": "perspective", "fov": 45, **self.camera, "film": film},
                 **self.objects(),
             },
-            dtype=DOUBLE,
         )
 
     def render(self, scene: tr.Scene, values: Values, **settings) -> torch.Tensor:

@@ -23,7 +23,7 @@ def direction_of(parameter: str, value: torch.Tensor) -> torch.Tensor:
         if rigid:
             change[:3, :3] = change[:3, :3] - change[:3, :3].T
         change[-1] = 0
-        return change @ value
+        return change @ value.double()
     return torch.randn(value.shape, generator=generator, dtype=torch.float64)
 
 

@@ -36,7 +36,7 @@ def test_differences(light, depth, parameter, floor):
     scene = room(light, depth, floor)
     with warnings.catch_warnings():  # nothing is missing
         warnings.simplefilter("error", tr.MissingTermWarning)
-        derivatives, differences = compare(scene, parameter, 6, 256, 5e-3, shown, outputs=("stokes",))
+        derivatives, differences = compare(scene.to(torch.float32), parameter, 6, 256, 5e-3, shown, outputs=("stokes",))
     passed, text = agrees(derivatives, differences, 0.02, CASES)
     assert passed, text
     assert float(differences.abs().mean()) > 5e-5

@@ -67,7 +67,7 @@ def over_floor(ball: str) -> tr.Scene:
 
 
 def both_ways(scene: tr.Scene, run, samples: tuple[int, int], seeds: int = 12) -> torch.Tensor:
-    """z of the means of pixels by paths from the lights and from the camera."""
+    """z of the means of pixels by paths from the lights and from the camera, of a scene in single precision."""
     means, variances = [], []
     depth = scene.integrator.max_depth
     for integrator, spp in zip((tr.ParticleTracer, tr.PathTracer), samples, strict=True):
@@ -88,7 +88,7 @@ def stokes_of(scene: tr.Scene):
 @pytest.mark.parametrize("ball", BALLS)
 def test_images(ball):
     """z of 4 means over 12 seeds, 11 degrees of freedom at least: 6 by chance in less than 4e-4 of the cases."""
-    scene = over_floor(ball)
+    scene = over_floor(ball).to(torch.float32)
     z = both_ways(scene, stokes_of(scene), (2048, 64))
     assert float(z.abs().max()) < 6, z
 
@@ -96,7 +96,7 @@ def test_images(ball):
 @pytest.mark.parametrize("kind", LAMPS)
 def test_lamps(kind):
     """As above; of every lamp, whose light has an axis of its own."""
-    scene = scene_of(GOLD, LAMPS[kind])
+    scene = scene_of(GOLD, LAMPS[kind]).to(torch.float32)
     z = both_ways(scene, stokes_of(scene), (4096, 64))
     assert float(z.abs().max()) < 6, z
 
@@ -132,6 +132,7 @@ def test_derivatives_of_what_moves(ball, name):
     scene = over_floor(ball)
     direction = rigid_or_random(scene, name)
     modes(scene, name, direction)
+    scene = scene.to(torch.float32)
     z = both_ways(scene, derivative(scene, name, direction), (2048, 64))
     assert float(z.abs().max()) < 6, z
 
@@ -145,6 +146,7 @@ def test_derivatives_of_lamps(kind):
     name = "lamp.position" if kind == "point" else "lamp.to_world"
     direction = rigid_or_random(scene, name)
     modes(scene, name, direction)
+    scene = scene.to(torch.float32)
     z = both_ways(scene, derivative(scene, name, direction), (2048, 64))
     assert float(z.abs().max()) < 6, z
 
@@ -162,7 +164,7 @@ def test_edges():
     scene.integrator = tr.ParticleTracer(max_depth=3)
     weights = torch.tensor([0, 1.0, -1.5, 2.0], dtype=torch.float64)
     settings = {"show": lambda out: (out.stokes * weights).sum(-1), "outputs": ("stokes",)}
-    derivatives, differences = compare(scene, "plate.to_world", 6, 512, 2e-2, **settings)
+    derivatives, differences = compare(scene.to(torch.float32), "plate.to_world", 6, 512, 2e-2, **settings)
     passed, text = agrees(derivatives, differences, 0.02, 1)  # at 1 %
     assert passed, text
     assert float(differences.mean().abs()) > 5 * float(differences.std()) / len(differences) ** 0.5
