@@ -57,7 +57,7 @@ def texture_step() -> dict[str, float]:
         (tr.render(scene, spp=1, seed=i) - 0.5).square().mean().backward()
         optimizer.step()
 
-    return endure(step, 1000)
+    return endure(step, 700)
 
 
 def moving_vertices() -> dict[str, float]:
@@ -75,7 +75,7 @@ def moving_vertices() -> dict[str, float]:
         (tr.render(scene, spp=1, seed=i) - 0.5).square().mean().backward()
         optimizer.step()
 
-    result = endure(step, 3000)
+    result = endure(step, 1500)
     assert scene.updates["mesh_refits"] > 500
     assert scene.updates["mesh_rebuilds"] >= 1
     return result
@@ -87,7 +87,7 @@ def builds() -> dict[str, float]:
         scene.train_only(TEXTURE)
         tr.render(scene, spp=1, seed=i, crop=(0, 0, 4, 4)).sum().backward()
 
-    return endure(step, 1000)
+    return endure(step, 700)
 
 
 def everything_changes() -> dict[str, float]:
@@ -106,7 +106,7 @@ def everything_changes() -> dict[str, float]:
         crop = (i % 4, i % 5, 4 + i % 5, 6 + i % 3)
         tr.render(scene, spp=1, seed=i, crop=crop).sum().backward()
 
-    return endure(step, 1000)
+    return endure(step, 700)
 
 
 def network_output() -> dict[str, float]:
@@ -120,7 +120,7 @@ def network_output() -> dict[str, float]:
         tr.render(scene, spp=1, seed=i, params={TEXTURE: texture}).square().mean().backward()
         optimizer.step()
 
-    return endure(step, 1000)
+    return endure(step, 700)
 
 
 def refused() -> dict[str, float]:

@@ -12,7 +12,7 @@ from tutorial_pictures import drawn
 import torchrender as tr
 
 LUNEBURG = {"levels": 2, "iterations": 32, "rays": 60}
-CUBE = {"size": 40, "resolution": 32, "iterations": 32, "smoothness": 0.5, "verification_spp": 64}
+CUBE = {"size": 32, "resolution": 24, "iterations": 32, "smoothness": 0.5, "verification_spp": 64}
 SCHLIEREN = {"size": 20, "resolution": 20, "views": 12, "iterations": 4}
 
 
@@ -37,8 +37,8 @@ def test_grin_cube(tutorial, tmp_path, capsys):
     assert min(c[0] for c in curves.values()) > 1.5 and max(result.values()) < 0.15
     assert "distance from the targets with 64 samples a pixel: sun" in capsys.readouterr().out
     assert drawn(tmp_path / "whole", "loss", "index")
-    assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (40, 40, 40, 1)
-    assert tr.io.read_image(tmp_path / "whole" / "result.exr").shape == (32, 64, 3)
+    assert tr.io.read_volume(tmp_path / "whole" / "index.vol").shape == (32, 32, 32, 1)
+    assert tr.io.read_image(tmp_path / "whole" / "result.exr").shape == (24, 48, 3)
     goes_on_after_a_kill(cube, tmp_path / "whole", result, CUBE, capsys, save_every=10, total=32)
 
 
