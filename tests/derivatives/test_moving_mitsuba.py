@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import pytest
 import torch
 from moving_suites import (
-    DOUBLE,
     Weight,
     at_the_border,
     ball,

@@ -51,6 +51,21 @@ def test_derivatives_of_first_and_second_order(interpolation):
     assert torch.autograd.gradgradcheck(lambda i, p: evaluate(i, p, interpolation), (index, at))
 
 
+def test_the_gradient_is_the_same_for_any_number_of_threads():
+    """Many points read each number, and what they add to its derivative is added up in one order."""
+    generator, before = torch.Generator().manual_seed(3), torch.get_num_threads()
+    index = (1.2 + 0.1 * torch.rand(9, 9, 9, generator=generator)).requires_grad_()
+    at, weight = torch.rand(20000, 3, generator=generator), torch.rand(20000, generator=generator)
+    found = []
+    try:
+        for threads in (1, 2, 2, 2):
+            torch.set_num_threads(threads)
+            found += torch.autograd.grad((evaluate(index, at)[0] * weight).sum(), index)
+    finally:
+        torch.set_num_threads(before)
+    assert all(torch.equal(found[0], other) for other in found[1:])
+
+
 @BOTH
 def test_the_field_of_rays_is_the_same(interpolation):
     """A ray's index at its end, by the core, is what `evaluate` gives there."""

@@ -106,7 +106,10 @@ def spline(values: torch.Tensor, points: torch.Tensor, interpolation: str) -> tu
     """A spline with control values (Z, Y, X) at points (..., 3) of the cube: its value, and its gradient."""
     axes = [axis_weights(points[..., k], values.shape[2 - k], interpolation) for k in range(3)]
     (ix, wx, dx), (iy, wy, dy), (iz, wz, dz) = axes
-    taps = values[iz[..., :, None, None], iy[..., None, :, None], ix[..., None, None, :]]
+    rows, columns = values.shape[1:]
+    at = (iz[..., :, None, None] * rows + iy[..., None, :, None]) * columns + ix[..., None, None, :]
+    # (PyTorch adds up the derivative of values[iz, iy, ix] in an order that differs from call to call)
+    taps = values.reshape(-1).index_select(0, at.reshape(-1)).view(at.shape)
     along_x, slope_x = (taps * wx[..., None, None, :]).sum(-1), (taps * dx[..., None, None, :]).sum(-1)
     along_y = (along_x * wy[..., None, :]).sum(-1)
     slope = [((slope_x * wy[..., None, :]).sum(-1) * wz).sum(-1), ((along_x * dy[..., None, :]).sum(-1) * wz).sum(-1)]
