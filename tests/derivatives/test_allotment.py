@@ -43,7 +43,7 @@ def test_what_brings_nothing_leaves_its_samples_to_the_others():
 
 def test_deep_paths_have_twice_as_many():
     brought = dict.fromkeys(USUAL, 1.0)
-    assert factors(USUAL, brought, 6.0) == dict.fromkeys(USUAL, 1.5)
+    assert factors(USUAL, brought, 4.5) == dict.fromkeys(USUAL, 1.5)
     assert factors(USUAL, brought, 100.0) == dict.fromkeys(USUAL, 2.0)
 
 

@@ -20,7 +20,7 @@ COSTS = {"silhouettes": 1.0, "shadows": 2.0, "reflections": 4.0}
 """What a sample takes, about, in one of a silhouette: those of the others are paths, and choose from a tree."""
 HARDLY = 0.02
 """The share of all that is brought below which a part gets fewer samples, down to a quarter."""
-DEEP = 4.0
+DEEP = 3.0
 """Rays of a sample of reflections, above which paths of the image take longer, too, and all get up to twice as many."""
 
 
