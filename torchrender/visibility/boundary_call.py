@@ -82,7 +82,7 @@ def boundary_of(
     alone = seen_alone or outputs is not None or 0 <= call.config["max_depth"] < 2
     usual = call.spp_grad * (ALONE if alone else SEEN), call.spp_grad * OTHERS
     seen, others = spp or usual
-    counts = (seen, 0.0) if seen_alone else (seen, others)
+    counts = (seen, 0.0) if alone else (seen, others)
     glued = outputs is None and call.config["integrator"] == "ptracer"
     moving = torch.tensor(moves, dtype=torch.bool)
     return BoundaryCall(of_light(call) if glued else call, counts, moving, spp is None, outputs, glued)

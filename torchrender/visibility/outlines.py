@@ -71,20 +71,18 @@ class Outlines:
         )
         self.cells = film.cells(call.config["window"]).contiguous()
         box = call.native.handle.bounding_box()
-        max_depth = call.config["max_depth"]
         near = NEAR * math.dist(box[:3], box[3:])
         self.numbers = {"cells": len(self.cells), "near": near, "in_view": 1.0, "weighs": 0}
         self.parts: list[str] = []
-        self.factors: dict[str, float] = {}
+        self.factors: dict[str, float] = {}  # of the usual numbers of samples, by part, where they are not those
         if not len(self.cells):  # no pixel is wanted
             return
         moves = bool(boundary.moves.any())
         if boundary.spp[0] > 0 and self.length > 0 and (moves or not boundary.glued):
             self.parts.append("silhouettes" if outputs is None else "outputs")
-        if outputs is None and boundary.spp[1] > 0 and not 0 <= max_depth < 2:
+        if boundary.spp[1] > 0:
             self.numbers["in_view"] = self._share_in_view()
             self.parts += ["shadows", "reflections"] if moves else ["shadows"]
-        self.factors |= dict.fromkeys(self.parts, 1.0)
         if boundary.by_length and "reflections" in self.parts:
             self._share_out()
 
@@ -146,18 +144,16 @@ class Outlines:
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer."""
         if part not in ("silhouettes", "outputs"):
-            return math.ceil(self.factors[part] * self.boundary.spp[1] * len(self.cells))
+            return math.ceil(self.factors.get(part, 1.0) * self.boundary.spp[1] * len(self.cells))
         count = self.boundary.spp[0] * math.prod(self.call.size)
         if self.boundary.by_length:
             count = min(count, LENGTHWISE * self.call.spp_grad * self.length)
-        return math.ceil(self.factors[part] * count)
+        return math.ceil(self.factors.get(part, 1.0) * count)
 
     def _look(self, part: str, numbers: Mapping[str, float], out: dict[str, int]) -> int:
         """Few samples of a part, which tell how the others are to be taken; returns how many rays they had."""
         config = {**self.configs[0], "seed": mix(self.configs[0]["seed"], STREAMS["pilot"])}
-        before = self.statistics.get("pilot", {"rays": 0.0})["rays"]
-        self._call([(part, config, numbers)], out, [0] * len(self.params), True)
-        return int(self.statistics["pilot"]["rays"] - before)
+        return self._call([(part, config, numbers)], out, [0] * len(self.params), True)
 
     def _call(
         self,
@@ -165,8 +161,8 @@ class Outlines:
         out: dict[str, int],
         addresses: list[int],
         forward: bool,
-    ) -> None:
-        """What `_blocks` gives, in one call of the core, which makes gradients of a large mesh once for all."""
+    ) -> int:
+        """What `_blocks` gives, in one call of the core, which makes gradients of a large mesh once for all; rays."""
         arrays = {"cells": self.cells.data_ptr(), "moves": self.moves.data_ptr()} | out
         configs = [{**config, "seed": mix(config["seed"], STREAMS[part])} for part, config, _ in requests]
         given = [{name: float(x) for name, x in {**self.numbers, **numbers}.items()} for *_, numbers in requests]
@@ -179,3 +175,4 @@ class Outlines:
             so_far["samples"] += int(numbers["count"])
             so_far["rays"] += found["closest_rays"] + found["shadow_rays"]
             so_far["seconds"] += found["seconds"]
+        return sum(found["closest_rays"] + found["shadow_rays"] for found in results)
