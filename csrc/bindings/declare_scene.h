@@ -47,15 +47,22 @@ struct Rendering<Call> {
 };
 
 inline void declare_scene(Functions &f) {
-    f.add("vertex_normals", [](const std::string &dtype, uintptr_t positions, size_t n_vertices, uintptr_t faces,
-                               size_t n_faces, uintptr_t normals) {
-        auto run = [&](auto zero) {
-            using S = decltype(zero);
-            vertex_normals(reinterpret_cast<const S *>(positions), n_vertices, reinterpret_cast<const int32_t *>(faces),
-                           n_faces, reinterpret_cast<S *>(normals));
-        };
-        dtype == "float64" ? run(0.0) : run(0.f);
-    });
+    // Of a mesh: the normals; or the product of their Jacobian ("jvp"), or its transpose ("vjp"), with what is given.
+    f.add("vertex_normals",
+          [](const std::string &what, const std::string &dtype, uintptr_t positions, size_t n_vertices, uintptr_t faces,
+             size_t n_faces, uintptr_t given, uintptr_t result, int threads) {
+              auto run = [&](auto zero) {
+                  using S = decltype(zero);
+                  const Triangles<S> mesh{reinterpret_cast<const S *>(positions), n_vertices,
+                                          reinterpret_cast<const int32_t *>(faces), n_faces};
+                  const auto *from = reinterpret_cast<const S *>(given);
+                  auto *to = reinterpret_cast<S *>(result);
+                  if (what == "vjp") return vertex_normals_vjp(mesh, from, to, threads);
+                  if (what == "jvp") return vertex_normals_jvp(mesh, from, to, threads);
+                  vertex_normals(mesh, to, threads);
+              };
+              dtype == "float64" ? run(0.0) : run(0.f);
+          });
     f.add("use_large_pages",
           [](uintptr_t memory, size_t bytes) { use_large_pages(reinterpret_cast<void *>(memory), bytes); });
 

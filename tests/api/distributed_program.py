@@ -321,7 +321,7 @@ def main() -> None:
         print("RESULTS" + json.dumps(results))
     dist.barrier()
     dist.destroy_process_group()
-    # DistributedDataParallel keeps the group and its threads alive. The last one to leave the barrier sometimes ends the
+    # DistributedDataParallel keeps the group and its threads alive. The last of them to leave the barrier may end the
     # process with SIGABRT while Python closes down (PyTorch's issue 190489): nothing is left for Python to do here.
     sys.stdout.flush()
     os._exit(0)

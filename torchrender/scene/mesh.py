@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import nn
 
-from .. import backends
 from ..errors import describe, nearest
 from . import values
 from .construction import install_tensor
 from .context import Context
 from .declaration import Field
+from .normals import vertex_normals
 from .plugin import Plugin
 from .registry import builder, register
 from .shapes import SILHOUETTE, Shape
@@ -228,7 +228,7 @@ class Mesh(Shape):
     def compute_normals(self) -> None:
         """Shade smooth, with normals that are computed from the positions and follow them from now on."""
         positions = self.vertex_positions.detach()
-        normals = _native_normals(positions, self.faces)  # as after an edit: the same bits
+        normals = vertex_normals(positions, self.faces)
         install_tensor(self, "vertex_normals", None, normals)
         self.__dict__["computed_normals"] = True
         self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), normals.clone())
@@ -244,7 +244,7 @@ class Mesh(Shape):
         old_positions, old_faces, known = self.__dict__["_normals_of"]
         same = old_positions.dtype == positions.dtype and known.dtype == normals.dtype
         if not (same and torch.equal(old_positions, positions) and torch.equal(old_faces, self.faces)):
-            known = _native_normals(positions, self.faces) if computed is None else computed.detach()
+            known = vertex_normals(positions, self.faces) if computed is None else computed.detach()
             known = known.to(normals.dtype, copy=True)
             self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), known)
         if normals.shape != known.shape:  # another number of vertices
@@ -299,41 +299,6 @@ def faces_of(value: Any, n_vertices: int, ctx: Context) -> torch.Tensor:
 def _integers(value: Any) -> Any:
     array = np.asarray(value)
     return array.astype("int64") if array.dtype.kind in "iu" else np.array(array)
-
-
-def vertex_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
-    """Normals (V, 3) of a mesh: face normals averaged with the corners' angles as weights (Thurmer, Wuthrich 1998).
-
-    Vertices without a face, or where the average vanishes, get (1, 0, 0), so that nothing divides by zero.
-    """
-    # `index_select`: the derivative of indexing adds in the order in which threads come
-    corners = positions.index_select(0, faces.long().flatten()).reshape(*faces.shape, 3)
-    face = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    face = torch.nn.functional.normalize(face, dim=1, eps=1e-30)
-    total = torch.zeros_like(positions)
-    for i in range(3):
-        a = torch.nn.functional.normalize(corners[:, (i + 1) % 3] - corners[:, i], dim=1, eps=1e-30)
-        b = torch.nn.functional.normalize(corners[:, (i + 2) % 3] - corners[:, i], dim=1, eps=1e-30)
-        # 2 atan2(|a - b|, |a + b|) is the angle, exact for small and for flat ones
-        angle = 2 * torch.atan2(torch.linalg.vector_norm(a - b, dim=1), torch.linalg.vector_norm(a + b, dim=1))
-        total = total.index_add(0, faces[:, i].long(), face * angle[:, None])
-    length = torch.linalg.vector_norm(total, dim=1, keepdim=True)
-    fallback = torch.zeros_like(total)
-    fallback[:, 0] = 1
-    return torch.where(length > 0, total / length.clamp_min(1e-30), fallback)
-
-
-def _native_normals(positions: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
-    """`vertex_normals` without a graph, in a fraction of the time."""
-    if positions.device.type != "cpu" or positions.dtype not in (torch.float32, torch.float64):
-        return vertex_normals(positions, faces)
-    positions, faces = positions.detach().contiguous(), faces.to(torch.int32).contiguous()
-    normals = torch.empty_like(positions)
-    dtype = str(positions.dtype).removeprefix("torch.")
-    sizes = (positions.shape[0], faces.shape[0])
-    core = backends.core()
-    core.vertex_normals(dtype, positions.data_ptr(), sizes[0], faces.data_ptr(), sizes[1], normals.data_ptr())
-    return normals
 
 
 def _faces_of_cube() -> tuple[list[list[float]], list[list[float]], list[list[float]], list[list[int]]]:
