@@ -448,7 +448,7 @@ private:
         b.filter = of_outputs ? filter_of(seen, call.filter) : call.filter;
         b.outlines = &outlines.set, b.pieces = &outlines.pieces;
         b.moves = reinterpret_cast<const uint8_t *>(given.arrays.at("moves"));
-        b.offset = number("offset"), b.samples = number("samples");
+        b.samples = number("samples");
         b.cells = reinterpret_cast<const int64_t *>(given.arrays.at("cells")), b.n_cells = size_t(number("cells"));
         b.first = uint64_t(number("first")), b.count = uint64_t(number("count")), b.total = number("total");
         b.near = number("near"), b.in_view = number("in_view"), b.weighs = number("weighs") != 0;

@@ -31,10 +31,10 @@ struct BoundaryCall {
     const AovLayout *layout = nullptr;  // of other outputs
     const OutlineSet *outlines;
     const uint8_t *moves;  // by shape, whether it does
-    // Of a pass there are so many samples. Silhouettes: sample i takes the part (i + offset) / samples of the length of
-    // all pieces; others: a random cell of the part from i / samples to (i + 1) / samples.
+    // Of a pass there are so many samples, and sample i takes a random place from i / samples to (i + 1) / samples: of
+    // silhouettes along all pieces, else among the cells.
     const OutlinePieces *pieces;
-    double offset, samples;
+    double samples;
     const ShadowPieces *shadows;
     int32_t emitter = -1;  // of the part `Pieces`, whose samples are those of its pieces in turn
     const int64_t *cells;  // (n_cells, 2), x and y: squares of the film that reach wanted pixels

@@ -52,9 +52,9 @@ class ShadowTile : public BoundaryTile<F> {
     PathTile<F> ends_;
     ShadowLights<F> lights_;
     ShadowEdgeColumns<S> at_;
-    std::vector<V> carried_;       // of connections to vertices
-    std::vector<double> numbers_;  // by slot, for a piece
-    uint64_t start_;               // of what spreads samples
+    std::vector<V> carried_;            // of connections to vertices
+    std::vector<S> numbers_, chooses_;  // by slot, for a piece, and for what the light chooses
+    const SamplerConfig sequence_ = make_sampler(SamplerKind::Sobol, 0, LargestPattern);
 
 public:
     ShadowTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
@@ -63,8 +63,6 @@ public:
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
         arena_.allocate(Base::Capacity + 2 * W, at_);
-        const auto r = random_bits4<S>(call_.config.seed, call_.config.sensor, ~0u, ~0u, UIntOf<S>(StartBlock));
-        start_ = uint64_t(r.bits[0]) << 32 | r.bits[1];
         this->keep_lens(ends_.slots);
     }
 
@@ -107,25 +105,33 @@ private:
     Arena arena_;
 
     // ------------------------------------------------------------------------------------- from the light to a surface
-    // The number of a sample for its light and a piece: multiples of the golden ratio, which no frequency resonates
-    // with. (Paths go by the samples' order over the film; whatever that makes of one sample's number is independent of
-    // it, because of the start. Places on lights are drawn: of a lattice of three dimensions the pieces find
-    // resonances.)
-    static constexpr uint32_t StartBlock = Base::PlaceBlock + 1;
-    double spread(uint64_t sample) const { return double((start_ + sample * 0x9E3779B97F4A7C15ull) >> 11) * 0x1p-53; }
+    // Four numbers of a sample: for its light and a piece, for a place on the light, and for what the light chooses.
+    // They are points of a scrambled sequence, since what a small light makes of them is smooth; 2^n samples are spread
+    // best. (With a lattice in their place the pieces find resonances.)
+    static constexpr uint32_t LightBlock = Base::PlaceBlock + 1;
+    Random4<F> spread(uint64_t sample) const {
+        const U high(uint32_t(sample >> 32)), low = U(uint32_t(sample)) + lane_index<F>();
+        return sobol4<F>(sequence_, call_.config.seed, call_.config.sensor, high, low, LightBlock, 4);
+    }
     void find_places(uint64_t first, uint32_t n) {
-        numbers_.resize(n);
+        numbers_.resize(n + W), chooses_.resize(n + W);
+        for (uint32_t i = 0; i < n; i += W) {
+            const Random4<F> u = spread(boundary_.first + first + i);
+            store(&numbers_[i], u.u[0]), store(&chooses_[i], u.u[3]);
+        }
         for (uint32_t k = 0; k < n; ++k) {
-            lights_.choose(at_, k, spread(boundary_.first + first + k));
-            numbers_[k] = double(at_.left[k]);
-            at_.left[k] = uniform_of<S>(this->bits(k, StartBlock).bits[0]);
+            lights_.choose(at_, k, double(numbers_[k]));
+            numbers_[k] = at_.left[k];
+            at_.left[k] = chooses_[k];
             if (boundary_.part != BoundaryPart::Pieces) continue;
             at_.emitter[k] = boundary_.emitter, at_.inverse_pmf[k] = S(1);
         }
         lights_.find_places(at_, n, [&](uint32_t i) {
             Entries<F> from(i);
-            return random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
-                              from(paths_.slots.sample), Base::PlaceBlock);
+            const Random4<F> place = spread(boundary_.first + first + i),
+                             more = random4<F>(call_.config.seed, call_.config.sensor, from(paths_.slots.pixel),
+                                               from(paths_.slots.sample), Base::PlaceBlock);
+            return Random4<F>{{place.u[1], place.u[2], more.u[2], more.u[3]}};
         });
     }
 

@@ -96,11 +96,11 @@ private:
             CameraSample<S> place = this->lens_of(k);
             place.x = width / 2, place.y = height / 2;
             const CameraRay<S> middle = camera_ray<S>(scene_, sensor(), place, width, height);
-            // every sample has a part of the length of all pieces
-            const double at = (double(boundary_.first + first + k) + boundary_.offset) / boundary_.samples;
-            const ChosenPiece chosen(*boundary_.pieces, at - std::floor(at));
+            // every sample has a part of the length of all pieces, in which its place is drawn
+            const double at = (double(boundary_.first + first + k) + double(this->number(k, 0))) / boundary_.samples;
+            const ChosenPiece chosen(*boundary_.pieces, at);
             Sight x{};
-            x.slot = k, x.element = chosen.piece->element, x.s = S(chosen.place(double(this->number(k, 0))));
+            x.slot = k, x.element = chosen.piece->element, x.s = S(chosen.place(chosen.left));
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
             if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0 && !is_rim(x)))

@@ -104,7 +104,8 @@ def test_few_samples_are_not_looked_at_before():
     derivative(scene, spp_grad=4)
     assert scene.statistics["visibility"]["pilot"]["samples"] == 512  # of what the camera sees of shadows
     found = samples(scene)
-    assert found["reflections"] == found["shadows"]
+    assert found["reflections"] == 683  # 64^2 * 4 / 24
+    assert found["shadows"] == 512  # the power of two that is next to it
 
 
 def test_seeds_repeat_for_any_number_of_threads():

@@ -200,7 +200,7 @@ def test_against_differences(name):
 @pytest.mark.parametrize("name", ["occluder", "right angle that shadows itself", "camera"])
 def test_forward_mode_is_reverse_mode(name):
     case = CASES[name]
-    scene = case.scene(16)
+    scene = case.scene(16).to(torch.float64)
     moves = case.directions(scene)
 
     def f(theta):

@@ -94,7 +94,7 @@ class Outlines:
         place = torch.zeros(FEW, 2, dtype=torch.float64)
         value = torch.zeros(FEW, dtype=torch.float64)
         out = {"place": place.data_ptr(), "value": value.data_ptr()}
-        numbers = {"first": 0, "count": FEW, "total": 1, "offset": 0, "samples": 1}
+        numbers = {"first": 0, "count": FEW, "total": 1, "samples": 1}
         self._look("pilot", numbers, out)
         edges, seen = float(value.sum()), place[torch.isfinite(place).all(1)]
         return min(1.0, max(float(self.film.wanted(seen).sum()) / edges, 1e-3)) if edges else 1.0
@@ -105,7 +105,7 @@ class Outlines:
         if usual["reflections"] < 8 * LOOKS:  # looking would take too long
             return
         value = torch.zeros(LOOKS, dtype=torch.float64)
-        numbers = {"first": 0, "count": LOOKS, "total": LOOKS, "offset": 0, "samples": LOOKS, "weighs": 1}
+        numbers = {"first": 0, "count": LOOKS, "total": LOOKS, "samples": LOOKS, "weighs": 1}
         brought, rays = {}, 0.0
         for part in self.parts:
             rays = self._look(part, numbers, {"value": value.zero_().data_ptr()}) / LOOKS
@@ -135,16 +135,16 @@ class Outlines:
         for part in self.parts:
             count = self._count(part)
             for number, config in enumerate(self.configs):
-                offset = torch.rand((), generator=torch.Generator().manual_seed(config["seed"] >> 1))
-                numbers = {"total": count * len(self.configs), "samples": count, "offset": float(offset)}
+                numbers = {"total": count * len(self.configs), "samples": count}
                 own, end = self.call.share.part(count, BATCH)
                 for begin in range(own, end, size):
                     yield part, config, {**numbers, "first": number * count + begin, "count": min(size, end - begin)}
 
     def _count(self, part: str) -> int:
-        """Samples of a part in a pass: short silhouettes get fewer."""
+        """Samples of a part in a pass: short silhouettes get fewer; shadows a power of two, see boundary_lights.h."""
         if part not in ("silhouettes", "outputs"):
-            return math.ceil(self.factors.get(part, 1.0) * self.boundary.spp[1] * len(self.cells))
+            count = math.ceil(self.factors.get(part, 1.0) * self.boundary.spp[1] * len(self.cells))
+            return 2 ** round(math.log2(count)) if part == "shadows" and count else count
         count = self.boundary.spp[0] * math.prod(self.call.size)
         if self.boundary.by_length:
             count = min(count, LENGTHWISE * self.call.spp_grad * self.length)
