@@ -14,15 +14,15 @@
 // boundary_reflections.h.
 #pragma once
 
-#include "boundary_tile.h"
+#include "boundary_folds.h"
 #include "core/integrator/emission.h"
 #include "shadow_lights.h"
 
 namespace tr {
 
 template <class F>
-class ShadowTile : public BoundaryTile<F> {
-    using Base = BoundaryTile<F>;
+class ShadowTile : public BoundaryFolds<F> {
+    using Base = BoundaryFolds<F>;
     using Base::anchors_, Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::path_call_, Base::paths_,
         Base::scene_, Base::W;
     using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
@@ -33,8 +33,8 @@ class ShadowTile : public BoundaryTile<F> {
         int32_t element;
         S s;
         V b, free;
-        S weight;
-        bool far;
+        S weight, reach, side;
+        bool far, folded;     // see boundary_folds.h
         S tau, length;        // of S to B
         SurfacePoint<S> end;  // S
     };
@@ -176,7 +176,10 @@ private:
             if (!(x.weight > 0) || !std::isfinite(x.weight)) continue;
             x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.length = r;
             x.free = across * (-point.front / turned);  // from what hides to what does not
-            rays_.push_back(x.far ? OutlineRay{x.b + x.free * Base::least_side(x.b, S(0), point.reach), d}
+            x.reach = point.reach;
+            x.side = x.far ? Base::least_side(x.b, S(0), point.reach) : Base::side_of(r, x.b, point.room, point.reach);
+            x.folded = this->is_folded(x.element, point.front, point.room, x.side);
+            rays_.push_back(x.far ? OutlineRay{x.b + x.free * x.side, d}
                                   : Base::beside(y, yn, x.b, x.free, point.room, point.reach, S(0)));
             edges_.push_back(x);
         }
@@ -192,11 +195,12 @@ private:
         call_.accel->occluded(this->queries().batch(rays_of(queue), back.size()), occluded, back.size());
         std::vector<uint8_t> hidden(occluded, occluded + back.size());
         this->intersect(rays_);
+        look_closer_at_edges();
         size_t kept = 0;
         for (size_t k = 0; k < edges_.size(); ++k) {
             Edge &x = edges_[k];
             const S t = rays_[k].t;
-            if (x.far ? hidden[k] != 0 : !(t > x.length * S(1 - 1e-3))) continue;
+            if (x.far ? hidden[k] != 0 || !(t > 0) : !(t > x.length * S(1 - 1e-3))) continue;
             if (!std::isfinite(t)) continue;
             const V s = rays_[k].o + rays_[k].d * t;
             at_.s.set(x.slot, s), at_.d.set(x.slot, -rays_[k].d);
@@ -207,6 +211,25 @@ private:
             edges_[kept++] = x;
         }
         edges_.resize(kept);
+    }
+
+    // Rays end where others do that are closer to folded edges, if these end sooner.
+    void look_closer_at_edges() {
+        this->wanted_.clear();
+        for (uint32_t k = 0; k < edges_.size(); ++k) {
+            const Edge &x = edges_[k];
+            if (!x.folded) continue;
+            const V at = x.b + x.free * (x.side * Base::Closer), d = rays_[k].d;
+            const S before = x.far ? 16 * x.reach : dot(x.b - rays_[k].o, d);
+            this->wanted_.push_back({k, x.element, at, d, before, S(INFINITY), x.reach, true});
+        }
+        this->look_closer([](uint32_t) { return false; });
+        for (size_t i = 0; i < this->wanted_.size(); ++i) {
+            const auto &wanted = this->wanted_[i];
+            OutlineRay &ray = rays_[wanted.index], closer = this->closer_[i];
+            if (edges_[wanted.index].far) closer.o = wanted.at, closer.t -= wanted.distance;
+            if (closer.t < ray.t * S(1 - 1e-5)) ray = closer;
+        }
     }
 
     // --------------------------------------------------------------------------------------- from there to the camera

@@ -10,13 +10,13 @@
 // glued to what they belong to, and S is, too.
 #pragma once
 
-#include "boundary_tile.h"
+#include "boundary_folds.h"
 
 namespace tr {
 
 template <class F>
-class ReflectionTile : public BoundaryTile<F> {
-    using Base = BoundaryTile<F>;
+class ReflectionTile : public BoundaryFolds<F> {
+    using Base = BoundaryFolds<F>;
     using Base::anchors_, Base::boundary_, Base::call_, Base::light_, Base::outlines_, Base::paths_, Base::scene_;
     using typename Base::OutlineRay, typename Base::S, typename Base::U, typename Base::V;
 
@@ -26,7 +26,8 @@ class ReflectionTile : public BoundaryTile<F> {
         int32_t element;
         S s, r;
         V from, b, n;
-        S front, room, reach, rim;
+        S front, room, reach, rim, side;
+        bool folded;  // see boundary_folds.h
         Spectrum<S> carried;
         S density;
         bool has_end[2];  // what is met there is glued to its surface
@@ -138,6 +139,8 @@ private:
             if (!point.valid || !(stretch > 0) || !(turned > 0) || !(x.r > 0)) continue;
             x.element = chosen.element, x.s = S(chosen.s), x.b = point.p, x.n = across * (1 / turned);
             x.front = point.front, x.room = point.room, x.reach = point.reach, x.rim = S(BeyondRim) * point.rim;
+            x.side = Base::side_of(x.r, x.b, x.room, x.reach);
+            x.folded = this->is_folded(x.element, x.front, x.room, x.side);
             // sin / r^2 over the density by length
             x.carried = uniform_spectrum(S(turned / (x.r * x.r) * S(chosen.inverse_density) * S(inverse_[k]) *
                                            S(double(boundary_.n_cells) / boundary_.total)));
@@ -214,13 +217,23 @@ private:
                 rays_.push_back(this->beside(x.from, anchors_.ng.get(x.slot), x.b, x.n * side, x.room, x.reach,
                                              x.front == side ? x.rim : S(0)));
         this->intersect(rays_);
+        this->wanted_.clear();
+        for (uint32_t k = 0; k < sights_.size(); ++k) {
+            const Sight &x = sights_[k];
+            const V &o = rays_[2 * k].o;
+            if (x.folded)
+                this->want(k, x.element, x.b, x.n, o, Base::unit(x.b - o), S(INFINITY), x.reach, x.front, x.side);
+        }
+        this->look_closer([](uint32_t) { return false; });
         size_t kept = 0;
-        for (size_t k = 0; k < sights_.size(); ++k) {
+        for (size_t k = 0, i = 0; k < sights_.size(); ++k) {
             Sight &x = sights_[k];
-            const S t[2] = {rays_[2 * k].t, rays_[2 * k + 1].t};
+            OutlineRay beside[2] = {rays_[2 * k], rays_[2 * k + 1]};
+            if (x.folded && !this->is_seen(2 * i++, x.front, x.room, x.side, beside)) continue;
+            const S t[2] = {beside[0].t, beside[1].t};
             if (!this->is_open(x.front, x.r, t, S(1e-3))) continue;
             for (size_t h = 0; h < 2; ++h) {
-                const OutlineRay &ray = rays_[2 * k + h];
+                const OutlineRay &ray = beside[h];
                 x.has_end[h] = ray.at.shape != NoHit && (boundary_.glued || scene_.shapes[ray.at.shape].emitter >= 0);
                 if (x.has_end[h]) {
                     x.end[h] = ray.at, x.end_p[h] = ray.o + ray.d * t[h];

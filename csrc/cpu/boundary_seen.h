@@ -8,15 +8,15 @@
 // normals are among the outlines, see outline_rims.h; glued, they have what they move over their faces, and both sides.
 #pragma once
 
-#include "boundary_tile.h"
+#include "boundary_folds.h"
 #include "core/adjoint/camera.h"
 
 namespace tr {
 
 // Where the camera sees outlines, and what their motion adds to.
 template <class F>
-class SightTile : public BoundaryTile<F> {
-    using Base = BoundaryTile<F>;
+class SightTile : public BoundaryFolds<F> {
+    using Base = BoundaryFolds<F>;
     using Base::outlines_, Base::path_call_;
 
 protected:
@@ -29,8 +29,8 @@ protected:
         S s;
         V b, n;
         S front, t, distance;  // of b from where the ray begins, and from the camera
-        S weight, reach;
-        bool resolved;  // its own faces are met beside it
+        S weight, reach, room, side;
+        bool folded;  // see boundary_folds.h
     };
     std::vector<Sight> sights_;
     std::vector<OutlineRay> rays_;  // two for each, beside it
@@ -120,7 +120,8 @@ private:
             this->keep_place(slots, k, place);
             const S beside = S(is_rim(x) ? BesideRim : Beside) * std::sqrt(area);
             const S side = std::max(std::min(beside, point.room / 8), Base::least_side(point.p, x.t, point.reach));
-            x.reach = point.reach, x.resolved = point.room > S(1.25) * side;
+            x.reach = point.reach, x.room = point.room, x.side = side;
+            x.folded = this->is_folded(x.element, x.front, x.room, side);
             for (S sign : {S(-1), S(1)}) {
                 const V offset = x.n * (sign * side);
                 rays_.push_back(parallel() ? OutlineRay{o + offset, d}
@@ -136,47 +137,42 @@ private:
     bool is_rim(const Sight &x) const { return boundary_.outlines->is_face(size_t(x.element)); }
 
     void look_past() {
-        PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
-        this->trace(queue, rays_.size());
-        if (call_.config.hide_emitters || call_.config.volumetric)
-            pass_through(
-                rays_of(queue), this->queries().hits, rays_.size(), [&](uint32_t shape) { return lets_through(shape); },
-                [&] { this->trace(queue, rays_.size()); });
-        this->keep_hits(rays_);
+        const bool some = call_.config.hide_emitters || call_.config.volumetric;
+        auto passes = [&](uint32_t shape) { return some && lets_through(shape); };
+        const HitColumns<S> &hits = this->queries().hits;
+        this->trace_on(
+            rays_, [&](size_t k) { return lengths_[k]; }, [&](size_t k) { return passes(hits.at.shape[k]); });
+        this->wanted_.clear();
+        for (uint32_t k = 0; k < sights_.size(); ++k) {
+            const Sight &x = sights_[k];
+            if (!x.folded) continue;
+            const V d = parallel() ? rays_[2 * k].d : Base::unit(x.b - rays_[2 * k].o);
+            const V o = parallel() ? (rays_[2 * k].o + rays_[2 * k + 1].o) * S(0.5) : rays_[2 * k].o;
+            this->want(k, x.element, x.b, x.n, o, d, lengths_[2 * k], x.reach, x.front, x.side);
+        }
+        this->look_closer(passes);
         size_t kept = 0;
-        for (size_t k = 0; k < sights_.size(); ++k) {
-            // (rays that have passed something begin further on)
-            S t[2];
-            for (size_t h = 0; h < 2; ++h) {
-                const OutlineRay &ray = rays_[2 * k + h];
-                t[h] = ray.t + dot(queue.o.get(2 * k + h) - ray.o, ray.d);
-            }
-            const size_t hiding = sights_[k].front > 0 ? 1 : 0;
-            if (is_repeated(sights_[k], rays_[2 * k + hiding].at, t[hiding])) continue;
-            const S tolerance = S(is_rim(sights_[k]) ? 5e-3 : 1e-5);
-            if (!Base::is_open(sights_[k].front, sights_[k].t, t, tolerance)) continue;
-            for (size_t h = 0; h < 2; ++h) {
-                rays_[2 * kept + h] = rays_[2 * k + h], lengths_[2 * kept + h] = lengths_[2 * k + h];
-                rays_[2 * kept + h].met_from = queue.o.get(2 * k + h);
-            }
-            sights_[kept++] = sights_[k];
+        for (size_t k = 0, i = 0; k < sights_.size(); ++k) {
+            const Sight &x = sights_[k];
+            OutlineRay beside[2] = {rays_[2 * k], rays_[2 * k + 1]};
+            if (x.folded ? !this->is_seen(2 * i++, x.front, x.room, x.side, beside) : is_repeated(x, beside)) continue;
+            const S t[2] = {Base::distance(beside[0]), Base::distance(beside[1])};
+            if (!Base::is_open(x.front, x.t, t, S(is_rim(x) ? 5e-3 : 1e-5))) continue;
+            for (size_t h = 0; h < 2; ++h)
+                rays_[2 * kept + h] = beside[h], lengths_[2 * kept + h] = lengths_[2 * k + h];
+            sights_[kept++] = x;
         }
         sights_.resize(kept), rays_.resize(2 * kept), lengths_.resize(2 * kept);
     }
 
     // Of two edges that are closer to each other, across rays, than rays are traced both would have the jump between
     // what is behind them and the nearer one. The nearer has it: past the other one a ray meets a face, beyond its own,
-    // that is nearer. t: what the ray on the side that hides meets.
-    bool is_repeated(const Sight &x, const SurfacePoint<S> &at, S t) const {
-        const OutlineSet &set = *boundary_.outlines;
-        if (x.front == 0 || !x.resolved || !set.is_edge(size_t(x.element))) return false;
-        if (!(t < x.t - S(0.02) * x.reach)) return false;
-        for (size_t i = 0; i < set.count(size_t(x.element)); ++i) {
-            const HalfEdge h = set.half(scene_, size_t(x.element), i);
-            const uint32_t shape = set.shape_of(h);
-            if (shape == at.shape && h.face - uint32_t(scene_.shapes[shape].face_offset) == at.primitive) return false;
-        }
-        return true;
+    // that is nearer.
+    bool is_repeated(const Sight &x, const OutlineRay (&beside)[2]) const {
+        const OutlineRay &hiding = beside[x.front > 0 ? 1 : 0];
+        if (x.front == 0 || !(x.room > S(1.25) * x.side) || !boundary_.outlines->is_edge(size_t(x.element)))
+            return false;
+        return Base::distance(hiding) < x.t - S(0.02) * x.reach && !this->is_face_of(x.element, hiding.at);
     }
 
     // Shapes that the camera's rays pass: lights that are hidden, and boundaries of media that do not scatter.

@@ -52,10 +52,12 @@ protected:
     };
     // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
     static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S reach, S rim) {
-        const S distance = length(b - origin);
-        const S side = std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance, reach));
-        const V at = b + across * (side + rim), o = offset_origin(origin, ng, unit(at - origin));
+        const V at = b + across * (side_of(length(b - origin), b, room, reach) + rim),
+                o = offset_origin(origin, ng, unit(at - origin));
         return {o, unit(at - o)};
+    }
+    static S side_of(S distance, const V &b, S room, S reach) {
+        return std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance, reach));
     }
     // How far beside b rays can be told apart that begin at a distance, and pass triangles that reach so far: they are
     // traced in single precision, and Embree's robust test takes what is up to 12 * 2^-24 of a triangle's extent beside
@@ -112,6 +114,7 @@ protected:
         for (size_t i = 0; i < rays.size(); ++i) {
             rays[i].at = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
             rays[i].t = rays[i].at.shape == NoHit ? S(INFINITY) : hits.t[i];
+            rays[i].met_from = light_.wavefront.queues[0].o.get(i);
         }
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
