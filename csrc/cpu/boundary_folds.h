@@ -66,23 +66,40 @@ protected:
         return true;
     }
 
-    // Rays that are wanted go on behind shapes that passes(shape) is true of, too.
+    // Rays that are wanted go on behind shapes that passes(shape) is true of, too. (They are not among those that are
+    // counted, which tell how deep paths are.)
     template <class Passes>
     void look_closer(Passes &&passes) {
-        closer_.clear();
-        for (const CloserRay &x : wanted_) closer_.push_back({x.at - x.d * before(x), x.d});
-        const HitColumns<S> &hits = this->queries().hits;
-        trace_on(
-            closer_, [&](size_t i) { return wanted_[i].length - wanted_[i].distance + before(wanted_[i]); },
-            [&](size_t i) {
-                if (passes(hits.at.shape[i])) return true;
-                const CloserRay &x = wanted_[i];
-                if (!x.free) return false;
-                const V from = this->light_.wavefront.queues[0].o.get(i);
-                const S beyond = hits.t[i] + dot(from - closer_[i].o, x.d) - before(x);
-                return std::fabs(beyond) < S(5e-4) * x.reach ||
-                       is_face_of(x.element, {hits.at.shape[i], hits.at.primitive[i], S(0), S(0)});
-            });
+        closer_.clear(), left_.clear();
+        for (const CloserRay &x : wanted_) {
+            left_.push_back(uint32_t(closer_.size()));
+            closer_.push_back({x.at - x.d * before(x), x.d});
+            closer_.back().met_from = closer_.back().o;
+        }
+        for (int round = 0; round < 4 && !left_.empty(); ++round) {
+            PathQueue<S> &queue = this->light_.wavefront.queues[0];
+            const HitColumns<S> &hits = this->queries().hits;
+            for (size_t j = 0; j < left_.size(); ++j) {
+                const CloserRay &x = wanted_[left_[j]];
+                const OutlineRay &ray = closer_[left_[j]];
+                queue.o.set(j, ray.met_from), queue.d.set(j, ray.d);
+                queue.length[j] = x.length - x.distance + before(x) - dot(ray.met_from - ray.o, ray.d);
+            }
+            this->queries().intersect(rays_of(queue), left_.size(), false);
+            size_t kept = 0;
+            for (size_t j = 0; j < left_.size(); ++j) {
+                const CloserRay &x = wanted_[left_[j]];
+                OutlineRay &ray = closer_[left_[j]];
+                ray.at = {hits.at.shape[j], hits.at.primitive[j], hits.at.b1[j], hits.at.b2[j]};
+                ray.t = ray.at.shape == NoHit ? S(INFINITY) : hits.t[j];
+                if (ray.at.shape == NoHit || !goes_on(x, ray, passes)) continue;
+                S length = 0;
+                pass_behind(ray.met_from, ray.d, ray.t, length);
+                ray.at.shape = NoHit, ray.t = S(INFINITY);
+                left_[kept++] = left_[j];
+            }
+            left_.resize(kept);
+        }
         for (size_t i = 0; i < closer_.size(); ++i) {
             OutlineRay &ray = closer_[i];
             ray.o = ray.o - ray.d * (wanted_[i].distance - before(wanted_[i]));
@@ -102,6 +119,13 @@ protected:
     static S distance(const OutlineRay &ray) { return ray.t + dot(ray.met_from - ray.o, ray.d); }
 
 private:
+    std::vector<uint32_t> left_;  // of the list, those whose rays go on
+
+    template <class Passes>
+    bool goes_on(const CloserRay &x, const OutlineRay &ray, Passes &&passes) const {
+        if (passes(ray.at.shape)) return true;
+        return x.free && (std::fabs(distance(ray) - before(x)) < S(5e-4) * x.reach || is_face_of(x.element, ray.at));
+    }
     static S before(const CloserRay &x) { return std::min(16 * x.reach, x.distance); }
 };
 
