@@ -106,15 +106,6 @@ protected:
             ray.t = distance(ray), ray.met_from = ray.o;
         }
     }
-    // What rays of these lengths meet, which go on behind it where goes_on(ray) is true.
-    template <class Length, class GoesOn>
-    void trace_on(std::vector<OutlineRay> &rays, Length &&length, GoesOn &&goes_on) {
-        PathQueue<S> &queue = this->fill(rays, length);
-        this->trace(queue, rays.size());
-        pass_through(rays_of(queue), this->queries().hits, rays.size(), goes_on,
-                     [&] { this->trace(queue, rays.size()); });
-        this->keep_hits(rays);
-    }
     // From where a ray begins to what it has met.
     static S distance(const OutlineRay &ray) { return ray.t + dot(ray.met_from - ray.o, ray.d); }
 

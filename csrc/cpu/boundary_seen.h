@@ -139,9 +139,11 @@ private:
     void look_past() {
         const bool some = call_.config.hide_emitters || call_.config.volumetric;
         auto passes = [&](uint32_t shape) { return some && lets_through(shape); };
-        const HitColumns<S> &hits = this->queries().hits;
-        this->trace_on(
-            rays_, [&](size_t k) { return lengths_[k]; }, [&](size_t k) { return passes(hits.at.shape[k]); });
+        PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
+        this->trace(queue, rays_.size());
+        pass_through(rays_of(queue), this->queries().hits, rays_.size(), passes,
+                     [&] { this->trace(queue, rays_.size()); });
+        this->keep_hits(rays_);
         this->wanted_.clear();
         for (uint32_t k = 0; k < sights_.size(); ++k) {
             const Sight &x = sights_[k];

@@ -76,14 +76,14 @@ private:
     float *ray_[7], *hit_[3];
 };
 
-// Rays go on behind what they have met if passes(ray) is true. Calls query() for all rays again until none has met one
+// Rays go on behind the shapes that passes(shape) is true of. Calls query() for all rays again until none has met one
 // (rare; those that did not move hit the same).
 template <class S, class Passes, class Query>
 void pass_through(const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n, Passes &&passes, Query &&query) {
     for (int pass = 0; pass < MostPasses; ++pass) {
         bool again = false;
         for (size_t i = 0; i < n; ++i) {
-            if (hits.at.shape[i] == NoHit || !passes(i)) continue;
+            if (hits.at.shape[i] == NoHit || !passes(hits.at.shape[i])) continue;
             Vec3<S> o = rays.o.get(i);
             pass_behind(o, rays.d.get(i), hits.t[i], rays.length[i]);
             rays.o.set(i, o);
@@ -98,7 +98,7 @@ void pass_through(const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n
 template <class S, class Query>
 void pass_emitters(const SceneView<S> &scene, const RayColumns<S> &rays, const HitColumns<S> &hits, size_t n,
                    Query &&query) {
-    pass_through(rays, hits, n, [&](size_t i) { return passes_emitter(scene, hits.at.shape[i]); }, query);
+    pass_through(rays, hits, n, [&](uint32_t shape) { return passes_emitter(scene, shape); }, query);
 }
 
 }  // namespace tr
