@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info
 
 import torchrender as tr
 from torchrender.optim import GridSmoothing, MeshSmoothing, UniformAdam
@@ -144,6 +145,23 @@ def test_large_steps_keep_a_surface_smooth():
         assert x[16, 16] == x.max() > 0
         rough[lambda_] = (x[16, 17] / x[16, 16]).item()
     assert abs(rough[0.0]) < 1e-6 and 0.8 < rough[16.0] < 1
+
+
+def test_threads_of_the_solver_are_not_in_the_way_of_others(monkeypatch):
+    vertices, faces = torch.rand(4, 3), torch.tensor([[0, 1, 2], [1, 2, 3]])
+    smoothing = MeshSmoothing(vertices, faces, lambda_=2.0)
+    threads: list[int] = []
+
+    class Watched:
+        def solve(self, x: np.ndarray) -> np.ndarray:
+            threads.extend(of["num_threads"] for of in threadpool_info() if of["user_api"] == "blas")
+            return x
+
+    monkeypatch.setattr(smoothing, "_factors", Watched())
+    before = threadpool_info()
+    smoothing.from_differential(vertices)
+    assert threads and set(threads) == {1}
+    assert threadpool_info() == before
 
 
 def test_refusals():

@@ -9,6 +9,7 @@ x by ``(I + lambda L)^-2`` of the derivative by x, which is smooth, while every 
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
@@ -152,7 +153,9 @@ class _MeshSolve(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, u: torch.Tensor, factors: Any) -> torch.Tensor:
         ctx.factors = factors
-        values = factors.solve(u.detach().reshape(len(u), -1).double().cpu().numpy())
+        given = u.detach().reshape(len(u), -1).double().cpu().numpy()
+        with _blas().limit(limits=1, user_api="blas"):
+            values = factors.solve(given)
         return torch.from_numpy(np.ascontiguousarray(values)).to(u).reshape(u.shape)
 
     @staticmethod
@@ -162,6 +165,15 @@ class _MeshSolve(torch.autograd.Function):
     @staticmethod
     def jvp(ctx: Any, tangent: torch.Tensor, *_: Any) -> torch.Tensor:
         return _MeshSolve.apply(tangent, ctx.factors)
+
+
+@functools.cache
+def _blas() -> Any:
+    """That of scipy, whose threads would wait busily for some milliseconds after each solution, in the way of ours."""
+    import scipy.sparse.linalg  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 def _as_tensor(x: Any) -> Any:
@@ -228,7 +240,8 @@ class MeshSmoothing:
         places = np.concatenate([diagonal, i, j]), np.concatenate([diagonal, j, i])
         matrix = coo_matrix((values, places), shape=(self.count, self.count)).tocsc()
         # Symmetric and diagonally dominant: no pivoting, and an ordering for symmetric matrices.
-        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        with _blas().limit(limits=1, user_api="blas"):
+            return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
 
     def __repr__(self) -> str:
         return f"MeshSmoothing(lambda_={self.lambda_:g}, {len(self._shared)} vertices at {self.count} places)"
