@@ -1,6 +1,6 @@
 """How many samples of outlines there are by default, and how they are shared out among those of a scene.
 
-The numbers make the derivative take two to two and a half times as long as without outlines, and follow Neyman ("On the
+The numbers make the derivative take two to three times as long as without outlines, and follow Neyman ("On the
 Two Different Aspects of the Representative Method", 1934): samples in proportion to the deviation of one over the root
 of what it costs, of meshes under skies, above mirrors and in rooms. Deviations are not estimated for a scene: what is
 rare makes most of them, which few samples do not meet. How much each part brings on average they do tell, and what
