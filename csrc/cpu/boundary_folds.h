@@ -21,7 +21,6 @@ protected:
 
     // A point of an edge as a ray sees it that begins at a distance of it, has a length, and passes it at `at`.
     struct CloserRay {
-        uint32_t index;  // whose it is
         int32_t element;
         V at, d;
         S distance, length, reach;
@@ -47,11 +46,11 @@ protected:
     }
 
     // Both, beside an edge's point b, for rays from o; across: from the side of -1 to that of 1.
-    void want(uint32_t index, int32_t element, const V &b, const V &across, const V &o, const V &d, S length, S reach,
-              S front, S side) {
+    void want(int32_t element, const V &b, const V &across, const V &o, const V &d, S length, S reach, S front,
+              S side) {
         for (S sign : {S(-1), S(1)})
             wanted_.push_back(
-                {index, element, b + across * (side * sign * Closer), d, dot(b - o, d), length, reach, front != sign});
+                {element, b + across * (side * sign * Closer), d, dot(b - o, d), length, reach, front != sign});
     }
     // Of those that are at `at` in the list: false if what hides is not this edge's but another one's; else the ray on
     // the free side is replaced if it passes what covers that edge.
@@ -78,7 +77,6 @@ protected:
         }
         for (int round = 0; round < 4 && !left_.empty(); ++round) {
             PathQueue<S> &queue = this->light_.wavefront.queues[0];
-            const HitColumns<S> &hits = this->queries().hits;
             for (size_t j = 0; j < left_.size(); ++j) {
                 const CloserRay &x = wanted_[left_[j]];
                 const OutlineRay &ray = closer_[left_[j]];
@@ -90,8 +88,7 @@ protected:
             for (size_t j = 0; j < left_.size(); ++j) {
                 const CloserRay &x = wanted_[left_[j]];
                 OutlineRay &ray = closer_[left_[j]];
-                ray.at = {hits.at.shape[j], hits.at.primitive[j], hits.at.b1[j], hits.at.b2[j]};
-                ray.t = ray.at.shape == NoHit ? S(INFINITY) : hits.t[j];
+                this->keep_hit(j, ray);
                 if (ray.at.shape == NoHit || !goes_on(x, ray, passes)) continue;
                 S length = 0;
                 pass_behind(ray.met_from, ray.d, ray.t, length);

@@ -216,19 +216,20 @@ private:
     // Rays end where others do that are closer to folded edges, if these end sooner.
     void look_closer_at_edges() {
         this->wanted_.clear();
-        for (uint32_t k = 0; k < edges_.size(); ++k) {
+        for (size_t k = 0; k < edges_.size(); ++k) {
             const Edge &x = edges_[k];
             if (!x.folded) continue;
             const V at = x.b + x.free * (x.side * Base::Closer), d = rays_[k].d;
             const S before = x.far ? 16 * x.reach : dot(x.b - rays_[k].o, d);
-            this->wanted_.push_back({k, x.element, at, d, before, S(INFINITY), x.reach, true});
+            this->wanted_.push_back({x.element, at, d, before, S(INFINITY), x.reach, true});
         }
         this->look_closer([](uint32_t) { return false; });
-        for (size_t i = 0; i < this->wanted_.size(); ++i) {
+        for (size_t k = 0, i = 0; k < edges_.size(); ++k) {
+            if (!edges_[k].folded) continue;
             const auto &wanted = this->wanted_[i];
-            OutlineRay &ray = rays_[wanted.index], closer = this->closer_[i];
-            if (edges_[wanted.index].far) closer.o = wanted.at, closer.t -= wanted.distance;
-            if (closer.t < ray.t * S(1 - 1e-5)) ray = closer;
+            OutlineRay closer = this->closer_[i++];
+            if (edges_[k].far) closer.o = wanted.at, closer.t -= wanted.distance;
+            if (closer.t < rays_[k].t * S(1 - 1e-5)) rays_[k] = closer;
         }
     }
 

@@ -153,15 +153,7 @@ private:
     // Whether it is an edge of the face that the vertex is on: nothing comes from along a face, whichever side of the
     // edge rounding takes for the free one. (Of light that interpolated normals still see there, see motion.md.)
     bool is_own_face(uint32_t slot, int32_t element) {
-        const OutlineSet &set = *boundary_.outlines;
-        if (!set.is_edge(size_t(element))) return false;
-        const SurfacePoint<S> at = this->point_of(slot);
-        const ShapeInfo &info = scene_.shapes[at.shape];
-        if (info.flags & IsCurved) return false;
-        const uint32_t face = uint32_t(info.face_offset) + at.primitive;
-        for (size_t k = 0; k < set.count(size_t(element)); ++k)
-            if (set.half(scene_, size_t(element), k).face == face) return true;
-        return false;
+        return boundary_.outlines->is_edge(size_t(element)) && this->is_face_of(element, this->point_of(slot));
     }
 
     // What the last sights bring, by light of one; those that bring nothing are left out.
@@ -222,7 +214,7 @@ private:
             const Sight &x = sights_[k];
             const V &o = rays_[2 * k].o;
             if (x.folded)
-                this->want(k, x.element, x.b, x.n, o, Base::unit(x.b - o), S(INFINITY), x.reach, x.front, x.side);
+                this->want(x.element, x.b, x.n, o, Base::unit(x.b - o), S(INFINITY), x.reach, x.front, x.side);
         }
         this->look_closer([](uint32_t) { return false; });
         size_t kept = 0;

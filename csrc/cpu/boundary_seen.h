@@ -150,7 +150,7 @@ private:
             if (!x.folded) continue;
             const V d = parallel() ? rays_[2 * k].d : Base::unit(x.b - rays_[2 * k].o);
             const V o = parallel() ? (rays_[2 * k].o + rays_[2 * k + 1].o) * S(0.5) : rays_[2 * k].o;
-            this->want(k, x.element, x.b, x.n, o, d, lengths_[2 * k], x.reach, x.front, x.side);
+            this->want(x.element, x.b, x.n, o, d, lengths_[2 * k], x.reach, x.front, x.side);
         }
         this->look_closer(passes);
         size_t kept = 0;

@@ -110,12 +110,14 @@ protected:
         keep_hits(rays);
     }
     void keep_hits(std::vector<OutlineRay> &rays) {
+        for (size_t i = 0; i < rays.size(); ++i) keep_hit(i, rays[i]);
+    }
+    // What the ray in a place of the queue has met.
+    void keep_hit(size_t i, OutlineRay &ray) {
         const HitColumns<S> &hits = queries().hits;
-        for (size_t i = 0; i < rays.size(); ++i) {
-            rays[i].at = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
-            rays[i].t = rays[i].at.shape == NoHit ? S(INFINITY) : hits.t[i];
-            rays[i].met_from = light_.wavefront.queues[0].o.get(i);
-        }
+        ray.at = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
+        ray.t = ray.at.shape == NoHit ? S(INFINITY) : hits.t[i];
+        ray.met_from = light_.wavefront.queues[0].o.get(i);
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
 
