@@ -68,7 +68,7 @@ protected:
     // Rays that are wanted go on behind shapes that passes(shape) is true of, too. (They are not among those that are
     // counted, which tell how deep paths are.)
     template <class Passes>
-    void look_closer(Passes &&passes) {
+    void look_closer(Passes &&passes, bool coherent) {
         closer_.clear(), left_.clear();
         for (const CloserRay &x : wanted_) {
             left_.push_back(uint32_t(closer_.size()));
@@ -83,7 +83,7 @@ protected:
                 queue.o.set(j, ray.met_from), queue.d.set(j, ray.d);
                 queue.length[j] = x.length - x.distance + before(x) - dot(ray.met_from - ray.o, ray.d);
             }
-            this->queries().intersect(rays_of(queue), left_.size(), false);
+            this->queries().intersect(rays_of(queue), left_.size(), coherent);
             size_t kept = 0;
             for (size_t j = 0; j < left_.size(); ++j) {
                 const CloserRay &x = wanted_[left_[j]];

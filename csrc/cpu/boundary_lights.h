@@ -223,7 +223,7 @@ private:
             const S before = x.far ? 16 * x.reach : dot(x.b - rays_[k].o, d);
             this->wanted_.push_back({x.element, at, d, before, S(INFINITY), x.reach, true});
         }
-        this->look_closer([](uint32_t) { return false; });
+        this->look_closer([](uint32_t) { return false; }, false);
         for (size_t k = 0, i = 0; k < edges_.size(); ++k) {
             if (!edges_[k].folded) continue;
             const auto &wanted = this->wanted_[i];

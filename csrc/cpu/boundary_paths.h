@@ -106,9 +106,9 @@ protected:
                                paths_.slots.sample[slot], UIntOf<S>(block));
     }
     S number(uint32_t slot, int which) const { return uniform_of<S>(bits(slot).bits[which]); }
-    uint64_t tree_seed(uint32_t slot, uint32_t copy = 0) const {
+    uint64_t tree_seed(uint32_t slot) const {
         const RandomBits4<S> r = bits(slot);
-        return (uint64_t(r.bits[2]) << 32 | r.bits[3]) + copy * 0xD1B54A32D192ED03ull;
+        return uint64_t(r.bits[2]) << 32 | r.bits[3];
     }
 
     // Calls visit(level, range) for the vertices that scatter smoothly.

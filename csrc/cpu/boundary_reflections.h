@@ -43,7 +43,9 @@ class ReflectionTile : public BoundaryFolds<F> {
     std::vector<OutlineRay> rays_;
     std::vector<double> u_, inverse_, total_;
     std::vector<uint32_t> copies_;
-    std::vector<StokesRows<S>> rows_;  // for what arrives past an outline
+    std::vector<size_t> begins_;          // by slot, of its
+    std::vector<OutlineChoice> choices_;  // one a copy
+    std::vector<StokesRows<S>> rows_;     // for what arrives past an outline
 
 public:
     using Base::Base;
@@ -80,6 +82,7 @@ private:
         this->find_normals();
         this->find_rows(n);
         share_out(n);
+        choose(n);
         sights_.clear(), rows_.clear();
         for (uint32_t copy = 0; choose_outlines(n, copy); ++copy) {
             this->scatter_chosen();
@@ -117,6 +120,18 @@ private:
         }
     }
 
+    // All outlines of a vertex are chosen at once.
+    void choose(uint32_t n) {
+        choices_.clear(), begins_.resize(n);
+        const OutlineTree &tree = boundary_.outlines->tree();
+        for (uint32_t k = 0; k < n; ++k) {
+            begins_[k] = choices_.size();
+            if (copies_[k] == 0) continue;
+            choices_.resize(begins_[k] + copies_[k]);
+            tree.choose(this->anchor(k), this->tree_seed(k), Descents, &choices_[begins_[k]], copies_[k]);
+        }
+    }
+
     // For vertices that look past more than `copy` outlines; false if there is none.
     bool choose_outlines(uint32_t n, uint32_t copy) {
         bool some = false;
@@ -127,8 +142,7 @@ private:
             some = true;
             Sight x{};
             x.slot = k, x.copy = copy, x.from = this->place_of(k);
-            const OutlineChoice chosen =
-                boundary_.outlines->tree().choose(this->anchor(k), this->tree_seed(k, copy), Descents);
+            const OutlineChoice chosen = choices_[begins_[k] + copy];
             if (chosen.element < 0 || is_own_face(k, chosen.element)) continue;
             const OutlinePoint<S> point = outlines_.point(chosen.element, S(chosen.s), x.from, false);
             const V towards = point.p - x.from;
@@ -216,7 +230,7 @@ private:
             if (x.folded)
                 this->want(x.element, x.b, x.n, o, Base::unit(x.b - o), S(INFINITY), x.reach, x.front, x.side);
         }
-        this->look_closer([](uint32_t) { return false; });
+        this->look_closer([](uint32_t) { return false; }, false);
         size_t kept = 0;
         for (size_t k = 0, i = 0; k < sights_.size(); ++k) {
             Sight &x = sights_[k];

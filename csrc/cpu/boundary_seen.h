@@ -140,9 +140,9 @@ private:
         const bool some = call_.config.hide_emitters || call_.config.volumetric;
         auto passes = [&](uint32_t shape) { return some && lets_through(shape); };
         PathQueue<S> &queue = this->fill(rays_, [&](size_t k) { return lengths_[k]; });
-        this->trace(queue, rays_.size());
+        this->trace(queue, rays_.size(), true);
         pass_through(rays_of(queue), this->queries().hits, rays_.size(), passes,
-                     [&] { this->trace(queue, rays_.size()); });
+                     [&] { this->trace(queue, rays_.size(), true); });
         this->keep_hits(rays_);
         this->wanted_.clear();
         for (uint32_t k = 0; k < sights_.size(); ++k) {
@@ -152,7 +152,7 @@ private:
             const V o = parallel() ? (rays_[2 * k].o + rays_[2 * k + 1].o) * S(0.5) : rays_[2 * k].o;
             this->want(x.element, x.b, x.n, o, d, lengths_[2 * k], x.reach, x.front, x.side);
         }
-        this->look_closer(passes);
+        this->look_closer(passes, true);
         size_t kept = 0;
         for (size_t k = 0, i = 0; k < sights_.size(); ++k) {
             const Sight &x = sights_[k];

@@ -101,12 +101,12 @@ protected:
             queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.length[k] = length(k);
         return queue;
     }
-    void trace(PathQueue<S> &queue, size_t n) {
-        queries().intersect(rays_of(queue), n, false);
+    void trace(PathQueue<S> &queue, size_t n, bool coherent) {
+        queries().intersect(rays_of(queue), n, coherent);
         light_.wavefront.stats.closest_rays += n;
     }
     void intersect(std::vector<OutlineRay> &rays) {
-        trace(fill(rays, [](size_t) { return S(INFINITY); }), rays.size());
+        trace(fill(rays, [](size_t) { return S(INFINITY); }), rays.size(), false);
         keep_hits(rays);
     }
     void keep_hits(std::vector<OutlineRay> &rays) {

@@ -11,7 +11,7 @@ namespace tr {
 
 namespace {
 
-constexpr uint64_t SamplesPerItem = 2048, SamplesPerLook = 128;
+constexpr uint64_t SamplesPerItem = 1024, SamplesPerLook = 64;
 
 // Calls work(tile, first, n, thread, stop) for batches of the samples.
 template <class Tile, class S, class Make, class Work>

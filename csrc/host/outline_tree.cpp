@@ -36,23 +36,38 @@ Vec3<F> load_vector(const T &columns, size_t i) {
 }
 Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
 
+// What only weighs choices may be rough: roots and quotients as the processor estimates them, to 2^-14, and the greater
+// and the lesser of numbers, without regard to what is not a number.
+#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
+TR_INLINE F rough_rsqrt(const F &x) { return F(_mm512_rsqrt14_ps(x.m)); }
+TR_INLINE F rough_rcp(const F &x) { return F(_mm512_rcp14_ps(x.m)); }
+TR_INLINE F greater(const F &x, const F &y) { return F(_mm512_max_ps(x.m, y.m)); }
+TR_INLINE F lesser(const F &x, const F &y) { return F(_mm512_min_ps(x.m, y.m)); }
+#else
+TR_INLINE F rough_rsqrt(const F &x) { return rsqrt(x); }
+TR_INLINE F rough_rcp(const F &x) { return F(1) / x; }
+TR_INLINE F greater(const F &x, const F &y) { return max(x, y); }
+TR_INLINE F lesser(const F &x, const F &y) { return min(x, y); }
+#endif
+TR_INLINE F rough_sqrt(const F &x) { return x * rough_rsqrt(greater(x, F(1e-30f))); }
+
 float weight_of(float given, const OutlineAnchor &from) { return given < 0 ? -given * from.still : given; }
 
 // What about is scattered towards directions around the unit vector d, within an angle.
 TR_INLINE F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
     auto nearest = [&](const V &axis) {  // cosine of the least angle to `axis`
-        const F c = max(F(-1), min(F(1), dot(widen(axis), d)));
-        const F turned = c * cos_angle + sqrt(max(F(0), F(1) - c * c)) * sin_angle;
+        const F c = greater(F(-1), lesser(F(1), dot(widen(axis), d)));
+        const F turned = c * cos_angle + rough_sqrt(greater(F(0), F(1) - c * c)) * sin_angle;
         return select(mask<F>(c >= cos_angle), F(1), turned);
     };
     F cosine(1), grazing(1);
     if (squared_norm(from.n) > 0) {
-        cosine = max(F(0), nearest(from.n));
-        grazing = max(F(Grazing), min(F(1), nearest(from.ng) / max(cosine, F(1e-6f))));
+        cosine = greater(F(0), nearest(from.n));
+        grazing = greater(F(Grazing), lesser(F(1), nearest(from.ng) * rough_rcp(greater(cosine, F(1e-6f)))));
     }
     if (from.share <= 0) return cosine * grazing;
     // with a tail, as lobes of rough surfaces have
-    const F lobe = F(1) / (F(1) + (F(1) - nearest(from.axis)) * F(0.5f * from.k));
+    const F lobe = rough_rcp(F(1) + (F(1) - nearest(from.axis)) * F(0.5f * from.k));
     return (cosine * F(1 - from.share + 0.02f * from.share) +
             select(mask<F>(cosine > F(0)), lobe * lobe * F(from.share), F(0))) *
            grazing;
@@ -128,7 +143,7 @@ struct OutlineTree::Candidates {
 
 bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]) {
     auto inverse_square = [](const F &x) {
-        const F r = rsqrt(max(x, F(1e-30f)));
+        const F r = rough_rsqrt(greater(x, F(1e-30f)));
         return r * r;
     };
     bool some = false;
@@ -138,8 +153,8 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
         const Vec3<F> d = from.parallel ? widen(from.p) : load_vector(nodes.center, i) - widen(from.p);
         const F squared = squared_norm(d), r2 = radius * radius;
         const M counts = mask<F>(flux > F(0)), outside = mask<F>(squared > r2);
-        const F inverse = rsqrt(max(squared, F(1e-30f)));
-        const F sin_angle = min(radius * inverse, F(1)), cos_angle = sqrt(F(1) - sin_angle * sin_angle);
+        const F inverse = rough_rsqrt(greater(squared, F(1e-30f)));
+        const F sin_angle = lesser(radius * inverse, F(1)), cos_angle = rough_sqrt(F(1) - sin_angle * sin_angle);
         const Vec3<F> direction = d * inverse;
         // all faces are seen from one side if the axis is further than both angles from across
         const F cone = load<F>(&nodes.cosine[i]), spread = load<F>(&nodes.sine[i]);
@@ -147,7 +162,7 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
         const M bounded = mask<F>(cone > F(0)) && mask<F>(cosine > F(0));
         const M none = bounded && mask<F>(abs(dot(load_vector(nodes.axis, i), direction)) > sine);
         // where normals and directions spread less than in all directions, more of what may be an outline is one
-        const F narrow = select(bounded, min(F(50), rsqrt(max(sine * sine, F(1e-30f)))), F(1));
+        const F narrow = select(bounded, lesser(F(50), rough_rsqrt(greater(sine * sine, F(1e-30f)))), F(1));
         const F r = flux * narrow * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
         store(&to[i], select(counts, select(outside, select(none, F(0), r), flux * inverse_square(r2)), F(0)));
         const M close = counts && mask<F>(squared < F(2.f) * r2);
@@ -155,7 +170,7 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
         // what it may be, if all of it is where the ball comes closest
         if (!some) std::fill_n(near, Wide, 0.f);
         some = true;
-        const F gap = max(F(0), squared * inverse - radius);
+        const F gap = greater(F(0), squared * inverse - radius);
         store(near + i, select(close && !none, flux * inverse_square(gap * gap + F(0.01f) * r2), F(0)));
     }
     return some;
@@ -189,27 +204,30 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
         const Vec3<F> a = from.parallel ? p : load_vector(leaf.a, i) - p;
         F s(u), spread(1);  // one over the density of s
         if (!from.parallel) {
-            const F length = max(norm(along), F(1e-30f)), l0 = dot(a, along) / length, l1 = l0 + length;
-            const F h = max(norm(cross(a, along)) / length, F(1e-30f));
-            const F x0 = l0 / sqrt(l0 * l0 + h * h), dx = l1 / sqrt(l1 * l1 + h * h) - x0, x = x0 + dx * F(u);
-            const F l = h * x / sqrt(max(F(1e-12f), (F(1) - x) * (F(1) + x)));
-            const F r2 = l * l + h * h;
+            const F squared = greater(squared_norm(along), F(1e-30f)), inverse = rsqrt(squared);
+            const F length = squared * inverse, l0 = dot(a, along) * inverse, l1 = l0 + length;
+            const F h2 = greater(squared_norm(cross(a, along)) * inverse * inverse, F(1e-30f));
+            const F x0 = l0 * rsqrt(l0 * l0 + h2), dx = l1 * rsqrt(l1 * l1 + h2) - x0, x = x0 + dx * F(u);
+            const F l = x * sqrt(h2 / greater(F(1e-12f), (F(1) - x) * (F(1) + x)));
+            const F r2 = l * l + h2;
             const M varies = mask<F>(dx > F(0.01f)) && mask<F>(l > l0) && mask<F>(l < l1);
-            s = select(varies, (l - l0) / length, s);
-            spread = select(varies, dx * r2 * sqrt(r2) / (h * h * length), spread);
+            s = select(varies, (l - l0) * inverse, s);
+            spread = select(varies, dx * r2 * sqrt(r2) * inverse / h2, spread);
         }
         const Vec3<F> d = from.parallel ? p : a + along * s;
         const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
         const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
         const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
-        const F n0 = dot(load_vector(leaf.n0, i), d), n1 = dot(load_vector(leaf.n1, i), d), distance = norm(d);
-        const M unknown = mask<F>(min(abs(n0), abs(n1)) <= distance * F(rounding.normal) + F(rounding.place));
+        const F n0 = dot(load_vector(leaf.n0, i), d), n1 = dot(load_vector(leaf.n1, i), d), distance2 = squared_norm(d),
+                inverse = rough_rsqrt(greater(distance2, F(1e-30f)));
+        const M unknown =
+            mask<F>(lesser(abs(n0), abs(n1)) <= distance2 * inverse * F(rounding.normal) + F(rounding.place));
         const M in0 = mask<F>(n0 < F(0)), in1 = mask<F>(n1 < F(0)), outline = (in0 && !in1) || (in1 && !in0) || unknown;
-        const F crease = select(mask<F>(kind == int32_t(OutlineElement::Crease)), max(F(0.05f), min(bend, F(1))), F(0));
+        const F crease =
+            select(mask<F>(kind == int32_t(OutlineElement::Crease)), greater(F(0.05f), lesser(bend, F(1))), F(0));
         F kept = weight * select(outline || mask<F>(kind == int32_t(OutlineElement::Always)), F(1), crease);
-        const F inverse = F(1) / max(distance, F(1e-30f));
-        const F r =
-            kept * norm(cross(d, along)) * inverse * inverse * inverse * scattered(from, d * inverse, F(1), F(0));
+        const F r = kept * rough_sqrt(squared_norm(cross(d, along))) * inverse * inverse * inverse *
+                    scattered(from, d * inverse, F(1), F(0));
         const M round = mask<F>(kind == int32_t(OutlineElement::Round));
         curves |= any(round);
         const F target = select(mask<F>(kept > F(0)) && !round, r, F(0));
@@ -222,10 +240,11 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
 
 // Nodes that have been looked into. Those that are near, of which no estimate is good, are replaced by their children,
 // those first that may be most important: Conty Estevez and Kulla's adaptive splitting, up to a number of nodes. What
-// is left is one distribution over nodes and, of leaves that were split, edges.
+// is left is one distribution over nodes and, of leaves that were split, edges, with places along them that `draw`
+// chooses.
 class OutlineTree::Front {
 public:
-    Front(const OutlineTree &tree, const OutlineAnchor &from, float u) : tree_(tree), from_(from), u_(u) {
+    Front(const OutlineTree &tree, const OutlineAnchor &from) : tree_(tree), from_(from) {
         add(int(tree.levels_.size()) - 1, 0);
         while (n_ <= Splits && n_near_ > 0) {
             Near *most = std::max_element(near_, near_ + n_near_, [](auto &a, auto &b) { return a.most < b.most; });
@@ -235,11 +254,19 @@ public:
             group.nodes.weights.each[chosen.k] = 0;
             add(group.level - 1, group.number * Wide + chosen.k);
         }
+        for (size_t g = 0; g < n_; ++g)
+            if (groups_[g].level >= 0) groups_[g].add_up();
+    }
+
+    void draw(float u) {
+        total_ = 0, positive_ = 0;
         for (size_t g = 0; g < n_; ++g) {
             Group &group = groups_[g];
-            group.positive = group.nodes.weights.add_up() ? group.nodes.weights.positive() : 0;
-            if (group.positive == 0) continue;
-            total_ += group.nodes.weights.total(), positive_ += group.positive;
+            if (group.level < 0) {
+                tree_.propose(group.number, from_, u, group.nodes);
+                group.add_up();
+            }
+            if (group.positive > 0) total_ += group.nodes.weights.total(), positive_ += group.positive;
         }
     }
 
@@ -265,11 +292,13 @@ public:
     }
 
 private:
-    static constexpr size_t Splits = 32;
+    static constexpr size_t Splits = 32, MostNear = 128;
     struct Group {
         Candidates nodes;  // of which nodes have weights alone
         int level, positive;
         size_t number;
+
+        void add_up() { positive = nodes.weights.add_up() ? nodes.weights.positive() : 0; }
     };
     struct Near {
         float most;
@@ -278,17 +307,15 @@ private:
     void add(int level, size_t number) {
         Group &g = groups_[n_++];
         g.level = level, g.number = number;
-        if (level < 0) return tree_.propose(number, from_, u_, g.nodes);
+        if (level < 0) return;
         alignas(64) float near[Wide];
         if (!importance(tree_.levels_[size_t(level)][number], from_, g.nodes.weights.each, near)) return;
         for (size_t k = 0; k < Wide; ++k)
             if (near[k] > 0 && n_near_ < MostNear) near_[n_near_++] = {near[k], uint16_t(n_ - 1), uint16_t(k)};
     }
 
-    static constexpr size_t MostNear = 128;
     const OutlineTree &tree_;
     const OutlineAnchor &from_;
-    const float u_;
     Group groups_[Splits + 1];
     Near near_[MostNear];
     size_t n_ = 0, n_near_ = 0;
@@ -296,11 +323,23 @@ private:
     int positive_ = 0;
 };
 
-OutlineChoice OutlineTree::choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const {
-    OutlineChoice choice{-1, 0, 0};
-    if (levels_.empty()) return choice;
+void OutlineTree::choose(const OutlineAnchor &from, uint64_t seed, size_t descents, OutlineChoice *choices,
+                         size_t n) const {
+    std::fill_n(choices, n, OutlineChoice{-1, 0, 0});
+    if (levels_.empty() || n == 0) return;
+    Front front(*this, from);
     Numbers numbers{seed};
-    const Front front(*this, from, numbers.single());
+    const float u = numbers.single();
+    for (size_t j = 0; j < n; ++j) {
+        front.draw((float(j) + u) / float(n));
+        choices[j] = choose_below(front, from, numbers.bits(), descents);
+    }
+}
+
+OutlineChoice OutlineTree::choose_below(const Front &front, const OutlineAnchor &from, uint64_t seed,
+                                        size_t descents) const {
+    OutlineChoice choice{-1, 0, 0};
+    Numbers numbers{seed};
     Place places[MostDescents];
     const float u = numbers.single();  // spread evenly over what the front has
     for (size_t i = 0; i < descents; ++i)

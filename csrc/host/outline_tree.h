@@ -54,8 +54,13 @@ public:
             if (int32_t index = leaves_.index(leaf, k); index >= 0) visit(index);
     }
 
-    // Of so many candidates, at most MostDescents.
-    OutlineChoice choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const;
+    // n of them for one place, each of so many candidates, at most MostDescents.
+    void choose(const OutlineAnchor &from, uint64_t seed, size_t descents, OutlineChoice *choices, size_t n) const;
+    OutlineChoice choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const {
+        OutlineChoice choice;
+        choose(from, seed, descents, &choice, 1);
+        return choice;
+    }
 
 private:
     // Everything below a node is in a ball. The cone of its normals has a half angle of at least 90 degrees where its
@@ -87,6 +92,7 @@ private:
     };
     struct Candidates;
     class Front;
+    OutlineChoice choose_below(const Front &front, const OutlineAnchor &from, uint64_t seed, size_t descents) const;
     bool may_have_outlines(size_t leaf, const Vec3<float> &p, bool parallel, float margin, bool resting) const;
     // Whether some are near; then, what these may be at most.
     static bool importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]);

@@ -90,8 +90,8 @@ TR_TEST(the_tree_chooses_with_its_density) {
     for (int trial = 0; trial < 4; ++trial) {
         const bool parallel = trial & 1, rounded = trial & 2;
         OutlineAnchor from{};
-        from.p = {0, 0, parallel ? 1.f : 0.f}, from.n = from.axis = {0, 0, 1};
-        from.ng = {0.6f, 0, 0.8f};
+        from.p = {0, 0, parallel ? 1.f : 1.5f}, from.n = from.axis = {0, 0, 1};
+        from.ng = {0.2f, 0, 0.98f};  // everything is above its horizon, too
         from.still = 0.3f, from.k = 20, from.share = parallel ? 0.f : 0.5f, from.parallel = parallel, from.own = -1;
         std::vector<OutlineElement> all(n);
         for (size_t i = 0; i < n; ++i) {
@@ -106,9 +106,12 @@ TR_TEST(the_tree_chooses_with_its_density) {
             // no curves, but edges between faces that just hide each other
             e.kind = i % 10 == 1 ? OutlineElement::Crease : OutlineElement::Edge;
             if (i % 10 == 0) e.b = e.a + vector() * 0.2f;
-            const Vec3<float> towards = parallel ? from.p : e.a, side = normalize(cross(e.b - e.a, towards));
+            const Vec3<float> towards = parallel ? from.p : e.a - from.p;
+            while (norm(cross(normalize(e.b - e.a), normalize(towards))) < 0.2f)  // seen end-on
+                e.b = e.a + vector() * 0.2f;
+            const Vec3<float> side = normalize(cross(e.b - e.a, towards));
             const Vec3<float> across = normalize(cross(side, e.b - e.a));
-            e.n0 = normalize(side + across * 1e-6f), e.n1 = normalize(side - across * 1e-6f), e.bend = 1e-8f;
+            e.n0 = normalize(side + across * 4e-6f), e.n1 = normalize(side - across * 4e-6f), e.bend = 1e-8f;
         }
         OutlineTree tree;
         tree.resize(rounded ? 0 : n, rounded ? n : 0);
@@ -118,12 +121,16 @@ TR_TEST(the_tree_chooses_with_its_density) {
         }
         tree.build(2);
         std::vector<double> sum(n), squares(n);
-        for (int r = 0; r < rounds; ++r) {
-            const OutlineChoice c =
-                tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel), parallel ? 2 : 8);
-            CHECK(c.element >= 0 && c.s >= 0 && c.s < 1);
-            sum[size_t(c.element)] += c.inverse_density,
-                squares[size_t(c.element)] += double(c.inverse_density) * c.inverse_density;
+        constexpr int at_once = 4;
+        for (int r = 0; r < rounds; r += at_once) {
+            OutlineChoice choices[at_once];
+            tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel), parallel ? 2 : 8, choices,
+                        at_once);
+            for (const OutlineChoice &c : choices) {
+                CHECK(c.element >= 0 && c.s >= 0 && c.s < 1);
+                sum[size_t(c.element)] += c.inverse_density,
+                    squares[size_t(c.element)] += double(c.inverse_density) * c.inverse_density;
+            }
         }
         double all_of_them = 0;
         for (size_t i = 0; i < n; ++i) {

@@ -13,7 +13,7 @@ from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.packing import Layout
-from .allotment import ALONE, OTHERS, SEEN
+from .allotment import ALONE, REFLECTIONS, SEEN, SHADOWS
 
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
@@ -27,13 +27,13 @@ MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move o
 class BoundaryCall:
     """The boundary term of one rendering.
 
-    `spp` samples a wanted pixel of outlines that the camera sees, and of others, may be fractions; `moves`
+    `spp` samples a wanted pixel of outlines that the camera, lights and vertices see, may be fractions; `moves`
     says which shapes may move, all if the camera does. With `by_length` short outlines get fewer samples. `outputs`:
     it is that of outputs besides radiance. `glued`: it is that of light paths, whose points move with their surfaces.
     """
 
     call: RenderCall
-    spp: tuple[float, float]
+    spp: tuple[float, float, float]
     moves: torch.Tensor
     by_length: bool
     outputs: FirstHitCall | None = None
@@ -80,9 +80,9 @@ def boundary_of(
     if seen_alone and not any(moves):
         return None
     alone = seen_alone or outputs is not None or 0 <= call.config["max_depth"] < 2
-    usual = call.spp_grad * (ALONE if alone else SEEN), call.spp_grad * OTHERS
-    seen, others = spp or usual
-    counts = (seen, 0.0) if alone else (seen, others)
+    seen, others = spp or (call.spp_grad * (ALONE if alone else SEEN), call.spp_grad)
+    of_lights, of_vertices = (others, others) if spp else (others * SHADOWS, others * REFLECTIONS)
+    counts = (seen, 0.0, 0.0) if alone else (seen, of_lights, of_vertices)
     glued = outputs is None and call.config["integrator"] == "ptracer"
     moving = torch.tensor(moves, dtype=torch.bool)
     return BoundaryCall(of_light(call) if glued else call, counts, moving, spp is None, outputs, glued)

@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from ..seeds import mix
-from .allotment import factors
+from .allotment import LEAST, factors
 from .boundary_call import BoundaryCall
 from .film_sums import FilmPlaces
 
@@ -27,8 +27,8 @@ LENGTHWISE = 4  # samples for each pixel of an outline's length, in those of a p
 NEAR = 0.02  # what is close, in sizes of the scene
 BLOCK = 1 << 18  # samples whose places and values forward mode keeps at a time
 BATCH = 1024  # samples that the core works on together, of which each may depend on the others
-FEW = 512  # samples that tell how much the camera sees of what lights find
-LOOKS = 256  # samples that tell how much each part brings, where there are eight times as many
+FEW = 256  # samples that tell how much the camera sees of what lights find
+LOOKS = 128  # samples that tell how much each part brings, where there are eight times as many
 
 
 @contextlib.contextmanager
@@ -142,13 +142,15 @@ class Outlines:
 
     def _count(self, part: str) -> int:
         """Samples of a part in a pass: short silhouettes get fewer; shadows a power of two, see boundary_lights.h."""
-        if part not in ("silhouettes", "outputs"):
-            count = math.ceil(self.factors.get(part, 1.0) * self.boundary.spp[1] * len(self.cells))
-            return 2 ** round(math.log2(count)) if part == "shadows" and count else count
-        count = self.boundary.spp[0] * math.prod(self.call.size)
-        if self.boundary.by_length:
-            count = min(count, LENGTHWISE * self.call.spp_grad * self.length)
-        return math.ceil(self.factors.get(part, 1.0) * count)
+        seen, shadows, reflections = self.boundary.spp
+        usual = self.boundary.by_length
+        if part in ("silhouettes", "outputs"):
+            count = seen * math.prod(self.call.size)
+            count = min(count, LENGTHWISE * self.call.spp_grad * self.length) if usual else count
+        else:
+            count = (shadows if part == "shadows" else reflections) * len(self.cells)
+        count = math.ceil(max(self.factors.get(part, 1.0) * count, LEAST if usual else 0))
+        return 2 ** round(math.log2(count)) if part == "shadows" and count else count
 
     def _look(self, part: str, numbers: Mapping[str, float], out: dict[str, int]) -> int:
         """Few samples of a part, which tell how the others are to be taken; returns how many rays they had."""
