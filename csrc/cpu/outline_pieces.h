@@ -52,33 +52,38 @@ protected:
     OutlineCandidates(const SceneView<S> &scene, const OutlineSet &set, int threads)
         : scene_(scene), set_(set), outlines_(scene, set), threads_(threads) {}
 
-    // The pieces of all elements that may be outlines: cut(element, weight, pieces) appends those of one, with their
-    // lengths, which are not added up yet. `still`: the weight of those that rest. With `creases` these count, too.
+    using Elements = OutlineLeaves::Elements;
+    using Weights = float[OutlineTree::Wide];
+
+    // The pieces of all elements that may be outlines: cut(elements, weights, pieces) appends those of a leaf, but for
+    // those of no weight, with their lengths, which are not added up yet. `still`: the weight of those that rest. With
+    // `creases` these count, too.
     template <class Cut>
     OutlinePieces cut_all(const OutlineView<S> &view, float still, bool creases, Cut &&cut) const {
         const OutlineTree &tree = set_.tree();
         const Vec3<float> o{float(view.origin.x), float(view.origin.y), float(view.origin.z)};
         OutlinePieces r;
-        collect(tree.n_leaves(), r, cut, [&](size_t leaf, auto &&add) {
-            tree.for_outlines(leaf, o, view.parallel, float(view.beside), still > 0, [&](int32_t i) {
-                const float weight = candidate(set_.element(scene_, size_t(i)), o, view, still, creases);
-                if (weight > 0) add(size_t(i), weight);
-            });
+        collect(tree.n_leaves(), r, [&](size_t leaf, OutlinePieces &to) {
+            tree.if_outlines(leaf, o, view.parallel, float(view.beside), still > 0,
+                             [&](const auto &all, auto &rounding) {
+                                 alignas(64) Weights weights;
+                                 if (find_candidates(all, rounding, o, view, still, creases, weights))
+                                     cut(all, weights, to);
+                             });
         });
         return r;
     }
 
-    // Appends pieces of what visit(i, add) adds, an element and its weight, for i < n: in the same order for any number
-    // of threads.
-    template <class Cut, class Visit>
-    void collect(size_t n, OutlinePieces &to, Cut &&cut, Visit &&visit) const {
+    // Appends pieces that visit(i, to) appends, for i < n: in the same order for any number of threads.
+    template <class Visit>
+    void collect(size_t n, OutlinePieces &to, Visit &&visit) const {
         constexpr size_t few = 256;
         std::vector<OutlinePieces> found(size_t(std::max(1, threads_)));
         auto each = [&](size_t begin, size_t end, int range) {
-            auto add = [&](size_t i, float weight) { cut(int32_t(i), weight, found[size_t(range)]); };
-            for (size_t i = begin; i < end; ++i) visit(i, add);
+            for (size_t i = begin; i < end; ++i) visit(i, found[size_t(range)]);
         };
         for_ranges(n, threads_, each, few);
+        if (to.all.empty()) std::swap(to.all, found[0].all);
         double sum = to.total();
         for (const OutlinePieces &part : found) {
             to.all.insert(to.all.end(), part.all.begin(), part.all.end());
@@ -97,19 +102,35 @@ protected:
     }
 
 private:
-    // Whether an element can be an outline or a crease from there: a weight.
-    static float candidate(const OutlineElement &e, const Vec3<float> &o, const OutlineView<S> &view, float still,
-                           bool creases) {
-        const float weight = e.moves ? 1.f : still;
-        if (!(weight > 0) || !(e.weight > 0)) return 0;
-        if (e.kind == OutlineElement::Round || e.kind == OutlineElement::Always) return weight;
-        const Vec3<float> d = view.parallel ? o : e.a - o;
-        const float s0 = dot(e.n0, d), s1 = dot(e.n1, d);
-        const float margin = float(view.beside) + 1e-5f * std::sqrt(dot(d, d));
-        const bool same = (s0 > margin && s1 > margin) || (s0 < -margin && s1 < -margin);
-        if (!same) return weight;
-        if (!creases || e.kind != OutlineElement::Crease || !(e.bend > 1e-6f)) return 0;
-        return std::min(std::max(e.bend, 0.05f), 1.f);
+    // Whether elements can be outlines or creases from there: weights; false if none can.
+    static bool find_candidates(const Elements &all, const OutlineLeaves::Rounding &rounding, const Vec3<float> &o,
+                                const OutlineView<S> &view, float still, bool creases, Weights &weights) {
+        using F = PacketOf<float>;
+        using M = MaskOf<F>;
+        auto column = [](const auto &columns, size_t i) {
+            return Vec3<F>{load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
+        };
+        bool some = false;
+        for (size_t i = 0; i < OutlineTree::Wide; i += size_t(Lanes<F>::Width)) {
+            const F given = load<F>(&all.weight[i]), bend = load<F>(&all.bend[i]);
+            const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&all.kind[i])));
+            const F weight = select(mask<F>(given > F(0)), F(1), select(mask<F>(given < F(0)), F(still), F(0)));
+            const Vec3<F> from{F(o.x), F(o.y), F(o.z)}, d = view.parallel ? from : column(all.a, i) - from;
+            const F s0 = dot(column(all.n0, i), d), s1 = dot(column(all.n1, i), d);
+            const F margin = F(float(view.beside) + std::max(rounding.place, 0.f)) +
+                             F(std::max(rounding.normal, 1e-5f)) * sqrt(squared_norm(d));
+            const M same =
+                (mask<F>(s0 > margin) && mask<F>(s1 > margin)) || (mask<F>(s0 < -margin) && mask<F>(s1 < -margin));
+            const M crease = mask<F>(F(creases ? 1.f : 0.f) > F(0)) &&
+                             mask<F>(kind == int32_t(OutlineElement::Crease)) && mask<F>(bend > F(1e-6f));
+            const M always =
+                mask<F>(kind == int32_t(OutlineElement::Round)) || mask<F>(kind == int32_t(OutlineElement::Always));
+            const F folded = select(crease, max(F(0.05f), min(bend, F(1))), F(0));
+            const F r = select(mask<F>(weight > F(0)), select(always || !same, weight, folded), F(0));
+            store(&weights[i], r);
+            some |= any(mask<F>(r > F(0)));
+        }
+        return some;
     }
 };
 
@@ -117,7 +138,7 @@ template <class S>
 class OutlineCutter : OutlineCandidates<S> {
     using Base = OutlineCandidates<S>;
     using Base::outlines_, Base::scene_, Base::set_;
-    using typename Base::V;
+    using typename Base::Elements, typename Base::V, typename Base::Weights;
     static constexpr S Pixels = 16;                // length of a piece on the film
     static constexpr S DistantPixels = 64;         // what counts as so many, of `distant`, whose one pixel sees all
     static constexpr float RimWeight = 0.25f;      // many are hidden, and narrow faces have long ones
@@ -142,15 +163,15 @@ public:
     }
 
     OutlinePieces cut() const {
-        auto cut = [&](int32_t element, float weight, OutlinePieces &to) { this->cut(element, weight, to); };
+        auto cut = [&](const auto &all, const auto &weights, OutlinePieces &to) { cut_leaf(all, weights, to); };
         OutlinePieces r = this->cut_all({origin_, parallel_, lens_}, glued_ ? 0.25f : 0.f, !glued_, cut);
         for (int32_t s = 0; s < scene_.n_shapes; ++s) {
             const ShapeInfo &info = scene_.shapes[s];
             if ((info.flags & IsCurved) || !(info.flags & HasNormals) || !set_.moves(uint32_t(s))) continue;
-            this->collect(size_t(info.n_faces), r, cut, [&](size_t k, auto &&add) {
+            this->collect(size_t(info.n_faces), r, [&](size_t k, OutlinePieces &to) {
                 const uint32_t face = uint32_t(info.face_offset) + uint32_t(k);
                 if (Rim<S>(scene_, face, origin_, parallel_).possible(lens_))
-                    add(set_.element_of_face(face), RimWeight);
+                    this->cut(int32_t(set_.element_of_face(face)), RimWeight, to);
             });
         }
         return r;
@@ -180,7 +201,6 @@ private:
             const bool is =
                 film_place<S>(scene_, record_, p, width, height, at) && std::isfinite(at.x) && std::isfinite(at.y);
             if (distant_) at.x = at.lens_x * DistantPixels, at.y = at.lens_y * DistantPixels;
-            if (steps == 1 && is && was) r.x = (before[0] + at.x) / 2, r.y = (before[1] + at.y) / 2;
             if (i > 0 && is && was) {
                 S step = std::sqrt((at.x - before[0]) * (at.x - before[0]) + (at.y - before[1]) * (at.y - before[1]));
                 r.length += panorama_ ? std::min(step, width / 4) : step;  // (around the seam)
@@ -195,22 +215,47 @@ private:
         return r;
     }
 
-    // The lengths are not added up yet.
+    // Lengths of edges on the film, roughly, and the places of their middles; infinite where both ends do not tell.
+    template <class F>
+    void ends_on_film(const Elements &all, size_t i, S *x, S *y, S *length) const {
+        if (distant_ || panorama_) return std::fill_n(length, size_t(Lanes<F>::Width), S(INFINITY)), void();
+        const S width = S(call_.film_width), height = S(call_.film_height);
+        auto place = [&](const auto &columns, MaskOf<F> &seen) {
+            auto column = [&](size_t c) { return convert<F>(load<PacketOf<float>>(&columns[c][i])); };
+            CameraSample<F> at{F(0), F(0)};
+            seen = film_place<F>(scene_, record_, Vec3<F>{column(0), column(1), column(2)}, width, height, at);
+            seen = seen && isfinite(at.x) && isfinite(at.y);
+            return Vec2<F>{at.x, at.y};
+        };
+        MaskOf<F> seen_a, seen_b;
+        const Vec2<F> a = place(all.a, seen_a), b = place(all.b, seen_b);
+        const F dx = b.x - a.x, dy = b.y - a.y;
+        store(x, (a.x + b.x) * F(0.5)), store(y, (a.y + b.y) * F(0.5));
+        store(length, select(seen_a && seen_b, sqrt(dx * dx + dy * dy), F(S(INFINITY))));
+    }
+
+    // The lengths are not added up yet. Of edges in fine meshes their ends, many at once, say all.
+    void cut_leaf(const Elements &all, const Weights &weights, OutlinePieces &to) const {
+        using F = PacketOf<S>;
+        constexpr size_t W = size_t(Lanes<F>::Width);
+        alignas(64) S x[W], y[W], length[W];
+        for (size_t i = 0; i < OutlineTree::Wide; i += W) {
+            ends_on_film<F>(all, i, x, y, length);
+            for (size_t k = 0; k < W; ++k) {
+                if (!(weights[i + k] > 0)) continue;
+                const int32_t element = all.index[i + k];
+                if (length[k] < Pixels / 2 && set_.is_edge(size_t(element)))
+                    add(element, S(0), S(1), {length[k], x[k], y[k], true}, weights[i + k], to);
+                else
+                    cut(element, weights[i + k], to);
+            }
+        }
+    }
     void cut(int32_t element, float weight, OutlinePieces &to) const {
         if (outlines_.is_scattered(element)) {
             if (outlines_.may_be_seen(element, {origin_, parallel_, lens_}, !glued_))
                 Base::scatter(element, double(weight) * double(Pixels), to);
             return;
-        }
-        auto add = [&](S begin, S end, const OnFilm &piece) {
-            const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
-            const S length = std::min(piece.length, most);
-            if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) return;
-            Base::add(element, begin, end, double(weight) * double(length), to);
-        };
-        if (set_.is_edge(size_t(element)) && !distant_ && !panorama_) {  // of fine meshes: their ends say all
-            const OnFilm ends = on_film(element, S(0), S(1), 1);
-            if (std::isfinite(ends.x) && ends.length < Pixels / 2) return add(S(0), S(1), ends);
         }
         const OnFilm whole = on_film(element, S(0), S(1), 8);
         if (!whole.seen) return;
@@ -218,8 +263,14 @@ private:
         if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
-            add(begin, end, on_film(element, begin, end, 2));
+            add(element, begin, end, on_film(element, begin, end, 2), weight, to);
         }
+    }
+    void add(int32_t element, S begin, S end, const OnFilm &piece, float weight, OutlinePieces &to) const {
+        const S most = distant_ ? 2 * DistantPixels : S(call_.crop.height() + call_.crop.width());
+        const S length = std::min(piece.length, most);
+        if (!piece.seen || !(length > 0) || !(distant_ || is_near(piece, length))) return;
+        Base::add(element, begin, end, double(weight) * double(length), to);
     }
 
     // Whether wanted pixels may get something of it.

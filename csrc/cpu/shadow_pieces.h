@@ -59,9 +59,13 @@ private:
         const float still = light.shape < 0 ? 0.2f : moves_[light.shape] ? 1.f : 0.05f;
         std::atomic<bool> close{false};
         OutlinePieces r =
-            this->cut_all(light.view, still, false, [&](int32_t element, float weight, OutlinePieces &to) {
-                if (set_.shape_of_element(scene_, size_t(element)) == uint32_t(light.shape)) return;
-                if (!cut_element(light.view, element, weight, to)) close = true;
+            this->cut_all(light.view, still, false, [&](const auto &all, const auto &weights, OutlinePieces &to) {
+                for (size_t k = 0; k < OutlineTree::Wide; ++k) {
+                    if (!(weights[k] > 0)) continue;
+                    const int32_t element = all.index[k];
+                    if (set_.shape_of_element(scene_, size_t(element)) == uint32_t(light.shape)) continue;
+                    if (!cut_element(light.view, element, weights[k], to)) close = true;
+                }
             });
         return close ? OutlinePieces{} : r;
     }

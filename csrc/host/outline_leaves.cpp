@@ -2,12 +2,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstring>
 
 namespace tr {
 
 namespace {
 
-constexpr float Places = 65535, Normals = 32767, Weights = 127, Bends = 63;
+constexpr float Places = 65535, Normals = 32767, Weights = 127;
 constexpr float Half = 0.5f;  // makes cutting off the fraction rounding, of what is not negative
 
 using F = PacketOf<float>;
@@ -30,6 +31,20 @@ F numbers(const T *at) {
     return load<F>(all);
 }
 #endif
+
+// From 0 to 62, for numbers up to 1: their exponent and the first bit behind it; and back, the middle of these.
+constexpr uint32_t BendShift = 22, LeastBend = (127 - 31) << 1;
+uint8_t packed_bend(float bend) {
+    uint32_t bits;
+    std::memcpy(&bits, &bend, sizeof(bits));
+    return uint8_t(std::max(bits >> BendShift, LeastBend) - LeastBend);
+}
+float unpacked_bend(uint32_t packed) {
+    const uint32_t bits = packed == 0 ? 0 : (packed + LeastBend) << BendShift | 1u << (BendShift - 1);
+    float bend;
+    std::memcpy(&bend, &bits, sizeof(bend));
+    return bend;
+}
 
 }  // namespace
 
@@ -101,7 +116,7 @@ OutlineLeaves::Rounded OutlineLeaves::pack(const Elements &from) {
         const int32_t kind = known[k] > 0 ? from.kind[k] : int32_t(OutlineElement::Always);
         const int32_t size = std::max(1, int32_t(std::min(std::fabs(weight), 1.f) * Weights + Half));
         to.weight[k] = int8_t(weight > 0 ? size : weight < 0 ? -size : 0);
-        to.kind[k] = uint8_t(kind << 6 | int32_t(bend * Bends + Half));
+        to.kind[k] = uint8_t(kind << 6 | packed_bend(bend));
         to.index[k] = from.index[k];
     }
     return to;
@@ -129,7 +144,7 @@ void OutlineLeaves::unpack(const Rounded &from, Elements &to, Rounding &rounding
         unfold(from.n0, to.n0), unfold(from.n1, to.n1);
     }
     for (size_t k = 0; k < Wide; ++k) to.weight[k] = float(from.weight[k]) * (1 / Weights);
-    for (size_t k = 0; k < Wide; ++k) to.bend[k] = float(from.kind[k] & 63) * (1 / Bends);
+    for (size_t k = 0; k < Wide; ++k) to.bend[k] = unpacked_bend(from.kind[k] & 63u);
     for (size_t k = 0; k < Wide; ++k) to.kind[k] = from.kind[k] >> 6;
     std::fill_n(to.shape, Wide, -2);
     std::copy_n(from.index, Wide, to.index);

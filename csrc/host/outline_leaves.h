@@ -28,7 +28,7 @@ struct OutlineElement {
     Vec3<float> a, b, n0, n1;
     float weight, bend;  // not above 1 and 2
     int32_t kind, shape, index;
-    bool moves;
+    bool moves;  // what has a weight
 };
 
 class OutlineLeaves {
@@ -74,8 +74,8 @@ public:
 
 private:
     // Places in a box, in steps of its longest side / 65535; normals by two coordinates on an octahedron (Meyer et al.,
-    // "On Floating-Point Normal Vectors", 2010); weights in steps of 1 / 127; a kind, and the bend of creases in steps
-    // of 1 / 63.
+    // "On Floating-Point Normal Vectors", 2010); weights in steps of 1 / 127; a kind, and the bend in half octaves,
+    // from 2^-31 on.
     struct Rounded {
         float corner[3], step;
         Column<uint16_t> a[3], b[3];

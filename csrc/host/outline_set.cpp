@@ -25,13 +25,6 @@ V place_of(const SceneView<S> &scene, uint32_t vertex) {
 }
 
 template <class S>
-V face_normal(const SceneView<S> &scene, const HalfEdge &h) {
-    const V a = place_of(scene, h.v0), n = cross(place_of(scene, h.v1) - a, place_of(scene, h.third) - a);
-    const float length = norm(n);
-    return n * ((h.turned ? -1.f : 1.f) / std::max(length, 1e-30f));
-}
-
-template <class S>
 bool has_area(const SceneView<S> &scene, const uint32_t *face) {
     Vec3<S> p[3];
     for (size_t k = 0; k < 3; ++k) {
@@ -328,42 +321,81 @@ void OutlineSet::plant_groups(const SceneView<S> &scene, int threads) {
     for_ranges(
         tree_.n_leaves() - first, threads,
         [&](size_t begin, size_t end, int) {
-            OutlineElement leaf_elements[OutlineTree::Wide];
+            OutlineLeaves::Elements elements_of_leaf;
+            size_t edges[OutlineTree::Wide];
             const size_t before = begin * OutlineTree::Wide;
             size_t i = size_t(std::upper_bound(ends.begin(), ends.end(), before) - ends.begin());
             size_t e = i < n ? groups_[size_t(order[i]) + 1] - (ends[i] - before) : 0;
             for (size_t leaf = begin; leaf < end; ++leaf) {
                 size_t count = 0;
                 while (count < OutlineTree::Wide && i < n) {
-                    leaf_elements[count++] = edge_element(scene, e);
+                    edges[count++] = e;
                     if (++e < groups_[size_t(order[i]) + 1]) continue;
                     if (++i < n) e = groups_[size_t(order[i])];
                 }
-                tree_.set(first + leaf, leaf_elements, count);
+                put_edges(scene, edges, count, elements_of_leaf);
+                tree_.set(first + leaf, elements_of_leaf);
             }
         },
         FewLeaves);
 }
 
 template <class S>
+void OutlineSet::put_edges(const SceneView<S> &scene, const size_t *edges, size_t n,
+                           OutlineLeaves::Elements &to) const {
+    using F = PacketOf<float>;
+    constexpr size_t Wide = OutlineLeaves::Wide;
+    // of both faces: the third corner, 1 or, of one that is turned, -1; and what is more than two of these or less
+    alignas(64) float third[2][3][Wide] = {}, sign[2][Wide] = {}, odd[Wide] = {}, split[Wide] = {}, moving[Wide] = {};
+    to = {};
+    std::fill_n(to.index, Wide, -1);
+    std::fill_n(to.shape, Wide, -2);
+    for (size_t k = 0; k < n; ++k) {
+        const size_t edge = edges[k], faces = count(edge);
+        const HalfEdge h[2] = {half(scene, edge, 0), half(scene, edge, faces > 1 ? 1 : 0)};
+        put_lane(place_of(scene, h[0].v0), to.a, k), put_lane(place_of(scene, h[0].v1), to.b, k);
+        for (size_t i = 0; i < 2; ++i)
+            put_lane(place_of(scene, h[i].third), third[i], k), sign[i][k] = h[i].turned ? -1.f : 1.f;
+        const uint32_t shape = shape_of(h[0]);
+        const bool flat = !(scene.shapes[shape].flags & HasNormals), apart = is_split(edge);
+        odd[k] = faces != 2, split[k] = apart;
+        bool moves = moves_[shape] != 0;
+        for (size_t i = 1; i < faces && apart; ++i) moves |= moves_[shape_of(half(scene, edge, i))] != 0;
+        moving[k] = moves ? 1.f : -1.f;
+        to.kind[k] = faces != 2      ? OutlineElement::Always
+                     : apart || flat ? OutlineElement::Crease
+                                     : OutlineElement::Edge;
+        to.index[k] = int32_t(edge);
+    }
+    auto column = [](const auto &columns, size_t i) {
+        return Vec3<F>{load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
+    };
+    auto put = [](const Vec3<F> &v, auto &columns, size_t i) {
+        store(&columns[0][i], v.x), store(&columns[1][i], v.y), store(&columns[2][i], v.z);
+    };
+    for (size_t i = 0; i < Wide; i += size_t(Lanes<F>::Width)) {
+        const Vec3<F> a = column(to.a, i), along = column(to.b, i) - a;
+        auto normal = [&](size_t face) {
+            const Vec3<F> v = cross(along, column(third[face], i) - a);
+            return v * (load<F>(&sign[face][i]) / max(sqrt(squared_norm(v)), F(1e-30f)));
+        };
+        const auto alone = mask<F>(load<F>(&odd[i]) > F(0)), apart = mask<F>(load<F>(&split[i]) > F(0));
+        const Vec3<F> n0 = normal(0), n1 = normal(1);
+        const F bend = max(F(0), F(1) - dot(n0, n1));
+        const auto counts = mask<F>(bend > F(1e-7f)) || apart || alone;
+        const auto hollow = !alone && mask<F>(dot(n0, column(third[1], i) - a) > F(0));
+        const F weight = select(counts, select(hollow, F(Hollow), F(1)), F(0));
+        put(n0, to.n0, i), put(n1, to.n1, i);
+        store(&to.weight[i], weight * load<F>(&moving[i]));
+        store(&to.bend[i], select(apart, max(bend, F(0.05f)), bend));
+    }
+}
+
+template <class S>
 OutlineElement OutlineSet::edge_element(const SceneView<S> &scene, size_t edge) const {
-    const size_t n = count(edge);
-    const HalfEdge h = half(scene, edge, 0), other = n > 1 ? half(scene, edge, 1) : h;
-    const uint32_t shape = shape_of(h);
-    const V a = place_of(scene, h.v0), b = place_of(scene, h.v1);
-    const V n0 = face_normal(scene, h), n1 = n > 1 ? face_normal(scene, other) : n0;
-    const bool flat = !(scene.shapes[shape].flags & HasNormals), split = is_split(edge);
-    const float bend = std::max(0.f, 1 - dot(n0, n1));
-    OutlineElement e{};
-    e.a = a, e.b = b, e.n0 = n0, e.n1 = n1;
-    e.weight = bend > 1e-7f || split || n != 2 ? 1.f : 0.f;
-    if (n == 2 && dot(n0, place_of(scene, other.third) - a) > 0) e.weight *= Hollow;
-    e.bend = split ? std::max(bend, 0.05f) : bend;
-    e.kind = n != 2 ? OutlineElement::Always : split || flat ? OutlineElement::Crease : OutlineElement::Edge;
-    e.shape = -2, e.index = int32_t(edge);
-    e.moves = moves_[shape] != 0;
-    for (size_t k = 1; k < n && split; ++k) e.moves |= moves_[shape_of(half(scene, edge, k))] != 0;
-    return e;
+    OutlineLeaves::Elements one;
+    put_edges(scene, &edge, 1, one);
+    return one.get(0);
 }
 
 template <class S>

@@ -128,6 +128,9 @@ private:
     void plant(const SceneView<S> &scene, int threads);
     template <class S>
     void plant_groups(const SceneView<S> &scene, int threads);
+    // Up to sixteen edges at once.
+    template <class S>
+    void put_edges(const SceneView<S> &scene, const size_t *edges, size_t n, OutlineLeaves::Elements &to) const;
     template <class S>
     OutlineElement edge_element(const SceneView<S> &scene, size_t edge) const;
     template <class S>

@@ -41,17 +41,20 @@ public:
     void resize(size_t n_elements, size_t n_rounded);
     size_t n_leaves() const { return leaves_.size(); }
     void set(size_t leaf, const OutlineElement *elements, size_t n);
+    void set(size_t leaf, const OutlineLeaves::Elements &elements);
     void build(int threads);
 
-    // Calls visit(index) for the elements of a leaf, in their order; those of most leaves that have none which moves
-    // (or, `resting`, rests) and of which some face may be seen and another not, within `margin`, from p or,
-    // `parallel`, along p, are left out.
+    // Calls visit(elements, rounding) for a leaf; most leaves that have no element which moves (or, `resting`, rests)
+    // and of which some face may be seen and another not, within `margin`, from p or, `parallel`, along p, are left
+    // out.
     template <class Visit>
-    void for_outlines(size_t leaf, const Vec3<float> &p, bool parallel, float margin, bool resting,
-                      Visit &&visit) const {
+    void if_outlines(size_t leaf, const Vec3<float> &p, bool parallel, float margin, bool resting,
+                     Visit &&visit) const {
         if (!may_have_outlines(leaf, p, parallel, margin, resting)) return;
-        for (size_t k = 0; k < Wide; ++k)
-            if (int32_t index = leaves_.index(leaf, k); index >= 0) visit(index);
+        OutlineLeaves::Elements space;
+        OutlineLeaves::Rounding rounding;
+        const OutlineLeaves::Elements &elements = leaves_.get(leaf, space, rounding);
+        visit(elements, rounding);
     }
 
     // n of them for one place, each of so many candidates, at most MostDescents.

@@ -32,6 +32,10 @@ void OutlineTree::set(size_t leaf, const OutlineElement *elements, size_t n) {
     Elements all{};
     std::fill_n(all.index, Wide, -1);
     for (size_t k = 0; k < n; ++k) all.set(k, elements[k]);
+    set(leaf, all);
+}
+
+void OutlineTree::set(size_t leaf, const Elements &all) {
     leaves_.set(leaf, all);
     put(node_of(all), levels_[0][leaf / Wide], leaf % Wide);
 }

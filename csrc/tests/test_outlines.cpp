@@ -54,7 +54,7 @@ TR_TEST(edges_of_a_cube) {
         int sharp = 0, split = 0;
         for (size_t i = 0; i < set.size(); ++i) {
             const OutlineElement e = set.element(scene.view(), i);
-            CHECK(e.index == int32_t(i) && e.moves && set.count(i) == 2);
+            CHECK(e.index == int32_t(i) && e.moves == (e.weight > 0) && set.count(i) == 2);
             sharp += e.bend > 0.5f, split += set.is_split(size_t(e.index));
             CHECK((e.weight > 0) == (e.bend > 0.5f));  // not the diagonals of its sides
             const Vec3<float> middle = (e.a + e.b) * 0.5f - Vec3<float>{0.5f, 0.5f, 0.5f};
@@ -66,9 +66,11 @@ TR_TEST(edges_of_a_cube) {
             size_t n = 0;
             const Vec3<float> from{x, x, -1};
             for (size_t leaf = 0; leaf < set.tree().n_leaves(); ++leaf)
-                set.tree().for_outlines(leaf, from, false, 0, false, [&](int32_t i) {
-                    const OutlineElement e = set.element(scene.view(), size_t(i));
-                    n += e.weight > 0 && (dot(e.n0, e.a - from) > 0) != (dot(e.n1, e.a - from) > 0);
+                set.tree().if_outlines(leaf, from, false, 0, false, [&](const auto &elements, const auto &) {
+                    for (size_t k = 0; k < OutlineTree::Wide; ++k) {
+                        const OutlineElement e = elements.get(k);
+                        n += e.weight > 0 && (dot(e.n0, e.a - from) > 0) != (dot(e.n1, e.a - from) > 0);
+                    }
                 });
             CHECK(n == least);
         }
