@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ class OurLoop(Loop):
     from which the scene's parameters follow (`_params`).
     """
 
-    adam: type[torch.optim.Optimizer] = torch.optim.Adam
+    adam: Callable[..., torch.optim.Optimizer] = staticmethod(partial(torch.optim.Adam, fused=True))
 
     def __init__(self, folder: str) -> None:
         super().__init__(folder)

@@ -42,7 +42,7 @@ class OurPose(OurBody):
 class OurMesh(OurBody):
     """Vertices in large steps: what is moved are u = (I + lambda L) vertices."""
 
-    adam = tr.optim.UniformAdam
+    adam = staticmethod(tr.optim.UniformAdam)
 
     def _leaves(self) -> dict[str, torch.Tensor]:
         vertices = torch.from_numpy(self.start[self.name])

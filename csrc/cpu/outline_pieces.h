@@ -121,11 +121,10 @@ private:
                              F(std::max(rounding.normal, 1e-5f)) * sqrt(squared_norm(d));
             const M same =
                 (mask<F>(s0 > margin) && mask<F>(s1 > margin)) || (mask<F>(s0 < -margin) && mask<F>(s1 < -margin));
-            const M crease = mask<F>(F(creases ? 1.f : 0.f) > F(0)) &&
-                             mask<F>(kind == int32_t(OutlineElement::Crease)) && mask<F>(bend > F(1e-6f));
+            const M crease = mask<F>(kind == int32_t(OutlineElement::Crease)) && mask<F>(bend > F(1e-6f));
             const M always =
                 mask<F>(kind == int32_t(OutlineElement::Round)) || mask<F>(kind == int32_t(OutlineElement::Always));
-            const F folded = select(crease, max(F(0.05f), min(bend, F(1))), F(0));
+            const F folded = creases ? select(crease, max(F(0.05f), min(bend, F(1))), F(0)) : F(0);
             const F r = select(mask<F>(weight > F(0)), select(always || !same, weight, folded), F(0));
             store(&weights[i], r);
             some |= any(mask<F>(r > F(0)));
@@ -251,6 +250,7 @@ private:
             }
         }
     }
+
     void cut(int32_t element, float weight, OutlinePieces &to) const {
         if (outlines_.is_scattered(element)) {
             if (outlines_.may_be_seen(element, {origin_, parallel_, lens_}, !glued_))
