@@ -172,7 +172,7 @@ def render(
             shadows, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
         spp_visibility: samples of outlines a pixel for it: a number, or one for those that the camera sees, one for
             shadows and reflections; None takes a 24th of `spp_grad`, fewer where outlines are short, a 32nd and a
-            64th, at least 256 each, and shares them out by what few of each bring; of shadows the power of two that
+            64th, at least 1024 each, and shares them out by what few of each bring; of shadows the power of two that
             is next. 0 leaves these out.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.

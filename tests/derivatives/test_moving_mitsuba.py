@@ -164,7 +164,7 @@ CASES = {
         differences_spp=192,
         weight=in_the_middle,
     ),
-    "camera": Case({"ball": ball(T(), bsdf=GREY), "sky": SKY}, {"camera.to_world": X}, 0.02),
+    "camera": Case({"ball": ball(T(), bsdf=GREY), "sky": SKY}, {"camera.to_world": X}, 0.02, spp_visibility=(8, 4)),
     "glowing rectangle beyond the border": Case(
         {"light": rectangle(T.translate([0.1, 0, 0]) @ T.scale([0.4, 3, 1]), emitter=glowing(1.0))},
         {"light.vertex_positions": X},

@@ -16,7 +16,7 @@ SEEN, SHADOWS, REFLECTIONS = 1 / 24, 1 / 32, 1 / 64
 see."""
 ALONE = 1 / 6
 """... of those that the camera sees, where there are no others."""
-LEAST = 256
+LEAST = 1024
 """... of each of them, in a pass: few take no time, and small pictures have as much to tell."""
 COSTS = {"silhouettes": 1.0, "shadows": 2.0, "reflections": 4.0}
 """What a sample takes, about, in one of a silhouette: those of the others are paths, and choose from a tree."""

@@ -102,7 +102,7 @@ class Outlines:
     def _share_out(self) -> None:
         """Finds the factors of the usual numbers of samples, from a few of each part: a function of the seed alone."""
         usual = {part: float(self._count(part)) for part in self.parts}
-        if usual["reflections"] < 8 * LOOKS:  # looking would take too long
+        if usual["reflections"] <= max(8 * LOOKS, LEAST):  # looking would take too long
             return
         value = torch.zeros(LOOKS, dtype=torch.float64)
         numbers = {"first": 0, "count": LOOKS, "total": LOOKS, "samples": LOOKS, "weighs": 1}
