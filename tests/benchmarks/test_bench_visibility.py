@@ -40,9 +40,9 @@ def test_scenes_move_what_they_say(name, tmp_path):
 
 
 def test_shadows_of_a_sky_are_hardly_noisier_than_shading(tmp_path):
-    """Of 192 seeds, fixed; of many more their variance is 2.7 times that without visibility, and was 5 times it.
+    """Of 192 seeds, fixed; their variance is 2.6 times that without visibility, and was 5 times it.
 
-    Of normal numbers the ratio would be beyond 1.6 of it once in 1000 times; these have a few that are far off.
+    Other seeds have 2 to 3.3 times, as a few of them are far off.
     """
     moved = Moved(BY_NAME["shadow, sky"], tmp_path, 32, 16)
 
@@ -55,7 +55,7 @@ def test_shadows_of_a_sky_are_hardly_noisier_than_shading(tmp_path):
             found += torch.autograd.grad(image.mean(), amount)
         return float(torch.stack(found).var())
 
-    assert variance(True) < 4 * variance(False)
+    assert variance(True) < 3 * variance(False)
 
 
 def test_differences_are_of_fourth_order():
