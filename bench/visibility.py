@@ -9,6 +9,7 @@ efficiency: of this renderer with its defaults, and of the peers, in alternating
   with the least mean squared error x seconds counts. Redner takes `--spp` of all kinds of samples.
 bias: the same runs, and Mitsuba's defaults, against central differences of this renderer's images with common random
   numbers, in deviations of the difference (z).
+passes: of this renderer, the pass that makes the derivative, with outlines and without.
 search: the settings of Mitsuba that were tried.
 """
 
@@ -172,6 +173,14 @@ class Compared:
             row["said to lack a term"] = ("yes" if self.ours.incomplete else "no") if who == "ours" else None
             yield row
 
+    def passes_row(self) -> dict[str, Any]:
+        """Both passes, alternating; the first rounds do not count."""
+        warmup, rounds = self.options.warmup, max(2, self.options.rounds)
+        measured = [self.ours.passes(seed) for seed in range(warmup + rounds)][warmup:]
+        with_outlines, without = (Measured.of(seconds) for seconds in zip(*measured, strict=True))
+        row: dict[str, Any] = {"scene": self.moving.name, "program": "ours", "with outlines s": with_outlines}
+        return {**row, "without s": without, "with / without": with_outlines.median / without.median}
+
     def search_rows(self) -> Iterator[dict[str, Any]]:
         for setting, runs in self.tried.items():
             row: dict[str, Any] = {"scene": self.moving.name, "setting": str(setting), "derivative": runs.mean}
@@ -196,7 +205,7 @@ def run(options: argparse.Namespace) -> Result:
     torch.set_num_threads(options.threads)
     if options.quick:
         options.resolution, options.rounds, options.differences = 64, 4, 4
-    efficiency, bias, searched, notes = [], [], [], []
+    efficiency, bias, passes, searched, notes = [], [], [], [], []
     scenes = chosen(options)
     with Peers(options.peer, options.threads, options.renderer) as peers:
         versions = {peer.key: peer.version for peer in peers}
@@ -204,6 +213,7 @@ def run(options: argparse.Namespace) -> Result:
             with tempfile.TemporaryDirectory(prefix="bench-") as folder:
                 compared = Compared(moving, peers, options, Path(folder))
                 found = compared.measure()
+                passes.append(compared.passes_row())
             efficiency += compared.efficiency_rows(found)
             bias += compared.bias_rows(found)
             searched += compared.search_rows()
@@ -224,6 +234,8 @@ def run(options: argparse.Namespace) -> Result:
     said = ["z follows Student's t; a derivative that lacks a term has a large one."]
     title = f"Means of {max(2, options.rounds)} derivatives against central differences ({spp}), {what}"
     tables.append(Table(title, labels, bias, said, part="bias"))
+    title = f"The pass that makes the derivative, with outlines and without, {what}"
+    tables.append(Table(title, labels, passes, part="passes"))
     if searched:
         title = f"Settings of Mitsuba, {max(2, options.search)} runs of each, {what}"
         tables.append(Table(title, ["scene", "setting"], searched, part="search"))

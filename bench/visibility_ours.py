@@ -27,6 +27,7 @@ class Moved:
         self.incomplete = False  # whether a derivative was said to lack a term
         try:
             self.renderer = tr.Renderer(self.scene, **settings)
+            self.without = tr.Renderer(self.scene, **{**settings, "visibility": False})
         except (TypeError, ValueError) as error:
             raise SystemExit(f"--set: {error}") from error
 
@@ -41,12 +42,27 @@ class Moved:
         These are a new value of the parameter, an image of one sample, and the gradient.
         """
         start = time.perf_counter()
+        amount, loss = self._loss(self.renderer, seed)
+        (gradient,) = torch.autograd.grad(loss, amount)
+        return float(gradient), time.perf_counter() - start
+
+    def passes(self, seed: int) -> tuple[float, float]:
+        """Seconds of the pass that makes the derivative, with outlines and without."""
+        seconds = []
+        for renderer in (self.renderer, self.without):
+            amount, loss = self._loss(renderer, seed)
+            start = time.perf_counter()
+            torch.autograd.grad(loss, amount)
+            seconds.append(time.perf_counter() - start)
+        return seconds[0], seconds[1]
+
+    def _loss(self, renderer: tr.Renderer, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """The motion's amount, and the scalar of an image of one sample."""
         amount = torch.zeros((), requires_grad=True)
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always", tr.MissingTermWarning)
-            image = self.renderer(seed=seed, spp=1, spp_grad=self.spp, params=self.at(amount))
+            image = renderer(seed=seed, spp=1, spp_grad=self.spp, params=self.at(amount))
+        if renderer is self.renderer:
+            self.incomplete |= any(issubclass(warning.category, tr.MissingTermWarning) for warning in said)
         weight = torch.from_numpy(weight_of(*image.shape[:2], np))
-        (gradient,) = torch.autograd.grad((image * weight).mean(), amount)
-        seconds = time.perf_counter() - start
-        self.incomplete |= any(issubclass(warning.category, tr.MissingTermWarning) for warning in said)
-        return float(gradient), seconds
+        return amount, (image * weight).mean()

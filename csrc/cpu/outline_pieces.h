@@ -107,16 +107,13 @@ private:
                                 const OutlineView<S> &view, float still, bool creases, Weights &weights) {
         using F = PacketOf<float>;
         using M = MaskOf<F>;
-        auto column = [](const auto &columns, size_t i) {
-            return Vec3<F>{load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
-        };
         bool some = false;
         for (size_t i = 0; i < OutlineTree::Wide; i += size_t(Lanes<F>::Width)) {
             const F given = load<F>(&all.weight[i]), bend = load<F>(&all.bend[i]);
             const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&all.kind[i])));
             const F weight = select(mask<F>(given > F(0)), F(1), select(mask<F>(given < F(0)), F(still), F(0)));
-            const Vec3<F> from{F(o.x), F(o.y), F(o.z)}, d = view.parallel ? from : column(all.a, i) - from;
-            const F s0 = dot(column(all.n0, i), d), s1 = dot(column(all.n1, i), d);
+            const Vec3<F> from{F(o.x), F(o.y), F(o.z)}, d = view.parallel ? from : load_vector<F>(all.a, i) - from;
+            const F s0 = dot(load_vector<F>(all.n0, i), d), s1 = dot(load_vector<F>(all.n1, i), d);
             const F margin = F(float(view.beside) + std::max(rounding.place, 0.f)) +
                              F(std::max(rounding.normal, 1e-5f)) * sqrt(squared_norm(d));
             const M same =

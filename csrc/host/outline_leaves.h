@@ -20,6 +20,15 @@ template <class T>
 void put_lane(const Vec3<float> &v, T &columns, size_t k) {
     columns[0][k] = v.x, columns[1][k] = v.y, columns[2][k] = v.z;
 }
+// ... as many from k on as F has lanes.
+template <class F, class T>
+Vec3<F> load_vector(const T &columns, size_t k) {
+    return {load<F>(&columns[0][k]), load<F>(&columns[1][k]), load<F>(&columns[2][k])};
+}
+template <class F, class T>
+void store_vector(const Vec3<F> &v, T &columns, size_t k) {
+    store(&columns[0][k], v.x), store(&columns[1][k], v.y), store(&columns[2][k], v.z);
+}
 
 // What can be an outline: a straight edge between `a` and `b` of faces with normals n0 and n1; or, `Round`, a curve
 // around `a` with the radius b[0], of the curved shape of number `shape`.

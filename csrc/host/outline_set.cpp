@@ -273,12 +273,16 @@ void OutlineSet::plant(const SceneView<S> &scene, int threads) {
     for_ranges(
         tree_.n_leaves(), threads,
         [&](size_t begin, size_t end, int) {
-            OutlineElement elements[OutlineTree::Wide];
+            OutlineLeaves::Elements elements_of_leaf;
             for (size_t leaf = begin; leaf < end; ++leaf) {
-                size_t n = 0;
-                for (size_t k = leaf * OutlineTree::Wide; n < OutlineTree::Wide && k < size(); ++k)
-                    elements[n++] = element(scene, size_t(order[k]));
-                tree_.set(leaf, elements, n);
+                size_t edges[OutlineTree::Wide], curves[OutlineTree::Wide], n = 0, n_curves = 0;
+                for (size_t k = leaf * OutlineTree::Wide; n + n_curves < OutlineTree::Wide && k < size(); ++k) {
+                    const size_t i = size_t(order[k]);
+                    (is_edge(i) ? edges[n++] : curves[n_curves++]) = i;
+                }
+                put_edges(scene, edges, n, elements_of_leaf);
+                for (size_t k = 0; k < n_curves; ++k) elements_of_leaf.set(n + k, curve_element(scene, curves[k]));
+                tree_.set(leaf, elements_of_leaf);
             }
         },
         FewLeaves);
@@ -367,25 +371,19 @@ void OutlineSet::put_edges(const SceneView<S> &scene, const size_t *edges, size_
                                      : OutlineElement::Edge;
         to.index[k] = int32_t(edge);
     }
-    auto column = [](const auto &columns, size_t i) {
-        return Vec3<F>{load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
-    };
-    auto put = [](const Vec3<F> &v, auto &columns, size_t i) {
-        store(&columns[0][i], v.x), store(&columns[1][i], v.y), store(&columns[2][i], v.z);
-    };
     for (size_t i = 0; i < Wide; i += size_t(Lanes<F>::Width)) {
-        const Vec3<F> a = column(to.a, i), along = column(to.b, i) - a;
+        const Vec3<F> a = load_vector<F>(to.a, i), along = load_vector<F>(to.b, i) - a;
         auto normal = [&](size_t face) {
-            const Vec3<F> v = cross(along, column(third[face], i) - a);
+            const Vec3<F> v = cross(along, load_vector<F>(third[face], i) - a);
             return v * (load<F>(&sign[face][i]) / max(sqrt(squared_norm(v)), F(1e-30f)));
         };
         const auto alone = mask<F>(load<F>(&odd[i]) > F(0)), apart = mask<F>(load<F>(&split[i]) > F(0));
         const Vec3<F> n0 = normal(0), n1 = normal(1);
         const F bend = max(F(0), F(1) - dot(n0, n1));
         const auto counts = mask<F>(bend > F(1e-7f)) || apart || alone;
-        const auto hollow = !alone && mask<F>(dot(n0, column(third[1], i) - a) > F(0));
+        const auto hollow = !alone && mask<F>(dot(n0, load_vector<F>(third[1], i) - a) > F(0));
         const F weight = select(counts, select(hollow, F(Hollow), F(1)), F(0));
-        put(n0, to.n0, i), put(n1, to.n1, i);
+        store_vector(n0, to.n0, i), store_vector(n1, to.n1, i);
         store(&to.weight[i], weight * load<F>(&moving[i]));
         store(&to.bend[i], select(apart, max(bend, F(0.05f)), bend));
     }

@@ -30,10 +30,6 @@ struct Numbers {
     float single() { return float(bits() >> 40) * 0x1p-24f; }
 };
 
-template <class T>
-Vec3<F> load_vector(const T &columns, size_t i) {
-    return {load<F>(&columns[0][i]), load<F>(&columns[1][i]), load<F>(&columns[2][i])};
-}
 Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
 
 // What only weighs choices may be rough: roots and quotients as the processor estimates them, to 2^-14, and the greater
@@ -150,7 +146,7 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
     for (size_t i = 0; i < Wide; i += W) {
         const F flux = load<F>(&nodes.flux[i]) + load<F>(&nodes.still[i]) * F(from.still),
                 radius = from.parallel ? F(0) : load<F>(&nodes.radius[i]);
-        const Vec3<F> d = from.parallel ? widen(from.p) : load_vector(nodes.center, i) - widen(from.p);
+        const Vec3<F> d = from.parallel ? widen(from.p) : load_vector<F>(nodes.center, i) - widen(from.p);
         const F squared = squared_norm(d), r2 = radius * radius;
         const M counts = mask<F>(flux > F(0)), outside = mask<F>(squared > r2);
         const F inverse = rough_rsqrt(greater(squared, F(1e-30f)));
@@ -160,7 +156,7 @@ bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, floa
         const F cone = load<F>(&nodes.cosine[i]), spread = load<F>(&nodes.sine[i]);
         const F cosine = cone * cos_angle - spread * sin_angle, sine = spread * cos_angle + cone * sin_angle;
         const M bounded = mask<F>(cone > F(0)) && mask<F>(cosine > F(0));
-        const M none = bounded && mask<F>(abs(dot(load_vector(nodes.axis, i), direction)) > sine);
+        const M none = bounded && mask<F>(abs(dot(load_vector<F>(nodes.axis, i), direction)) > sine);
         // where normals and directions spread less than in all directions, more of what may be an outline is one
         const F narrow = select(bounded, lesser(F(50), rough_rsqrt(greater(sine * sine, F(1e-30f)))), F(1));
         const F r = flux * narrow * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
@@ -200,8 +196,8 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
     const Elements &leaf = leaves_.get(number, space, rounding);
     bool curves = false;
     for (size_t i = 0; i < Wide; i += W) {
-        const Vec3<F> p = widen(from.p), along = load_vector(leaf.b, i) - load_vector(leaf.a, i);
-        const Vec3<F> a = from.parallel ? p : load_vector(leaf.a, i) - p;
+        const Vec3<F> p = widen(from.p), along = load_vector<F>(leaf.b, i) - load_vector<F>(leaf.a, i);
+        const Vec3<F> a = from.parallel ? p : load_vector<F>(leaf.a, i) - p;
         F s(u), spread(1);  // one over the density of s
         if (!from.parallel) {
             const F squared = greater(squared_norm(along), F(1e-30f)), inverse = rsqrt(squared);
@@ -218,8 +214,8 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
         const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
         const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
         const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
-        const F n0 = dot(load_vector(leaf.n0, i), d), n1 = dot(load_vector(leaf.n1, i), d), distance2 = squared_norm(d),
-                inverse = rough_rsqrt(greater(distance2, F(1e-30f)));
+        const F n0 = dot(load_vector<F>(leaf.n0, i), d), n1 = dot(load_vector<F>(leaf.n1, i), d),
+                distance2 = squared_norm(d), inverse = rough_rsqrt(greater(distance2, F(1e-30f)));
         const M unknown =
             mask<F>(lesser(abs(n0), abs(n1)) <= distance2 * inverse * F(rounding.normal) + F(rounding.place));
         const M in0 = mask<F>(n0 < F(0)), in1 = mask<F>(n1 < F(0)), outline = (in0 && !in1) || (in1 && !in0) || unknown;

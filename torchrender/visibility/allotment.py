@@ -11,9 +11,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-SEEN, SHADOWS, REFLECTIONS = 1 / 24, 1 / 32, 1 / 64
+SEEN, SHADOWS, REFLECTIONS = 1 / 32, 1 / 32, 1 / 64
 """Of the derivative's samples: of outlines that the camera sees; of those that lights see; of those that vertices
 see."""
+OF_SKIES = 1 / 64
+"""... of those that lights see, where a sky is one of them: they take five times as long as of lamps."""
 ALONE = 1 / 6
 """... of those that the camera sees, where there are no others."""
 LEAST = 1024
@@ -22,7 +24,7 @@ COSTS = {"silhouettes": 1.0, "shadows": 2.0, "reflections": 4.0}
 """What a sample takes, about, in one of a silhouette: those of the others are paths, and choose from a tree."""
 HARDLY, FEWEST = 0.02, 0.125
 """The share of all that is brought below which a part gets fewer samples, down to this share of them."""
-DEEP = 3.0
+DEEP = 3.5
 """Rays of a sample of reflections, above which paths of the image take longer, too, and shadows and reflections make
 more of the noise: they get more samples, as the square of the rays, up to four times as many."""
 

@@ -13,7 +13,7 @@ from ..render_call import RenderCall
 from ..scene.declaration import models
 from ..scene.gather import has_derivative
 from ..scene.packing import Layout
-from .allotment import ALONE, REFLECTIONS, SEEN, SHADOWS
+from .allotment import ALONE, OF_SKIES, REFLECTIONS, SEEN, SHADOWS
 
 PLACING = ("transform", "float", "point", "tensor")  # kinds of fields that may place something
 # Of the last two outlines are found that points on surfaces and lights see; the last but one has them in view, too.
@@ -21,6 +21,7 @@ SENSORS = ("perspective", "thinlens", "orthographic", "fisheye", "panorama", "di
 NORMALS = "normals"
 SHADING = (NORMALS, "texcoords")  # fields of meshes that place nothing
 MOVING_LIGHTS = ("point", "spot", "projector", "directional")  # what may move of others are shapes
+SKIES = ("constant", "envmap")
 
 
 @dataclass
@@ -73,7 +74,8 @@ def boundary_of(
     shapes = placing_slots(call.layout, "shape")
     placed = [camera or asked(placing) for _, placing, _ in shapes]
     moves = [p or asked(normals) for p, (_, _, normals) in zip(placed, shapes, strict=True)]
-    lights = any(asked(slots) for k, slots, _ in placing_slots(call.layout, "emitter") if k in MOVING_LIGHTS)
+    emitters = placing_slots(call.layout, "emitter")
+    lights = any(asked(slots) for k, slots, _ in emitters if k in MOVING_LIGHTS)
     # of those that the camera sees alone: of rims there are no others; beside media others have no such term
     limited = call.config.get("volumetric") or call.layout.bending
     seen_alone = (bool(limited) and outputs is None) or not (any(placed) or lights)
@@ -81,7 +83,8 @@ def boundary_of(
         return None
     alone = seen_alone or outputs is not None or 0 <= call.config["max_depth"] < 2
     seen, others = spp or (call.spp_grad * (ALONE if alone else SEEN), call.spp_grad)
-    of_lights, of_vertices = (others, others) if spp else (others * SHADOWS, others * REFLECTIONS)
+    shadows = OF_SKIES if any(k in SKIES for k, _, _ in emitters) else SHADOWS
+    of_lights, of_vertices = (others, others) if spp else (others * shadows, others * REFLECTIONS)
     counts = (seen, 0.0, 0.0) if alone else (seen, of_lights, of_vertices)
     glued = outputs is None and call.config["integrator"] == "ptracer"
     moving = torch.tensor(moves, dtype=torch.bool)
