@@ -150,6 +150,7 @@ class RenderVjpFunction(DerivativeFunction):
         for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
             if call.adaptive_grad:
                 config |= {"adaptive": True, "sample_offset": call.share.adaptive_offset()}
+            config |= {"fixed_sums": torch.are_deterministic_algorithms_enabled()}
             all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
         call.finish("vjp", all_stats)
         return tuple(grads)

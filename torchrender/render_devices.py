@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Sequence
 
 import torch
 
 from .devices import device
-from .errors import depth_outside
 from .first_hit_call import PATH_OUTPUTS
 from .integrators import DirectIllumination, Integrator, Moment, PathTracer
 from .scene.gather import has_derivative
@@ -25,27 +23,9 @@ def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator:
 
 
 def check_derivatives(tensors: Sequence[torch.Tensor], adaptive: bool) -> None:
-    """RuntimeError if a derivative is recorded that the chosen device does not have.
-
-    Like PyTorch's own operations on cards: also under ``torch.use_deterministic_algorithms(True)``, since sums depend
-    on the order of threads; a warning with ``warn_only=True``.
-    """
-    if device() == "cpu":
-        return
-    asked = any(has_derivative(tensor) for tensor in tensors)
-    if asked:
-        _refuse(_missing_derivatives(adaptive))
-    if asked and device() != "emulated" and torch.is_deterministic_algorithms_warn_only_enabled():
-        text = f"render: the gradients of {device()} are not deterministic: their sums depend on the order of threads"
-        warnings.warn(text, UserWarning, stacklevel=depth_outside())
-
-
-def _missing_derivatives(adaptive: bool) -> Iterator[str]:
-    if adaptive:
-        yield "adaptive_grad yet"
-    strict = torch.are_deterministic_algorithms_enabled() and not torch.is_deterministic_algorithms_warn_only_enabled()
-    if strict and device() != "emulated":
-        yield "deterministic gradients, which torch.use_deterministic_algorithms(True) asks for"
+    """RuntimeError if a derivative is recorded that the chosen device does not have."""
+    if adaptive and device() != "cpu" and any(has_derivative(tensor) for tensor in tensors):
+        _refuse(iter(["adaptive_grad yet"]))
 
 
 def _refuse(missing: Iterator[str]) -> None:

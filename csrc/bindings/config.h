@@ -23,6 +23,7 @@ struct Config {
     std::vector<uint64_t> seeds;      // of the passes of other outputs than radiance
     bool zero_at_misses;
     bool adaptive;   // reverse mode of radiance
+    bool fixed_sums;  // ... of devices, see DerivativeCall
     bool by_power;   // emitters are chosen by their power, too
     HitStore *hits;  // may be null
     std::size_t hits_pass;

@@ -87,7 +87,7 @@ public:
         SceneRays *rays = updated(c.device, values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
-        d.adaptive = c.adaptive;
+        d.adaptive = c.adaptive, d.fixed_sums = c.fixed_sums;
         RenderCall<S> reverse = call(c);
         if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
         refuse_light(c, rays);

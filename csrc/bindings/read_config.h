@@ -100,6 +100,7 @@ inline Config read_config(const Value &d, Progress progress) {
     if (const Value *sums = d.find("sums")) c.sums = object_of<FilmSums>(*sums).get();
     c.interrupted = Interruption(progress);
     c.adaptive = flag(d, "adaptive");
+    c.fixed_sums = flag(d, "fixed_sums");
     c.by_power = d.find("emitter_sampling") && d["emitter_sampling"].as<std::string>() == "power";
     return c;
 }

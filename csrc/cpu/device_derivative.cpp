@@ -14,6 +14,13 @@ namespace {
 
 constexpr size_t MostOfCopies = size_t(16) << 20;  // bytes
 
+template <class T>
+T *zeros(Launcher &launcher, DeviceArray<T> &array, size_t n) {
+    array.reserve(launcher, n);
+    clear(launcher, array.get(), n);
+    return array.get();
+}
+
 std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<float> &call) {
     const GeometrySizes &sizes = call.geometry_sizes;
     return {sizes.positions, sizes.normals, sizes.texcoords};
@@ -76,31 +83,47 @@ void DeviceDerivative::collect(Launcher &launcher, const RenderCall<float> &call
                  n);
 }
 
+// Sums that are settled with those at `to` or `to_texels`.
+FixedSum *DeviceDerivative::fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, float *to_texels) {
+    const size_t number = settled_.size();
+    if (fixed_.size() <= number) fixed_.resize(number + 1);
+    FixedSum *from = zeros(launcher, fixed_[number], n * copies);
+    settled_.push_back({{from, copies, to, to_texels}, uint32_t(n)});
+    return from;
+}
+
+void DeviceDerivative::settle(Launcher &launcher) {
+    for (const Settled &each : settled_) launcher.run(each.sums, each.n);
+}
+
 DerivativePlaces DeviceDerivative::begin_gradients(Launcher &launcher, const DerivativeCall<float> &call,
                                                    uint64_t *non_finite) {
-    const size_t room = MostOfCopies / (sizeof(double) * std::max<size_t>(1, call.n_constants));
+    settled_.clear();
+    if (!call.fixed_sums) fixed_.clear();  // they are large
+    const size_t size = call.fixed_sums ? sizeof(FixedSum) : sizeof(double), n = call.n_constants;
+    const size_t room = MostOfCopies / (size * std::max<size_t>(1, n));
     for (copies_ = launcher.gradient_copies(); copies_ > 1 && copies_ > room;) copies_ /= 2;
-    const size_t n = call.n_constants * copies_;
-    constants_.reserve(launcher, n);
-    clear(launcher, constants_.get(), n);
+    DerivativePlaces r = places(launcher, call, non_finite);
+    r.fixed = call.fixed_sums, r.copies = copies_;
+    double *const sums = zeros(launcher, sums_, n);
+    r.constants = r.fixed ? reinterpret_cast<double *>(fixed(launcher, n, copies_, sums, nullptr))
+                          : zeros(launcher, constants_, n * copies_);
     std::vector<float *> pointers(call.gradients.size(), nullptr);
     if (tensors_.size() < pointers.size()) tensors_.resize(pointers.size());
     for (size_t i = 0; i < pointers.size(); ++i) {
-        const auto size = size_t(call.sizes[i]);
-        if (!call.gradients[i] || size == 0) continue;
-        tensors_[i].reserve(launcher, size);
-        clear(launcher, tensors_[i].get(), size);
-        pointers[i] = tensors_[i].get();
+        const auto texels = size_t(call.sizes[i]);
+        if (!call.gradients[i] || texels == 0) continue;
+        pointers[i] = zeros(launcher, tensors_[i], texels);
+        if (r.fixed) pointers[i] = reinterpret_cast<float *>(fixed(launcher, texels, 1, nullptr, pointers[i]));
     }
     pointers_.upload(launcher, pointers.data(), pointers.size());
-    DerivativePlaces r = places(launcher, call, non_finite);
-    r.constants = constants_.get(), r.copies = copies_, r.tensors = pointers_.get();
+    r.tensors = pointers_.get();
     const auto of_vertices = numbers_of_vertices(call);
     for (size_t k = 0; k < VertexArrays; ++k) {
         if (of_vertices[k] == 0) continue;
-        vertices_[k].reserve(launcher, of_vertices[k]);
-        clear(launcher, vertices_[k].get(), of_vertices[k]);
-        r.vertices[k] = vertices_[k].get();
+        r.vertices[k] = zeros(launcher, vertices_[k], of_vertices[k]);
+        if (r.fixed)
+            r.vertices[k] = reinterpret_cast<double *>(fixed(launcher, of_vertices[k], 1, r.vertices[k], nullptr));
     }
     return r;
 }
@@ -117,11 +140,10 @@ void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float
     size_t most = 1;
     for (size_t i = 0; i < call.gradients.size(); ++i)
         if (call.gradients[i]) most = std::max(most, size_t(call.sizes[i]));
-    sums_.reserve(launcher, call.n_constants);
     auto *found = static_cast<float *>(found_.reserve(launcher, most * sizeof(float)));
     call.sums.reset(call.n_constants, call.geometry_sizes);
     // nothing that can fail for lack of memory is behind this
-    launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
+    if (!call.fixed_sums) launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
     sums_.download(call.sums.constants.data(), call.n_constants);
     std::vector<double> *const to_vertices[] = {&call.sums.positions, &call.sums.normals, &call.sums.texcoords};
     for (int k = 0; k < VertexArrays; ++k) vertices_[k].download(to_vertices[k]->data(), to_vertices[k]->size());

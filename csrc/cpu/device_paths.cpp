@@ -149,7 +149,7 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
 
     SceneFacts facts(host, call.config);
     facts.records = derivative != nullptr, facts.forward = derivative && !derivative->adjoint;
-    facts.motion = work.parts.motion;
+    facts.motion = work.parts.motion, facts.fixed_sums = derivative && derivative->fixed_sums;
     launcher_.know(facts);
     std::vector<int32_t> kinds(size_t(host.n_bsdfs));
     for (int b = 0; b < host.n_bsdfs; ++b) kinds[size_t(b)] = resolved_kind(host, b);
@@ -261,13 +261,18 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
         work.reverse = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
-        const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
             derivative_.collect(launcher_, call, at_.slots, batch.size);
             trace_paths(work, batch.size);
+            if ((to.measures = to.fixed)) {
+                sweep(work, to, false);
+                to.measures = false;
+            }
             sweep(work, to, false);
+            derivative_.settle(launcher_);
         });
         if (stats.interrupted) return;
         finish(work, stats);

@@ -54,6 +54,7 @@ struct DerivativeCall {
     std::vector<int32_t> bsdfs;   // by bsdf: a parameter of it is differentiated
     std::vector<int32_t> shapes;  // by shape: it moves, or its normals or coordinates do
     bool adaptive = false;        // reverse: more samples where the adjoint is larger, see allocation.h
+    bool fixed_sums = false;      // reverse, on devices: gradients do not depend on any order
 
     GradientNeeds gradient_needs() const {
         GradientNeeds r = needs;

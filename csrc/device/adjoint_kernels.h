@@ -2,6 +2,7 @@
 // copies of sums to the sums.
 #pragma once
 
+#include "core/adjoint/fixed_sum.h"
 #include "film_kernels.h"
 
 namespace tr {
@@ -93,6 +94,34 @@ struct SumCopies {
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         visit(from), visit(to);
+    }
+};
+
+// Sums of a batch are added to those of all, and are zero again: of constants, of which there are copies, and vertices,
+// in double precision; of texels as they are. One of both is null.
+struct SettleSums {
+    static constexpr const char *Name = "tr::SettleSums", *Header = "device/adjoint_kernels.h";
+    FixedSum *from;  // (n, copies)
+    uint32_t copies;
+    double *to;
+    float *to_texels;
+
+    TR_HD void operator()(uint32_t i) const {
+        double sum = 0;
+        for (uint32_t k = 0; k < copies; ++k) {
+            FixedSum &each = from[size_t(i) * size_t(copies) + k];
+            if (each.largest == 0) continue;
+            sum += each.value();
+            each = {0, 0, 0};
+        }
+        if (to)
+            to[i] += sum;
+        else
+            to_texels[i] += float(sum);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(from), visit(to), visit(to_texels);
     }
 };
 

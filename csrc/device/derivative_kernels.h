@@ -26,13 +26,16 @@ struct DerivativePlaces {
     uint32_t matrices;
     const int32_t *shape_wanted;
     uint64_t *non_finite;
+    TR_FACT(bool, fixed, TR_FIXED_SUMS);  // all gradients are FixedSums, see GradientSink
+    bool measures;
 
     TR_HD GradientSink<float> sink(uint32_t item) const {
         GradientSink<float> r;
 #if !defined(TR_ONE_SCENE)
-        r.forward = forward;
+        r.forward = forward, r.fixed = fixed;
 #endif
-        r.copies = copies, r.constants = constants ? constants + item % copies : nullptr;
+        const size_t own = (fixed ? sizeof(FixedSum) / sizeof(double) : 1) * (item % copies);
+        r.copies = copies, r.constants = constants ? constants + own : nullptr, r.measures = measures;
         r.tensors = tensors, r.tangent = tangent;
         for (int k = 0; k < VertexArrays; ++k) r.vertices[k] = vertices[k], r.vertex_tangent[k] = vertex_tangent[k];
         r.component = component, r.matrices = matrices, r.shape_wanted = shape_wanted;
@@ -63,7 +66,7 @@ struct TapeBefore {
 struct SweepVertices {
     static constexpr const char *Name = "tr::SweepVertices", *Header = "device/derivative_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Derivative;
-    static constexpr bool Adds = true;
+    bool adds() const { return !to.fixed; }
     PathStage stage;  // with the level
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
     uint32_t level;
@@ -82,7 +85,7 @@ struct SweepVertices {
                                     stage.width, stage.height, nullptr,     unit_adjoint};
         GradientSink<float> sink = to.sink(i);
         sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
-        if (sink.non_finite != 0) accumulate(to.non_finite, uint64_t(sink.non_finite));
+        if (sink.non_finite != 0 && !to.measures) accumulate(to.non_finite, uint64_t(sink.non_finite));
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

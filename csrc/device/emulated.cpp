@@ -204,7 +204,7 @@ private:
         uint64_t a = order % n, b = mixed(order) % n;
         while (std::gcd(a, uint64_t(n)) != 1) a = (a + 1) % n;
         for_ranges(
-            n, kernel.adds ? 1 : options_.threads,
+            n, kernel.adds(bytes) ? 1 : options_.threads,
             [&](size_t first, size_t last, int) {
                 for (size_t k = first; k < last; ++k) kernel.item(bytes, uint32_t((a * k + b) % n));
             },

@@ -12,8 +12,8 @@
 // a launch run in any order, also at once. Pointers are of the device's memory, or null; for_pointers names them all.
 //
 // One with `static constexpr Knowledge Knows` is compiled for a scene. One with a type `Shared` has blocks of threads
-// as items, which share one of it: see block.h. Of one with `static constexpr bool Adds = true` items add
-// floating-point numbers to the same places (`accumulate`), which threads of a host cannot do at once.
+// as items, which share one of it: see block.h. One has `bool adds() const` if its items may add floating-point
+// numbers to the same places (`accumulate`), which threads of a host cannot do at once.
 #pragma once
 
 #include <functional>
@@ -33,7 +33,7 @@ struct KnowledgeOf<K, std::void_t<decltype(K::Knows)>> : std::integral_constant<
 template <class K, class = void>
 struct AddsTogether : std::false_type {};
 template <class K>
-struct AddsTogether<K, std::void_t<decltype(K::Adds)>> : std::bool_constant<K::Adds> {};
+struct AddsTogether<K, std::void_t<decltype(&K::adds)>> : std::true_type {};
 
 // What launchers know of a functor.
 struct Kernel {
@@ -43,7 +43,7 @@ struct Kernel {
     void (*pointers)(const void *functor, const std::function<void(const void *)> &visit);
     Knowledge knows;
     bool blocks;  // its items are blocks of threads
-    bool adds;
+    bool (*adds)(const void *functor);
 };
 
 template <class K>
@@ -69,7 +69,12 @@ const Kernel &kernel_of() {
         },
         KnowledgeOf<K>::value,
         IsBlockKernel<K>::value,
-        AddsTogether<K>::value,
+        [](const void *functor) {
+            if constexpr (AddsTogether<K>::value)
+                return static_cast<const K *>(functor)->adds();
+            else
+                return functor == nullptr;  // never
+        },
     };
     return kernel;
 }

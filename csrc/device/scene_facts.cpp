@@ -82,6 +82,7 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     number("SAMPLER", all ? sampler : 0);
     number("RECORDS", all && records), number("DERIVATIVES", knowledge == Knowledge::Derivative);
     number("FORWARD", knowledge == Knowledge::Derivative && forward), number("MOTION", all && motion);
+    number("FIXED_SUMS", knowledge == Knowledge::Derivative && fixed_sums);
     if (!knows_bsdf(knowledge)) return r;
     number("BSDF_KIND", bsdf);
     if (bsdf < 0 || size_t(bsdf) >= std::size(Sources)) return r;

@@ -16,6 +16,7 @@ struct SceneFacts {
     uint32_t textures = 0, emitters = 0, sensors = 0;  // kinds, a bit each
     bool textured = false, pinhole = false, stacks = false, tangents = false;
     bool records = false, forward = false, motion = false;  // paths are on a tape; in forward mode; something moves
+    bool fixed_sums = false;
     int32_t sampler = 0;
 
     SceneFacts() = default;

@@ -84,11 +84,11 @@ struct Gradient {
     RenderStats stats;
 
     template <class Reverse>
-    Gradient(const Balls &balls, const RenderCall<float> &call, Reverse &&reverse) {
+    Gradient(const Balls &balls, const RenderCall<float> &call, Reverse &&reverse, bool fixed_sums = false) {
         const std::vector<float> ones(size_t(call.film_height * call.film_width) * 3, 1.f);
         for (const auto &values : balls.builder.values) of_slots.emplace_back(values.size(), 0.f);
         DerivativeCall<float> d = reverse_call(balls.data, call.config, false, addresses_of(of_slots));
-        d.adjoint = ones.data();
+        d.adjoint = ones.data(), d.fixed_sums = fixed_sums;
         stats = reverse(call, d);
         add_gradients(balls.data, d, addresses_of(of_slots));
     }
@@ -146,6 +146,66 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
             CHECK(std::abs(expected.of_slots[0][0]) > 1);
         }
     }
+}
+
+// ... but sums of whole numbers are the same, bit for bit, in any order, of however many threads.
+TR_TEST(fixed_sums_of_gradients_do_not_depend_on_any_order) {
+    Balls balls;
+    const RenderCall<float> call = make_call(balls.data, small(Filter()));
+    const Gradient expected(balls, call, [](const RenderCall<float> &c, DerivativeCall<float> &d) {
+        return render_reverse<float>(c, d);
+    });
+    const auto on_device = [&](int threads, uint64_t seed) {
+        EmulatedOptions options;
+        options.threads = threads, options.seed = seed;
+        const auto device = make_emulated(options);
+        DeviceTree copied(*device);
+        copied.set(balls.rays.tree());
+        DevicePaths paths(*device, 9000 * DevicePaths::bytes_per_path());
+        const auto reverse = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
+            return paths.reverse(c, balls.data, copied.view(), d);
+        };
+        const Gradient plain(balls, call, reverse), found(balls, call, reverse, true), again(balls, call, reverse, true);
+        CHECK(again.of_slots == found.of_slots);  // what is kept from call to call is zero again
+        CHECK(found.stats.non_finite == plain.stats.non_finite);
+        return found;
+    };
+    const Gradient first = on_device(1, 1);
+    for (size_t i = 0; i < expected.of_slots.size(); ++i) {
+        float largest = 0;
+        for (const float a : expected.of_slots[i]) largest = std::max(largest, std::abs(a));
+        for (size_t k = 0; k < expected.of_slots[i].size(); ++k)
+            CHECK(std::abs(first.of_slots[i][k] - expected.of_slots[i][k]) <= 1e-4f * largest);
+    }
+    CHECK(std::abs(first.of_slots[0][0]) > 1);
+    for (const int threads : {2, 5})
+        for (const uint64_t seed : {2u, 3u}) CHECK(on_device(threads, seed).of_slots == first.of_slots);
+}
+
+// Of numbers of very different sizes, with what a float has to lose on the way.
+TR_TEST(fixed_sums_are_those_of_double_precision) {
+    const std::vector<std::vector<float>> cases{{1.f, 0x1p-20f, -1.f, 0x1p-22f},
+                                                {-3e38f, 1e38f, 2e38f, 7e30f},
+                                                {0x1p-149f, 0x1p-140f, -0x1p-149f, 3 * 0x1p-149f},
+                                                {0.f, -0.f},
+                                                {0.1f, 0.2f, 0.3f, -0.7f, 1e-9f}};
+    for (const std::vector<float> &numbers : cases) {
+        FixedSum forth{}, back{};
+        double sum = 0, largest = 0;
+        for (const float x : numbers) {
+            forth.measure(x), sum += double(x), largest = std::max(largest, std::abs(double(x)));
+        }
+        back.largest = forth.largest;
+        for (size_t i = 0; i < numbers.size(); ++i) {
+            forth.add(numbers[i]), back.add(numbers[numbers.size() - 1 - i]);
+        }
+        CHECK(forth.value() == back.value());
+        CHECK(std::abs(forth.value() - sum) <= largest * std::ldexp(double(numbers.size()), -FixedSum::Bits));
+    }
+    FixedSum many{};
+    many.measure(1.5f);
+    for (int i = 0; i < 100000; ++i) many.add(i % 2 ? -1.5f : 1.25f);
+    CHECK(many.value() == -12500);
 }
 
 // Where memory is short batches are smaller, as long as they fit at all.
@@ -206,8 +266,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     more.stacks = true;
     SceneFacts recorded = room, forward = room;
     recorded.records = forward.records = forward.forward = true;
-    SceneFacts moved = recorded;
-    moved.motion = true;
+    SceneFacts moved = recorded, fixed = recorded;
+    moved.motion = fixed.fixed_sums = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
     struct Case {
         const Kernel &kernel;
@@ -228,12 +288,14 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<SweepVertices>(), recorded, diffuse, ",diffuse"},
                              {kernel_of<SweepVertices>(), recorded, MissKind, ",miss"},
                              {kernel_of<SweepVertices>(), forward, diffuse, ",diffuse,forward"},
+                             {kernel_of<SweepVertices>(), fixed, diffuse, ",diffuse,fixed"},
                              {kernel_of<ShadeHits>(), moved, diffuse, ",diffuse,recorded,moved"},
                              {kernel_of<SweepVertices>(), moved, diffuse, ",diffuse,moved"},
                              {kernel_of<PlaceSamples>(), room, -1, ""},
                              {kernel_of<DivideAdjoint>(), room, -1, ""},
                              {kernel_of<CollectAdjoints>(), room, -1, ""},
                              {kernel_of<SumCopies>(), room, -1, ""},
+                             {kernel_of<SettleSums>(), room, -1, ""},
                              {kernel_of<NumberSamples>(), room, -1, ""},
                              {kernel_of<CountKeys>(), room, -1, ""},
                              {kernel_of<SumKeys>(), room, -1, ""},

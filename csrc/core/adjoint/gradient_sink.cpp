@@ -19,11 +19,24 @@ TR_INLINE Index GradientSink<F>::constant(const Index &offset) const {
         return offset * copies;
 }
 
+// Adds to a gradient.
+template <class F>
+template <class T>
+TR_INLINE void GradientSink<F>::put(T *to, size_t index, T value) const {
+    if constexpr (Lanes<F>::Width == 1) {
+        if (fixed) {
+            FixedSum &sum = reinterpret_cast<FixedSum *>(to)[index];
+            return measures ? sum.measure(float(value)) : sum.add(float(value));
+        }
+    }
+    accumulate(&to[index], value);
+}
+
 template <class F>
 TR_INLINE void GradientSink<F>::add(double *to, const U &index, const F &g, const M &active) {
     auto usable = count_finite(active && is_finite(Spectrum<F, 1>{{g}}), active);
     for (int i = 0; i < Lanes<F>::Width; ++i)
-        if (lane_is_set(usable, i)) accumulate(&to[lane(index, i)], double(lane(g, i)));
+        if (lane_is_set(usable, i)) put(to, lane(index, i), double(lane(g, i)));
 }
 template <class F>
 TR_INLINE void GradientSink<F>::add_derivative(const Spectrum<F> &d, const M &active) {
@@ -122,7 +135,7 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
         int32_t first = first_lane(offset, usable);
         if (!any(usable && mask<F>(offset != first))) {  // adding lane by lane would wait for every addition
             for (int c = 0; c < SpectrumSize; ++c)
-                accumulate(&constants[first + c], double(lane_sum(select(usable, g[c], F(0)))));
+                put(constants, size_t(first + c), double(lane_sum(select(usable, g[c], F(0)))));
             return;
         }
     }
@@ -130,7 +143,7 @@ TR_NOINLINE void GradientSink<F>::spectrum(const I &offset, const Spectrum<F> &g
     for (int i = 0; i < Lanes<F>::Width; ++i)
         if (lane_is_set(usable, i))
             for (int c = 0; c < SpectrumSize; ++c)
-                accumulate(&to[constant(uint32_t(lane(offset, i)) + uint32_t(c))], double(lane(g[c], i)));
+                put(to, constant(uint32_t(lane(offset, i)) + uint32_t(c)), double(lane(g[c], i)));
 }
 
 template <class F>
@@ -142,8 +155,8 @@ TR_NOINLINE void GradientSink<F>::add_to_tables(const I &offset, const Spectrum<
         const F upper = g[c] * place.fraction, lower = g[c] - upper;
         for (int i = 0; i < Lanes<F>::Width; ++i) {
             if (!lane_is_set(active, i)) continue;
-            accumulate(&to[constant(lane(index, i))], double(lane(lower, i)));
-            accumulate(&to[constant(lane(index, i) + 1)], double(lane(upper, i)));
+            put(to, constant(lane(index, i)), double(lane(lower, i)));
+            put(to, constant(lane(index, i) + 1), double(lane(upper, i)));
         }
     }
 }
@@ -179,8 +192,9 @@ TR_NOINLINE void GradientSink<F>::footprint(const Scene &scene, int32_t slot, co
         if (!lane_is_set(usable, i)) continue;
         for (int k = 0; k < at.n; ++k) {
             S w = lane(at.weight[k], i);
-            S *texel = gradient + size_t(lane(at.texel[k], i)) * size_t(channels);
-            for (int c = 0; c < SpectrumSize; ++c) accumulate(&texel[channels == 1 ? 0 : c], w * lane(g[c], i));
+            const size_t texel = size_t(lane(at.texel[k], i)) * size_t(channels);
+            for (int c = 0; c < SpectrumSize; ++c)
+                put(gradient, texel + size_t(channels == 1 ? 0 : c), w * lane(g[c], i));
         }
     }
 }
@@ -191,8 +205,8 @@ TR_NOINLINE void GradientSink<F>::add_sigmoid_texels(const TensorView<S> &tensor
     sweep_sigmoid_texels(tensor.data, waves, at.texel, at.weight, at.n, g, active, [&](int k, const auto &bar) {
         for (int i = 0; i < Lanes<F>::Width; ++i) {
             if (!lane_is_set(active, i)) continue;
-            S *texel = gradient + size_t(lane(at.texel[k], i)) * SigmoidChannels;
-            for (int c = 0; c < SigmoidChannels; ++c) accumulate(&texel[c], lane(bar[c], i));
+            const size_t texel = size_t(lane(at.texel[k], i)) * SigmoidChannels;
+            for (int c = 0; c < SigmoidChannels; ++c) put(gradient, texel + size_t(c), lane(bar[c], i));
         }
     });
 }
@@ -232,7 +246,7 @@ TR_LARGE void GradientSink<F>::taps(int32_t slot, const Taps<F> &at, const M &ac
     }
     for (int i = 0; i < W; ++i) {
         if (!lane_is_set(usable, i)) continue;
-        for (int k = 0; k < at.n; ++k) accumulate(&gradient[texel[k][i]], weight[k][i]);
+        for (int k = 0; k < at.n; ++k) put(gradient, texel[k][i], weight[k][i]);
     }
 }
 
@@ -251,7 +265,7 @@ TR_LARGE void GradientSink<F>::trapezoid(int32_t slot, int32_t n, S inner, const
     auto usable = count_finite(active && is_finite(g), active);
     S total(0);
     for (int c = 0; c < SpectrumSize; ++c) total += lane_sum(select(usable, g[c], F(0)));
-    for (int32_t i = 0; i < n; ++i) accumulate(&gradient[i], total * weight(i));
+    for (int32_t i = 0; i < n; ++i) put(gradient, size_t(i), total * weight(i));
 }
 
 template <class F>

@@ -8,6 +8,7 @@
 #pragma once
 
 #include "../texture/texture.h"
+#include "fixed_sum.h"
 
 namespace tr {
 
@@ -51,6 +52,9 @@ public:
     uint32_t copies = 1;  // of each of them, side by side, one of which is added to; of devices, and 1 with packets
     S *const *tensors = nullptr;
     double *vertices[VertexArrays] = {};
+    // ... of devices: all of these are FixedSums, whose largest numbers are found, or which are added to
+    TR_FACT(bool, fixed, TR_FIXED_SUMS) = false;
+    bool measures = false;
 
     // forward mode
     Values<S> tangent{};
@@ -105,6 +109,8 @@ private:
     TR_HD M count_finite(const M &usable, const M &active);
     template <class Index>
     TR_HD Index constant(const Index &offset) const;
+    template <class T>
+    TR_HD void put(T *to, size_t index, T value) const;
     TR_HD void add(double *to, const U &index, const F &g, const M &active);
     TR_HD void add_derivative(const Spectrum<F> &d, const M &active);
     TR_HD void add_derivative(const F &d, const M &active);
