@@ -3,7 +3,8 @@
 The emulated device is the host that behaves like a card, for tests: it has memory of its own, which is guarded, works
 later than it is asked to, and shuffles what runs at once. Environment variables: ``TORCHRENDER_BACKEND`` is ``cpu``
 (the default), ``cuda``, ``cuda:NUMBER`` or ``emulated``, read when it is first needed; ``TORCHRENDER_NVRTC`` is the
-path of CUDA's compiler. Nothing of CUDA is loaded unless a card is chosen, but by `report`.
+path of CUDA's compiler; ``TORCHRENDER_KERNELS`` names folders with kernels that were compiled before (cuda/compile.py),
+with ``:`` between them. Nothing of CUDA is loaded unless a card is chosen, but by `report`.
 """
 
 from __future__ import annotations
@@ -48,7 +49,11 @@ def device() -> str:
 
 @contextlib.contextmanager
 def chosen(name: str) -> Iterator[None]:
-    """Another device for a while: one of `CHOICES`, a card, or ``tree``, where the CPU walks the tree of devices."""
+    """Another device for a while: one of `CHOICES` or a card.
+
+    Or ``tree``, where the CPU walks the tree of devices; or ``sm_90``, where nothing runs, but kernels are compiled for
+    cards of this capability.
+    """
     global _chosen
     before, _chosen = _chosen, name
     try:
@@ -65,20 +70,44 @@ def kernels() -> Path:
 
 
 def use_compiler(core: Library) -> None:
-    """Name the compiler of kernels to a core that is to use a card. RuntimeError if there is none."""
-    if core.isa in _with_compiler:
-        return
+    """Name the compiler of kernels to a core that is to use a card. RuntimeError if there is none, and no kernels."""
+    if core.isa not in _with_compiler:
+        packs = compiled_before()
+        _name_compiler(core, "", packs, needed=not packs)
+        _with_compiler.add(core.isa)
+
+
+@contextlib.contextmanager
+def compiling_into(core: Library, folder: Path) -> Iterator[None]:
+    """Kernels are compiled into this folder for a while. RuntimeError if there is no compiler."""
+    _name_compiler(core, str(folder), [], needed=True)
+    _with_compiler.add(core.isa)
+    try:
+        yield
+    finally:
+        _with_compiler.discard(core.isa)
+
+
+def compiled_before() -> list[str]:
+    """Folders of kernels that were compiled before: those of ``TORCHRENDER_KERNELS``. ValueError if one is missing."""
+    folders = [folder for folder in os.environ.get("TORCHRENDER_KERNELS", "").split(os.pathsep) if folder]
+    for folder in folders:
+        if not Path(folder).is_dir():
+            raise ValueError(f"TORCHRENDER_KERNELS: there is no folder {folder}")
+    return folders
+
+
+def _name_compiler(core: Library, into: str, packs: list[str], needed: bool) -> None:
     problem = ""
     for path in nvrtc_candidates():
         try:
-            core.use_cuda_compiler(path, str(kernels()))
+            return core.use_cuda_compiler(path, str(kernels()), into, packs)
         except RuntimeError as error:
             if os.sep in path:
                 problem = problem or str(error)
-        else:
-            _with_compiler.add(core.isa)
-            return
-    raise RuntimeError(problem or _NO_NVRTC)
+    if needed:
+        raise RuntimeError(problem or _NO_NVRTC)
+    core.use_cuda_compiler("", str(kernels()), into, packs)
 
 
 def require_cpu(what: str) -> None:

@@ -22,10 +22,10 @@ struct Config {
     std::vector<int32_t> attributes;  // numbers of the names of meshes' colours that are put out
     std::vector<uint64_t> seeds;      // of the passes of other outputs than radiance
     bool zero_at_misses;
-    bool adaptive;   // reverse mode of radiance
+    bool adaptive;    // reverse mode of radiance
     bool fixed_sums;  // ... of devices, see DerivativeCall
-    bool by_power;   // emitters are chosen by their power, too
-    HitStore *hits;  // may be null
+    bool by_power;    // emitters are chosen by their power, too
+    HitStore *hits;   // may be null
     std::size_t hits_pass;
     FilmSums *sums;                           // of earlier samples; may be null
     std::function<bool(double)> interrupted;  // of RenderCall

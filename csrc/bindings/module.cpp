@@ -180,7 +180,7 @@ Functions all_functions() {
     f.add("cuda_driver", [] { return cuda::driver_version(cuda::find_driver()); });
     f.add("nvrtc", [](const std::string &path) { return cuda::Nvrtc(path).version(); });
 #if !TR_HAS_PACKETS
-    f.add("use_cuda_compiler", &cuda::use_compiler);  // the path of NVRTC, and the folder of the core's sources
+    f.add("use_cuda_compiler", &cuda::use_compiler);
     f.add("cuda_kernel_times", [] {
         std::map<std::string, std::array<double, 2>> r;  // launches, seconds
         for (const auto &[name, time] : cuda::take_kernel_times()) r[name] = {double(time.launches), time.seconds};

@@ -334,6 +334,8 @@ private:
 #if !TR_HAS_PACKETS
         if (device.compare(0, 5, "cuda:") == 0)
             return std::make_unique<SceneRays>(&cuda::make_card, std::stoi(device.substr(5)));
+        if (device.compare(0, 3, "sm_") == 0)
+            return std::make_unique<SceneRays>(&cuda::make_compiling, std::stoi(device.substr(3)));
 #endif
         throw std::invalid_argument("device: expected cpu, emulated, tree or a card (cuda:0), got " + device);
     }

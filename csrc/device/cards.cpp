@@ -3,8 +3,10 @@
 #include <map>
 #include <mutex>
 #include <stdexcept>
+#include <tuple>
 #include <utility>
 
+#include "compiling_launcher.h"
 #include "cuda_launcher.h"
 
 namespace tr::cuda {
@@ -12,32 +14,42 @@ namespace tr::cuda {
 namespace {
 
 struct Made {
-    const Nvrtc nvrtc;
+    std::unique_ptr<const Nvrtc> nvrtc;
     const KernelCompiler compiler;
 
-    Made(const std::string &path, const std::string &sources)
-        : nvrtc(path), compiler(nvrtc, sources, KernelCache(default_kernel_folder())) {}
+    Made(const std::string &path, const std::string &sources, const std::string &into,
+         const std::vector<std::string> &packs)
+        : nvrtc(path.empty() ? nullptr : std::make_unique<const Nvrtc>(path)),
+          compiler(nvrtc.get(), sources, KernelCache(into.empty() ? default_kernel_folder() : into),
+                   {packs.begin(), packs.end()}) {}
 };
 
 std::mutex mutex;
 const Made *made;  // the last one; none is ever taken down, since launchers may use it when the process ends
 
+const KernelCompiler &compiler() {
+    const std::lock_guard<std::mutex> lock(mutex);
+    if (!made) throw std::runtime_error("no compiler of kernels was named");
+    return made->compiler;
+}
+
 }  // namespace
 
-void use_compiler(const std::string &nvrtc, const std::string &sources) {
+void use_compiler(const std::string &nvrtc, const std::string &sources, const std::string &into,
+                  const std::vector<std::string> &packs) {
     const std::lock_guard<std::mutex> lock(mutex);
-    static std::map<std::pair<std::string, std::string>, const Made *> all;
-    const Made *&found = all[{nvrtc, sources}];
-    if (!found) found = new Made(nvrtc, sources);
+    static std::map<std::tuple<std::string, std::string, std::string, std::vector<std::string>>, const Made *> all;
+    const Made *&found = all[{nvrtc, sources, into, packs}];
+    if (!found) found = new Made(nvrtc, sources, into, packs);
     made = found;
 }
 
 std::unique_ptr<Launcher> make_card(int ordinal) {
     const Api &api = find_driver();
     start(api);
-    const std::lock_guard<std::mutex> lock(mutex);
-    if (!made) throw std::runtime_error("no compiler of kernels was named");
-    return make_launcher(api, made->compiler, ordinal);
+    return make_launcher(api, compiler(), ordinal);
 }
+
+std::unique_ptr<Launcher> make_compiling(int capability) { return make_compiling_launcher(compiler(), capability); }
 
 }  // namespace tr::cuda

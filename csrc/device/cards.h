@@ -3,16 +3,21 @@
 
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "launcher.h"
 
 namespace tr::cuda {
 
-// What kernels are compiled with from now on: the path of NVRTC, and the folder that has core/ and device/.
-// std::runtime_error if that NVRTC cannot be used.
-void use_compiler(const std::string &nvrtc, const std::string &sources);
+// What kernels are compiled with from now on: the path of NVRTC, or nothing; the folder that has core/ and device/;
+// that where they are kept, if it is not the usual one; and those where they may lie already. std::runtime_error if
+// that NVRTC cannot be used.
+void use_compiler(const std::string &nvrtc, const std::string &sources, const std::string &into,
+                  const std::vector<std::string> &packs);
 
 // A card, by its number. std::runtime_error with one sentence if there is none, or nothing to compile kernels with.
 std::unique_ptr<Launcher> make_card(int ordinal);
+// What only compiles, for cards of this capability (90).
+std::unique_ptr<Launcher> make_compiling(int capability);
 
 }  // namespace tr::cuda

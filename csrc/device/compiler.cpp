@@ -63,8 +63,13 @@ size_t number_before(const std::string &log, const char *unit, size_t at) {
 
 }  // namespace
 
-KernelCompiler::KernelCompiler(const Nvrtc &nvrtc, std::string sources, KernelCache cache)
-    : nvrtc_(nvrtc), sources_(std::move(sources)), fingerprint_(fingerprint(sources_)), cache_(std::move(cache)) {}
+KernelCompiler::KernelCompiler(const Nvrtc *nvrtc, std::string sources, KernelCache cache,
+                               std::vector<KernelCache> packs)
+    : nvrtc_(nvrtc),
+      sources_(std::move(sources)),
+      fingerprint_(fingerprint(sources_)),
+      cache_(std::move(cache)),
+      packs_(std::move(packs)) {}
 
 std::string KernelCompiler::unit(const Kernel &kernel) {
     const std::string type = kernel.name;
@@ -101,12 +106,21 @@ std::string KernelCompiler::cubin(const Kernel &kernel, int capability,
                                   const std::vector<std::string> &definitions) const {
     std::vector<std::string> all_options = options(kernel, capability, definitions);
     const std::string source = unit(kernel);
-    std::string all = nvrtc_.version() + '\n' + fingerprint_ + '\n' + source;
+    // not of the compiler: what one has made is as good where there is another, or none
+    std::string all = fingerprint_ + '\n' + source;
     for (const std::string &option : all_options) all += '\n' + option;
     const std::string key = sha256(all);
+    for (const KernelCache &pack : packs_)
+        if (std::optional<std::string> found = pack.find(key)) return *found;
     if (std::optional<std::string> found = cache_.find(key)) return *found;
+    if (!nvrtc_)
+        throw std::runtime_error(std::string("there is no NVRTC to compile ") + kernel.name + " with, for sm_" +
+                                 std::to_string(capability) +
+                                 ", and it was not compiled before: pip install nvidia-cuda-nvrtc-cu12, or name a "
+                                 "folder that `python -m torchrender.cuda compile` has made for this scene in "
+                                 "TORCHRENDER_KERNELS");
     add_folders(sources_, all_options);
-    std::string made = nvrtc_.compile(source, all_options);
+    std::string made = nvrtc_->compile(source, all_options);
     cache_.put(key, made);
     return made;
 }
@@ -117,7 +131,7 @@ KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int ca
     add_folders(sources_, all_options);
     all_options.emplace_back("--ptxas-options=-v");
     std::string log;
-    const std::string made = nvrtc_.compile(unit(kernel), all_options, &log);
+    const std::string made = nvrtc_->compile(unit(kernel), all_options, &log);
     const size_t entry = log.find(std::string("Function properties for ") + EntryPoint);
     const size_t spilled = number_before(log, " bytes spill stores", entry);
     return {number_before(log, " registers", entry), number_before(log, " bytes stack frame", entry), spilled,

@@ -12,10 +12,12 @@ namespace tr::cuda {
 
 class KernelCompiler {
 public:
-    // `sources`: the folder that has core/ and device/.
-    KernelCompiler(const Nvrtc &nvrtc, std::string sources, KernelCache cache);
+    // `sources`: the folder that has core/ and device/; `packs`: where kernels may lie that were compiled before. Null:
+    // there are no others than those and the cache's.
+    KernelCompiler(const Nvrtc *nvrtc, std::string sources, KernelCache cache, std::vector<KernelCache> packs = {});
 
     // Machine code with the function `EntryPoint`, for a card of this capability (90). `definitions`: of a scene.
+    // std::runtime_error if it is not there and cannot be compiled.
     std::string cubin(const Kernel &kernel, int capability, const std::vector<std::string> &definitions = {}) const;
 
     // What the kernel itself takes of a card, besides functions that it calls: registers of a thread, bytes of its
@@ -30,9 +32,10 @@ public:
     static std::string unit(const Kernel &kernel);
 
 private:
-    const Nvrtc &nvrtc_;
+    const Nvrtc *nvrtc_;
     std::string sources_, fingerprint_;
     KernelCache cache_;
+    std::vector<KernelCache> packs_;
 
     static std::vector<std::string> options(const Kernel &kernel, int capability,
                                             const std::vector<std::string> &definitions);

@@ -336,7 +336,7 @@ TR_TEST(cards_are_driven) {
     fake = {};
     const cuda::Api api = fake_api();
     const TemporaryFolder folder;
-    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
     {
         const auto device = cuda::make_launcher(api, compiler, 0);
         const std::vector<float> numbers(5000, 1.f);
@@ -377,7 +377,7 @@ TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {
     const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
     if (!nvrtc) return;
     const TemporaryFolder folder;
-    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
     const Kernel &kernel = kernel_of<OccludeRays>();
     const std::string of_plain = compiler.cubin(kernel, 90, plain.options(kernel.knows, -1)),
                       of_curved = compiler.cubin(kernel, 90, curved.options(kernel.knows, -1));
@@ -388,11 +388,15 @@ TR_TEST(kernels_are_compiled_for_cards) {
     const std::unique_ptr<cuda::Nvrtc> nvrtc = find_nvrtc();
     if (!nvrtc) return;
     const TemporaryFolder folder;
-    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache(folder.path));
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
     const std::string cubin = compiler.cubin(kernel_of<AddOne>(), 90);
     CHECK(cubin.substr(1, 3) == "ELF" && cubin.find(cuda::KernelCompiler::EntryPoint) != std::string::npos);
     CHECK(compiler.cubin(kernel_of<AddOne>(), 90) == cubin && folder.files().size() == 1);
     CHECK(compiler.cubin(kernel_of<AddOne>(), 80) != cubin && folder.files().size() == 2);
+    const TemporaryFolder empty;
+    const cuda::KernelCompiler none(nullptr, sources(), KernelCache(empty.path), {KernelCache(folder.path)});
+    CHECK(none.cubin(kernel_of<AddOne>(), 90) == cubin && empty.files().empty());
+    CHECK_THROWS(none.cubin(kernel_of<AddOne>(), 75), std::runtime_error, "no NVRTC to compile tr::testing::AddOne");
     for (const Kernel &kernel : {kernel_of<IntersectRays>(), kernel_of<OccludeRays>()})
         CHECK(compiler.cubin(kernel, 75).substr(1, 3) == "ELF");
     Kernel other = kernel_of<AddOne>();

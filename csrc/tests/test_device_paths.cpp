@@ -152,9 +152,8 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
 TR_TEST(fixed_sums_of_gradients_do_not_depend_on_any_order) {
     Balls balls;
     const RenderCall<float> call = make_call(balls.data, small(Filter()));
-    const Gradient expected(balls, call, [](const RenderCall<float> &c, DerivativeCall<float> &d) {
-        return render_reverse<float>(c, d);
-    });
+    const Gradient expected(
+        balls, call, [](const RenderCall<float> &c, DerivativeCall<float> &d) { return render_reverse<float>(c, d); });
     const auto on_device = [&](int threads, uint64_t seed) {
         EmulatedOptions options;
         options.threads = threads, options.seed = seed;
@@ -165,7 +164,8 @@ TR_TEST(fixed_sums_of_gradients_do_not_depend_on_any_order) {
         const auto reverse = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
             return paths.reverse(c, balls.data, copied.view(), d);
         };
-        const Gradient plain(balls, call, reverse), found(balls, call, reverse, true), again(balls, call, reverse, true);
+        const Gradient plain(balls, call, reverse), found(balls, call, reverse, true),
+            again(balls, call, reverse, true);
         CHECK(again.of_slots == found.of_slots);  // what is kept from call to call is zero again
         CHECK(found.stats.non_finite == plain.stats.non_finite);
         return found;
@@ -256,7 +256,7 @@ TR_TEST(kernels_take_no_more_of_a_card) {
         std::array<size_t, 4> row{};
         if (words >> name >> row[0] >> row[1] >> row[2] >> row[3]) known[name] = row;
     }
-    const cuda::KernelCompiler compiler(*nvrtc, sources(), KernelCache("/proc/torchrender_none"));
+    const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache("/proc/torchrender_none"));
     // Of a room of meshes in which everything is diffuse, of one colour, and of one that has more.
     SceneFacts room, more;
     room.shape_flags = HasNormals | HasTexcoords, room.textures = 1, room.emitters = 1, room.sensors = 1;

@@ -1,12 +1,18 @@
-"""``python -m torchrender.cuda check --out FILE``: whether images on this machine's card are those of the CPU."""
+"""``python -m torchrender.cuda check --out FILE``: whether images on this machine's card are those of the CPU.
+
+``python -m torchrender.cuda compile SCENE --for 90 --into FOLDER``: kernels of scenes for cards, ahead of time.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
+import time
 from pathlib import Path
 
+from ..loaders.dict import load_file
 from .check import STEPS, check
+from .compile import compile_kernels
 
 
 def main() -> int:
@@ -19,8 +25,39 @@ def main() -> int:
     of.add_argument("--scenes", type=Path, default=Path("scenes"), help="the repository's, which are timed if there")
     of.add_argument("--commit", default="", help="of the state that is checked, which the report names")
     of.add_argument("--only", nargs="+", choices=STEPS, default=STEPS, metavar="STEP", help=f"of {', '.join(STEPS)}")
+    made = commands.add_parser("compile", help="compile the kernels of scenes for cards; neither is needed for it")
+    made.add_argument("scenes", type=Path, nargs="+", metavar="SCENE", help="a scene file")
+    made.add_argument(
+        "--for",
+        type=int,
+        nargs="+",
+        required=True,
+        dest="capabilities",
+        metavar="CAPABILITY",
+        help="compute capabilities without their points: 80 for an A100, 89 for an RTX 40, 90 for an H100",
+    )
+    made.add_argument("--into", type=Path, required=True, help="a folder, which TORCHRENDER_KERNELS is to name")
+    made.add_argument("--forward", action="store_true", help="forward-mode derivatives, too")
+    made.add_argument("--deterministic", action="store_true", help="deterministic gradients, too")
     options = parser.parse_args()
+    if options.command == "compile":
+        return compile_all(options)
     return 0 if check(f"cuda:{options.card}", options.out, options.scenes, options.commit, options.only) else 1
+
+
+def compile_all(options: argparse.Namespace) -> int:
+    """The kernels of all scenes for all cards; 1 after the first that cannot be compiled."""
+    for path in options.scenes:
+        for capability in options.capabilities:
+            begin = time.perf_counter()
+            settings = {"forward": options.forward, "deterministic": options.deterministic}
+            try:
+                new = compile_kernels(load_file(path), capability, options.into, **settings)
+            except (OSError, RuntimeError, ValueError) as error:
+                print(f"{path}, sm_{capability}: {error}", file=sys.stderr)
+                return 1
+            print(f"{path}, sm_{capability}: {new} new kernels, {time.perf_counter() - begin:.1f} s", flush=True)
+    return 0
 
 
 if __name__ == "__main__":

@@ -44,8 +44,7 @@ private:
 #elif defined(__GNUC__)
         uint32_t before = __atomic_load_n(&largest, __ATOMIC_RELAXED);
         while (bits > before &&
-               !__atomic_compare_exchange_n(&largest, &before, bits, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {
-        }
+               !__atomic_compare_exchange_n(&largest, &before, bits, true, __ATOMIC_RELAXED, __ATOMIC_RELAXED)) {}
 #else
         if (bits > largest) largest = bits;
 #endif

@@ -1,0 +1,85 @@
+"""Kernels of a scene ahead of time: for machines that have no compiler of CUDA, or where nobody is to wait for it."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+
+from .. import devices
+from ..backends import scene_core
+from ..queries import ray_intersect, ray_occluded
+from ..render import render
+from ..scene.scene import Scene
+from .check import train_all
+
+
+def compile_kernels(
+    scene: Scene, capability: int, folder: str | Path, *, forward: bool = False, deterministic: bool = False
+) -> int:
+    """Compile what `tr.render`, its derivatives and ray queries launch for a scene on a card; returns how many are new.
+
+    Kernels depend on the kinds of a scene's models and on its sampler, not on its numbers, resolutions or samples. Set
+    ``TORCHRENDER_KERNELS`` to the folder (several with ``:`` between them) where they are to be used.
+
+    Args:
+        scene: with the integrator and the sampler that it will be rendered with.
+        capability: the card's compute capability without its point, such as 90 for an H100.
+        folder: is made if it is not there; what is there is kept.
+        forward: also derivatives in forward mode.
+        deterministic: also those under ``torch.use_deterministic_algorithms(True)``.
+
+    Raises:
+        RuntimeError: there is no NVRTC, or it does not know the capability; or cards do not have what the scene needs.
+    """
+    folder = Path(folder).resolve()
+    before = kernels_in(folder)
+    trained = [name for name, p in scene.named_parameters() if p.requires_grad]
+    with devices.chosen(f"sm_{capability}"), devices.compiling_into(scene_core(), folder), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # pictures are black
+        try:
+            _launch(scene, forward, deterministic)
+        finally:
+            scene.train_only(*trained)
+    return kernels_in(folder) - before
+
+
+def kernels_in(folder: Path) -> int:
+    """How many lie there."""
+    return sum(1 for _ in folder.glob("*.cubin"))
+
+
+def _launch(scene: Scene, forward: bool, deterministic: bool) -> None:
+    """Calls that launch everything."""
+    rays = torch.zeros(1, 3), torch.ones(1, 3)
+    ray_intersect(scene, *rays)
+    ray_occluded(scene, *rays)
+    scene.train_only()
+    render(scene, spp=1, seed=0)
+    for what_moves in (False, True):
+        names = train_all(scene, but_what_moves=not what_moves)
+        if not names:
+            continue
+        for repeats in (False, True) if deterministic else (False,):
+            with _deterministic(repeats):
+                loss = render(scene, spp=1, seed=0, visibility=False).sum()
+                torch.autograd.grad(loss, [scene.get_parameter(name) for name in names], allow_unused=True)
+        if forward:
+            values = {name: scene.get_parameter(name).detach() for name in names}
+            scene.train_only()
+            torch.func.jvp(
+                lambda params: render(scene, spp=1, seed=0, visibility=False, params=params), (values,), (values,)
+            )
+
+
+@contextlib.contextmanager
+def _deterministic(on: bool) -> Iterator[None]:
+    before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+    torch.use_deterministic_algorithms(on)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
