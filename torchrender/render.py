@@ -171,9 +171,9 @@ def render(
         visibility: whether derivatives of shapes, cameras and lights have the motion of silhouettes, creases and
             shadows, of meshes, spheres, disks and cylinders; False leaves it out, and says nothing.
         spp_visibility: samples of outlines a pixel for it: a number, or one for those that the camera sees, one for
-            shadows and reflections; None takes a 24th of `spp_grad`, fewer where outlines are short, a 32nd and a
-            64th, at least 1024 each, and shares them out by what few of each bring; of shadows the power of two that
-            is next. 0 leaves these out.
+            shadows and reflections; None takes a 32nd of `spp_grad`, fewer where outlines are short, a 32nd (a 64th
+            under skies) and a 64th, at least 1024 each, and shares them out by what few of each bring; of shadows the
+            power of two that is next. 0 leaves these out.
         progress: show a bar with the time that is left, in ``backward()`` too: True, False, or None: in a terminal or
             notebook, if it takes longer than a second.
         on_interrupt: what Ctrl-C does: ``"raise"`` KeyboardInterrupt, or ``"return"`` a picture of the samples that are

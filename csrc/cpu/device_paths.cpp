@@ -267,11 +267,12 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
             if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
             derivative_.collect(launcher_, call, at_.slots, batch.size);
             trace_paths(work, batch.size);
-            if ((to.measures = to.fixed)) {
-                sweep(work, to, false);
-                to.measures = false;
-            }
+            to.measures = to.fixed;
             sweep(work, to, false);
+            if (to.fixed) {
+                to.measures = false;
+                sweep(work, to, false);
+            }
             derivative_.settle(launcher_);
         });
         if (stats.interrupted) return;
