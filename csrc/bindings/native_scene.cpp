@@ -95,7 +95,7 @@ public:
             rays ? there(*rays, [&](auto &paths, const auto &tree) { return paths.reverse(reverse, data_, tree, d); })
             : c.light ? trace_light_reverse<S>(reverse, d)
                       : render_reverse<S>(reverse, d);
-        add_gradients(data_, d, gradients);
+        add_gradients(data_, d, gradients, c.threads);
         return stats;
     }
 
@@ -140,7 +140,7 @@ public:
         update(values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
         RenderStats stats = reverse_aov<S>(call(c), outputs(c, adjoints), d);
-        add_gradients(data_, d, gradients);
+        add_gradients(data_, d, gradients, c.threads);
         return stats;
     }
 
@@ -198,7 +198,7 @@ public:
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, slots);
         look_for_shadows(d);
         std::vector<RenderStats> stats = boundary_reverse<S>(calls, boundaries, d);
-        add_gradients(data_, d, slots);
+        add_gradients(data_, d, slots, calls[0].threads);
         return stats;
     }
 
@@ -477,7 +477,7 @@ private:
         GradientSink<PacketOf<S>> sink;
         sink.constants = d.sums.constants.data(), sink.tensors = tensors.data();
         probe.phase_sweep(index, n, sink);
-        add_gradients(data_, d, slots);
+        add_gradients(data_, d, slots, 1);
     }
 
     void phase_forward(const Probe<S> &probe, int index, size_t n) {

@@ -79,9 +79,9 @@ DerivativeCall<S> reverse_call(const SceneData<S> &data, const PathConfig &path,
 }
 
 template <class S>
-void add_gradients(const SceneData<S> &data, DerivativeCall<S> &d, const Addresses &gradients) {
+void add_gradients(const SceneData<S> &data, DerivativeCall<S> &d, const Addresses &gradients, int threads) {
     if (d.sums.constants.empty()) return;
-    if (d.needs.geometry) data.spread_geometry(d.sums, tensors_of(data, gradients));
+    if (d.needs.geometry) data.spread_geometry(d.sums, tensors_of(data, gradients), threads);
     for (const ConstantEntry &e : data.constant_entries()) {
         S *to = reinterpret_cast<S *>(gradients[size_t(e.slot)]);
         if (!to) continue;

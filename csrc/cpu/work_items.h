@@ -324,7 +324,7 @@ void add_buffers(std::vector<GradientBuffers<S>> &buffers, DerivativeCall<S> &de
         if (first)
             derivative.sums = std::move(buffer.sums);
         else
-            derivative.sums.add(buffer.sums);
+            derivative.sums.add(buffer.sums, int(buffers.size()));
         first = false;
     }
     if (first) derivative.sums.reset(derivative.n_constants, derivative.geometry_sizes);

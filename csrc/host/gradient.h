@@ -4,6 +4,8 @@
 #include <cstddef>
 #include <vector>
 
+#include "parallel.h"
+
 namespace tr {
 
 // Numbers in the gradients of the scene's vertex arrays; 0 where none is wanted.
@@ -22,16 +24,18 @@ struct GeometryArrays {
         normals.assign(sizes.normals, T(0));
         texcoords.assign(sizes.texcoords, T(0));
     }
-    void add(const GeometryArrays &other) {
-        add(constants, other.constants);
-        add(positions, other.positions);
-        add(normals, other.normals);
-        add(texcoords, other.texcoords);
+    void add(const GeometryArrays &other, int threads) {
+        add(constants, other.constants, threads);
+        add(positions, other.positions, threads);
+        add(normals, other.normals, threads);
+        add(texcoords, other.texcoords, threads);
     }
 
 private:
-    static void add(std::vector<T> &to, const std::vector<T> &from) {
-        for (size_t i = 0; i < to.size(); ++i) to[i] += from[i];
+    static void add(std::vector<T> &to, const std::vector<T> &from, int threads) {
+        for_ranges(to.size(), threads, [&](size_t begin, size_t end, int) {
+            for (size_t i = begin; i < end; ++i) to[i] += from[i];
+        });
     }
 };
 

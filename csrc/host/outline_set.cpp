@@ -307,12 +307,9 @@ void OutlineSet::plant_groups(const SceneView<S> &scene, int threads) {
     }
     for_ranges(n, threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) {
-            const V a = place_of(scene, half(scene, groups_[i], 0).v0);
-            float size = 0;
-            for (size_t e = groups_[i]; e < groups_[i + 1]; ++e) {
-                size = std::max(size, squared_norm(place_of(scene, half(scene, e, 0).v1) - a));
-            }
-            things[i] = {{a.x, a.y, a.z}, std::sqrt(size)};
+            const HalfEdge first = half(scene, groups_[i], 0);  // about as long as the others
+            const V a = place_of(scene, first.v0);
+            things[i] = {{a.x, a.y, a.z}, norm(place_of(scene, first.v1) - a)};
         }
     });
     const std::vector<int32_t> order = morton_order(things.data(), n, threads);

@@ -83,7 +83,7 @@ public:
     // fills the vertex arrays. Back: adds the sums of the reverse sweep to the gradients of vertex arrays, by slot, and
     // those of matrices and rectangles to the small parameters in sums.constants.
     void fill_geometry(const std::vector<const S *> &tangents, const GeometrySizes &sizes, GeometryArrays<S> &to) const;
-    void spread_geometry(GradientSums &sums, const std::vector<S *> &gradients) const;
+    void spread_geometry(GradientSums &sums, const std::vector<S *> &gradients, int threads) const;
 
     // Calls visit(&SceneView<S>::table, its memory, how many entries) for the tables of the view that are as large as
     // the scene; those of `values` and what bends light are not among them. Of vertices entries are numbers.

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "../core/registry.h"
+#include "parallel.h"
 #include "placement.h"
 #include "scene_data.h"
 
@@ -52,14 +53,16 @@ void SceneData<S>::fill_geometry(const std::vector<const S *> &tangents, const G
 }
 
 template <class S>
-void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &gradients) const {
+void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &gradients, int threads) const {
     const std::vector<Record> &records = layout_.records.at("shape");
     for (const MeshSource &mesh : layout_.meshes) {
         auto add = [&](int slot, size_t columns, const std::vector<double> &table) {
             S *to = slot >= 0 ? gradients[size_t(slot)] : nullptr;
             if (!to || table.empty()) return;
             const double *from = &table[size_t(mesh.first_vertex) * columns];
-            for (size_t i = 0; i < size_t(mesh.n_vertices) * columns; ++i) to[i] += S(from[i]);
+            for_ranges(size_t(mesh.n_vertices) * columns, threads, [&](size_t begin, size_t end, int) {
+                for (size_t i = begin; i < end; ++i) to[i] += S(from[i]);
+            });
         };
         add(mesh.vertices, 3, sums.positions);
         add(mesh.normals, 3, sums.normals);
@@ -100,7 +103,7 @@ void SceneData<S>::spread_geometry(GradientSums &sums, const std::vector<S *> &g
 #define TR_INSTANTIATE(S)                                                                            \
     template void SceneData<S>::fill_geometry(const std::vector<const S *> &, const GeometrySizes &, \
                                               GeometryArrays<S> &) const;                            \
-    template void SceneData<S>::spread_geometry(GradientSums &, const std::vector<S *> &) const;
+    template void SceneData<S>::spread_geometry(GradientSums &, const std::vector<S *> &, int) const;
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE
 

@@ -162,7 +162,7 @@ std::vector<std::vector<S>> reverse(const SceneData<S> &scene, const Settings &s
     DerivativeCall<S> d = reverse_call(scene, call.config, light, addresses_of(gradients));
     d.adjoint = adjoint.data();
     RenderStats result = light ? trace_light_reverse<S>(call, d) : render_reverse<S>(call, d);
-    add_gradients(scene, d, addresses_of(gradients));
+    add_gradients(scene, d, addresses_of(gradients), s.threads);
     if (stats) *stats = result;
     return gradients;
 }

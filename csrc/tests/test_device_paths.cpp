@@ -90,7 +90,7 @@ struct Gradient {
         DerivativeCall<float> d = reverse_call(balls.data, call.config, false, addresses_of(of_slots));
         d.adjoint = ones.data(), d.fixed_sums = fixed_sums;
         stats = reverse(call, d);
-        add_gradients(balls.data, d, addresses_of(of_slots));
+        add_gradients(balls.data, d, addresses_of(of_slots), 2);
     }
 };
 

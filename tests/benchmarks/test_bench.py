@@ -418,7 +418,8 @@ def test_caustics(tmp_path, fake_peer, capsys):
 def test_visibility(tmp_path, fake_peer):
     small = ["--search", "2", "--differences", "2", "--difference-spp", "4", "--peer", f"mitsuba={sys.executable}"]
     result = run(tmp_path, "visibility", *TINY, *small, "--only", "small lamp")
-    efficiency, bias, searched = (table["rows"] for table in result["tables"])
+    efficiency, bias, (passes,), searched = (table["rows"] for table in result["tables"])
+    assert passes["with / without"] == passes["with outlines s"]["median"] / passes["without s"]["median"] > 0
     assert [row["program"] for row in efficiency] == ["ours", "Mitsuba", "Mitsuba, defaults"]
     assert efficiency[0]["setting"] == "" and efficiency[0]["time s"]["n"] == 2
     assert 0 < efficiency[0]["time s"]["median"] < 10
@@ -441,8 +442,8 @@ def test_visibility(tmp_path, fake_peer):
 def test_visibility_that_peers_do_not_have(tmp_path, fake_peer):
     small = ["--quick", "--difference-spp", "4", "--peer", f"mitsuba={sys.executable}"]
     result = run(tmp_path, "visibility", *TINY, *small, "--only", "point light")
-    efficiency, bias = result["tables"]
-    assert [row["program"] for row in efficiency["rows"] + bias["rows"]] == ["ours", "ours"]
+    efficiency, bias, passes = result["tables"]
+    assert [row["program"] for table in (efficiency, bias, passes) for row in table["rows"]] == ["ours"] * 3
     assert any("not in Mitsuba: the boundary terms" in note for note in efficiency["notes"])
     assert result["settings"]["resolution"] == 64 and efficiency["rows"][0]["time s"]["n"] == 4
     with pytest.raises(SystemExit, match="no scene's name contains 'teapot'"):

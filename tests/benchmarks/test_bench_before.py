@@ -149,7 +149,7 @@ def test_this_torchrender_is_not_passed_on_by_the_environment(monkeypatch, tmp_p
 
 def test_visibility_finds_the_same_derivatives(tmp_path):
     options = ["--differences", "2", "--difference-spp", "2", "--only", "receiver"]
-    efficiency, (ours, before) = tables(tmp_path, "visibility", *TINY, *options)
+    efficiency, (ours, before), _ = tables(tmp_path, "visibility", *TINY, *options)
     assert [row["program"] for row in efficiency] == ["ours", TITLE]
     assert before["program"] == TITLE and ours["derivative"] != 0
     assert before["derivative"] == pytest.approx(ours["derivative"], rel=1e-4)

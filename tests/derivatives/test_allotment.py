@@ -41,7 +41,7 @@ def test_what_brings_nothing_leaves_its_samples_to_the_others():
     assert found["reflections"] / found["silhouettes"] < some["reflections"] / some["silhouettes"] < 1
 
 
-@pytest.mark.parametrize(("rays", "more"), [(4.5, 2.25), (100.0, 4.0)])
+@pytest.mark.parametrize(("rays", "more"), [(5.25, 2.25), (100.0, 4.0)])
 def test_deep_paths_have_up_to_four_times_as_many(rays, more):
     found = factors(USUAL, dict.fromkeys(USUAL, 1.0), rays)
     assert found == {"silhouettes": 1.0, "shadows": more, "reflections": more}
