@@ -94,6 +94,16 @@ struct Gradient {
     }
 };
 
+// Relative to the largest number of each slot.
+void check_close(const Gradient &found, const Gradient &expected) {
+    for (size_t i = 0; i < expected.of_slots.size(); ++i) {
+        float largest = 0;
+        for (const float a : expected.of_slots[i]) largest = std::max(largest, std::abs(a));
+        for (size_t k = 0; k < expected.of_slots[i].size(); ++k)
+            CHECK(std::abs(found.of_slots[i][k] - expected.of_slots[i][k]) <= 1e-4f * largest);
+    }
+}
+
 Settings small(Filter filter) {
     Settings s;
     s.height = 18, s.width = 20, s.spp = 70, s.filter = filter;  // four tiles, and two chunks of samples each
@@ -137,12 +147,7 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
             });
             CHECK(found.stats.closest_rays == expected.stats.closest_rays);
             CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
-            for (size_t i = 0; i < expected.of_slots.size(); ++i) {
-                float largest = 0;
-                for (const float a : expected.of_slots[i]) largest = std::max(largest, std::abs(a));
-                for (size_t k = 0; k < expected.of_slots[i].size(); ++k)
-                    CHECK(std::abs(found.of_slots[i][k] - expected.of_slots[i][k]) <= 1e-4f * largest);
-            }
+            check_close(found, expected);
             CHECK(std::abs(expected.of_slots[0][0]) > 1);
         }
     }
@@ -171,12 +176,7 @@ TR_TEST(fixed_sums_of_gradients_do_not_depend_on_any_order) {
         return found;
     };
     const Gradient first = on_device(1, 1);
-    for (size_t i = 0; i < expected.of_slots.size(); ++i) {
-        float largest = 0;
-        for (const float a : expected.of_slots[i]) largest = std::max(largest, std::abs(a));
-        for (size_t k = 0; k < expected.of_slots[i].size(); ++k)
-            CHECK(std::abs(first.of_slots[i][k] - expected.of_slots[i][k]) <= 1e-4f * largest);
-    }
+    check_close(first, expected);
     CHECK(std::abs(first.of_slots[0][0]) > 1);
     for (const int threads : {2, 5})
         for (const uint64_t seed : {2u, 3u}) CHECK(on_device(threads, seed).of_slots == first.of_slots);
