@@ -10,7 +10,8 @@ namespace {
 
 class CompilingLauncher final : public Launcher {
 public:
-    CompilingLauncher(const KernelCompiler &compiler, int capability) : compiler_(compiler), capability_(capability) {}
+    CompilingLauncher(const KernelCompiler &(*compiler)(), int capability)
+        : compiler_(compiler), capability_(capability) {}
 
     // Addresses that nobody follows.
     void *allocate(size_t bytes) override {
@@ -28,7 +29,7 @@ public:
     }
 
 private:
-    const KernelCompiler &compiler_;
+    const KernelCompiler &(*const compiler_)();
     const int capability_;
     uintptr_t next_ = 256;
     SceneFacts facts_;
@@ -37,13 +38,13 @@ private:
     void launch(const Kernel &kernel, const void *, uint32_t, int bsdf) override {
         if (!knows_bsdf(kernel.knows)) bsdf = -1;
         if (known_.insert({kernel.name, bsdf}).second)
-            compiler_.cubin(kernel, capability_, facts_.options(kernel.knows, bsdf));
+            compiler_().cubin(kernel, capability_, facts_.options(kernel.knows, bsdf));
     }
 };
 
 }  // namespace
 
-std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &compiler, int capability) {
+std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability) {
     return std::make_unique<CompilingLauncher>(compiler, capability);
 }
 

@@ -9,7 +9,7 @@
 
 namespace tr::cuda {
 
-// `compiler` has to live longer.
-std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &compiler, int capability);
+// `compiler`: gives that which is used, at every launch.
+std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability);
 
 }  // namespace tr::cuda
