@@ -71,12 +71,13 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 
 # What renders on devices, and runs kernels on cards: it calls the renderer for plain numbers, which that module alone
 # has.
-OF_NUMBERS = ("device_derivative", "device_paths", "device_scene", "device_tape", "scene_facts")
+OF_NUMBERS = ("device_derivative", "device_film", "device_outputs", "device_paths")
+OF_NUMBERS += ("device_scene", "device_tape", "scene_facts")
 ON_CARDS = ("cards", "compiler", "compiling_launcher", "cuda_launcher", "kernel_cache", "sha256")
 
 # What the native tests do not call, and what that alone needs: a fifth of their compilation.
-NOT_TESTED = ("render_aovs", "render_boundary", "render_response")
-NOT_TESTED += ("aovs", "bsdf_aovs", "outputs", "revisit", "upsampling")
+NOT_TESTED = ("render_aovs", "render_boundary", "render_response", "revisit", "upsampling")
+OF_OUTPUTS = ("aovs", "bsdf_aovs", "outputs")  # which are tested on devices
 
 STILL = 30  # seconds after which a build that writes to no terminal says that it goes on
 
@@ -368,7 +369,7 @@ def build_native_tests(directory: Path, isa: str, sanitize: bool) -> Path:
     ninja = Ninja(directory)
     library = [p for p in library_sources() if p.stem not in NOT_TESTED]
     if isa != "scalar":
-        library = [p for p in library if p.stem not in OF_NUMBERS]
+        library = [p for p in library if p.stem not in OF_NUMBERS + OF_OUTPUTS]
     # Sanitized code is compiled in half the time without optimising; nothing is timed here.
     flags = compile_flags(isa, sanitize) + (["-O0", "-Wno-maybe-uninitialized"] if sanitize else [])
     objects = ninja.objects(library + sources, isa, flags)

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from .library import Library
 
 CHOICES = ("cpu", "emulated")  # and cards
-RENDERS = ("render", "render_vjp", "render_jvp")
+RENDERS = ("render", "render_vjp", "render_jvp", "render_aov", "aov_vjp", "aov_jvp")
 FUNCTIONS = ("ray_intersect", "ray_occluded", *RENDERS, "find_outlines", "boundary")
 """What other devices have; of `RENDERS` a part, see render_devices.py. The last two are the CPU's there, too."""
 

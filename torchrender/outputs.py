@@ -163,7 +163,8 @@ class FirstHitVjpFunction(DerivativeFunction):
         if dense:
             addresses = call.addresses(dense)
             to = [0 if g is None else g.data_ptr() for g in grads]
-            stats = call.render.native.call("aov_vjp", params, call.config(True), addresses, to)
+            config = call.config(True) | {"fixed_sums": torch.are_deterministic_algorithms_enabled()}
+            stats = call.render.native.call("aov_vjp", params, config, addresses, to)
             call.render.finish("outputs_vjp", [stats])
         return tuple(grads)
 

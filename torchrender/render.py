@@ -41,7 +41,7 @@ from .render_checks import (
     check_wavefront,
     warn_of_beams,
 )
-from .render_devices import check_derivatives, check_device
+from .render_devices import check_device
 from .render_polarized import check_polarized, polarized_call, stokes_image, stokes_outputs
 from .render_sensors import chosen_sensors, layout_with_room
 from .render_types import (
@@ -363,7 +363,6 @@ def render(
             and any(tensor.requires_grad for tensor in used)
         )
         _check_derivatives(call, used)
-        check_derivatives(used, adaptive_grad)
         trace: Callable[[RenderCall, list[torch.Tensor]], Any] = _native
         if wavefront:
             from .wavefront.function import wavefront_call

@@ -7,9 +7,8 @@ from collections.abc import Iterator, Sequence
 import torch
 
 from .devices import device
-from .first_hit_call import PATH_OUTPUTS
-from .integrators import DirectIllumination, Integrator, Moment, PathTracer
-from .scene.gather import has_derivative
+from .first_hit_call import FEATURES, PATH_OUTPUTS, STOKES_OUTPUTS
+from .integrators import DirectIllumination, Integrator, PathTracer, Stack
 from .scene.packing import Layout
 from .scene.scene import Scene
 
@@ -22,12 +21,6 @@ def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator:
         _refuse(_missing(scene, packed, names, integrator))
 
 
-def check_derivatives(tensors: Sequence[torch.Tensor], adaptive: bool) -> None:
-    """RuntimeError if a derivative is recorded that the chosen device does not have."""
-    if adaptive and device() != "cpu" and any(has_derivative(tensor) for tensor in tensors):
-        _refuse(iter(["adaptive_grad yet"]))
-
-
 def _refuse(missing: Iterator[str]) -> None:
     for what in missing:
         raise RuntimeError(
@@ -38,13 +31,13 @@ def _refuse(missing: Iterator[str]) -> None:
 
 def _missing(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> Iterator[str]:
     """What is not there, with what is."""
-    inner = integrator.integrator if isinstance(integrator, Moment) else integrator
-    if not isinstance(inner, _INTEGRATORS):
-        there = ", ".join(kind.__name__ for kind in (*_INTEGRATORS, Moment))
-        yield f"the integrator {type(integrator).__name__} yet, but {there}"
+    inner = integrator.integrator if isinstance(integrator, Stack) else integrator
+    if inner is not None and not isinstance(inner, _INTEGRATORS):
+        there = ", ".join(kind.__name__ for kind in _INTEGRATORS)
+        yield f"the integrator {type(inner).__name__} yet, but {there}, and AOV, Depth and Moment around them"
     for name in names:
-        if name not in PATH_OUTPUTS:
-            yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)}"
+        if name in (FEATURES, *STOKES_OUTPUTS):
+            yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)} and those of first hits"
     if scene.dtype != torch.float32:
         yield f"{str(scene.dtype).removeprefix('torch.')} yet, but float32"
     if packed.spectral:

@@ -130,16 +130,23 @@ public:
 
     RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
-        return render_aov<S>(call(c), outputs(c, out));
+        SceneRays *rays = updated(c.device, values);
+        const AovOutput<S> to = outputs(c, out);
+        if (!rays) return render_aov<S>(call(c), to);
+        return there(*rays, [&](auto &paths, const auto &tree) { return paths.outputs(call(c), data_, tree, to); });
     }
 
     RenderStats aov_reverse(const Config &c, const ParameterValues &values, const Arrays &adjoints,
                             const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *rays = updated(c.device, values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
-        RenderStats stats = reverse_aov<S>(call(c), outputs(c, adjoints), d);
+        d.fixed_sums = c.fixed_sums;
+        const AovOutput<S> from = outputs(c, adjoints);
+        RenderStats stats =
+            rays ? there(*rays, [&](auto &paths,
+                                    const auto &tree) { return paths.reverse_outputs(call(c), data_, tree, from, d); })
+                 : reverse_aov<S>(call(c), from, d);
         add_gradients(data_, d, gradients, c.threads);
         return stats;
     }
@@ -147,9 +154,13 @@ public:
     RenderStats aov_forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
                             const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        update(values);
+        SceneRays *rays = updated(c.device, values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
-        return forward_aov<S>(call(c), outputs(c, out), d.call);
+        const AovOutput<S> to = outputs(c, out);
+        if (!rays) return forward_aov<S>(call(c), to, d.call);
+        return there(*rays, [&](auto &paths, const auto &tree) {
+            return paths.forward_outputs(call(c), data_, tree, to, d.call);
+        });
     }
 
     bool find_outlines(const Config &c, const ParameterValues &values, uintptr_t moves,

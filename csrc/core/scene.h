@@ -112,7 +112,8 @@ struct SceneView {
     const S *env_marginal, *env_conditional, *env_to_local, *env_to_world;
     int32_t env_columns, env_rows;
 
-    const S *bsdf_tables;  // see bsdf/rough_transmittance.h
+    const S *bsdf_tables;      // see bsdf/rough_transmittance.h
+    const int32_t *bsdf_aovs;  // what outputs show of each BSDF, see ShownParameter
 
     // media: see medium/medium.h
     const MediumInfo *media;
@@ -131,8 +132,8 @@ struct SceneView {
         visit(vertices), visit(faces), visit(shapes), visit(shape_matrices), visit(shape_areas), visit(area_cdf);
         visit(attributes), visit(emitter_cdf), visit(emitter_pmf), visit(light_cells), visit(cell_marginal);
         visit(cell_conditional), visit(light_boxes), visit(env_marginal), visit(env_conditional);
-        visit(env_to_local), visit(env_to_world), visit(bsdf_tables), visit(media), visit(volume_to_local);
-        visit(majorants), visit(phase_tables), visit(bends);
+        visit(env_to_local), visit(env_to_world), visit(bsdf_tables), visit(bsdf_aovs), visit(media);
+        visit(volume_to_local), visit(majorants), visit(phase_tables), visit(bends);
     }
 };
 

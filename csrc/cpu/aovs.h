@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/integrator/aovs.h"
+#include "core/state/queues.h"
 #include "render.h"
 
 namespace tr {
@@ -23,6 +24,10 @@ AovLayout layout_of(const AovOutput<S> &out, int colors) {
     r.attributes = out.attributes;
     return r;
 }
+template <class S>
+AovLayout no_outputs(const RenderCall<S> &call) {
+    return AovLayout(call.values, [](int) { return false; });
+}
 // What averages over the samples that hit something are weighted with: filters with negative lobes would make anything
 // of them beside an outline, where such a lobe may be all that reaches the object.
 template <class S>
@@ -35,6 +40,35 @@ Filter filter_of(const AovOutput<S> &out, const Filter &filter) {
 struct PixelWeights {
     double *samples = nullptr, *hits = nullptr;
 };
+
+// Hands the channels of the film's pixels out, whose sums are those of the channels, of the weights of samples that hit
+// something, and of all weights: averages, or infinity or zero where nothing was hit.
+template <class S>
+void write_outputs(const TileSchedule &schedule, const AovLayout &layout, const double *film, const AovOutput<S> &out,
+                   bool derivative) {
+    for (size_t i = 0; i < schedule.n_results(); ++i) {
+        const double *p = film + schedule.target_of(i) * size_t(layout.n + 2);
+        double total = out.zero_at_misses ? p[layout.n + 1] : p[layout.n];  // the first may be negative
+        if (out.covered) out.covered[i] = p[layout.n + 1] != 0 ? S(p[layout.n] / p[layout.n + 1]) : S(0);
+        for (int kind = 0; kind < AovCount; ++kind) {
+            if (!layout.wants(kind)) continue;
+            int n = layout.count(kind);
+            bool infinite = aov_names[kind].infinite && !out.zero_at_misses && !derivative;
+            S none = infinite ? S(INFINITY) : S(0), *to = out.data[size_t(kind)] + i * size_t(n);
+            for (int c = 0; c < n; ++c) to[c] = total != 0 ? S(p[layout.offset[kind] + c] / total) : none;
+        }
+    }
+}
+
+// Of a result, what the ray through the centre of its pixel has hit.
+template <class S>
+void write_identifiers(const SceneView<S> &scene, size_t i, uint32_t shape, uint32_t primitive,
+                       const AovOutput<S> &out) {
+    const bool hit = shape != NoHit;
+    if (out.shape) out.shape[i] = hit ? int32_t(shape) : -1;
+    if (out.primitive) out.primitive[i] = hit ? int32_t(primitive) : -1;
+    if (out.material) out.material[i] = hit ? scene.shapes[shape].bsdf : -1;
+}
 
 template <class S>
 RenderStats pixel_weights(const RenderCall<S> &call, const AovOutput<S> &out, const PixelWeights &weights);

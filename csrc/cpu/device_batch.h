@@ -50,6 +50,7 @@ struct BatchColumns {
 struct SampleNumbers {
     uint32_t size = 0;
     std::vector<FilmUnit> units;
+    std::vector<OwnSamples> own;  // of their pixels, if they have some
 };
 
 }  // namespace tr

@@ -2,8 +2,6 @@
 
 #include <algorithm>
 #include <array>
-#include <stdexcept>
-#include <string>
 
 #include "device_batch.h"
 #include "host/parallel.h"
@@ -27,11 +25,6 @@ std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<float>
 }
 
 }  // namespace
-
-void DeviceDerivative::check(const DerivativeCall<float> &call) {
-    if (call.adaptive)
-        throw std::invalid_argument("device: there are no samples that are spread by the adjoint on devices yet");
-}
 
 GradientNeeds DeviceDerivative::needs(Launcher &launcher, const DerivativeCall<float> &call) {
     GradientNeeds r = call.gradient_needs();
@@ -60,27 +53,28 @@ WantedPixels DeviceDerivative::wanted(Launcher &launcher, const TileSchedule &sc
 }
 
 void DeviceDerivative::begin_adjoint(Launcher &launcher, const RenderCall<float> &call, const TileSchedule &schedule,
-                                     const float *image, const double *sums) {
-    const auto colors = size_t(call.values);
+                                     const Adjoint &adjoint, const Weights &weights) {
+    const auto channels = size_t(adjoint.channels);
+    const float *image = adjoint.image;
     std::vector<float> by_target;
     if (call.pixels) {  // one that was asked for twice has two results
-        by_target.assign(schedule.n_targets() * colors, 0.f);
+        by_target.assign(schedule.n_targets() * channels, 0.f);
         for (size_t i = 0; i < schedule.n_results(); ++i)
-            for (size_t c = 0; c < colors; ++c) by_target[schedule.target_of(i) * colors + c] += image[i * colors + c];
+            for (size_t c = 0; c < channels; ++c)
+                by_target[schedule.target_of(i) * channels + c] += image[i * channels + c];
         image = by_target.data();
     }
-    image_.upload(launcher, image, schedule.n_targets() * colors);
-    adjoint_.reserve(launcher, schedule.n_targets() * colors);
-    wanted_ = wanted(launcher, schedule, call.pixels != nullptr);
-    launcher.run(DivideAdjoint{image_.get(), int32_t(colors), sums, double(schedule.spp()), adjoint_.get()},
+    image_.upload(launcher, image, schedule.n_targets() * channels);
+    adjoint_.reserve(launcher, schedule.n_targets() * channels);
+    wanted_ = wanted(launcher, schedule, call.pixels != nullptr), channels_ = adjoint.channels;
+    launcher.run(DivideAdjoint{image_.get(), int32_t(channels), weights.sums, weights.of, double(schedule.spp()),
+                               adjoint_.get()},
                  uint32_t(schedule.n_targets()));
 }
 
-void DeviceDerivative::collect(Launcher &launcher, const RenderCall<float> &call, const SlotColumns<float> &slots,
-                               uint32_t n) {
-    launcher.run(CollectAdjoints{call.filter, int32_t(std::min(call.filter.reach(), MaxReach)), int32_t(call.values),
-                                 wanted_, adjoint_.get(), slots},
-                 n);
+AdjointGather DeviceDerivative::gather(const Filter &filter, const SlotColumns<float> &slots) const {
+    const SampleColumns<float> samples{slots.pixel, slots.row, slots.column, slots.sample, slots.film_x, slots.film_y};
+    return {filter, std::min(filter.reach(), MaxReach), channels_, wanted_, adjoint_.get(), samples};
 }
 
 // Sums that are settled with those at `to` or `to_texels`.

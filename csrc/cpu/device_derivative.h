@@ -13,17 +13,24 @@ namespace tr {
 
 class DeviceDerivative {
 public:
-    // std::invalid_argument for what is not there, see DevicePaths.
-    static void check(const DerivativeCall<float> &call);
-
     // With tables on the device.
     GradientNeeds needs(Launcher &launcher, const DerivativeCall<float> &call);
 
-    // The adjoint of the film's sums from that of the image; `sums`: of alpha and weights by wanted pixel, null with
-    // filters that reach no other pixel.
+    // The adjoint of an image, (results, channels); of two sums by wanted pixel number `of`, that of the weights, null
+    // where all samples have the weight 1 in their own pixel.
+    struct Adjoint {
+        const float *image;
+        int channels;
+    };
+    struct Weights {
+        const double *sums;
+        int of;
+    };
+    // The adjoint of the film's sums from that of the image.
     void begin_adjoint(Launcher &launcher, const RenderCall<float> &call, const TileSchedule &schedule,
-                       const float *image, const double *sums);
-    void collect(Launcher &launcher, const RenderCall<float> &call, const SlotColumns<float> &slots, uint32_t n);
+                       const Adjoint &adjoint, const Weights &weights);
+    // What samples get of it.
+    AdjointGather gather(const Filter &filter, const SlotColumns<float> &slots) const;
 
     // Gradients, zero so far; `non_finite` counts values that are left out. With `fixed_sums` every batch has a sweep
     // that measures, one that adds, and is settled then.
@@ -48,6 +55,7 @@ private:
     DeviceArray<TensorView<float>> views_;
     HostBuffer found_;  // on its way back
     WantedPixels wanted_{};
+    int channels_ = 0;  // of the adjoint
     uint32_t copies_ = 1;
 
     FixedSum *fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, float *to_texels);

@@ -1,12 +1,10 @@
-#include "device_paths.h"
-
 #include <algorithm>
-#include <chrono>
 #include <cstring>
 #include <set>
+#include <stdexcept>
 #include <string>
 
-#include "work_items.h"
+#include "device_work.h"
 
 namespace tr {
 
@@ -14,40 +12,10 @@ namespace {
 
 constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
 static_assert(Kinds <= SortTable::MostKinds);
-constexpr int LevelsBetweenLooks = 8;            // at how many paths are left
-constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
-constexpr int MostLevels = 16;  // of a tape that batches are sized for; deeper ones have few paths left
+constexpr int LevelsBetweenLooks = 8;  // at how many paths are left
+constexpr int MostLevels = 16;         // of a tape that batches are sized for; deeper ones have few paths left
 
 uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
-
-// Waits, whatever happens: what was launched needs memory that may be given back.
-class Finish {
-public:
-    explicit Finish(Launcher &launcher) : launcher_(launcher) {}
-    Finish(const Finish &) = delete;
-    Finish &operator=(const Finish &) = delete;
-    ~Finish() {
-        try {
-            launcher_.synchronize();
-        } catch (...) {  // what went wrong is on its way already
-            return;
-        }
-    }
-
-private:
-    Launcher &launcher_;
-};
-
-void check(const RenderCall<float> &call) {
-    const char *missing = call.config.volumetric           ? "media"
-                          : call.config.stokes             ? "polarised light"
-                          : call.config.spectral.positions ? "wavelengths"
-                          : call.scene->bends              ? "media that light bends in"
-                          : call.ray_record                ? "records of rays"
-                          : call.keep_hits                 ? "hits that are kept"
-                                                           : nullptr;
-    if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
-}
 
 // The kinds that hits of a scene can have.
 std::vector<int32_t> kinds_in(const SceneView<float> &scene) {
@@ -63,39 +31,16 @@ std::vector<int32_t> kinds_in(const SceneView<float> &scene) {
 
 }  // namespace
 
-struct DevicePaths::Work {
-    const RenderCall<float> &call;
-    PathStage stage;
-    TreeView tree;
-    std::vector<int32_t> kinds;  // that are launched
-    const TileSchedule &schedule;
-    ListedPixels list{};
-    std::vector<TileList> lists{1};  // by tile; one for all where there is no list
-    TapeParts parts{};
-    int64_t n_paths = 0;
-    size_t batch = 0;      // paths of one at most
-    bool reverse = false;  // paths that nothing is asked of are left out
-    std::chrono::steady_clock::time_point begun = std::chrono::steady_clock::now();
-
-    double seconds() const { return std::chrono::duration<double>(std::chrono::steady_clock::now() - begun).count(); }
-
-    // Wanted pixels that the units of a batch may reach: the first of them, and how many.
-    std::pair<uint32_t, uint32_t> targets(const std::vector<FilmUnit> &units) const {
-        if (call.pixels) return {0, uint32_t(schedule.n_targets())};
-        const Rect &wanted = schedule.rect();
-        int y0 = wanted.y1, y1 = wanted.y0;
-        for (const FilmUnit &unit : units) y0 = std::min(y0, unit.rect.y0), y1 = std::max(y1, unit.rect.y1);
-        y0 = std::max(wanted.y0, y0 - call.filter.reach()), y1 = std::min(wanted.y1, y1 + call.filter.reach());
-        const auto width = uint32_t(wanted.width());
-        return {uint32_t(y0 - wanted.y0) * width, uint32_t(std::max(0, y1 - y0)) * width};
-    }
-    // How often the first vertex is scattered from.
-    int splits() const {
-        const PathConfig &config = call.config;
-        const bool scatters = config.max_depth < 0 || config.max_depth > 1;
-        return scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
-    }
-};
+void DevicePaths::check(const RenderCall<float> &call) {
+    const char *missing = call.config.volumetric           ? "media"
+                          : call.config.stokes             ? "polarised light"
+                          : call.config.spectral.positions ? "wavelengths"
+                          : call.scene->bends              ? "media that light bends in"
+                          : call.ray_record                ? "records of rays"
+                          : call.keep_hits                 ? "hits that are kept"
+                                                           : nullptr;
+    if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
+}
 
 // Where entries of each key of a sort begin, and how many they are.
 struct DevicePaths::Sorted {
@@ -131,13 +76,17 @@ void DevicePaths::reserve(size_t n) {
 
 // ---------------------------------------------------------------------------------------------------------- a call
 DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                     const TileSchedule &schedule, const DerivativeCall<float> *derivative) {
+                                     const TileSchedule &schedule, const DerivativeCall<float> *derivative,
+                                     int channels) {
     const SceneView<float> &host = *call.scene;
     Work work{call, {}, tree, kinds_in(host), schedule};
-    for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += int64_t(schedule.tile(i).n) * call.spp;
+    for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += schedule.n_paths(i);
     if (call.pixels) work.list = list_pixels(schedule, work.lists);
     size_t memory = memory_, bytes = bytes_per_path();
-    if (derivative) {
+    const bool paths = channels == Radiance;
+    if (!paths) bytes += size_t(channels) * sizeof(float);
+    if (derivative) work.parts.motion = derivative->needs.numbers();
+    if (derivative && paths) {
         const int depth = call.config.max_depth, levels = depth < 0 ? MostLevels : std::min(depth, MostLevels);
         memory *= TapeShare;
         work.parts = {host.has_stacks, host.follows_tangent, derivative->needs.numbers()};
@@ -148,7 +97,7 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
     clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), 4);
 
     SceneFacts facts(host, call.config);
-    facts.records = derivative != nullptr, facts.forward = derivative && !derivative->adjoint;
+    facts.records = derivative && paths, facts.forward = derivative && !derivative->adjoint;
     facts.motion = work.parts.motion, facts.fixed_sums = derivative && derivative->fixed_sums;
     launcher_.know(facts);
     std::vector<int32_t> kinds(size_t(host.n_bsdfs));
@@ -162,72 +111,10 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
                   float(call.film_height)};
     if (derivative) {
         const GradientNeeds needs = work.stage.needs = derivative_.needs(launcher_, *derivative);
-        work.stage.records = true;
+        work.stage.records = paths;
         work.stage.bsdfs_alone = needs.bsdf && !needs.emitter && !needs.numbers() && !needs.camera;
     }
     return work;
-}
-
-// Calls body(batch) for batches of samples, in the schedule's order, until it is interrupted. `silent`: they are no
-// share of what somebody waits for.
-template <class Body>
-void DevicePaths::for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body) {
-    const RenderCall<float> &call = work.call;
-    SampleNumbers batch;
-    int64_t done = 0;
-    const auto finish = [&] {
-        body(batch);
-        launcher_.synchronize();
-        done += silent ? 0 : int64_t(batch.size);
-        stats.seconds = work.seconds();
-        stats.interrupted = call.interrupted && call.interrupted(double(done) / double(work.n_paths));
-    };
-    for (size_t item = 0; item < work.schedule.n_items(); ++item) {
-        const WorkItem units = work.schedule.work_item(item);
-        for (size_t u = 0; u < units.size(); ++u) {
-            const size_t number = units.tile_of(u);
-            const Tile tile = work.schedule.tile(number);
-            const auto [first, last] = work.schedule.samples(units, u, tile, 0);
-            const auto samples = int64_t(tile.n) * (last - first);
-            for (int64_t taken = 0; taken < samples;) {
-                if (batch.size == work.batch) {
-                    finish();
-                    if (stats.interrupted) return;
-                    batch = {};
-                }
-                const int64_t taking = std::min(int64_t(work.batch) - int64_t(batch.size), samples - taken);
-                const TileList &at = work.lists[work.call.pixels ? number : 0];
-                batch.units.push_back({tile.sampled, int32_t(int64_t(batch.size) - taken), at.pixel, at.place,
-                                       uint32_t(last - first), uint32_t(call.sample_offset + first), taken == 0,
-                                       taken + taking == samples});
-                taken += taking, batch.size += uint32_t(taking);
-            }
-        }
-    }
-    if (!batch.units.empty()) finish();
-}
-
-// Calls f(work, stats); where memory is short again, with smaller batches. Nothing is written before all is computed.
-template <class Do>
-RenderStats DevicePaths::run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                             const DerivativeCall<float> *derivative, Do &&f) {
-    check(call);
-    if (derivative) DeviceDerivative::check(*derivative);
-    const TileSchedule schedule = make_schedule(call);
-    for (;;) {
-        try {
-            RenderStats stats;
-            const Finish finished(launcher_);
-            launcher_.synchronize();
-            Work work = begin(call, data, tree, schedule, derivative);
-            f(work, stats);
-            return stats;
-        } catch (const std::bad_alloc &) {
-            if (memory_ < LeastMemory) throw DeviceMemoryError();
-            memory_ /= 2;
-            release();
-        }
-    }
 }
 
 // What the paths of batches take.
@@ -235,12 +122,13 @@ void DevicePaths::release() {
     launcher_.synchronize();
     capacity_ = 0;
     arrays_.clear();
+    values_ = DeviceArray<float>();
     levels_ = DeviceTapeLevels();
 }
 
 RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                 const RenderOutput<float> &out) {
-    return run(call, data, tree, nullptr, [&](Work &work, RenderStats &stats) {
+    return run(call, data, tree, nullptr, Radiance, [&](Work &work, RenderStats &stats) {
         const int colors = call.values, moments = out.variance || out.second_moment ? colors : 0;
         const int channels = FilmBlock::channels(colors + 1, moments);
         begin_film(work, channels);
@@ -257,7 +145,7 @@ RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<f
 
 RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                  DerivativeCall<float> &derivative) {
-    return run(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
+    return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
         work.reverse = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
@@ -265,7 +153,9 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
-            derivative_.collect(launcher_, call, at_.slots, batch.size);
+            launcher_.run(
+                CollectAdjoints{derivative_.gather(call.filter, at_.slots), at_.slots.alpha.at, at_.slots.delta},
+                batch.size);
             trace_paths(work, batch.size);
             to.measures = to.fixed;
             sweep(work, to, false);
@@ -283,7 +173,7 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
 
 RenderStats DevicePaths::forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                  const DerivativeCall<float> &derivative, float *image) {
-    return run(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
+    return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
         const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
         const int channels = FilmBlock::channels(call.values + 1, 0);
         begin_film(work, channels);
@@ -321,79 +211,6 @@ void DevicePaths::count_lost(RenderStats &stats) const {
                                    name_of(Culprit(found[1][i])) + (" " + std::to_string(int32_t(found[2][i]))));
 }
 
-// -------------------------------------------------------------------------------------------------------- the film
-ListedPixels DevicePaths::list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists) {
-    std::vector<int32_t> pixels, places;
-    lists.resize(schedule.n_tiles());
-    for (size_t i = 0; i < schedule.n_tiles(); ++i) {
-        const Tile tile = schedule.tile(i);
-        const Rect &rect = tile.sampled;
-        lists[i] = {uint32_t(pixels.size() / 2), uint32_t(places.size())};
-        places.resize(places.size() + size_t(rect.height()) * size_t(rect.width()), -1);
-        for (size_t p = 0; p < tile.n; ++p) {
-            const Pixel at = tile.pixel(p);
-            pixels.insert(pixels.end(), {at.y, at.x});
-            places[lists[i].place + size_t(at.y - rect.y0) * size_t(rect.width()) + size_t(at.x - rect.x0)] =
-                int32_t(p);
-        }
-    }
-    pixels_.upload(launcher_, pixels.data(), pixels.size());
-    places_.upload(launcher_, places.data(), places.size());
-    return {pixels_.get(), places_.get()};
-}
-
-void DevicePaths::begin_film(const Work &work, int channels) {
-    const TileSchedule &schedule = work.schedule;
-    const size_t n = schedule.n_targets() * size_t(channels);
-    if (schedule.n_targets() > UINT32_MAX / (2 * size_t(channels)))
-        throw std::invalid_argument("device: the image has too many pixels");
-    if (work.call.pixels) {
-        std::vector<int32_t> targets;
-        for (size_t i = 0; i < schedule.n_targets(); ++i) {
-            const Pixel at = schedule.target(i);
-            targets.insert(targets.end(), {at.y, at.x});
-        }
-        targets_.upload(launcher_, targets.data(), targets.size());
-    }
-    sums_.reserve(launcher_, n), open_.reserve(launcher_, n);
-    clear(launcher_, sums_.get(), n), clear(launcher_, open_.get(), n);
-}
-
-void DevicePaths::number_samples(const Work &work, const SampleNumbers &batch) {
-    units_.upload(launcher_, batch.units.data(), batch.units.size());
-    launcher_.run(NumberSamples{units_.get(), uint32_t(batch.units.size()), work.list, at_.slots}, batch.size);
-}
-
-void DevicePaths::add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments) {
-    const auto [first, n_targets] = work.targets(batch.units);
-    launcher_.run(AddToFilm{work.call.filter, int32_t(std::min(work.call.filter.reach(), MaxReach)), int32_t(colors),
-                            int32_t(moments), units_.get(), uint32_t(batch.units.size()), batch.size, work.list,
-                            work.call.pixels ? targets_.get() : nullptr, work.schedule.rect(), first, sums_.get(),
-                            open_.get(), at_.slots},
-                  n_targets);
-}
-
-const double *DevicePaths::download_film(const Work &work, int channels) {
-    const size_t n = work.schedule.n_targets() * size_t(channels);
-    auto *to = static_cast<double *>(film_.reserve(launcher_, n * sizeof(double)));
-    sums_.download(to, n);
-    return to;
-}
-
-// As adjoint_film.
-void DevicePaths::begin_adjoint(const Work &work, const float *image, RenderStats &stats) {
-    const bool box = work.call.filter.reach() == 0;
-    if (!box) {
-        begin_film(work, FilmBlock::channels(1, 0));
-        for_batches(work, stats, true, [&](const SampleNumbers &batch) {
-            number_samples(work, batch);
-            launcher_.run(PlaceSamples{work.call.config, at_.slots}, batch.size);
-            add_to_film(work, batch, 0, 0);
-        });
-    }
-    derivative_.begin_adjoint(launcher_, work.call, work.schedule, image, box ? nullptr : sums_.get());
-}
-
 // --------------------------------------------------------------------------------------------------------- a batch
 // Lists entries 0 .. *n - 1, or those of `from`, those of every key one after the other.
 void DevicePaths::sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to,
@@ -412,15 +229,24 @@ void DevicePaths::keep(const int32_t *key, const uint32_t *n, const EntryList &t
     sort(key, nullptr, n, to, {range_of_one_.get(), range_of_one_.get() + 1, 1}, launched);
 }
 
+// Camera rays, and the list of those that there are.
+void DevicePaths::start(const Work &work, uint32_t n) {
+    launcher_.run(StartPaths{work.stage, at_.queues[0], at_.out_key, n, work.reverse}, n);
+    list_camera_rays(n);
+}
+
+void DevicePaths::list_camera_rays(uint32_t n) {
+    launcher_.run(FillWords{sorted_.n, n}, 1);  // in place of hits: all samples
+    keep(at_.out_key, sorted_.n, camera_, n);
+}
+
 // As PathTile::run.
 void DevicePaths::trace_paths(const Work &work, uint32_t n) {
     const PathConfig &config = work.call.config;
     const int depth = config.max_depth;
     PathQueue<float> *queues = at_.queues;
     levels_.begin(work.parts);
-    launcher_.run(StartPaths{work.stage, queues[0], at_.out_key, n, work.reverse}, n);
-    launcher_.run(FillWords{sorted_.n, n}, 1);  // in place of hits: all samples
-    keep(at_.out_key, sorted_.n, camera_, n);
+    start(work, n);
     if (depth == 0) return;
     trace_hits(work, queues[0], camera_, config.hide_emitters, n);
     const bool scatters = depth < 0 || depth > 1;

@@ -1,9 +1,11 @@
-// The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there. For
-// surfaces, in single precision and rgb; light goes straight. Of a derivative paths are on a tape, over which
-// device/derivative_kernels.h then runs backwards.
+// The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there, and
+// outputs of first hits (device/output_kernels.h). For surfaces, in single precision and rgb; light goes straight. Of a
+// derivative paths are on a tape, over which device/derivative_kernels.h then runs backwards.
 #pragma once
 
+#include "aovs.h"
 #include "device/device_scene.h"
+#include "device/output_sweep_kernels.h"
 #include "device/sort_kernels.h"
 #include "device_batch.h"
 #include "device_derivative.h"
@@ -30,12 +32,22 @@ public:
                         DerivativeCall<float> &derivative);
     RenderStats forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                         const DerivativeCall<float> &derivative, float *image);
+    // As render_aov, reverse_aov and forward_aov.
+    RenderStats outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                        const AovOutput<float> &out);
+    RenderStats reverse_outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                                const AovOutput<float> &out, DerivativeCall<float> &derivative);
+    RenderStats forward_outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                                const AovOutput<float> &out, const DerivativeCall<float> &derivative);
 
     // Of `memory` a path takes, without the tape.
     static size_t bytes_per_path();
     static constexpr size_t TapeShare = 4;
 
 private:
+    static constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
+    static constexpr int Radiance = -1;                     // in place of a number of channels
+
     // What one call is about, and where the pixels of a tile are in a list of them.
     struct Work;
     struct TileList {
@@ -57,15 +69,20 @@ private:
     HostBuffer film_;  // the sums on their way back
     DeviceArray<int32_t> pixels_, places_;
     DeviceArray<FilmUnit> units_;
+    DeviceArray<OwnSamples> own_;
+    DeviceArray<float> values_;  // of outputs, by channel and sample
     DeviceTapeLevels levels_;
     DeviceDerivative derivative_;
 
+    static void check(const RenderCall<float> &call);
+    static std::vector<OwnSamples> own_samples(const Work &work, const WorkItem &units, size_t unit, const Tile &tile);
+    // `channels` of outputs besides radiance, or Radiance.
     template <class Do>
     RenderStats run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                    const DerivativeCall<float> *derivative, Do &&f);
+                    const DerivativeCall<float> *derivative, int channels, Do &&f);
     void release();
     Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-               const TileSchedule &schedule, const DerivativeCall<float> *derivative);
+               const TileSchedule &schedule, const DerivativeCall<float> *derivative, int channels);
     void reserve(size_t n);
     template <class Body>
     void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
@@ -75,16 +92,19 @@ private:
     // the film
     ListedPixels list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists);
     void begin_film(const Work &work, int channels);
-    void number_samples(const Work &work, const SampleNumbers &batch);
+    void number_samples(Work &work, const SampleNumbers &batch);
+    FilmGather gather(const Work &work, const SampleNumbers &batch, const Filter &filter, uint32_t first) const;
     void add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments);
     const double *download_film(const Work &work, int channels);
-    void begin_adjoint(const Work &work, const float *image, RenderStats &stats);
+    void begin_adjoint(Work &work, const float *image, RenderStats &stats);
 
     // a batch of n paths
     struct Sorted;
     void sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to, const Sorted &ranges,
               uint32_t launched);
     void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched);
+    void start(const Work &work, uint32_t n);
+    void list_camera_rays(uint32_t n);
     void trace_paths(const Work &work, uint32_t n);
     void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
     void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
@@ -92,6 +112,14 @@ private:
     void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint);
     void sweep_components(const Work &work, DerivativePlaces to, uint32_t n);
     uint32_t live() const;
+
+    // outputs besides radiance
+    struct Outputs;
+    template <class Body>
+    void for_first_hits(Work &work, RenderStats &stats, const Outputs &outputs, bool silent, Body &&body);
+    OutputValues values(const Work &work, int n);
+    void add_outputs(const Work &work, const SampleNumbers &batch, const Outputs &outputs);
+    void identify(const Work &work, const AovOutput<float> &out, RenderStats &stats);
 };
 
 }  // namespace tr

@@ -49,29 +49,6 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const TileSchedule &s
     }
 }
 
-// Hands the channels of the film's pixels out: averages, or infinity or zero where nothing was hit.
-template <class S>
-void write_outputs(const TileSchedule &schedule, const AovLayout &layout, const Film &film, const AovOutput<S> &out,
-                   bool derivative) {
-    for (size_t i = 0; i < schedule.n_results(); ++i) {
-        const double *p = film.at(schedule.target_of(i));
-        double total = out.zero_at_misses ? p[layout.n + 1] : p[layout.n];  // the first may be negative
-        if (out.covered) out.covered[i] = p[layout.n + 1] != 0 ? S(p[layout.n] / p[layout.n + 1]) : S(0);
-        for (int kind = 0; kind < AovCount; ++kind) {
-            if (!layout.wants(kind)) continue;
-            int n = layout.count(kind);
-            bool infinite = aov_names[kind].infinite && !out.zero_at_misses && !derivative;
-            S none = infinite ? S(INFINITY) : S(0), *to = out.data[size_t(kind)] + i * size_t(n);
-            for (int c = 0; c < n; ++c) to[c] = total != 0 ? S(p[layout.offset[kind] + c] / total) : none;
-        }
-    }
-}
-
-template <class S>
-AovLayout no_outputs(const RenderCall<S> &call) {
-    return AovLayout(call.values, [](int) { return false; });
-}
-
 // What the rays through the centres of the wanted pixels hit.
 template <class F>
 void identify(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule, const AovOutput<ScalarOf<F>> &out,
@@ -90,12 +67,8 @@ void identify(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
                   }
                   hits.trace(call.config, n, true);
                   const auto &at = hits.queries.hits.at;
-                  for (size_t k = 0; k < n; ++k) {
-                      bool hit = hits.is_hit(k);
-                      if (out.shape) out.shape[first + k] = hit ? int32_t(at.shape[k]) : -1;
-                      if (out.primitive) out.primitive[first + k] = hit ? int32_t(at.primitive[k]) : -1;
-                      if (out.material) out.material[first + k] = hit ? call.scene->shapes[at.shape[k]].bsdf : -1;
-                  }
+                  for (size_t k = 0; k < n; ++k)
+                      write_identifiers(*call.scene, first + k, at.shape[k], at.primitive[k], out);
               });
 }
 
@@ -110,7 +83,7 @@ RenderStats primal_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sca
             Film film(schedule, layout.n + 2);
             splat_first_hits<F>(call, schedule, layout, out, film, stats,
                                 [](FirstHits<F> &hits, size_t n) { hits.evaluate(n); });
-            write_outputs(schedule, layout, film, out, false);
+            write_outputs(schedule, layout, film.sums(), out, false);
         }
         if ((out.shape || out.primitive || out.material) && !stats.interrupted) identify<F>(call, schedule, out, stats);
     }
@@ -130,7 +103,7 @@ RenderStats tangent_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
             GradientSink<F> sink = derivative.template forward_sink<F>();
             hits.sweep(n, derivative.gradient_needs(), sink);
         });
-        write_outputs(schedule, layout, film, out, true);
+        write_outputs(schedule, layout, film.sums(), out, true);
     }
     return stats;
 }

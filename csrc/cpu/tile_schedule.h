@@ -80,6 +80,7 @@ public:
     size_t n_items() const { return first_item_.empty() ? 0 : first_item_.back(); }
     WorkItem work_item(size_t item) const;
     Tile tile(size_t i) const;
+    int64_t n_paths(size_t tile) const;
     // Of pixel i of the tile of a unit, those that belong to the unit. Chunks are of ChunkSize samples, or, where
     // pixels have numbers of their own, equal parts of all of them.
     SampleRange samples(const WorkItem &work, size_t unit, const Tile &tile, size_t i) const {
@@ -107,7 +108,6 @@ public:
 private:
     static size_t area(const Rect &r) { return size_t(std::max(0, r.height())) * size_t(std::max(0, r.width())); }
     const uint32_t *counts(size_t tile) const { return counts_.empty() ? nullptr : &counts_[counts_begin_[tile]]; }
-    int64_t n_paths(size_t tile) const;
     int64_t n_chunks(size_t begin, size_t end) const;
     int64_t chunks_an_item(size_t begin, size_t end) const;
     Rect tile_rect(size_t i) const;

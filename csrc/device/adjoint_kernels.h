@@ -22,16 +22,17 @@ struct WantedPixels {
 // The adjoint of the image becomes that of the film's sums; see adjoint_film. An item is a wanted pixel.
 struct DivideAdjoint {
     static constexpr const char *Name = "tr::DivideAdjoint", *Header = "device/adjoint_kernels.h";
-    const float *image;  // (n, colors)
-    int32_t colors;
-    const double *sums;  // (n, 2), the second of which are the sums of weights; null: that is `weight` everywhere
+    const float *image;  // (n, channels)
+    int32_t channels;
+    const double *sums;  // (n, 2), of which number `of` is the sum of weights; null: that is `weight` everywhere
+    int32_t of;
     double weight;
     double *to;
 
     TR_HD void operator()(uint32_t i) const {
-        const double total = sums ? sums[2 * size_t(i) + 1] : weight;
-        for (int32_t c = 0; c < colors; ++c) {
-            const size_t at = size_t(i) * size_t(colors) + size_t(c);
+        const double total = sums ? sums[2 * size_t(i) + size_t(of)] : weight;
+        for (int32_t c = 0; c < channels; ++c) {
+            const size_t at = size_t(i) * size_t(channels) + size_t(c);
             to[at] = total == 0 ? 0 : double(image[at]) / total;
         }
     }
@@ -41,42 +42,72 @@ struct DivideAdjoint {
     }
 };
 
-// What samples get of it; see collect_adjoints and FilmBlock::collect.
-struct CollectAdjoints {
-    static constexpr const char *Name = "tr::CollectAdjoints", *Header = "device/adjoint_kernels.h";
+// What samples get of it; see FilmBlock::collect.
+struct AdjointGather {
     Filter filter;
-    int32_t reach, colors;
+    int32_t reach, channels;
     WantedPixels wanted;
     const double *adjoint;
-    SlotColumns<float> slots;
+    SampleColumns<float> samples;
 
-    TR_HD void operator()(uint32_t i) const {
-        const auto row = int32_t(slots.row[i]), column = int32_t(slots.column[i]);
-        double d[SpectrumSize] = {};
-        if (reach == 0) {
-            add(row, column, 1, d);
-        } else {
-            const double y = double(slots.film_y[i]), x = double(slots.film_x[i]);
-            for (int32_t r = row - reach; r <= row + reach; ++r) {
-                const double wy = filter.weight<double>(r + 0.5 - y);
-                for (int32_t k = column - reach; wy != 0 && k <= column + reach; ++k) {
-                    const double wx = filter.weight<double>(k + 0.5 - x);
-                    if (wx != 0) add(r, k, wy * wx, d);
-                }
+    // Adds to `to`, a number a channel.
+    TR_HD void gather(uint32_t i, double *to) const {
+        const auto row = int32_t(samples.row[i]), column = int32_t(samples.column[i]);
+        if (reach == 0) return add(row, column, 1, to);
+        const double y = double(samples.film_y[i]), x = double(samples.film_x[i]);
+        for (int32_t r = row - reach; r <= row + reach; ++r) {
+            const double wy = filter.weight<double>(r + 0.5 - y);
+            for (int32_t k = column - reach; wy != 0 && k <= column + reach; ++k) {
+                const double wx = filter.weight<double>(k + 0.5 - x);
+                if (wx != 0) add(r, k, wy * wx, to);
             }
         }
-        for (int c = 0; c < SpectrumSize; ++c) slots.delta[c][i] = c < colors ? float(d[c]) : 0.f;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(wanted.number), visit(adjoint), slots.for_arrays(visit);
+        visit(wanted.number), visit(adjoint), samples.for_arrays(visit);
     }
 
 private:
-    TR_HD void add(int32_t y, int32_t x, double weight, double *d) const {
+    TR_HD void add(int32_t y, int32_t x, double weight, double *to) const {
         const int32_t target = wanted.at(y, x);
         if (target < 0) return;
-        for (int32_t c = 0; c < colors; ++c) d[c] += weight * adjoint[size_t(target) * size_t(colors) + size_t(c)];
+        for (int32_t c = 0; c < channels; ++c) to[c] += weight * adjoint[size_t(target) * size_t(channels) + size_t(c)];
+    }
+};
+
+// Of radiance, see collect_adjoints.
+struct CollectAdjoints {
+    static constexpr const char *Name = "tr::CollectAdjoints", *Header = "device/adjoint_kernels.h";
+    AdjointGather from;
+    const float *weight;  // how often a sample counts
+    SpectrumColumn<float> delta;
+
+    TR_HD void operator()(uint32_t i) const {
+        double d[SpectrumSize] = {};
+        from.gather(i, d);
+        for (int c = 0; c < SpectrumSize; ++c) delta[c][i] = c < from.channels ? float(d[c] * double(weight[i])) : 0.f;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        from.for_pointers(visit), visit(weight), delta.each(visit);
+    }
+};
+
+// Of other outputs.
+struct CollectOutputs {
+    static constexpr const char *Name = "tr::CollectOutputs", *Header = "device/adjoint_kernels.h";
+    AdjointGather from;
+    OutputValues value;
+
+    TR_HD void operator()(uint32_t i) const {
+        double d[OutputValues::Most] = {};
+        from.gather(i, d);
+        for (int c = 0; c < from.channels; ++c) value(c, i) = float(d[c]);
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        from.for_pointers(visit), visit(value.at);
     }
 };
 

@@ -47,7 +47,7 @@ T *DeviceScene::put(Launcher &launcher, const T *from, size_t n, int threads) {
     return reinterpret_cast<T *>(table.there.get());
 }
 
-static_assert(sizeof(SceneView<float>) == 320, "a table more? SceneView and SceneData list them all");
+static_assert(sizeof(SceneView<float>) == 328, "a table more? SceneView and SceneData list them all");
 
 const SceneView<float> &DeviceScene::upload(Launcher &launcher, const SceneData<float> &data, int threads) {
     const SceneView<float> &host = data.view();

@@ -28,21 +28,49 @@ struct FilmUnit {
     uint32_t first_pixel;  // where the list of its pixels begins, and
     uint32_t first_place;  // where they are in that list
     uint32_t samples, first_sample;
+    uint32_t first_own, n_pixels;  // where the OwnSamples of its pixels begin, if they have some, and how many
     bool opens, closes;
 };
 
-// The pixels that units have where they are not all of their rectangles; null: they are.
+// Of a pixel with a number of samples of its own: where they begin in the unit, where those of the unit's pixels end
+// behind the last one; the first of them; and how often each counts.
+struct OwnSamples {
+    uint32_t offset, first;
+    float weight;
+};
+
+// The pixels that units have where they are not all of their rectangles; null: they are. And their samples where these
+// are not as many in all; null: they are.
 struct ListedPixels {
     const int32_t *pixel;  // (n, 2), row and column
     const int32_t *place;  // of each pixel of a unit's rectangle, its number in the unit or -1
+    const OwnSamples *own = nullptr;
 
+    // Slots of a unit's pixel.
+    TR_HD int32_t begin_of(const FilmUnit &unit, uint32_t pixel) const {
+        return unit.begin + int32_t(own ? own[unit.first_own + pixel].offset : pixel * unit.samples);
+    }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(pixel), visit(place);
+        visit(pixel), visit(place), visit(own);
     }
 };
 
-// Which sample every slot has. Units are in the order of their slots.
+// The last of n entries of which begins(i) says that it begins at or before something; of entry 0 it is so.
+template <class Begins>
+TR_HD uint32_t last_that(uint32_t n, Begins &&begins) {
+    uint32_t low = 0, high = n;
+    while (high - low > 1) {
+        const uint32_t middle = (low + high) / 2;
+        if (begins(middle))
+            low = middle;
+        else
+            high = middle;
+    }
+    return low;
+}
+
+// Which sample every slot has, and as alpha how often it counts. Units are in the order of their slots.
 struct NumberSamples {
     static constexpr const char *Name = "tr::NumberSamples", *Header = "device/film_kernels.h";
     const FilmUnit *units;
@@ -51,16 +79,18 @@ struct NumberSamples {
     SlotColumns<float> slots;
 
     TR_HD void operator()(uint32_t i) const {
-        uint32_t low = 0, high = n_units;
-        while (high - low > 1) {
-            const uint32_t middle = (low + high) / 2;
-            if (units[middle].begin <= int32_t(i))
-                low = middle;
-            else
-                high = middle;
+        const auto slot = int32_t(i);
+        const FilmUnit &unit = units[last_that(n_units, [&](uint32_t u) { return units[u].begin <= slot; })];
+        const uint32_t k = uint32_t(slot - unit.begin);
+        uint32_t pixel = 0, sample = 0;
+        float weight = 1;
+        if (list.own) {
+            const OwnSamples *own = list.own + unit.first_own;
+            pixel = last_that(unit.n_pixels, [&](uint32_t p) { return own[p].offset <= k; });
+            sample = own[pixel].first + (k - own[pixel].offset), weight = own[pixel].weight;
+        } else {
+            pixel = k / unit.samples, sample = unit.first_sample + (k - pixel * unit.samples);
         }
-        const FilmUnit &unit = units[low];
-        const uint32_t k = uint32_t(int32_t(i) - unit.begin), pixel = k / unit.samples;
         const auto width = uint32_t(unit.rect.width());
         int32_t y = unit.rect.y0 + int32_t(pixel / width), x = unit.rect.x0 + int32_t(pixel % width);
         if (list.pixel) {
@@ -69,7 +99,8 @@ struct NumberSamples {
         }
         slots.row.at[i] = uint32_t(y), slots.column.at[i] = uint32_t(x);
         slots.pixel.at[i] = pixel_number(y, x);
-        slots.sample.at[i] = unit.first_sample + (k - pixel * unit.samples);
+        slots.sample.at[i] = sample;
+        slots.alpha.at[i] = weight;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -77,10 +108,10 @@ struct NumberSamples {
     }
 };
 
-struct AddToFilm {
-    static constexpr const char *Name = "tr::AddToFilm", *Header = "device/film_kernels.h";
+// Which samples of a batch reach a wanted pixel, the item of a launch.
+struct FilmGather {
     Filter filter;
-    int32_t reach, colors, moments;
+    int32_t reach;
     const FilmUnit *units;
     uint32_t n_units, n_slots;
     ListedPixels list;
@@ -88,14 +119,15 @@ struct AddToFilm {
     Rect wanted;
     uint32_t first;       // of those of this launch
     double *sums, *open;  // by wanted pixel: of the film, and of the unit that is open, see FilmBlock
-    SlotColumns<float> slots;
+    const float *film_x, *film_y;
 
-    TR_HD void operator()(uint32_t i) const {
+    // Calls add(slot, weight, sums of the unit) for those of item i, of so many sums each.
+    template <class Add>
+    TR_HD void gather(uint32_t i, int channels, Add &&add) const {
         const uint32_t target = first + i;
         const auto width = uint32_t(wanted.width());
         const int32_t y = targets ? targets[2 * target] : wanted.y0 + int32_t(target / width),
                       x = targets ? targets[2 * target + 1] : wanted.x0 + int32_t(target % width);
-        const int channels = colors + 2 + (moments ? 3 * moments + 1 : 0);
         double *film = sums + size_t(target) * size_t(channels), *block = open + size_t(target) * size_t(channels);
         for (uint32_t u = 0; u < n_units; ++u) {
             const FilmUnit &unit = units[u];
@@ -109,9 +141,11 @@ struct AddToFilm {
                     int32_t pixel = (row - unit.rect.y0) * unit.rect.width() + column - unit.rect.x0;
                     if (list.place) pixel = list.place[unit.first_place + uint32_t(pixel)];
                     if (pixel < 0) continue;
-                    const int32_t begin = unit.begin + pixel * int32_t(unit.samples);
-                    const int32_t end = min(begin + int32_t(unit.samples), int32_t(n_slots));
-                    for (int32_t k = max(begin, 0); k < end; ++k) add(uint32_t(k), y, x, block);
+                    const int32_t end = min(list.begin_of(unit, uint32_t(pixel) + 1), int32_t(n_slots));
+                    for (int32_t k = max(list.begin_of(unit, uint32_t(pixel)), 0); k < end; ++k) {
+                        const double weight = weight_of(uint32_t(k), y, x);
+                        if (weight != 0) add(uint32_t(k), weight, block);
+                    }
                 }
             if (unit.closes)
                 for (int c = 0; c < channels; ++c) film[c] += block[c];
@@ -119,22 +153,68 @@ struct AddToFilm {
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(units), list.for_pointers(visit), visit(targets), visit(sums), visit(open), slots.for_arrays(visit);
+        visit(units), list.for_pointers(visit), visit(targets), visit(sums), visit(open), visit(film_x), visit(film_y);
     }
 
 private:
-    TR_HD void add(uint32_t k, int32_t y, int32_t x, double *block) const {
-        double weight = 1;
-        if (reach > 0) {
-            const double wx = filter.weight<double>(x + 0.5 - double(slots.film_x[k])),
-                         wy = filter.weight<double>(y + 0.5 - double(slots.film_y[k]));
-            if (wx == 0 || wy == 0) return;
-            weight = wy * wx;
-        }
-        double value[SpectrumSize + 1];
-        for (int c = 0; c < colors; ++c) value[c] = double(slots.radiance[c][k]);
-        value[colors] = double(slots.alpha[k]);
-        add_sample(block, weight, value, colors + 1, moments);
+    TR_HD double weight_of(uint32_t k, int32_t y, int32_t x) const {
+        if (reach == 0) return 1;
+        const double wx = filter.weight<double>(x + 0.5 - double(film_x[k])),
+                     wy = filter.weight<double>(y + 0.5 - double(film_y[k]));
+        return wy * wx;
+    }
+};
+
+// Radiance and alpha, and `moments` of radiance.
+struct AddToFilm {
+    static constexpr const char *Name = "tr::AddToFilm", *Header = "device/film_kernels.h";
+    FilmGather film;
+    int32_t colors, moments;
+    SpectrumColumn<float> radiance;
+    const float *alpha;
+
+    TR_HD void operator()(uint32_t i) const {
+        const int channels = colors + 2 + (moments ? 3 * moments + 1 : 0);
+        film.gather(i, channels, [&](uint32_t k, double weight, double *block) {
+            double value[SpectrumSize + 1];
+            for (int c = 0; c < colors; ++c) value[c] = double(radiance[c][k]);
+            value[colors] = double(alpha[k]);
+            add_sample(block, weight, value, colors + 1, moments);
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        film.for_pointers(visit), radiance.each(visit), visit(alpha);
+    }
+};
+
+// Outputs besides radiance: channel c of sample i is at[c * stride + i].
+struct OutputValues {
+    static constexpr int Most = 64;
+    float *at;
+    uint32_t stride;
+
+    TR_HD float &operator()(int c, uint32_t i) const { return at[size_t(c) * size_t(stride) + i]; }
+};
+
+// Of a pixel the sums of n channels, then of the weights of samples that hit something, then of all weights.
+struct AddOutputsToFilm {
+    static constexpr const char *Name = "tr::AddOutputsToFilm", *Header = "device/film_kernels.h";
+    FilmGather film;
+    int32_t n;
+    OutputValues value;
+    const float *hit;
+
+    TR_HD void operator()(uint32_t i) const {
+        film.gather(i, n + 2, [&](uint32_t k, double weight, double *block) {
+            for (int c = 0; c < n; ++c) block[c] += weight * double(value(c, k));
+            block[n] += weight * double(hit[k]);
+            block[n + 1] += weight;
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        film.for_pointers(visit), visit(value.at), visit(hit);
     }
 };
 

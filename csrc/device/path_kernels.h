@@ -62,10 +62,7 @@ struct PlaceSamples {
     PathConfig config;
     SlotColumns<float> slots;
 
-    TR_HD void operator()(uint32_t i) const {
-        choose_position<float>(config, slots, false, i);
-        slots.alpha[i] = 1;
-    }
+    TR_HD void operator()(uint32_t i) const { choose_position<float>(config, slots, false, i); }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         slots.for_arrays(visit);

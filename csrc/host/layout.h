@@ -69,8 +69,9 @@ struct SceneLayout {
     int environment = -1;
     std::vector<MediumInfo> media;
     int n_majorants = 0;
-    int n_phase_numbers = 0;  // in the tables of tabulated phase functions
-    int n_bsdf_numbers = 0;   // in the tables of rough coatings
+    int n_phase_numbers = 0;         // in the tables of tabulated phase functions
+    int n_bsdf_numbers = 0;          // in the tables of rough coatings
+    std::vector<int32_t> bsdf_aovs;  // see SceneView
 };
 
 // std::invalid_argument: "scene.path: field 'x': expected ..., got ...".
@@ -80,7 +81,7 @@ SceneLayout lay_out(const SceneObjects &objects, const std::vector<std::vector<i
 // Of that, the phase functions: checks, and where their tables lie. The rest is there.
 void lay_out_phases(SceneLayout &layout, const std::vector<std::vector<int64_t>> &param_shapes);
 
-// Where the tables of BSDFs lie.
+// Where the tables of BSDFs lie, and what outputs show of them.
 void lay_out_bsdfs(SceneLayout &layout);
 
 }  // namespace tr

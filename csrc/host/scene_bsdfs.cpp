@@ -1,7 +1,7 @@
-// BSDFs on the host: the tables of rough coatings.
+// BSDFs on the host: the tables of rough coatings, and what outputs show.
 #include <algorithm>
 
-#include "../core/registry.h"
+#include "../core/integrator/bsdf_aovs.h"
 #include "models.h"
 #include "scene_data.h"
 
@@ -13,10 +13,27 @@ bool is_tabulated(const Record &record) {
     return record.kind < FirstWrapper && bsdf_kernels<PacketOf<float>>(record.kind).tabulated;
 }
 
+// Models without the field show a constant: no surface but a diffuse one is rough without a number that says so.
+BsdfAovRow aov_row(const Record &record, BsdfAov output) {
+    if (record.kind >= FirstWrapper) return {};  // a mixture: its parts are shown
+    const BsdfInfo &info = bsdf_kernels<PacketOf<float>>(record.kind);
+    const int field = output == BsdfAov::Albedo     ? info.albedo
+                      : output == BsdfAov::Specular ? info.specular
+                                                    : info.roughness;
+    BsdfAovRow r;
+    r.one = output == BsdfAov::Albedo || (output == BsdfAov::Roughness && !info.is(HasDeltaLobes));
+    if (field >= 0) (info.use[field] == BsdfInfo::Number ? r.number : r.texture) = record.field[field];
+    return r;
+}
+
 }  // namespace
 
 void lay_out_bsdfs(SceneLayout &layout) {
     for (Record &record : layout.records.at("bsdf")) {
+        for (const BsdfAov output : {BsdfAov::Albedo, BsdfAov::Specular, BsdfAov::Roughness}) {
+            const BsdfAovRow row = aov_row(record, output);
+            layout.bsdf_aovs.insert(layout.bsdf_aovs.end(), {row.texture, row.number, row.one});
+        }
         if (!is_tabulated(record)) continue;
         record.field[Record::Extra] = layout.n_bsdf_numbers;
         layout.n_bsdf_numbers += RoughTransmittanceSize::Numbers;

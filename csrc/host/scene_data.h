@@ -107,7 +107,8 @@ public:
         table(&View::light_boxes, light_boxes_);
         table(&View::env_marginal, environment_.marginal), table(&View::env_conditional, environment_.conditional);
         visit(&View::env_to_local, &env_to_local_[0], 12), visit(&View::env_to_world, &env_to_world_[0], 12);
-        table(&View::bsdf_tables, bsdf_tables_), table(&View::media, layout_.media);
+        table(&View::bsdf_tables, bsdf_tables_), table(&View::bsdf_aovs, layout_.bsdf_aovs);
+        table(&View::media, layout_.media);
         table(&View::volume_to_local, volume_to_local_), table(&View::majorants, majorants_);
         table(&View::phase_tables, phase_tables_);
     }

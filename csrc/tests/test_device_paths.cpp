@@ -78,17 +78,20 @@ struct Balls {
     }
 };
 
-// The derivative of the sum of an image by all parameters: the numbers of the slots one after the other.
+// The derivative of the sum of an image by all parameters: the numbers of the slots one after the other. `adaptive`: of
+// numbers that pixels have more and less of.
 struct Gradient {
     std::vector<std::vector<float>> of_slots;
     RenderStats stats;
 
     template <class Reverse>
-    Gradient(const Balls &balls, const RenderCall<float> &call, Reverse &&reverse, bool fixed_sums = false) {
-        const std::vector<float> ones(size_t(call.film_height * call.film_width) * 3, 1.f);
+    Gradient(const Balls &balls, const RenderCall<float> &call, Reverse &&reverse, bool fixed_sums = false,
+             bool adaptive = false) {
+        std::vector<float> weights(size_t(call.film_height * call.film_width) * 3, 1.f);
+        for (size_t i = 0; i < weights.size() && adaptive; ++i) weights[i] = float(i % 21) / 10;
         for (const auto &values : balls.builder.values) of_slots.emplace_back(values.size(), 0.f);
         DerivativeCall<float> d = reverse_call(balls.data, call.config, false, addresses_of(of_slots));
-        d.adjoint = ones.data(), d.fixed_sums = fixed_sums;
+        d.adjoint = weights.data(), d.fixed_sums = fixed_sums, d.adaptive = adaptive;
         stats = reverse(call, d);
         add_gradients(balls.data, d, addresses_of(of_slots), 2);
     }
@@ -132,25 +135,29 @@ TR_TEST(images_of_the_device_are_those_of_the_cpu_in_any_batches) {
 // ... gradients but for the order of sums, to which the emulated device has one thread add.
 TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
     Balls balls;
-    for (const Filter &filter : {Filter(), Filter(FilterKind::Gaussian, 0.5)}) {
+    const auto check = [&](const Filter &filter, bool adaptive) {
         const RenderCall<float> call = make_call(balls.data, small(filter));
-        const Gradient expected(balls, call, [](const RenderCall<float> &c, DerivativeCall<float> &d) {
+        const auto on_cpu = [](const RenderCall<float> &c, DerivativeCall<float> &d) {
             return render_reverse<float>(c, d);
-        });
+        };
+        const Gradient expected(balls, call, on_cpu, false, adaptive);
         for (const size_t batch : {size_t(1000), size_t(1) << 20}) {
             const auto device = make_emulated();
             DeviceTree copied(*device);
             copied.set(balls.rays.tree());
             DevicePaths paths(*device, batch * DevicePaths::bytes_per_path());
-            const Gradient found(balls, call, [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
+            const auto there = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
                 return paths.reverse(c, balls.data, copied.view(), d);
-            });
+            };
+            const Gradient found(balls, call, there, false, adaptive);
             CHECK(found.stats.closest_rays == expected.stats.closest_rays);
             CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
             check_close(found, expected);
             CHECK(std::abs(expected.of_slots[0][0]) > 1);
         }
-    }
+    };
+    for (const bool adaptive : {false, true})
+        check(Filter(), adaptive), check(Filter(FilterKind::Gaussian, 0.5), adaptive);
 }
 
 // ... but sums of whole numbers are the same, bit for bit, in any order, of however many threads.
@@ -266,8 +273,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     more.stacks = true;
     SceneFacts recorded = room, forward = room;
     recorded.records = forward.records = forward.forward = true;
-    SceneFacts moved = recorded, fixed = recorded;
-    moved.motion = fixed.fixed_sums = true;
+    SceneFacts moved = recorded, fixed = recorded, output_moved = room;
+    moved.motion = output_moved.motion = fixed.fixed_sums = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
     struct Case {
         const Kernel &kernel;
@@ -291,6 +298,13 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<SweepVertices>(), fixed, diffuse, ",diffuse,fixed"},
                              {kernel_of<ShadeHits>(), moved, diffuse, ",diffuse,recorded,moved"},
                              {kernel_of<SweepVertices>(), moved, diffuse, ",diffuse,moved"},
+                             {kernel_of<EvaluateOutputs>(), room, -1, ""},
+                             {kernel_of<EvaluateOutputs>(), more, -1, ",more"},
+                             {kernel_of<SweepOutputs>(), room, -1, ""},
+                             {kernel_of<SweepOutputs>(), output_moved, -1, ",moved"},
+                             {kernel_of<StartCentres>(), room, -1, ""},
+                             {kernel_of<AddOutputsToFilm>(), room, -1, ""},
+                             {kernel_of<CollectOutputs>(), room, -1, ""},
                              {kernel_of<PlaceSamples>(), room, -1, ""},
                              {kernel_of<DivideAdjoint>(), room, -1, ""},
                              {kernel_of<CollectAdjoints>(), room, -1, ""},

@@ -8,24 +8,13 @@ import pytest
 import reference_scenes
 import small_scene
 import torch
+from emulated import check_close, differentiable, scene_of_materials
 
 import torchrender as tr
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
 PATH = tr.PathTracer(max_depth=5)
-CLOSE = 2e-5
-"""Of the largest number of a gradient: both add the same numbers of single precision, in another order."""
 REFERENCES = {**reference_scenes.SCENES, **reference_scenes.CAMERAS}
-
-
-def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
-    """All parameters that the image has a derivative by, which alone are trained afterwards."""
-    scene.train_only()
-    refused = {slot.name for slot in scene.layout().slots if slot.refusal}
-    found = {name: parameter for name, parameter in scene.named_parameters() if name not in refused}
-    for parameter in found.values():
-        parameter.requires_grad_(True)
-    return found
 
 
 def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **settings) -> dict[str, torch.Tensor]:
@@ -33,13 +22,6 @@ def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **sett
     weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
     found = torch.autograd.grad((image * weights).sum(), list(parameters.values()))
     return dict(zip(parameters, found, strict=True))
-
-
-def check_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
-    assert any(float(g.abs().max()) > 0 for g in expected.values())
-    for name, g in expected.items():
-        most = CLOSE * float(g.abs().max())
-        torch.testing.assert_close(found[name], g, rtol=0, atol=most, msg=lambda m, n=name: f"{n}: {m}")
 
 
 def check_same(device, scene: tr.Scene, parameters: dict[str, torch.nn.Parameter] | None = None, **settings) -> None:
@@ -64,18 +46,7 @@ def test_gradients_are_those_of_the_cpu(device, name):
 @pytest.mark.parametrize("only", ["everything", "bsdfs"])
 def test_every_bsdf(device, only):
     """Also where nothing but BSDFs is differentiated, so that paths count from the first of them on."""
-    objects = {
-        f"ball_{i}": {"type": "sphere", "center": [i % 5, i // 5, 0.0], "radius": 0.45, "bsdf": {"type": kind}}
-        for i, kind in enumerate(sorted(bsdf_models.DECLARED))
-    }
-    camera = {
-        "type": "perspective",
-        "fov": 45,
-        "to_world": tr.Transform.look_at([2, 2, 7.0], [2, 2, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 24, "height": 24, "rfilter": {"type": "gaussian"}},
-    }
-    lamp = {"type": "point", "position": [2, 2, 6.0], "intensity": 20.0}
-    scene = tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
+    scene = scene_of_materials({kind: {"type": kind} for kind in sorted(bsdf_models.DECLARED)}, 24, "gaussian")
     chosen = differentiable(scene)
     if only == "bsdfs":
         for name in [n for n in chosen if ".bsdf." not in n]:
@@ -97,6 +68,8 @@ def test_every_bsdf(device, only):
         {"passes": 2, "sampler": "independent"},
         {"correlated": True, "spp": 70},
         {"spp": 3, "spp_grad": 5},
+        {"adaptive_grad": True, "spp": 9},
+        {"adaptive_grad": True, "spp": 70, "pixels": torch.tensor([[7, 9], [0, 0], [7, 9], [3, 4], [3, 5]])},
     ],
 )
 @pytest.mark.parametrize("rfilter", ["box", "gaussian"])
@@ -159,13 +132,6 @@ def test_gradients_repeat(device):
     chosen = differentiable(scene)
     first = gradients(scene, chosen)
     check_close(gradients(scene, chosen), first)
-
-
-def test_what_is_not_there(device):
-    scene = tr.load_dict(small_scene.ball_and_wall())
-    scene.train_only("*.reflectance.value")
-    with pytest.raises(RuntimeError, match="does not have adaptive_grad yet"):
-        tr.render(scene, spp=1, adaptive_grad=True)
 
 
 @pytest.mark.parametrize("name", ["bitmaps", "mesh", "volume_texture"])

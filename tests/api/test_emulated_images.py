@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import re
 from pathlib import Path
 
-import bsdf_models
 import light_scenes
 import pytest
 import reference_scenes
 import small_scene
 import torch
+from emulated import materials, scene_of_materials
 
 import torchrender as tr
 
@@ -43,37 +42,8 @@ def test_images_are_those_of_the_cpu(device, name):
     check_same(device, tr.load_dict(REFERENCES[name]().scene), spp=1)
 
 
-def materials() -> dict[str, dict]:
-    """Every model of the registry, with what wraps them."""
-    red, image = {"type": "rgb", "value": [0.7, 0.3, 0.2]}, light_scenes.texels(5, 4)
-    found = {kind: {"type": kind} for kind in bsdf_models.DECLARED}
-    diffuse, metal = {"type": "diffuse", "reflectance": red}, {"type": "roughconductor", "alpha": 0.2}
-    return {
-        **found,
-        "blend": {"type": "blendbsdf", "weight": image, "first": diffuse, "second": metal},
-        "mask": {"type": "mask", "opacity": image, "bsdf": {"type": "twosided", "bsdf": diffuse}},
-        "normalmap": {"type": "normalmap", "normalmap": image, "bsdf": metal},
-        "bumpmap": {"type": "bumpmap", "texture": image, "bsdf": metal},
-    }
-
-
 def test_every_bsdf(device):
-    found = materials()
-    columns = math.ceil(math.sqrt(len(found)))
-    objects = {
-        f"ball_{i}": {"type": "sphere", "center": [i % columns, i // columns, 0.0], "radius": 0.45, "bsdf": bsdf}
-        for i, bsdf in enumerate(found.values())
-    }
-    middle = (columns - 1) / 2
-    camera = {
-        "type": "perspective",
-        "fov": 45,
-        "to_world": tr.Transform.look_at([middle, middle, 7.0], [middle, middle, 0], [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}},
-    }
-    lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
-    scene = tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
-    check_same(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
+    check_same(device, scene_of_materials(materials(), 32), integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
 
 
 PLACE = tr.Transform.look_at([0.3, -0.2, 4.2], [0, 0, 0], [0, 1, 0])
@@ -163,12 +133,15 @@ def ball(variant: str = "rgb", dtype: torch.dtype = torch.float32, **objects) ->
 
 
 REFUSED = {
-    "VolumetricPathTracer yet, but PathTracer, DirectIllumination, Moment": {"integrator": tr.VolumetricPathTracer()},
+    "VolumetricPathTracer yet, but PathTracer, DirectIllumination, and AOV": {"integrator": tr.VolumetricPathTracer()},
     "ParticleTracer yet": {"integrator": tr.ParticleTracer()},
     "WavefrontPathTracer yet": {"integrator": tr.WavefrontPathTracer()},
-    "AOV yet": {"integrator": tr.AOV("d:depth", tr.PathTracer())},
-    "Moment yet": {"integrator": tr.Moment(tr.VolumetricPathTracer())},
-    "the output 'depth' yet, but rgb, alpha, variance, second_moment": {"outputs": ("rgb", "depth")},
+    "VolumetricPathTracer yet,": {"integrator": tr.Moment(tr.VolumetricPathTracer())},
+    "ParticleTracer yet, but PathTracer": {"integrator": tr.AOV("d:depth", tr.ParticleTracer())},
+    "the output 'features' yet, but rgb, alpha, variance, second_moment": {
+        "outputs": ("rgb", "features"),
+        "features": {"ball": torch.ones(2, 2, 4)},
+    },
     "float64 yet, but float32": {"dtype": torch.float64},
     "spectral scenes yet, but those in rgb and mono": {"variant": "spectral"},
     "polarised light yet": {"variant": "rgb_polarized"},

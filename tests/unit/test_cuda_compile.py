@@ -86,6 +86,9 @@ def test_everything_that_a_scene_launches_is_compiled(nvrtc, tmp_path):
     assert compile_kernels(scene, 90, tmp_path) == 0
     assert compile_kernels(scene, 90, tmp_path, forward=True, deterministic=True) > 0
     assert {"-DTR_FORWARD=1", "-DTR_FIXED_SUMS=1"} <= kernels(tmp_path)["SweepVertices"]
+    assert compile_kernels(scene, 90, tmp_path, outputs=True) > 0
+    more = {"EvaluateOutputs", "SweepOutputs", "AddOutputsToFilm", "CollectOutputs", "StartCentres"}
+    assert more <= set(kernels(tmp_path))
     assert compile_kernels(scene, 80, tmp_path / "others") == first
     assert compile_kernels(scene, 90, tmp_path / "again") == first  # another folder has its own
     assert [name for name, p in scene.named_parameters() if p.requires_grad] == trained

@@ -37,6 +37,7 @@ def main() -> int:
         help="compute capabilities without their points: 80 for an A100, 89 for an RTX 40, 90 for an H100",
     )
     made.add_argument("--into", type=Path, required=True, help="a folder, which TORCHRENDER_KERNELS is to name")
+    made.add_argument("--outputs", action="store_true", help="other outputs than images, such as depth, too")
     made.add_argument("--forward", action="store_true", help="forward-mode derivatives, too")
     made.add_argument("--deterministic", action="store_true", help="deterministic gradients, too")
     options = parser.parse_args()
@@ -50,7 +51,7 @@ def compile_all(options: argparse.Namespace) -> int:
     for path in options.scenes:
         for capability in options.capabilities:
             begin = time.perf_counter()
-            settings = {"forward": options.forward, "deterministic": options.deterministic}
+            settings = {name: getattr(options, name) for name in ("outputs", "forward", "deterministic")}
             try:
                 new = compile_kernels(load_file(path), capability, options.into, **settings)
             except (OSError, RuntimeError, ValueError) as error:

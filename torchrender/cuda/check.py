@@ -40,7 +40,8 @@ MOST_OFF = 0.03
 With the principled BSDF the CPU's packets and single numbers differ by 0.018.
 """
 
-STEPS = ("versions", "rays", "repeats", "images", "gradients", "rates", "kernels", "sanitizers")
+STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "rates", "kernels", "sanitizers")
+OUTPUTS = ("depth", "position", "shading_normal", "uv", "dp_du", "albedo", "roughness", "shape_id")
 
 ROWS = {
     "Cornell box": ("cornell_box.xml", {}),
@@ -175,6 +176,27 @@ class Check:
             passed = passed and far <= MOST_FAR and abs(off) < 1e-3 and torch.equal(b, again)
         return {"passed": passed, "images": found}
 
+    def outputs(self) -> dict[str, Any]:
+        """Of first hits, and their gradients by all parameters, relative to the largest numbers; the same twice."""
+        scene = load_dict(room({"type": "principled"}))
+        names = train_all(scene)
+
+        def values() -> list[torch.Tensor]:
+            found = render(scene, outputs=OUTPUTS, spp=16, seed=3, visibility=False)
+            shown = [torch.where(x.isfinite(), x, 0.0) for x in found]
+            weighted = [x * torch.linspace(0.5, 1.5, x.numel()).reshape(x.shape) for x in shown[:-1]]
+            loss = torch.cat([x.flatten() for x in weighted]).sum()
+            of = torch.autograd.grad(loss, [scene.get_parameter(n) for n in names], allow_unused=True)
+            return [*(x.detach().float() for x in shown), *(g for g in of if g is not None)]
+
+        expected, got = self.both(values)
+        torch.use_deterministic_algorithms(True)
+        repeats = all(torch.equal(a, b) for a, b in zip(values(), values(), strict=True))
+        torch.use_deterministic_algorithms(False)
+        pairs = zip(expected, got, strict=True)
+        off = [(b - a).abs().max().item() / max(1e-30, a.abs().max().item()) for a, b in pairs]
+        return {"passed": max(off) < MOST_OFF and repeats, "off by": max(off), "of": len(off), "repeats": repeats}
+
     def gradients(self) -> dict[str, Any]:
         """Of every BSDF, by all parameters: the largest difference from the CPU's, of its largest number.
 
@@ -298,6 +320,7 @@ def check(card: str, out: Path, scenes: Path, commit: str, only: Sequence[str] =
         run.step("rays", run.rays)
         run.step("repeats", run.repeats)
         run.step("images", run.images)
+        run.step("outputs", run.outputs)
         run.step("gradients", run.gradients)
         if scenes.is_dir():
             run.step("rates", lambda: run.rates(scenes))

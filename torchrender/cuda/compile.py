@@ -6,6 +6,7 @@ import contextlib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -18,7 +19,13 @@ from .check import train_all
 
 
 def compile_kernels(
-    scene: Scene, capability: int, folder: str | Path, *, forward: bool = False, deterministic: bool = False
+    scene: Scene,
+    capability: int,
+    folder: str | Path,
+    *,
+    outputs: bool = False,
+    forward: bool = False,
+    deterministic: bool = False,
 ) -> int:
     """Compile what `tr.render`, its derivatives and ray queries launch for a scene on a card; returns how many are new.
 
@@ -29,6 +36,7 @@ def compile_kernels(
         scene: with the integrator and the sampler that it will be rendered with.
         capability: the card's compute capability without its point, such as 90 for an H100.
         folder: is made if it is not there; what is there is kept.
+        outputs: also those of other outputs than images, such as depth.
         forward: also derivatives in forward mode.
         deterministic: also those under ``torch.use_deterministic_algorithms(True)``.
 
@@ -41,7 +49,7 @@ def compile_kernels(
     with devices.chosen(f"sm_{capability}"), devices.compiling_into(scene_core(), folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pictures are black
         try:
-            _launch(scene, forward, deterministic)
+            _launch(scene, ("rgb", "depth", "shape_id") if outputs else ("rgb",), forward, deterministic)
         finally:
             scene.train_only(*trained)
     return kernels_in(folder) - before
@@ -52,27 +60,29 @@ def kernels_in(folder: Path) -> int:
     return sum(1 for _ in folder.glob("*.cubin"))
 
 
-def _launch(scene: Scene, forward: bool, deterministic: bool) -> None:
+def _launch(scene: Scene, outputs: tuple[str, ...], forward: bool, deterministic: bool) -> None:
     """Calls that launch everything."""
+
+    def total(**settings: Any) -> torch.Tensor:
+        found = render(scene, spp=1, seed=0, outputs=outputs, visibility=False, **settings)
+        return torch.stack([x.sum() for x in found if x.is_floating_point()]).sum()
+
     rays = torch.zeros(1, 3), torch.ones(1, 3)
     ray_intersect(scene, *rays)
     ray_occluded(scene, *rays)
     scene.train_only()
-    render(scene, spp=1, seed=0)
+    total()
     for what_moves in (False, True):
         names = train_all(scene, but_what_moves=not what_moves)
         if not names:
             continue
         for repeats in (False, True) if deterministic else (False,):
             with _deterministic(repeats):
-                loss = render(scene, spp=1, seed=0, visibility=False).sum()
-                torch.autograd.grad(loss, [scene.get_parameter(name) for name in names], allow_unused=True)
+                torch.autograd.grad(total(), [scene.get_parameter(name) for name in names], allow_unused=True)
         if forward:
             values = {name: scene.get_parameter(name).detach() for name in names}
             scene.train_only()
-            torch.func.jvp(
-                lambda params: render(scene, spp=1, seed=0, visibility=False, params=params), (values,), (values,)
-            )
+            torch.func.jvp(lambda params: total(params=params), (values,), (values,))
 
 
 @contextlib.contextmanager

@@ -4,33 +4,18 @@ namespace tr {
 
 namespace {
 
-// Which field of a model an output shows, -1: none.
-TR_INLINE int shown_field(const BsdfInfo &bsdf, BsdfAov output) {
-    return output == BsdfAov::Albedo ? bsdf.albedo : output == BsdfAov::Specular ? bsdf.specular : bsdf.roughness;
-}
-// What it shows of models that have no such field: no surface but a diffuse one is rough without a number that says so.
-TR_INLINE double shown_default(const BsdfInfo &bsdf, BsdfAov output) {
-    return output == BsdfAov::Albedo || (output == BsdfAov::Roughness && !bsdf.is(HasDeltaLobes)) ? 1 : 0;
-}
-
-// What an output shows of the BSDFs in the lanes: a texture, a number in the block of small parameters (-1: not that),
-// else `value`.
+// What an output shows of the BSDFs in the lanes, see BsdfAovRow.
 template <class F>
 struct ShownParameter {
-    IntOf<F> texture{-1}, number{-1};
-    F value{0};
+    IntOf<F> texture, number;
+    F value;
 
     TR_HD ShownParameter(const SceneOf<F> &scene, BsdfAov output, const IntOf<F> &bsdf, const MaskOf<F> &active) {
         using I = IntOf<F>;
-        for_each_distinct<F>(record_kind<F>(scene.bsdfs, bsdf, active), active, [&](int32_t kind, const auto &same) {
-            if (kind >= FirstWrapper) return;  // a mixture, see below
-            const BsdfInfo &info = bsdf_kernels<F>(kind);
-            const int field = shown_field(info, output);
-            value = select(same, F(ScalarOf<F>(shown_default(info, output))), value);
-            if (field < 0) return;
-            I &to = info.use[field] == BsdfInfo::Number ? number : texture;
-            to = select(mask<I>(same), record_field<F>(scene.bsdfs, field, bsdf, same), to);
-        });
+        I row[BsdfAovRow::Size];
+        gather_few_rows<F>(scene.bsdf_aovs + BsdfAovRow::Size * int(output),
+                           UIntOf<F>(bsdf * int32_t(BsdfAovRow::Size * BsdfAovs)), active, row);
+        texture = row[0], number = row[1], value = F(row[2]);
     }
 };
 
@@ -69,7 +54,7 @@ struct ShownMixture {
 
 template <class F>
 TR_INLINE Spectrum<F> hole_value(BsdfAov output) {
-    return uniform_spectrum(F(ScalarOf<F>(shown_default(bsdf_kernels<F>(NullKind), output))));
+    return uniform_spectrum(F(ScalarOf<F>(output == BsdfAov::Albedo ? 1 : 0)));
 }
 
 }  // namespace

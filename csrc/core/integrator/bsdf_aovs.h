@@ -7,6 +7,14 @@
 namespace tr {
 
 enum class BsdfAov { Albedo, Specular, Roughness };  // of roughness in the first component alone
+constexpr int BsdfAovs = 3;
+
+// A row of SceneView::bsdf_aovs, which has one of each output for every BSDF: a texture, a number in the block of small
+// parameters (-1: not that), else 1 or 0.
+struct BsdfAovRow {
+    static constexpr int Size = 3;
+    int32_t texture = -1, number = -1, one = 0;
+};
 
 // Of the BSDFs `bsdf`, which are met from behind where `back`.
 template <class F>

@@ -1,0 +1,65 @@
+"""What tests of the emulated device share."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bsdf_models
+import light_scenes
+import torch
+
+import torchrender as tr
+
+CLOSE = 2e-5
+"""Of the largest number of a gradient: both add the same numbers of single precision, in another order."""
+
+
+def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
+    """All parameters that the image has a derivative by, which alone are trained afterwards."""
+    scene.train_only()
+    refused = {slot.name for slot in scene.layout().slots if slot.refusal}
+    found = {name: parameter for name, parameter in scene.named_parameters() if name not in refused}
+    for parameter in found.values():
+        parameter.requires_grad_(True)
+    return found
+
+
+def check_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+    """Numbers by name differ by `CLOSE` of the largest one at most; some are not zero."""
+    assert any(float(g.abs().max()) > 0 for g in expected.values())
+    for name, g in expected.items():
+        most = CLOSE * float(g.abs().max())
+        torch.testing.assert_close(found[name], g, rtol=0, atol=most, msg=lambda m, n=name: f"{n}: {m}")
+
+
+def materials() -> dict[str, dict[str, Any]]:
+    """Every model of the registry, with what wraps them."""
+    red, image = {"type": "rgb", "value": [0.7, 0.3, 0.2]}, light_scenes.texels(5, 4)
+    found = {kind: {"type": kind} for kind in bsdf_models.DECLARED}
+    diffuse, metal = {"type": "diffuse", "reflectance": red}, {"type": "roughconductor", "alpha": 0.2}
+    return {
+        **found,
+        "blend": {"type": "blendbsdf", "weight": image, "first": diffuse, "second": metal},
+        "mask": {"type": "mask", "opacity": image, "bsdf": {"type": "twosided", "bsdf": diffuse}},
+        "normalmap": {"type": "normalmap", "normalmap": image, "bsdf": metal},
+        "bumpmap": {"type": "bumpmap", "texture": image, "bsdf": metal},
+    }
+
+
+def scene_of_materials(bsdfs: dict[str, dict[str, Any]], size: int, rfilter: str = "box") -> tr.Scene:
+    """A ball of each in rows, under a lamp and a sky."""
+    columns = math.ceil(math.sqrt(len(bsdfs)))
+    objects = {
+        f"ball_{i}": {"type": "sphere", "center": [i % columns, i // columns, 0.0], "radius": 0.45, "bsdf": bsdf}
+        for i, bsdf in enumerate(bsdfs.values())
+    }
+    middle = (columns - 1) / 2
+    camera = {
+        "type": "perspective",
+        "fov": 45,
+        "to_world": tr.Transform.look_at([middle, middle, 7.0], [middle, middle, 0], [0, 1, 0]),
+        "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}},
+    }
+    lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
+    return tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
