@@ -11,6 +11,7 @@
 #include "device/adjoint_kernels.h"
 #include "device/derivative_kernels.h"
 #include "device/film_kernels.h"
+#include "device/output_sweep_kernels.h"
 #include "device/path_kernels.h"
 #include "device/ray_kernels.h"
 #include "device/sort_kernels.h"
@@ -105,6 +106,12 @@ TR_RUN(DivideAdjoint)
 TR_RUN(CollectAdjoints)
 TR_RUN(SweepVertices)
 TR_RUN(SumCopies)
+TR_RUN(SettleSums)
+TR_RUN(EvaluateOutputs)
+TR_RUN(StartCentres)
+TR_RUN(AddOutputsToFilm)
+TR_RUN(CollectOutputs)
+TR_RUN(SweepOutputs)
 TR_RUN(IntersectRays)
 TR_RUN(OccludeRays)
 #undef TR_RUN
@@ -301,23 +308,6 @@ struct Sweep {
 __global__ void sweep_light_vertices(TR_STAGE, __grid_constant__ const Sweep sweep) {
     sweep.each([&](uint32_t i, const TapeColumns<S> *parents, GradientSink<F> &sink) {
         sweep_light_vertex(sweep.context(stage), stage.light_sensor(), stage.tape, parents, sweep.kind, i, true, sink);
-    });
-}
-
-// ----------------------------------------------------------------------------------------- outputs besides radiance
-// Of first hits, layout.n numbers each; the layout lies in the device's memory.
-__global__ void eval_outputs(TR_STAGE, const AovLayout *layout, const FirstHit<F> *hits, uint32_t n, F *value) {
-    each(n, [&](uint32_t i) {
-        AovContext<F> context(stage.scene, *layout, stage.config.sensor, stage.width, stage.height);
-        eval_aovs(context, hits[i], true, value + size_t(i) * size_t(layout->n));
-    });
-}
-
-__global__ void sweep_outputs(TR_STAGE, __grid_constant__ const Sweep sweep, const AovLayout *layout,
-                              const FirstHit<F> *hits, F *value) {
-    sweep.each([&](uint32_t i, const TapeColumns<S> *, GradientSink<F> &sink) {
-        AovContext<F> context(stage.scene, *layout, stage.config.sensor, stage.width, stage.height);
-        sweep_aovs(context, hits[i], stage.needs, true, value + size_t(i) * size_t(layout->n), sink);
     });
 }
 
