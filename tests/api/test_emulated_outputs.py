@@ -6,7 +6,7 @@ import light_scenes
 import pytest
 import reference_scenes
 import torch
-from emulated import check_close, differentiable, materials, scene_of_materials
+from emulated import check_close, check_transposed, differentiable, materials, scene_of_materials
 
 import torchrender as tr
 from torchrender.first_hit_call import FIRST_HIT_OUTPUTS, IDENTIFIERS
@@ -127,12 +127,7 @@ def test_forward_mode(device):
         device(name)
         found[name] = torch.func.jvp(outputs, values, tangents)[1]
     check_close({"tangent": found["emulated"]}, {"tangent": found["tree"]})
-    weights = torch.randn(found["tree"].shape, generator=generator)
-    back = torch.func.vjp(outputs, *values)[1](weights)
-    one = (found["emulated"] * weights).sum(dtype=torch.float64)
-    other = sum((t * g).sum(dtype=torch.float64) for t, g in zip(tangents, back, strict=True))
-    scale = (found["emulated"] * weights).abs().sum(dtype=torch.float64)
-    assert abs(float(one - other)) < 1e-5 * float(scale)
+    check_transposed(outputs, values, tangents, found["emulated"], generator)
 
 
 def test_deterministic_algorithms(device, request):

@@ -33,6 +33,16 @@ def check_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor
         torch.testing.assert_close(found[name], g, rtol=0, atol=most, msg=lambda m, n=name: f"{n}: {m}")
 
 
+def check_transposed(function, values: tuple[torch.Tensor, ...], tangents, tangent: torch.Tensor, generator) -> None:
+    """<J t, w> = <t, J^T w>: `tangent`, that of `function` at `values` along `tangents`, and its reverse mode."""
+    weights = torch.randn(tangent.shape, generator=generator)
+    back = torch.func.vjp(function, *values)[1](weights)
+    one = (tangent * weights).sum(dtype=torch.float64)
+    other = sum((t * g).sum(dtype=torch.float64) for t, g in zip(tangents, back, strict=True))
+    scale = (tangent * weights).abs().sum(dtype=torch.float64)
+    assert abs(float(one - other)) < 1e-5 * float(scale)
+
+
 def materials() -> dict[str, dict[str, Any]]:
     """Every model of the registry, with what wraps them."""
     red, image = {"type": "rgb", "value": [0.7, 0.3, 0.2]}, light_scenes.texels(5, 4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import os
@@ -12,7 +13,7 @@ import subprocess
 import sys
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -107,6 +108,17 @@ def train_all(scene: Scene, but_what_moves: bool = False) -> list[str]:
     return names
 
 
+@contextlib.contextmanager
+def deterministic_algorithms(on: bool) -> Iterator[None]:
+    """Whether torch is asked for them, inside."""
+    before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
+    torch.use_deterministic_algorithms(on)
+    try:
+        yield
+    finally:
+        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
+
+
 class Check:
     """The report, and whether everything in it passed."""
 
@@ -190,9 +202,8 @@ class Check:
             return [*(x.detach().float() for x in shown), *(g for g in of if g is not None)]
 
         expected, got = self.both(values)
-        torch.use_deterministic_algorithms(True)
-        repeats = all(torch.equal(a, b) for a, b in zip(values(), values(), strict=True))
-        torch.use_deterministic_algorithms(False)
+        with deterministic_algorithms(True):
+            repeats = all(torch.equal(a, b) for a, b in zip(values(), values(), strict=True))
         pairs = zip(expected, got, strict=True)
         off = [(b - a).abs().max().item() / max(1e-30, a.abs().max().item()) for a, b in pairs]
         return {"passed": max(off) < MOST_OFF and repeats, "off by": max(off), "of": len(off), "repeats": repeats}

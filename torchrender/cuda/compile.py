@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from ..backends import scene_core
 from ..queries import ray_intersect, ray_occluded
 from ..render import render
 from ..scene.scene import Scene
-from .check import train_all
+from .check import deterministic_algorithms, train_all
 
 
 def compile_kernels(
@@ -77,19 +75,9 @@ def _launch(scene: Scene, outputs: tuple[str, ...], forward: bool, deterministic
         if not names:
             continue
         for repeats in (False, True) if deterministic else (False,):
-            with _deterministic(repeats):
+            with deterministic_algorithms(repeats):
                 torch.autograd.grad(total(), [scene.get_parameter(name) for name in names], allow_unused=True)
         if forward:
             values = {name: scene.get_parameter(name).detach() for name in names}
             scene.train_only()
             torch.func.jvp(lambda params: total(params=params), (values,), (values,))
-
-
-@contextlib.contextmanager
-def _deterministic(on: bool) -> Iterator[None]:
-    before = torch.are_deterministic_algorithms_enabled(), torch.is_deterministic_algorithms_warn_only_enabled()
-    torch.use_deterministic_algorithms(on)
-    try:
-        yield
-    finally:
-        torch.use_deterministic_algorithms(before[0], warn_only=before[1])
