@@ -144,8 +144,8 @@ private:
             const float length = piece.end - piece.begin;
             return {piece.element, piece.begin + length * float(numbers_[k]), length};
         }
-        const ChosenPiece chosen(*pieces, numbers_[k]);
-        return {chosen.piece->element, float(chosen.place(chosen.left)), float(chosen.inverse_density)};
+        const OutlinePieces::Place chosen = pieces->choose(numbers_[k], boundary_.outlines->tree());
+        return {chosen.element, float(chosen.s), float(chosen.inverse_density)};
     }
 
     void find_edges(uint64_t first, uint32_t n) {

@@ -98,9 +98,9 @@ private:
             const CameraRay<S> middle = camera_ray<S>(scene_, sensor(), place, width, height);
             // every sample has a part of the length of all pieces, in which its place is drawn
             const double at = (double(boundary_.first + first + k) + double(this->number(k, 0))) / boundary_.samples;
-            const ChosenPiece chosen(*boundary_.pieces, at);
+            const OutlinePieces::Place chosen = boundary_.pieces->choose(at, boundary_.outlines->tree());
             Sight x{};
-            x.slot = k, x.element = chosen.piece->element, x.s = S(chosen.place(chosen.left));
+            x.slot = k, x.element = chosen.element, x.s = S(chosen.s);
             const V origin = parallel() ? middle.ray.d : middle.center;
             const OutlinePoint<S> point = outlines_.point(x.element, x.s, origin, parallel());
             if (!point.valid || is_invisible(x.element) || (boundary_.glued && point.front == 0 && !is_rim(x)))

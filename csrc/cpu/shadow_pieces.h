@@ -6,7 +6,7 @@
 #include <atomic>
 
 #include "core/state/queues.h"
-#include "outline_pieces.h"
+#include "outline_cutter.h"
 #include "shadow_lights.h"
 
 namespace tr {
@@ -58,8 +58,8 @@ private:
         // lights at points, and infinitely far away, may move
         const float still = light.shape < 0 ? 0.2f : moves_[light.shape] ? 1.f : 0.05f;
         std::atomic<bool> close{false};
-        OutlinePieces r =
-            this->cut_all(light.view, still, false, [&](const auto &all, const auto &weights, OutlinePieces &to) {
+        OutlinePieces r = this->cut_all(
+            light.view, still, false, [&](size_t, const auto &all, const auto &weights, OutlinePieces &to) {
                 for (size_t k = 0; k < OutlineTree::Wide; ++k) {
                     if (!(weights[k] > 0)) continue;
                     const int32_t element = all.index[k];

@@ -11,11 +11,12 @@ namespace {
 constexpr float Places = 65535, Normals = 32767, Weights = 127;
 constexpr float Half = 0.5f;  // makes cutting off the fraction rounding, of what is not negative
 
+using V = Vec3<float>;
 using F = PacketOf<float>;
 using M = MaskOf<F>;
 constexpr size_t W = size_t(Lanes<F>::Width);
 
-// A packet of integers as floating point.
+// A packet of integers as floating point; and, of such that are not negative, without their fractions, back.
 #if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
 F numbers(const uint16_t *at) {
     return F(_mm512_cvtepi32_ps(_mm512_cvtepu16_epi32(_mm256_loadu_si256(reinterpret_cast<const __m256i *>(at)))));
@@ -23,12 +24,21 @@ F numbers(const uint16_t *at) {
 F numbers(const int16_t *at) {
     return F(_mm512_cvtepi32_ps(_mm512_cvtepi16_epi32(_mm256_loadu_si256(reinterpret_cast<const __m256i *>(at)))));
 }
+void store_whole(const F &x, uint16_t *to) {
+    const __m256i whole = _mm512_cvtepi32_epi16(_mm512_cvttps_epi32(x.m));
+    _mm256_storeu_si256(reinterpret_cast<__m256i *>(to), whole);
+}
 #else
 template <class T>
 F numbers(const T *at) {
     alignas(64) float all[W];
     for (size_t k = 0; k < W; ++k) all[k] = float(int32_t(at[k]));
     return load<F>(all);
+}
+void store_whole(const F &x, uint16_t *to) {
+    alignas(64) float all[W];
+    store(all, x);
+    for (size_t k = 0; k < W; ++k) to[k] = uint16_t(int32_t(all[k]));
 }
 #endif
 
@@ -54,6 +64,26 @@ void OutlineLeaves::Elements::set(size_t k, const OutlineElement &e) {
     kind[k] = e.kind, shape[k] = e.shape, index[k] = e.index;
 }
 
+void OutlineLeaves::Elements::bound(V &low, V &high) const {
+    Vec3<F> least{F(INFINITY), F(INFINITY), F(INFINITY)}, most = -least;
+    for (size_t i = 0; i < Wide; i += W) {
+        const M counts = mask<F>(load<F>(&weight[i]) != F(0));
+        const IntOf<F> what(load_uint<F>(reinterpret_cast<const uint32_t *>(&kind[i])));
+        const M round = mask<F>(what == int32_t(OutlineElement::Round));
+        const Vec3<F> from = load_vector<F>(a, i), to = load_vector<F>(b, i);
+        const F radius = select(round, to.x, F(0));
+        auto include = [&](const F &x, const F &y, F &below, F &above) {
+            const F first = x - radius, last = select(round, x + radius, y);
+            below = min(select(counts, min(first, last), F(INFINITY)), below);  // NaN: leaves it as it is
+            above = max(select(counts, max(first, last), F(-INFINITY)), above);
+        };
+        include(from.x, to.x, least.x, most.x), include(from.y, to.y, least.y, most.y);
+        include(from.z, to.z, least.z, most.z);
+    }
+    low = {least_of(least.x), least_of(least.y), least_of(least.z)};
+    high = {greatest_of(most.x), greatest_of(most.y), greatest_of(most.z)};
+}
+
 OutlineElement OutlineLeaves::Elements::get(size_t k) const {
     return {lane_of(a, k), lane_of(b, k), lane_of(n0, k), lane_of(n1, k), std::fabs(weight[k]),
             bend[k],       kind[k],       shape[k],       index[k],       weight[k] > 0};
@@ -73,24 +103,19 @@ void OutlineLeaves::set(size_t leaf, const Elements &elements) {
 
 OutlineLeaves::Rounded OutlineLeaves::pack(const Elements &from) {
     Rounded to;
-    float low[3], size = 0;
+    V low, high;
+    from.bound(low, high);
+    if (!(low.x <= high.x)) low = high = {0, 0, 0};
+    to.step = std::max(std::max({high.x - low.x, high.y - low.y, high.z - low.z}) / Places, 1e-30f);
+    const float corner[3] = {low.x, low.y, low.z}, inverse = 1 / to.step;
     for (size_t c = 0; c < 3; ++c) {
-        float least = INFINITY, most = -INFINITY;
-        for (size_t k = 0; k < Wide; ++k) {
-            if (from.weight[k] == 0) continue;
-            least = std::min({least, from.a[c][k], from.b[c][k]}), most = std::max({most, from.a[c][k], from.b[c][k]});
+        to.corner[c] = corner[c];
+        for (size_t i = 0; i < Wide; i += W) {
+            auto round = [&](const Column<float> &x) {
+                return min(max((load<F>(&x[i]) - F(corner[c])) * F(inverse), F(0)) + F(Half), F(Places));
+            };
+            store_whole(round(from.a[c]), &to.a[c][i]), store_whole(round(from.b[c]), &to.b[c][i]);
         }
-        low[c] = least <= most ? least : 0.f;
-        size = std::max(size, least <= most ? most - least : 0.f);
-    }
-    to.step = std::max(size / Places, 1e-30f);
-    const float inverse = 1 / to.step;
-    for (size_t c = 0; c < 3; ++c) {
-        to.corner[c] = low[c];
-        auto round = [&](float x) {
-            return uint16_t(int32_t(std::min(std::max((x - low[c]) * inverse, 0.f) + 0.5f, Places)));
-        };
-        for (size_t k = 0; k < Wide; ++k) to.a[c][k] = round(from.a[c][k]), to.b[c][k] = round(from.b[c][k]);
     }
     // of a face whose normal is too short to be one nobody knows which side is seen
     alignas(64) float known[Wide];

@@ -30,6 +30,17 @@ void store_vector(const Vec3<F> &v, T &columns, size_t k) {
     store(&columns[0][k], v.x), store(&columns[1][k], v.y), store(&columns[2][k], v.z);
 }
 
+// Of the lanes of a packet.
+#if TR_HAS_PACKETS
+inline float least_of(const PacketOf<float> &x) { return drjit::min(x); }
+inline float greatest_of(const PacketOf<float> &x) { return drjit::max(x); }
+inline float sum_of(const PacketOf<float> &x) { return drjit::sum(x); }
+#else
+inline float least_of(float x) { return x; }
+inline float greatest_of(float x) { return x; }
+inline float sum_of(float x) { return x; }
+#endif
+
 // What can be an outline: a straight edge between `a` and `b` of faces with normals n0 and n1; or, `Round`, a curve
 // around `a` with the radius b[0], of the curved shape of number `shape`.
 struct OutlineElement {
@@ -51,6 +62,8 @@ public:
 
         void set(size_t k, const OutlineElement &element);
         OutlineElement get(size_t k) const;
+        // The box around what has a weight; upside down, if nothing has.
+        void bound(Vec3<float> &low, Vec3<float> &high) const;
     };
     // How far a normal is off across its length, at most, and a place; below zero: not at all.
     struct Rounding {

@@ -6,6 +6,7 @@
 #include <functional>
 
 #include "core/scene.h"
+#include "morton_order.h"
 #include "outline_tree.h"
 
 namespace tr {
@@ -67,10 +68,10 @@ public:
     }
     bool moves(uint32_t shape) const { return moves_[shape] != 0; }
     // How many faces an edge has, and one of them.
-    size_t count(size_t edge) const { return begin_of(edge + 1) - begin_of(edge); }
+    size_t count(size_t edge) const { return begin_[edge + 1] - begin_[edge]; }
     template <class S>
     HalfEdge half(const SceneView<S> &scene, size_t edge, size_t k) const {
-        return half_of(scene, corners_[begin_of(edge) + k]);
+        return half_of(scene, corners_[begin_[edge] + k]);
     }
     uint32_t shape_of(const HalfEdge &half) const { return shape_of_face(half.face); }
     uint32_t shape_of_face(uint32_t face) const {
@@ -83,7 +84,7 @@ public:
         return meshes_[low].shape;
     }
     // Faces have vertices or shapes of their own there.
-    bool is_split(size_t edge) const { return (begin_[edge] & Flag) != 0; }
+    bool is_split(size_t edge) const { return (around_[edge].all[1] & Flag) != 0; }
     // Of another element.
     const OutlineCurve &curve(size_t element) const { return curves_[element - n_edges()]; }
     template <class S>
@@ -97,10 +98,16 @@ private:
     struct Mesh {
         uint32_t face, shape;  // its first one
     };
+    // The ends of an edge, and the third corners of two of its faces, or twice that of one: all that the tree needs, in
+    // one place. The first end has a flag where there are not two faces, the second one where they are split, the
+    // others where their face is turned.
+    struct Around {
+        uint32_t all[4];
+    };
     // Of edges: three times a face, plus which of its corners the edge begins at, and whether it is turned; where those
-    // of each edge begin, and whether it is split.
+    // of each edge begin.
     std::vector<uint32_t> corners_, begin_{0};
-    std::vector<uint32_t> groups_;  // where edges begin that share their smaller end, of many edges
+    std::vector<Around> around_;
     std::vector<Mesh> meshes_;
     std::vector<OutlineCurve> curves_;
     std::vector<uint32_t> copies_;  // pairs of vertices that are in one place
@@ -119,18 +126,23 @@ private:
         const uint32_t swapped = (from ^ to) & (0 - turned);
         return {from ^ swapped, to ^ swapped, v[3 - i - next], face, turned != 0};
     }
-    size_t begin_of(size_t edge) const { return begin_[edge] & ~Flag; }
     template <class S>
-    bool find(const SceneView<S> &scene, const std::function<bool()> &interrupted);
+    bool find(const SceneView<S> &scene, int threads, const std::function<bool()> &interrupted);
+    template <class S>
+    void gather(const SceneView<S> &scene, int threads);
     template <class S>
     bool holds(const SceneView<S> &scene) const;
     template <class S>
     void plant(const SceneView<S> &scene, int threads);
     template <class S>
-    void plant_groups(const SceneView<S> &scene, int threads);
+    Extent extent_of_edges(const SceneView<S> &scene, size_t begin, size_t end) const;
+    template <class S>
+    bool are_in_order(const SceneView<S> &scene) const;
+    template <class S>
+    void plant_many(const SceneView<S> &scene, int threads);
     // Up to sixteen edges at once.
     template <class S>
-    void put_edges(const SceneView<S> &scene, const size_t *edges, size_t n, OutlineLeaves::Elements &to) const;
+    void put_edges(const SceneView<S> &scene, const uint32_t *edges, size_t n, OutlineLeaves::Elements &to) const;
     template <class S>
     OutlineElement edge_element(const SceneView<S> &scene, size_t edge) const;
     template <class S>

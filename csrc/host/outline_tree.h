@@ -57,6 +57,9 @@ public:
         visit(elements, rounding);
     }
 
+    // The element of a leaf's place k.
+    int32_t index(size_t leaf, size_t k) const { return leaves_.index(leaf, k); }
+
     // n of them for one place, each of so many candidates, at most MostDescents.
     void choose(const OutlineAnchor &from, uint64_t seed, size_t descents, OutlineChoice *choices, size_t n) const;
     OutlineChoice choose(const OutlineAnchor &from, uint64_t seed, size_t descents) const {

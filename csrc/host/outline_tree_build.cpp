@@ -78,41 +78,44 @@ void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
 }
 
 OutlineTree::Node OutlineTree::node_of(const Elements &leaf) {
-    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
-    auto include = [&](const V &p) {
-        low = {std::min(low.x, p.x), std::min(low.y, p.y), std::min(low.z, p.z)};
-        high = {std::max(high.x, p.x), std::max(high.y, p.y), std::max(high.z, p.z)};
+    using F = PacketOf<float>;
+    using M = MaskOf<F>;
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    auto every = [](auto &&visit) {
+        for (size_t i = 0; i < Wide; i += W) visit(i);
     };
     bool any_direction = false;
+    F moving(0), resting(0);
+    Vec3<F> normals{F(0), F(0), F(0)};
+    every([&](size_t i) {
+        const F weight = load<F>(&leaf.weight[i]);
+        const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
+        const M counts = mask<F>(weight != F(0)), edge = mask<F>(kind == int32_t(OutlineElement::Edge)),
+                round = mask<F>(kind == int32_t(OutlineElement::Round));
+        const Vec3<F> a = load_vector<F>(leaf.a, i), b = load_vector<F>(leaf.b, i);
+        // an edge is an outline from the share of directions between its faces
+        const F angle = select(edge, sqrt(F(2) * load<F>(&leaf.bend[i])) * F(1 / pi), F(1));
+        const F length = select(round, F(2 * pi) * b.x, sqrt(squared_norm(b - a)) * max(angle, F(1e-4f)));
+        moving = moving + select(mask<F>(weight > F(0)), weight * length, F(0));
+        resting = resting - select(mask<F>(weight < F(0)), weight * length, F(0));
+        any_direction |= any(counts && !edge);
+        normals = normals + select(counts, load_vector<F>(leaf.n0, i) + load_vector<F>(leaf.n1, i), {F(0), F(0), F(0)});
+    });
     Node node;
-    for (size_t k = 0; k < Wide; ++k) {
-        const float weight = std::fabs(leaf.weight[k]);
-        if (!(weight > 0)) continue;
-        float &flux = leaf.weight[k] > 0 ? node.flux : node.still;
-        const V a = lane_of(leaf.a, k), b = lane_of(leaf.b, k);
-        const int32_t kind = leaf.kind[k];
-        if (kind == OutlineElement::Round) {
-            const V r{b.x, b.x, b.x};
-            include(a - r), include(a + r);
-            flux += weight * 2 * pi * b.x;
-        } else {
-            include(a), include(b);
-            // an edge is an outline from the share of directions between its faces
-            const float angle = kind == OutlineElement::Edge ? std::sqrt(2 * leaf.bend[k]) / pi : 1;
-            flux += weight * norm(b - a) * std::max(angle, 1e-4f);
-        }
-        any_direction |= kind != OutlineElement::Edge;
-        sum = sum + lane_of(leaf.n0, k) + lane_of(leaf.n1, k);
-    }
+    node.flux = sum_of(moving), node.still = sum_of(resting);
     if (!(node.flux + node.still > 0)) return node;
+    V low, high;
+    leaf.bound(low, high);
     node.center = (low + high) * 0.5f;
     node.radius = norm(high - low) * 0.5f * 1.00001f;
-    node.axis = unit(sum);
-    node.cosine = any_direction ? -1.f : 1.f;
-    for (size_t k = 0; k < Wide && !any_direction; ++k)
-        if (leaf.weight[k] != 0)
-            node.cosine =
-                std::min({node.cosine, dot(node.axis, lane_of(leaf.n0, k)), dot(node.axis, lane_of(leaf.n1, k))});
+    node.axis = unit({sum_of(normals.x), sum_of(normals.y), sum_of(normals.z)});
+    F cosine(1);
+    every([&](size_t i) {
+        const Vec3<F> axis{F(node.axis.x), F(node.axis.y), F(node.axis.z)};
+        const F both = min(dot(axis, load_vector<F>(leaf.n0, i)), dot(axis, load_vector<F>(leaf.n1, i)));
+        cosine = select(mask<F>(load<F>(&leaf.weight[i]) != F(0)), min(both, cosine), cosine);
+    });
+    node.cosine = any_direction ? -1.f : least_of(cosine);
     node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
     node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
     return node;

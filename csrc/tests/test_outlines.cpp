@@ -1,8 +1,11 @@
 // Outlines: which edges there are, how often the tree chooses each, and where cameras see points.
+#include <algorithm>
+#include <array>
 #include <random>
 
 #include "accel/embree_library.h"
 #include "core/sensor/camera.h"
+#include "cpu/outline_pieces.h"
 #include "cpu/outline_rims.h"
 #include "host/morton_order.h"
 #include "host/outline_set.h"
@@ -11,6 +14,17 @@
 namespace tr::testing {
 
 namespace {
+
+template <class S>
+void add_mesh(SceneBuilder<S> &b, std::vector<S> vertices, std::vector<int32_t> faces, std::vector<S> normals) {
+    const int64_t n = int64_t(vertices.size() / 3);
+    b.indices.push_back(std::move(faces));
+    Fields fields = {{"vertices", b.param({n, 3}, std::move(vertices))},
+                     {"faces", int64_t(b.indices.size()) - 1},
+                     {"bsdf", b.diffuse(1, 1, 1)}};
+    if (!normals.empty()) fields.emplace_back("normals", b.param({n, 3}, std::move(normals)));
+    b.add("shape", "mesh", fields);
+}
 
 // A cube of 8 vertices, or of 24 with those of each side apart; its faces are wound outwards.
 template <class S>
@@ -28,12 +42,27 @@ void add_cube(SceneBuilder<S> &b, bool apart) {
         for (int32_t i = 0; i < 4 && apart; ++i) corner(side[i]);
         for (int i : {0, 1, 2, 0, 2, 3}) faces.push_back(apart ? first + i : side[i]);
     }
-    const int64_t n = int64_t(vertices.size() / 3);
-    b.indices.push_back(std::move(faces));
-    b.add("shape", "mesh",
-          {{"vertices", b.param({n, 3}, std::move(vertices))},
-           {"faces", int64_t(b.indices.size()) - 1},
-           {"bsdf", b.diffuse(1, 1, 1)}});
+    add_mesh(b, std::move(vertices), std::move(faces), {});
+}
+
+// A waved field of n x n vertices, above the square from 0 to 1, with its faces row by row or anyhow.
+template <class S>
+void add_waves(SceneBuilder<S> &b, int32_t n, bool in_order) {
+    std::vector<S> vertices;
+    std::vector<std::array<int32_t, 3>> found;
+    for (int32_t i = 0; i < n * n; ++i) {
+        const S x = S(i % n) / S(n - 1), y = S(i / n) / S(n - 1);
+        for (S c : {x, y, S(0.05) * std::sin(20 * x) * std::cos(17 * y)}) vertices.push_back(c);
+        if (i % n == n - 1 || i / n == n - 1) continue;
+        found.push_back({i, i + 1, i + n}), found.push_back({i + 1, i + n + 1, i + n});
+    }
+    std::mt19937 random(13);
+    if (!in_order) std::shuffle(found.begin(), found.end(), random);
+    std::vector<int32_t> faces;
+    for (const auto &face : found) faces.insert(faces.end(), face.begin(), face.end());
+    std::vector<S> normals(vertices.size());  // rounded ones: edges are no creases
+    for (size_t i = 2; i < normals.size(); i += 3) normals[i] = 1;
+    add_mesh(b, std::move(vertices), std::move(faces), std::move(normals));
 }
 
 }  // namespace
@@ -80,6 +109,93 @@ TR_TEST(edges_of_a_cube) {
         CHECK(set.update(scene.view(), moves, scene.geometry_version(), 2, nullptr));
         CHECK(set.n_edges() == 22);
     }
+}
+
+// Many edges are rounded, and share leaves as they follow each other, or by their places if that puts far ones
+// together.
+TR_TEST(edges_of_a_large_mesh_in_any_order) {
+    load_embree(embree_path());
+    constexpr int32_t n = 160;
+    size_t seen[2];
+    for (bool in_order : {false, true}) {
+        SceneBuilder<float> b(3);
+        add_waves(b, n, in_order);
+        b.camera(0, 0, -5, 50);
+        SceneData<float> scene;
+        b.build(scene);
+        OutlineSet set;
+        const uint8_t moves[1] = {1};
+        CHECK(set.update(scene.view(), moves, scene.geometry_version(), 2, nullptr));
+        CHECK(set.n_edges() == size_t(2 * n * (n - 1) + (n - 1) * (n - 1)));
+        const OutlineTree &tree = set.tree();
+        std::vector<int> times(set.n_edges());
+        std::vector<bool> offered(set.n_edges());
+        const Vec3<float> from{0.3f, -2, 0.2f};
+        for (size_t leaf = 0; leaf < tree.n_leaves(); ++leaf) {
+            for (size_t k = 0; k < OutlineTree::Wide; ++k)
+                if (tree.index(leaf, k) >= 0) ++times[size_t(tree.index(leaf, k))];
+            tree.if_outlines(leaf, from, false, 0, false, [&](const auto &, const auto &) {
+                for (size_t k = 0; k < OutlineTree::Wide; ++k)
+                    if (tree.index(leaf, k) >= 0) offered[size_t(tree.index(leaf, k))] = true;
+            });
+        }
+        CHECK(std::all_of(times.begin(), times.end(), [](int x) { return x == 1; }));
+        size_t &outlines = seen[in_order];
+        outlines = 0;
+        for (size_t i = 0; i < set.n_edges(); ++i) {
+            const OutlineElement e = set.element(scene.view(), i);
+            CHECK((e.kind == OutlineElement::Always) == (set.count(i) == 1));
+            const float s0 = dot(e.n0, e.a - from), s1 = dot(e.n1, e.a - from);
+            if (set.count(i) != 1 && (s0 > 0) == (s1 > 0)) continue;
+            ++outlines;
+            CHECK(offered[i]);
+        }
+        // leaves are small whatever the order is: from above few may have outlines, those at the border
+        size_t from_above = 0;
+        for (size_t leaf = 0; leaf < tree.n_leaves(); ++leaf)
+            tree.if_outlines(leaf, {0.5f, 0.5f, 1}, false, 0, false, [&](const auto &, const auto &) { ++from_above; });
+        CHECK(from_above > 0 && from_above < tree.n_leaves() / 4);
+    }
+    CHECK(seen[0] == seen[1] && seen[0] > 4 * size_t(n - 1));
+}
+
+// Of numbers spread evenly the sum of one over the density, by element, is the length of its parameter's interval.
+TR_TEST(pieces_are_chosen_with_their_density) {
+    constexpr size_t n = 40, rounds = 100000;
+    OutlineTree tree;
+    tree.resize(n, 0);
+    std::vector<OutlineElement> all(n);
+    for (size_t i = 0; i < n; ++i) all[i].weight = 1, all[i].index = int32_t(i);
+    for (size_t leaf = 0; leaf < tree.n_leaves(); ++leaf) {
+        const size_t begin = OutlineTree::Wide * leaf;
+        tree.set(leaf, &all[begin], std::min(OutlineTree::Wide, n - begin));
+    }
+    OutlinePieces pieces;
+    std::vector<double> expected(n);
+    auto append = [&](const OutlinePiece &piece, double length) {
+        pieces.all.push_back(piece), pieces.cdf.push_back(pieces.total() + length);
+    };
+    append({7, 0.25f, 0.5f}, 0.3), append({7, 0.75f, 1}, 0.1), expected[7] = 0.5;
+    float lengths[OutlineTree::Wide] = {0, 2, 1e-9f, 0.5f, 0, 0, 0, 3};
+    pieces.leaves.emplace_back(1, lengths);
+    append({-1, 0, 1}, 2), append({3, 0, 1}, 0.2), expected[3] = 1;
+    float last[OutlineTree::Wide] = {0, 0, 0, 0, 0, 0, 0, 1};
+    pieces.leaves.emplace_back(2, last);
+    append({-2, 0, 1}, 0.4);
+    for (size_t i : {17, 18, 19, 23, 39}) expected[i] = 1;
+    std::vector<double> sum(n), places(n);
+    for (size_t k = 0; k < rounds; ++k) {
+        const OutlinePieces::Place at = pieces.choose((double(k) + 0.5) / rounds, tree);
+        CHECK(at.element >= 0 && size_t(at.element) < n && at.s >= 0 && at.s < 1 && at.inverse_density > 0);
+        sum[size_t(at.element)] += at.inverse_density / rounds;
+        places[size_t(at.element)] += at.s * at.inverse_density / rounds;
+    }
+    for (size_t i = 0; i < n; ++i) {
+        CHECK_NEAR(sum[i], expected[i], 5e-3);  // the least one has a share of 1 / 1500 of the numbers
+        const double middle = i == 7 ? (0.375 + 0.875) / 2 : 0.5;
+        CHECK_NEAR(places[i], middle * expected[i], 5e-3);
+    }
+    CHECK(pieces.choose(0, tree).element == 7 && pieces.choose(1 - 0x1p-53, tree).element == 39);
 }
 
 // The sum over choices of one over the density of an element is the length of its parameter's interval, which is 1.
