@@ -10,9 +10,20 @@ void DeviceTree::set(const Tree &tree) {
     nodes_.upload(launcher_, tree.nodes.data(), tree.nodes.size());
     items_.upload(launcher_, tree.items.data(), tree.items.size());
     matrices_.upload(launcher_, tree.matrices.data(), tree.matrices.size());
+    heights_.upload(launcher_, tree.heights.data(), tree.heights.size());
+    ranges_.upload(launcher_, tree.ranges.data(), tree.ranges.size());
+    std::vector<HeightTable> fields = tree.fields;
+    for (HeightTable &field : fields) {
+        if (!field.heights) continue;
+        field.heights = heights_.get() + (field.heights - tree.heights.data());
+        field.fine = ranges_.get() + (field.fine - tree.ranges.data());
+        field.coarse = ranges_.get() + (field.coarse - tree.ranges.data());
+    }
+    fields_.upload(launcher_, fields.data(), fields.size());
     launcher_.synchronize();
     view_ = tree.view();
     view_.nodes = nodes_.get(), view_.items = items_.get(), view_.matrices = matrices_.get();
+    view_.fields = fields_.get();
 }
 
 RayTable DeviceTree::upload(const RayBatch &rays, size_t begin, size_t n) {

@@ -31,6 +31,9 @@ private:
     DeviceArray<TreeNode> nodes_;
     DeviceArray<TreeItem> items_;
     DeviceArray<TreeMatrix> matrices_;
+    DeviceArray<HeightTable> fields_;
+    DeviceArray<float> heights_;
+    DeviceArray<HeightRange> ranges_;
     DeviceArray<float> rays_[7], found_[3];
     DeviceArray<uint32_t> shape_, primitive_;
     DeviceArray<uint8_t> hit_;

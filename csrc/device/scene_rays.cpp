@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <thread>
 
+#include "accel/height_ranges.h"
+#include "core/shape/heightfield.h"
 #include "emulated.h"
 
 namespace tr {
@@ -28,15 +30,47 @@ void single_matrix(const S *from, double *to) {
 }
 
 template <class S>
-TreeItem curved_item(const SceneView<S> &scene, uint32_t shape) {
+TreeItem curved_item(const SceneView<S> &scene, const Tree &tree, uint32_t shape) {
     const int32_t flags = scene.shapes[shape].flags;
     double to_world[12];
     single_matrix(scene.shape_matrices + 24 * size_t(shape), to_world);
+    if (flags & IsHeightField) return field_item(shape, tree.fields[shape].range, to_world);
     return quadric_item(shape,
                         flags & IsSphere     ? TreeKind::Sphere
                         : flags & IsCylinder ? TreeKind::Cylinder
                                              : TreeKind::Disk,
                         to_world);
+}
+
+// Tables of the height fields, in single precision, and all that they refer to.
+template <class S>
+void set_fields(const SceneView<S> &scene, Tree &tree) {
+    struct Begin {
+        size_t heights, fine, coarse;
+    };
+    std::vector<Begin> begin;
+    tree.fields.clear(), tree.heights.clear(), tree.ranges.clear();
+    for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
+        if (!(scene.shapes[shape].flags & IsHeightField)) continue;
+        const HeightView<S> field(scene, shape);
+        const size_t first = tree.heights.size(), n = size_t(field.rows) * size_t(field.columns);
+        tree.heights.insert(tree.heights.end(), field.data, field.data + n);
+        HeightRanges ranges;
+        ranges.set(&tree.heights[first], field.rows, field.columns);
+        begin.push_back({first, tree.ranges.size(), tree.ranges.size() + ranges.fine().size()});
+        tree.ranges.insert(tree.ranges.end(), ranges.fine().begin(), ranges.fine().end());
+        tree.ranges.insert(tree.ranges.end(), ranges.coarse().begin(), ranges.coarse().end());
+        tree.fields.resize(size_t(scene.n_shapes));
+        tree.fields[shape] = ranges.table(nullptr, field.rows, field.columns, field.linear);
+    }
+    // once none of them is moved any more
+    for (size_t shape = 0, k = 0; shape < tree.fields.size(); ++shape) {
+        if (!(scene.shapes[shape].flags & IsHeightField)) continue;
+        HeightTable &field = tree.fields[shape];
+        field.heights = &tree.heights[begin[k].heights];
+        field.fine = &tree.ranges[begin[k].fine], field.coarse = &tree.ranges[begin[k].coarse];
+        ++k;
+    }
 }
 
 }  // namespace
@@ -69,7 +103,6 @@ void SceneRays::ensure_process() {
 
 const char *SceneRays::missing(const ShapeInfo &shape) {
     if (shape.flags & IsCurve) return shape.flags & IsStraight ? "a linearcurve" : "a bsplinecurve";
-    if (shape.flags & IsHeightField) return "a heightfield";
     return shape.flags & IsSdfGrid ? "an sdfgrid" : nullptr;
 }
 
@@ -80,6 +113,7 @@ void SceneRays::update(const SceneView<S> &scene, uint64_t version) {
     const bool first = version_ == 0;
     version_ = 0;  // until it is done
     tree_.matrices.resize(size_t(scene.n_shapes));
+    set_fields(scene, tree_);
     if (first) tree_.items.clear();
     for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
         const ShapeInfo &info = scene.shapes[shape];
@@ -88,14 +122,14 @@ void SceneRays::update(const SceneView<S> &scene, uint64_t version) {
         if (curved) single_matrix(scene.shape_matrices + 24 * size_t(shape) + 12, tree_.matrices[shape].to_object);
         if (!first) continue;
         if (curved)
-            tree_.items.push_back(curved_item(scene, shape));
+            tree_.items.push_back(curved_item(scene, tree_, shape));
         else
             for (uint32_t f = 0; f < uint32_t(info.n_faces); ++f) tree_.items.push_back(face_item(scene, shape, f));
     }
     if (!first)
         for (TreeItem &item : tree_.items)
             item = item.kind == TreeKind::Triangle ? face_item(scene, item.shape, item.primitive)
-                                                   : curved_item(scene, item.shape);
+                                                   : curved_item(scene, tree_, item.shape);
     if (first || !tree_.refit()) {
         tree_.build(int(std::max(1u, std::thread::hardware_concurrency())));
         ++builds_;

@@ -1,7 +1,8 @@
-// A tree of boxes over triangles, spheres, disks and cylinders, as plain tables that host and device read alike.
+// A tree of boxes over triangles, spheres, disks, cylinders and height fields, as plain tables that host and device
+// read alike.
 #pragma once
 
-#include "core/math/config.h"
+#include "core/shape/height_walk.h"
 
 namespace tr {
 
@@ -13,7 +14,7 @@ struct alignas(64) TreeNode {
 };
 static_assert(sizeof(TreeNode) == 64);
 
-enum class TreeKind : uint32_t { Triangle, Sphere, Disk, Cylinder };
+enum class TreeKind : uint32_t { Triangle, Sphere, Disk, Cylinder, HeightField };
 
 struct alignas(16) TreeItem {
     float p[3][3];  // corners; of the others, the box: lower corner, upper corner
@@ -31,12 +32,13 @@ struct TreeView {
     const TreeNode *nodes;
     const TreeItem *items;
     const TreeMatrix *matrices;  // by shape; only read for those that are no meshes
+    const HeightTable *fields;   // by shape; only read for height fields
     uint32_t n_items;
     float lower[3], upper[3];  // of everything
 
     template <class Visit>
     TR_HD void for_pointers(Visit &&visit) const {
-        visit(nodes), visit(items), visit(matrices);
+        visit(nodes), visit(items), visit(matrices), visit(fields);
     }
 };
 

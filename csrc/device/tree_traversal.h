@@ -66,7 +66,11 @@ public:
         }
         if (!meets(lower, upper, best.t, enter, leave)) return false;
         TreeHit found{item.shape, item.primitive, 0, 0, 0};
-        if (!(triangle ? meet_triangle(item, found) : meet_quadric(tree, item, found))) return false;
+        const bool field = (facts::ShapeFlags & IsHeightField) && item.kind == TreeKind::HeightField;
+        const bool met = triangle ? meet_triangle(item, found)
+                         : field  ? meet_field(tree, item, found)
+                                  : meet_quadric(tree, item, found);
+        if (!met) return false;
         found.t = larger(enter, smaller(found.t, leave));
         if (!(found.t > 0 && found.t < tmax_ && found.t <= best.t)) return false;
         if (found.t == best.t &&
@@ -114,6 +118,17 @@ private:
         found.t = float((u * double(z[0]) + v * double(z[1]) + w * double(z[2])) / sum);
         found.b1 = float(v / sum), found.b2 = float(w / sum);
         return found.t == found.t;  // else numbers were too large
+    }
+
+    TR_HD bool meet_field(const TreeView &tree, const TreeItem &item, TreeHit &found) const {
+        const HeightTable &field = tree.fields[item.shape];
+        float to_object[12];
+        for (int k = 0; k < 12; ++k) to_object[k] = float(tree.matrices[item.shape].to_object[k]);
+        const Vec3<float> o = transform_point(to_object, Vec3<float>{o_[0], o_[1], o_[2]}),
+                          d = transform_vector(to_object, Vec3<float>{d_[0], d_[1], d_[2]});
+        found.t = tmax_;
+        return field.linear ? walk_heights<2, false>(field, o, d, tmax_, true, found.t, found.b1, found.b2)
+                            : walk_heights<4, false>(field, o, d, tmax_, true, found.t, found.b1, found.b2);
     }
 
     TR_HD bool meet_quadric(const TreeView &tree, const TreeItem &item, TreeHit &found) const {

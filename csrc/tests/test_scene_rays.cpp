@@ -15,17 +15,19 @@ namespace tr::testing {
 
 namespace {
 
-// A wavy square of n x n cells, a ball above it, a disk and a cylinder beside that.
+// A wavy square of n x n cells, a ball above it, a disk, a cylinder and a height field beside that.
 template <class S>
 struct SmallScene {
-    static constexpr int N = 24;
+    static constexpr int N = 24, Rows = 21, Columns = 70;
     std::vector<VertexRow<S>> vertices;
     std::vector<uint32_t> faces;
     std::vector<ShapeInfo> shapes;
-    std::vector<S> matrices;
+    std::vector<S> matrices, heights;
+    TensorView<S> tensor{};
     SceneView<S> view{};
 
-    SmallScene() : vertices((N + 1) * (N + 1)), shapes(4, ShapeInfo{}), matrices(4 * 24) {
+    explicit SmallScene(bool linear = false)
+        : vertices((N + 1) * (N + 1)), shapes(5, ShapeInfo{}), matrices(5 * 24), heights(Rows * Columns) {
         for (uint32_t i = 0; i < N; ++i)
             for (uint32_t j = 0; j < N; ++j) {
                 const uint32_t a = i * (N + 1) + j, b = a + 1, c = a + N + 1, d = c + 1;
@@ -33,19 +35,24 @@ struct SmallScene {
             }
         shapes[0].n_faces = int32_t(faces.size() / 3);
         shapes[1].flags = IsSphere, shapes[2].flags = IsDisk, shapes[3].flags = IsCylinder;
+        shapes[4].flags = IsHeightField, shapes[4].heights = 0, shapes[4].interpolation = linear;
+        tensor.data = heights.data(), tensor.shape[0] = Rows, tensor.shape[1] = 1, tensor.shape[2] = Columns;
+        view.values.tensors = &tensor;
         place(0, 0.05);
         view.vertices = vertices[0].p, view.faces = faces.data(), view.shapes = shapes.data();
-        view.shape_matrices = matrices.data(), view.n_shapes = 4;
+        view.shape_matrices = matrices.data(), view.n_shapes = 5;
     }
-    // How far the curved shapes are moved, and how high the waves are.
+    // How far the curved shapes are moved, and how high the waves of the square and the field are.
     void place(double by, double height) {
         for (int i = 0; i <= N; ++i)
             for (int j = 0; j <= N; ++j) {
                 S *p = vertices[size_t(i * (N + 1) + j)].p;
                 p[0] = S(2.0 * i / N - 1), p[1] = S(2.0 * j / N - 1), p[2] = S(height * std::sin(i + 3.0 * j));
             }
-        for (size_t shape = 1; shape < 4; ++shape) {
-            const double scale = 0.3, at[] = {double(shape) - 2 + by, 0.5 * by, 0.5};
+        for (int i = 0; i < Rows * Columns; ++i) heights[size_t(i)] = S(5 * height * std::sin(0.3 * i));
+        for (size_t shape = 1; shape < 5; ++shape) {
+            const double scale = 0.3, at[] = {(shape < 4 ? double(shape) - 2 : 0.5) + by,
+                                              (shape < 4 ? 0.5 : 0.1) * by + (shape < 4 ? 0 : 0.7), 0.5};
             for (size_t k = 0; k < 3; ++k) {
                 S *m = &matrices[shape * 24 + 4 * k];
                 m[k] = S(scale), m[3] = S(at[k]);
@@ -94,12 +101,12 @@ Found found_anew(const SmallScene<S> &scene) {
 }
 
 template <class S>
-void check_following() {
-    SmallScene<S> scene;
+void check_following(bool linear) {
+    SmallScene<S> scene(linear);
     SceneRays rays;
     rays.update(scene.view, 7);
     const Found before = look(rays);
-    for (uint32_t shape = 0; shape < 4; ++shape)
+    for (uint32_t shape = 0; shape < 5; ++shape)
         CHECK(std::count(before.shape.begin(), before.shape.end(), shape) > 20);
     scene.place(0.02, 0.07);
     rays.update(scene.view, 7);  // as if nothing had happened
@@ -117,8 +124,7 @@ void check_following() {
 }  // namespace
 
 TR_TEST(trees_follow_scenes) {
-    check_following<float>();
-    check_following<double>();
+    for (bool linear : {false, true}) check_following<float>(linear), check_following<double>(linear);
 }
 
 TR_TEST(emulated_devices_are_made_again_after_a_fork) {
@@ -175,10 +181,11 @@ TR_TEST(shapes_that_the_device_has_not_are_named) {
         const char *name = SceneRays::missing(shape);
         return std::string(name ? name : "");
     };
-    for (const int32_t flags : {0, int32_t(HasNormals), int32_t(IsSphere), int32_t(IsDisk), int32_t(IsCylinder)})
+    for (const int32_t flags :
+         {0, int32_t(HasNormals), int32_t(IsSphere), int32_t(IsDisk), int32_t(IsCylinder), int32_t(IsHeightField)})
         CHECK(missing(flags).empty());
     CHECK(missing(IsCurve) == "a bsplinecurve" && missing(IsCurve | IsStraight) == "a linearcurve");
-    CHECK(missing(IsHeightField) == "a heightfield" && missing(IsSdfGrid) == "an sdfgrid");
+    CHECK(missing(IsSdfGrid) == "an sdfgrid");
 }
 
 }  // namespace tr::testing

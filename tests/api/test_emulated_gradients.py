@@ -8,7 +8,7 @@ import pytest
 import reference_scenes
 import small_scene
 import torch
-from emulated import check_close, check_transposed, differentiable, scene_of_materials
+from emulated import check_close, check_transposed, differentiable, hills, scene_of_materials
 
 import torchrender as tr
 
@@ -41,6 +41,14 @@ def check_same(device, scene: tr.Scene, parameters: dict[str, torch.nn.Parameter
 @pytest.mark.parametrize("name", sorted(REFERENCES))
 def test_gradients_are_those_of_the_cpu(device, name):
     check_same(device, tr.load_dict(REFERENCES[name]().scene))
+
+
+@pytest.mark.parametrize("interpolation", ["bspline", "bilinear"])
+def test_height_fields(device, interpolation):
+    scene = hills(interpolation)
+    chosen = differentiable(scene)
+    assert {"water.heights", "metal.heights", "metal.to_world"} <= set(chosen)
+    check_same(device, scene, chosen, visibility=False, spp=8)
 
 
 @pytest.mark.parametrize("only", ["everything", "bsdfs"])

@@ -10,7 +10,7 @@ import pytest
 import reference_scenes
 import small_scene
 import torch
-from emulated import materials, scene_of_materials
+from emulated import hills, materials, scene_of_materials
 
 import torchrender as tr
 
@@ -44,6 +44,11 @@ def test_images_are_those_of_the_cpu(device, name):
 
 def test_every_bsdf(device):
     check_same(device, scene_of_materials(materials(), 32), integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
+
+
+@pytest.mark.parametrize("interpolation", ["bspline", "bilinear"])
+def test_height_fields(device, interpolation):
+    check_same(device, hills(interpolation), ("rgb", "alpha", "depth", "shading_normal"))
 
 
 PLACE = tr.Transform.look_at([0.3, -0.2, 4.2], [0, 0, 0], [0, 1, 0])

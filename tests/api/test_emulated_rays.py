@@ -10,7 +10,7 @@ from test_queries import all_shapes, grid
 
 import torchrender as tr
 
-MISSING = ("hills", "distances")
+MISSING = ("distances",)
 """Shapes of `all_shapes` that the device does not have."""
 
 
@@ -18,6 +18,9 @@ def shapes(dtype: torch.dtype = torch.float32) -> tr.Scene:
     kept = {name: value for name, value in all_shapes().items() if name not in MISSING}
     pipe = {"type": "cylinder", "p0": [-1.0, -1.0, 0.5], "p1": [1.0, 1.0, 0.8], "radius": 0.2}
     return tr.load_dict({**kept, "pipe": pipe}, dtype=dtype)
+
+
+TILTED = tr.Transform.rotate([1, 0, 0], 25) @ tr.Transform.scale([0.6, 0.5, 0.4])
 
 
 def mesh(vertices: torch.Tensor, faces: torch.Tensor) -> tr.Scene:
@@ -66,7 +69,7 @@ def test_hits_are_those_of_embree(device, dtype):
         expected, hidden = tr.ray_intersect(scene, o, d, limits), tr.ray_occluded(scene, o, d, limits)
         device("emulated")
         found, occluded = tr.ray_intersect(scene, o, d, limits), tr.ray_occluded(scene, o, d, limits)
-        assert set(found.shape_id.tolist()) == {-1, *range(10)}
+        assert set(found.shape_id.tolist()) == {-1, *range(11)}
         check_equal(found, expected, 2e-4)
         assert torch.equal(occluded, found.valid)
         assert float((occluded != hidden).double().mean()) <= 1e-4
@@ -135,6 +138,25 @@ def test_rays_follow_what_moves(device):
         device("emulated")
 
 
+@pytest.mark.parametrize("interpolation", ["bspline", "bilinear"])
+def test_rays_follow_height_fields(device, interpolation):
+    """Of two in one scene, one of which is larger than the blocks of 64 cells whose heights are looked at together."""
+    x, y = torch.meshgrid(torch.linspace(-1, 1, 150), torch.linspace(-1, 1, 90), indexing="ij")
+    heights = 0.2 * torch.sin(9 * x) * torch.cos(7 * y + x)
+    field = {"type": "heightfield", "interpolation": interpolation}
+    other = {**field, "heights": heights[::9, ::13], "to_world": tr.Transform.translate([0.3, 0.2, 0.7]) @ TILTED}
+    objects = {"type": "scene", "first": {**field, "heights": heights}, "second": other}
+    scene = tr.load_dict(objects)
+    o, d = random_rays(20000, 1.5)
+    for changed in (heights, 0.7 * heights + 0.1, heights.flip(0)):
+        params = {"first.heights": changed}
+        device("emulated")
+        found, occluded = (f(scene, o, d, params=params) for f in (tr.ray_intersect, tr.ray_occluded))
+        device("cpu")
+        check_equal(found, tr.ray_intersect(scene, o, d, params=params), 2e-4)
+        assert {0, 1} < set(found.shape_id.tolist()) and torch.equal(occluded, found.valid)
+
+
 def test_derivatives_are_those_of_the_cpu(device):
     gradients = []
     for name in ("cpu", "emulated"):
@@ -153,7 +175,6 @@ def test_derivatives_are_those_of_the_cpu(device):
 @pytest.mark.parametrize(
     ("shape", "words"),
     [
-        ({"type": "heightfield", "heights": torch.zeros(3, 3)}, "a heightfield"),
         ({"type": "sdfgrid", "grid": torch.linspace(-1, 1, 27).reshape(3, 3, 3)}, "an sdfgrid"),
         ({"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}, "a bsplinecurve"),
     ],

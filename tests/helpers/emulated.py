@@ -73,3 +73,26 @@ def scene_of_materials(bsdfs: dict[str, dict[str, Any]], size: int, rfilter: str
     }
     lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
     return tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
+
+
+def hills(interpolation: str) -> tr.Scene:
+    """A field of glass above a floor, with a texture, beneath a smaller one that hides and lights it by its metal."""
+    x, y = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 70), indexing="ij")
+    waves = 0.15 * torch.sin(6 * x) * torch.cos(5 * y + x)
+    field = {"type": "heightfield", "interpolation": interpolation}
+    above = tr.Transform.translate([0.2, 0.1, 0.9]) @ tr.Transform.rotate([1, 0, 0], 20) @ tr.Transform.scale(0.5)
+    film = {"type": "hdrfilm", "width": 20, "height": 15, "rfilter": {"type": "box"}}
+    camera = {"type": "perspective", "fov": 45, "film": film}
+    camera["to_world"] = tr.Transform.look_at([1.0, -2.5, 2.5], [0, 0, 0.2], [0, 0, 1])
+    paper = {"type": "diffuse", "reflectance": light_scenes.texels(5, 4)}
+    return tr.load_dict(
+        {
+            "type": "scene",
+            "camera": camera,
+            "floor": {"type": "rectangle", "to_world": tr.Transform.translate([0, 0, -0.5]), "bsdf": paper},
+            "water": {**field, "heights": waves, "bsdf": {"type": "roughdielectric", "alpha": 0.1}},
+            "metal": {**field, "heights": waves[::4, ::6], "to_world": above, "bsdf": {"type": "roughconductor"}},
+            "sky": light_scenes.envmap(),
+            "lamp": {"type": "point", "position": [0.5, -0.5, 3.0], "intensity": 10.0},
+        }
+    )
