@@ -159,6 +159,7 @@ MOVING = (
     Moving("rough mirror, 0.05", above_a_mirror(0.05), "monkey.vertex_positions", NEAR, 3, 0.02),
     Moving("rough mirror, 0.2", above_a_mirror(0.2), "monkey.vertex_positions", NEAR, 3, 0.02),
     Moving("receiver along its normal", shadow_of_a_square, "ground.to_world", UP, 2, 0.05),
+    Moving("lamp", shadow_of_a_square, "lamp.to_world", DOWN, 2, 0.05, SHADOWS),
     Moving("camera", shadow_of_a_square, "camera.to_world", FAR, 2, 0.05),
     # (Its edges lie along rows of pixels, whose weights are steps: differences of 0.05 are off by 0.07 %.)
     Moving("shadow, point light", shadow_of_a_point, "blocker.to_world", DOWN, 2, 0.01, SHADOWS, NO_POINTS),

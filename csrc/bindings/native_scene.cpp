@@ -376,8 +376,8 @@ private:
             if (const char *missing = SceneRays::missing(shapes[i]))
                 throw std::invalid_argument(
                     data_.path("shape", int(i)) +
-                    ": devices have meshes, rectangles, spheres, disks, cylinders and height fields so far, got " + missing +
-                    "; with TORCHRENDER_BACKEND=cpu rays meet everything");
+                    ": devices have meshes, rectangles, spheres, disks, cylinders and height fields so far, got " +
+                    missing + "; with TORCHRENDER_BACKEND=cpu rays meet everything");
         update(values);
         std::unique_ptr<SceneRays> &rays = devices_[device == "tree" ? "emulated" : device];
         if (!rays) rays = make_rays(device);

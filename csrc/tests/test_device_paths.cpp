@@ -271,6 +271,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     more = room;
     more.shape_flags |= IsSphere | FlipNormals, more.textures = 3, more.textured = true, more.emitters = 15;
     more.stacks = true;
+    SceneFacts fields = room;
+    fields.shape_flags |= IsHeightField;
     SceneFacts recorded = room, forward = room;
     recorded.records = forward.records = forward.forward = true;
     SceneFacts moved = recorded, fixed = recorded, output_moved = room;
@@ -286,6 +288,7 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<TracePaths>(), room, -1, ""},
                              {kernel_of<TraceShadows>(), room, -1, ""},
                              {kernel_of<TracePaths>(), more, -1, ",more"},
+                             {kernel_of<TracePaths>(), fields, -1, ",fields"},
                              {kernel_of<ClassifyHits>(), room, -1, ""},
                              {kernel_of<ShadeHits>(), room, diffuse, ",diffuse"},
                              {kernel_of<ShadeHits>(), more, diffuse, ",diffuse,more"},
@@ -317,7 +320,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<FillWords>(), room, -1, ""},
                              {kernel_of<AddToFilm>(), room, -1, ""},
                              {kernel_of<IntersectRays>(), room, -1, ""},
-                             {kernel_of<OccludeRays>(), room, -1, ""}}) {
+                             {kernel_of<OccludeRays>(), room, -1, ""},
+                             {kernel_of<OccludeRays>(), fields, -1, ",fields"}}) {
         const std::string name = each.kernel.name + std::string(each.suffix);
         const auto [registers, stack, spilled, code] =
             compiler.resources(each.kernel, 90, each.facts.options(each.kernel.knows, each.bsdf));

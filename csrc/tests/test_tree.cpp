@@ -419,7 +419,7 @@ TR_TEST(kernels_find_what_the_host_finds) {
     Random random(12);
     const Mesh mesh = degenerate_mesh(random);
     const Rays rays = difficult_rays(mesh, random, 1200);
-    const Tree trees[] = {mixed_tree(mesh, random), tree_of(closed_mesh(9, random)), Tree{{}, {}, {}, {}, {}}};
+    const Tree trees[] = {mixed_tree(mesh, random), tree_of(closed_mesh(9, random)), Tree{}};
     for (bool strict : {false, true})
         for (bool late : {false, true}) {
             const auto launcher = make_emulated({strict, late, 2});

@@ -96,6 +96,14 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
     }
 
 
+def rooms() -> dict[str, dict[str, Any]]:
+    """One with each BSDF, and one with a height field."""
+    found = {kind: room({"type": kind}) for kind in _plain_bsdfs()}
+    place = Transform.translate([-2, -0.5, 0]) @ Transform.rotate([1, 0, 0], -70) @ Transform.scale(0.8)
+    waves = {"type": "heightfield", "heights": torch.sin(torch.arange(600.0)).reshape(20, 30) * 0.1, "to_world": place}
+    return {**found, "heightfield": {**room({"type": "diffuse"}), "waves": waves}}
+
+
 def train_all(scene: Scene, but_what_moves: bool = False) -> list[str]:
     """Every parameter is to have a gradient, or those that do not move rays; returns their names."""
     slots = {slot.name: slot for slot in scene.layout().slots}
@@ -166,7 +174,7 @@ class Check:
         }
 
     def rays(self) -> dict[str, Any]:
-        scene = load_dict(room({"type": "diffuse"}))
+        scene = load_dict(rooms()["heightfield"])
         generator = torch.Generator().manual_seed(1)
         o = 3 * torch.randn(300_000, 3, generator=generator)
         d = torch.randn(300_000, 3, generator=generator) - o
@@ -176,10 +184,10 @@ class Check:
         return {"passed": min(same.values()) > 0.9999 and hidden[0] == hidden[1], "same": same, "occluded": hidden}
 
     def images(self) -> dict[str, Any]:
-        """Every BSDF, with the CPU's walk through the same tree: equal but for the rounding of elementary functions."""
+        """`rooms`, with the CPU's walk through the same tree: equal but for the rounding of elementary functions."""
         found, passed = {}, True
-        for kind in _plain_bsdfs():
-            scene = load_dict(room({"type": kind}))
+        for kind, described in rooms().items():
+            scene = load_dict(described)
             a, b = self.both(lambda scene=scene: render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3))
             again = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3)
             far = ((a - b).abs() > FAR * (a.abs() + a.mean())).any(-1).double().mean().item()
@@ -209,13 +217,13 @@ class Check:
         return {"passed": max(off) < MOST_OFF and repeats, "off by": max(off), "of": len(off), "repeats": repeats}
 
     def gradients(self) -> dict[str, Any]:
-        """Of every BSDF, by all parameters: the largest difference from the CPU's, of its largest number.
+        """Of `rooms`, by all parameters: the largest difference from the CPU's, of its largest number.
 
         Of what moves, whose gradients cancel, of the largest number of those; without edges, which are the CPU's.
         """
         found, passed = {}, True
-        for kind in _plain_bsdfs():
-            scene = load_dict(room({"type": kind}))
+        for kind, described in rooms().items():
+            scene = load_dict(described)
             names = train_all(scene)
 
             def gradients(scene: Scene = scene, names: list[str] = names) -> list[torch.Tensor]:
