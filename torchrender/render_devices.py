@@ -8,11 +8,11 @@ import torch
 
 from .devices import device
 from .first_hit_call import FEATURES, PATH_OUTPUTS, STOKES_OUTPUTS
-from .integrators import DirectIllumination, Integrator, PathTracer, Stack
+from .integrators import DirectIllumination, Integrator, PathTracer, Stack, VolumetricPathTracer
 from .scene.packing import Layout
 from .scene.scene import Scene
 
-_INTEGRATORS = (PathTracer, DirectIllumination)
+_INTEGRATORS = (PathTracer, DirectIllumination, VolumetricPathTracer)
 
 
 def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> None:

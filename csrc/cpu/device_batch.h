@@ -6,7 +6,7 @@
 
 #include "device/film_kernels.h"
 #include "device/launcher.h"
-#include "device/path_kernels.h"
+#include "device/medium_kernels.h"
 
 namespace tr {
 
@@ -28,21 +28,38 @@ struct BatchColumns {
     ShadowQueue<float> shadows{};
     int32_t *key, *out_key, *shadow_key;                       // of hits, and of what goes on from them
     uint32_t *camera_rays, *live_rays, *sorted, *shadow_rays;  // lists of entries
+    FlightColumns<float> flight{};
+    BranchColumns<float> branch{};
+    TransmittanceColumns<float> transmittance{};
 
-    template <class Visit>
-    void for_arrays(Visit &&visit) {
+    // visit(array, how many numbers it has for a path). `media`: with what paths through them have besides.
+    template <class Each>
+    void for_arrays(bool media, Each &&each_array) {
+        const uint32_t shadows_of_path = media ? MostShadows : 1;
+        auto visit = [&](auto *&array) { each_array(array, 1u); };
+        auto visit_shadows = [&](auto *&array) { each_array(array, shadows_of_path); };
         auto each = [&](auto &...column) { (column.each(visit), ...); };
 #define TR_VISIT(type, name) each(of.name);
         auto of_samples = [&](auto &of) { TR_SAMPLE_COLUMNS(TR_VISIT) };
         auto of_paths = [&](auto &of) { TR_PATH_COLUMNS(TR_VISIT) };
+        auto of_paths_in_media = [&](auto &of) { TR_PATH_MEDIUM_COLUMNS(TR_VISIT) };
+#undef TR_VISIT
+#define TR_VISIT(type, name) of.name.each(visit_shadows);
         auto of_shadows = [&](auto &of) { TR_SHADOW_COLUMNS(TR_VISIT) TR_SHADOW_VALUE_COLUMNS(TR_VISIT) };
+        auto of_shadows_in_media = [&](auto &of) { TR_SHADOW_MEDIUM_COLUMNS(TR_VISIT) };
 #undef TR_VISIT
         of_samples(slots), each(slots.delta, slots.radiance, slots.alpha);
         visit(lost.count), visit(lost.culprit), visit(lost.index);
         for (auto &queue : queues) of_paths(queue);
         hits.for_arrays(visit), of_shadows(shadows);
-        visit(key), visit(out_key), visit(shadow_key);
-        visit(camera_rays), visit(live_rays), visit(sorted), visit(shadow_rays);
+        visit(key), visit(out_key), visit_shadows(shadow_key);
+        visit(camera_rays), visit(live_rays), visit(sorted), visit_shadows(shadow_rays);
+        if (!media) return;
+        for (auto &queue : queues) of_paths_in_media(queue);
+        of_shadows_in_media(shadows), transmittance.for_arrays(visit_shadows);
+        flight.for_arrays(visit);
+        each(branch.hero, branch.level, branch.entry, branch.total_weight, branch.p, branch.d, branch.medium,
+             branch.depth, branch.beta, branch.channel, branch.radiance, branch.factor);
     }
 };
 

@@ -12,14 +12,20 @@ namespace {
 
 constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
 static_assert(Kinds <= SortTable::MostKinds);
+constexpr size_t Totals = 6;
 constexpr int LevelsBetweenLooks = 8;  // at how many paths are left
 constexpr int MostLevels = 16;         // of a tape that batches are sized for; deeper ones have few paths left
 
 uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
 
 // The kinds that hits of a scene can have.
-std::vector<int32_t> kinds_in(const SceneView<float> &scene) {
+std::vector<int32_t> kinds_in(const SceneView<float> &scene, const PathConfig &config, bool records) {
     std::set<int32_t> found;
+    if (config.volumetric) {
+        found.insert(CollisionKind);
+        if (records) found.insert(MissKind);
+        if (config.hide_emitters) found.insert(NullKind);
+    }
     if (scene.environment >= 0) found.insert(MissKind);
     for (int b = 0; b < scene.n_bsdfs; ++b) {
         const int32_t kind = scene.bsdfs[b].kind;
@@ -32,8 +38,7 @@ std::vector<int32_t> kinds_in(const SceneView<float> &scene) {
 }  // namespace
 
 void DevicePaths::check(const RenderCall<float> &call) {
-    const char *missing = call.config.volumetric           ? "media"
-                          : call.config.stokes             ? "polarised light"
+    const char *missing = call.config.stokes               ? "polarised light"
                           : call.config.spectral.positions ? "wavelengths"
                           : call.scene->bends              ? "media that light bends in"
                           : call.ray_record                ? "records of rays"
@@ -48,28 +53,29 @@ struct DevicePaths::Sorted {
     uint32_t kinds;
 };
 
-size_t DevicePaths::bytes_per_path() {
+size_t DevicePaths::bytes_per_path(bool media) {
     size_t bytes = 0;
-    BatchColumns().for_arrays([&](auto *&array) { bytes += sizeof(*array); });
+    BatchColumns().for_arrays(media, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
     return bytes;
 }
 
-void DevicePaths::reserve(size_t n) {
-    if (n <= capacity_) return;
+void DevicePaths::reserve(size_t n, bool media) {
+    if (n <= capacity_ && media == media_) return;
     launcher_.synchronize();
-    capacity_ = 0;
+    capacity_ = 0, media_ = media;
     arrays_.clear();
-    at_.for_arrays([&](auto *&array) {
+    at_ = {};
+    at_.for_arrays(media, [&](auto *&array, size_t each) {
         static_assert(sizeof(*array) == sizeof(uint32_t));
-        arrays_.emplace_back(launcher_, n);
+        arrays_.emplace_back(launcher_, each * n);
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(arrays_.back().get());
     });
     lengths_.reserve(launcher_, 4);
     camera_ = {at_.camera_rays, lengths_.get()}, live_ = {at_.live_rays, lengths_.get() + 1};
     sorted_ = {at_.sorted, lengths_.get() + 2}, lit_ = {at_.shadow_rays, lengths_.get() + 3};
-    counts_.reserve(launcher_, size_t(Kinds) * chunks_of(n));
+    counts_.reserve(launcher_, std::max(size_t(Kinds) * chunks_of(n), size_t(chunks_of(MostShadows * n))));
     ranges_.reserve(launcher_, 2 * size_t(Kinds)), range_of_one_.reserve(launcher_, 2);
-    totals_.reserve(launcher_, 4);
+    totals_.reserve(launcher_, Totals);
     at_.lost.total = totals_.get() + 2;
     capacity_ = n;
 }
@@ -79,24 +85,25 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
                                      const TileSchedule &schedule, const DerivativeCall<float> *derivative,
                                      int channels) {
     const SceneView<float> &host = *call.scene;
-    Work work{call, {}, tree, kinds_in(host), schedule};
+    Work work{call, {}, tree, kinds_in(host, call.config, derivative && channels == Radiance), schedule};
     for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += schedule.n_paths(i);
     if (call.pixels) work.list = list_pixels(schedule, work.lists);
-    size_t memory = memory_, bytes = bytes_per_path();
+    const bool media = call.config.volumetric;
+    size_t memory = memory_, bytes = bytes_per_path(media);
     const bool paths = channels == Radiance;
     if (!paths) bytes += size_t(channels) * sizeof(float);
     if (derivative) work.parts.motion = derivative->needs.numbers();
     if (derivative && paths) {
-        const int depth = call.config.max_depth, levels = depth < 0 ? MostLevels : std::min(depth, MostLevels);
+        const int depth = call.config.max_depth, levels = depth < 0 || media ? MostLevels : std::min(depth, MostLevels);
         memory *= TapeShare;
-        work.parts = {host.has_stacks, host.follows_tangent, derivative->needs.numbers()};
+        work.parts = {host.has_stacks, host.follows_tangent, derivative->needs.numbers(), media};
         bytes += size_t(levels + work.splits()) * DeviceTapeLevels::bytes_per_entry(work.parts);
     }
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
-    reserve(work.batch);
-    clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), 4);
+    reserve(work.batch, media);
+    clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), Totals);
 
-    SceneFacts facts(host, call.config);
+    SceneFacts &facts = work.facts = SceneFacts(host, call.config);
     facts.records = derivative && paths, facts.forward = derivative && !derivative->adjoint;
     facts.motion = work.parts.motion, facts.fixed_sums = derivative && derivative->fixed_sums;
     launcher_.know(facts);
@@ -112,7 +119,11 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
     if (derivative) {
         const GradientNeeds needs = work.stage.needs = derivative_.needs(launcher_, *derivative);
         work.stage.records = paths;
-        work.stage.bsdfs_alone = needs.bsdf && !needs.emitter && !needs.numbers() && !needs.camera;
+        work.stage.bsdfs_alone = !media && needs.bsdf && !needs.emitter && !needs.numbers() && !needs.camera;
+    }
+    if (media) {
+        work.media = {host, derivative && paths ? &work.stage.needs : nullptr};
+        work.media.flight = at_.flight, work.media.branch = at_.branch;
     }
     return work;
 }
@@ -190,9 +201,10 @@ RenderStats DevicePaths::forward(const RenderCall<float> &call, const SceneData<
 }
 
 void DevicePaths::finish(const Work &work, RenderStats &stats) const {
-    uint64_t totals[4];
-    totals_.download(totals, 4);
+    uint64_t totals[Totals];
+    totals_.download(totals, Totals);
     stats.closest_rays = totals[0], stats.shadow_rays = totals[1];
+    stats.collisions = totals[4], stats.majorants_exceeded = totals[5];
     if (totals[2] != 0) count_lost(stats);
     stats.count_non_finite(totals[3], "a derivative");
     stats.seconds = work.seconds();
@@ -212,21 +224,29 @@ void DevicePaths::count_lost(RenderStats &stats) const {
 }
 
 // --------------------------------------------------------------------------------------------------------- a batch
-// Lists entries 0 .. *n - 1, or those of `from`, those of every key one after the other.
+// Lists entries 0 .. each * *n - 1, or those of `from`, those of every key one after the other.
 void DevicePaths::sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to,
-                       const Sorted &ranges, uint32_t launched) {
-    const uint32_t chunks = chunks_of(launched);
-    const SortTable table{
-        key,   from ? from->entry : nullptr, n, counts_.get(), ranges.begin, ranges.total, to.entry, to.n, ranges.kinds,
-        chunks};
+                       const Sorted &ranges, uint32_t launched, uint32_t each) {
+    const uint32_t chunks = chunks_of(size_t(each) * launched);
+    const SortTable table{key,
+                          from ? from->entry : nullptr,
+                          n,
+                          counts_.get(),
+                          ranges.begin,
+                          ranges.total,
+                          to.entry,
+                          to.n,
+                          each,
+                          ranges.kinds,
+                          chunks};
     launcher_.run(CountKeys{table}, chunks);
     launcher_.run(SumKeys{table}, ranges.kinds);
     launcher_.run(PlaceKeys{table}, chunks);
 }
 
 // ... those that are kept.
-void DevicePaths::keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched) {
-    sort(key, nullptr, n, to, {range_of_one_.get(), range_of_one_.get() + 1, 1}, launched);
+void DevicePaths::keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched, uint32_t each) {
+    sort(key, nullptr, n, to, {range_of_one_.get(), range_of_one_.get() + 1, 1}, launched, each);
 }
 
 // Camera rays, and the list of those that there are.
@@ -241,13 +261,14 @@ void DevicePaths::list_camera_rays(uint32_t n) {
 }
 
 // As PathTile::run.
-void DevicePaths::trace_paths(const Work &work, uint32_t n) {
+void DevicePaths::trace_paths(Work &work, uint32_t n) {
     const PathConfig &config = work.call.config;
     const int depth = config.max_depth;
     PathQueue<float> *queues = at_.queues;
     levels_.begin(work.parts);
     start(work, n);
     if (depth == 0) return;
+    if (config.volumetric) return trace_volumetric(work, n);
     trace_hits(work, queues[0], camera_, config.hide_emitters, n);
     const bool scatters = depth < 0 || depth > 1;
     for (int split = 0; split < work.splits(); ++split) {
@@ -265,6 +286,37 @@ void DevicePaths::trace_paths(const Work &work, uint32_t n) {
     }
 }
 
+// As PathTile::run_volumetric.
+void DevicePaths::trace_volumetric(Work &work, uint32_t n) {
+    launcher_.run(BeginMedia{work.stage, work.media, at_.queues[0]}, n);
+    trace_levels(work, 0, camera_, n);
+    if (!work.stage.records || !work.media.differential) return;
+    // what is not recorded has other kernels
+    SceneFacts facts = work.facts;
+    facts.records = work.stage.records = false;
+    launcher_.know(facts);
+    launcher_.run(StartBranches{work.stage, work.media, at_.queues[0], at_.out_key, n}, n);
+    launcher_.run(FillWords{sorted_.n, n}, 1);
+    keep(at_.out_key, sorted_.n, live_, n);
+    trace_levels(work, BranchLevel, live_, n);
+    launcher_.run(FinishBranches{at_.slots.radiance, at_.branch.radiance}, n);
+    work.stage.records = true;
+    launcher_.know(work.facts);
+}
+
+// As PathTile::run_levels, of `rays` of the first queue.
+void DevicePaths::trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n) {
+    PathQueue<float> *current = &at_.queues[0], *next = &at_.queues[1];
+    for (uint32_t level = 0, most = n; most > 0; ++level) {
+        const EntryList &list = level == 0 ? rays : live_;
+        const int parents = level == 0 ? DeviceTapeLevels::Level::NoParents : levels_.size() - 1;
+        trace_hits(work, *current, list, false, most);
+        step(work, {int(first + level), 0, true}, *current, list, *next, most, parents);
+        std::swap(current, next);
+        if ((level + 1) % LevelsBetweenLooks == 0) most = live();
+    }
+}
+
 void DevicePaths::trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes,
                              uint32_t n) {
     launcher_.run(TracePaths{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
@@ -275,6 +327,7 @@ void DevicePaths::trace_hits(const Work &work, const PathQueue<float> &queue, co
 void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
                        const PathQueue<float> &out, uint32_t n, int parents) {
     const int depth = work.call.config.max_depth;
+    const bool volumetric = work.call.config.volumetric;
     Sorted ranges{ranges_.get(), ranges_.get() + Kinds, Kinds};
     PathStage stage = work.stage;
     if (stage.records) {
@@ -283,23 +336,39 @@ void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &i
         ranges = {level.begin, level.total, Kinds};
     }
     in.n = uint32_t(capacity_);  // any entry of it may be asked for
+    MediumContext<float> media = work.media;
+    media.level = uint32_t(at.depth);
+    if (volumetric) launcher_.run(FlyRays{stage, media, in, at_.hits, rays, tracking()}, n);
     launcher_.run(ClassifyHits{stage, at, in, at_.hits, kinds_.get(), rays, at_.key}, n);
     sort(at_.key, &rays, rays.n, sorted_, ranges, n);
-    const bool last = depth >= 0 && at.depth + 2 >= depth;
-    for (const int32_t kind : work.kinds)
-        launcher_.run(ShadeHits{stage, at, kind, last, in, at_.hits, sorted_.entry, ranges.begin, ranges.total, out,
-                                at_.shadows, at_.out_key, at_.shadow_key},
-                      n, kind);
+    const bool last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
+    for (const int32_t kind : work.kinds) {
+        const ShadeHits shading{stage,         at,           kind,         last, in,          at_.hits,
+                                sorted_.entry, ranges.begin, ranges.total, out,  at_.shadows, at_.out_key,
+                                at_.shadow_key};
+        if (volumetric)
+            launcher_.run(ShadeInMedia{shading, media}, n, kind);
+        else
+            launcher_.run(shading, n, kind);
+    }
     if (!at.scatters) return;
-    keep(at_.shadow_key, sorted_.n, lit_, n);
-    launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance,
-                               stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
-                  n);
+    keep(at_.shadow_key, sorted_.n, lit_, n, volumetric ? MostShadows : 1);
+    if (volumetric) {
+        launcher_.run(TransmitShadows{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, totals_.get() + 1,
+                                      tracking()},
+                      MostShadows * n);
+    } else {
+        launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance,
+                                   stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
+                      n);
+    }
     keep(at_.out_key, sorted_.n, live_, n);
 }
 
 // As PathTile::sweep_levels.
 void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint) {
+    BranchEnds branches;
+    if (work.media.differential) branches = {at_.branch.level, at_.branch.entry, at_.branch.radiance};
     for (int l = levels_.size() - 1; l >= 0; --l) {
         const DeviceTapeLevels::Level &level = levels_[l];
         PathStage stage = work.stage;
@@ -307,11 +376,11 @@ void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_
         TapeBefore before;
         if (level.parents >= 0) {
             const TapeColumns<float> &parents = levels_[level.parents].tape;
-            before = {parents.vertex.suffix, parents.next};
+            before = {parents.vertex.suffix, parents.next, parents.motion.rest_bar, parents.motion.from_bar};
         }
         for (const int32_t kind : work.kinds)
-            launcher_.run(SweepVertices{stage, kind, uint32_t(l), level.scatters, level.begin, level.total, before, to,
-                                        unit_adjoint},
+            launcher_.run(SweepVertices{stage, kind, uint32_t(l), level.scatters, level.begin, level.total, before,
+                                        branches, to, unit_adjoint},
                           level.room, kind);
     }
 }

@@ -1,6 +1,6 @@
 // The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there, and
-// outputs of first hits (device/output_kernels.h). For surfaces, in single precision and rgb; light goes straight. Of a
-// derivative paths are on a tape, over which device/derivative_kernels.h then runs backwards.
+// outputs of first hits (device/output_kernels.h). In single precision and rgb; light goes straight. Of a derivative
+// paths are on a tape, over which device/derivative_kernels.h then runs backwards.
 #pragma once
 
 #include "aovs.h"
@@ -41,7 +41,7 @@ public:
                                 const AovOutput<float> &out, const DerivativeCall<float> &derivative);
 
     // Of `memory` a path takes, without the tape.
-    static size_t bytes_per_path();
+    static size_t bytes_per_path(bool media = false);
     static constexpr size_t TapeShare = 4;
 
 private:
@@ -58,13 +58,16 @@ private:
     size_t memory_;
     DeviceScene scene_;
     size_t capacity_ = 0;  // paths of a batch
+    bool media_ = false;   // these may go through media
     BatchColumns at_{};
     std::vector<DeviceArray<uint32_t>> arrays_;  // of it
     EntryList camera_{}, live_{}, sorted_{}, lit_{};
     DeviceArray<uint32_t> lengths_;  // of these lists
     DeviceArray<uint32_t> counts_, ranges_, range_of_one_;
     DeviceArray<int32_t> kinds_, targets_;
-    DeviceArray<uint64_t> totals_;  // closest hits, shadow rays, values that are not finite: of paths, of derivatives
+    // closest hits, shadow rays, values that are not finite: of paths, of derivatives; collisions, those beyond
+    // majorants
+    DeviceArray<uint64_t> totals_;
     DeviceArray<double> sums_, open_;
     HostBuffer film_;  // the sums on their way back
     DeviceArray<int32_t> pixels_, places_;
@@ -83,7 +86,7 @@ private:
     void release();
     Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                const TileSchedule &schedule, const DerivativeCall<float> *derivative, int channels);
-    void reserve(size_t n);
+    void reserve(size_t n, bool media);
     template <class Body>
     void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
     void finish(const Work &work, RenderStats &stats) const;
@@ -101,11 +104,14 @@ private:
     // a batch of n paths
     struct Sorted;
     void sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to, const Sorted &ranges,
-              uint32_t launched);
-    void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched);
+              uint32_t launched, uint32_t each = 1);
+    void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched, uint32_t each = 1);
     void start(const Work &work, uint32_t n);
     void list_camera_rays(uint32_t n);
-    void trace_paths(const Work &work, uint32_t n);
+    void trace_paths(Work &work, uint32_t n);
+    void trace_volumetric(Work &work, uint32_t n);
+    void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);
+    TrackingTotals tracking() const { return {totals_.get() + 4, totals_.get() + 5}; }
     void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
     void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
               const PathQueue<float> &out, uint32_t n, int parents);

@@ -21,6 +21,8 @@ struct DevicePaths::Work {
     ListedPixels list{};
     std::vector<TileList> lists{1};  // by tile; one for all where there is no list
     TapeParts parts{};
+    SceneFacts facts{};
+    MediumContext<float> media{};
     int64_t n_paths = 0;
     size_t batch = 0;      // paths of one at most
     bool reverse = false;  // paths that nothing is asked of are left out

@@ -19,12 +19,10 @@ public:
     MediumContext<F> media;
 
     MediumStage(Wavefront<F> &wavefront, size_t capacity, bool differentiates)
-        : w_(wavefront), scene_(wavefront.scene()), tracker_(scene_, wavefront.call().config, wavefront.slots) {
-        for (int m = 0; m < scene_.n_media; ++m) {
-            media.chromatic |= (scene_.media[m].flags & IsChromatic) != 0;
-            media.emissive |= scene_.media[m].emission >= 0;
-        }
-        media.differential = differentiates && (w_.needs().medium.extinction || w_.needs().geometry);
+        : media(wavefront.scene(), differentiates ? &wavefront.needs() : nullptr),
+          w_(wavefront),
+          scene_(wavefront.scene()),
+          tracker_(scene_, wavefront.call().config, wavefront.slots) {
         const size_t n = capacity + 2 * W;
         arena_.allocate(n, media.flight, media.branch);
         shadow_arena_.allocate(2 * n, transmittance_, pending_rays_);
@@ -62,14 +60,8 @@ public:
     void trace_shadows(uint32_t level, bool recording) {
         const ShadowQueue<S> &shadows = w_.shadows;
         if (shadows.n == 0) return;
-        for (int c = 0; c < SpectrumSize; ++c) std::fill_n(transmittance_.transmittance[c], shadows.n, S(1));
-        std::fill_n(transmittance_.total_length.at, shadows.n, S(0));
-        for (uint32_t k = 0; k < shadows.n; ++k) pending_[k] = k;
         const bool moves = recording && w_.needs().geometry;
-        if (moves) {
-            std::fill_n(transmittance_.begin.at, shadows.n, S(0));
-            std::fill_n(transmittance_.boundary.shape, shadows.n, NoHit);
-        }
+        for (uint32_t k = 0; k < shadows.n; ++k) pending_[k] = k, begin_shadow(transmittance_, k, recording, moves);
         uint32_t n = shadows.n;
         for (uint32_t round = 0; n > 0; ++round) {
             trace_parts(level, round, n);
@@ -81,13 +73,15 @@ public:
                 if (waiting == 0) continue;
                 tracker_.transmit(m, {shadows.o, shadows.d, shadows.ray_offset, shadows.slot}, transmittance_, queue_,
                                   waiting);
-                if (recording && media.differential) choose_points(waiting, m, moves);
+                if (!recording || !media.differential) continue;
+                for (size_t q = 0; q < waiting; ++q)
+                    choose_point(shadows, transmittance_, queue_[q], m, w_.queries.hits.at.get(met_[q]), moves);
             }
             n = cross_boundaries(n, moves);
         }
         for (uint32_t k = 0; k < shadows.n; ++k)
             if (recording)
-                write_to_tape(k);
+                record_shadow(w_.tape.last().columns, shadows, transmittance_, k, media.differential, moves);
             else
                 for (int c = 0; c < SpectrumSize; ++c)
                     w_.slots.radiance[c][shadows.slot[k]] +=
@@ -144,26 +138,6 @@ private:
         }
     }
 
-    // A point uniform on all of the parts of a ray that are in media.
-    void choose_points(size_t waiting, int32_t m, bool moves) {
-        const TransmittanceColumns<S> &t = transmittance_;
-        const ShadowQueue<S> &shadows = w_.shadows;
-        for (size_t q = 0; q < waiting; ++q) {
-            uint32_t k = queue_[q];
-            S length = t.length[k];
-            if (!(length > 0)) continue;
-            t.total_length[k] += length;
-            if (!(t.choice[k] * t.total_length[k] < length)) continue;
-            t.point_medium[k] = m;
-            const S place = t.start[k] + t.place[k] * length;
-            t.point.set(k, shadows.o.get(k) + shadows.d.get(k) * place);
-            if (!moves) continue;
-            const S first = t.begin[k] + shadows.ray_offset[k];  // distance of the part's origin
-            t.part_from.copy(k, t.boundary, k), t.part_to.copy(k, w_.queries.hits.at, met_[q]);
-            t.part_t0[k] = t.begin[k], t.part_t1[k] = first + t.end[k], t.part_t[k] = first + place;
-        }
-    }
-
     // Returns how many rays go on behind boundaries.
     uint32_t cross_boundaries(uint32_t n, bool moves) {
         PathContext<F> c = w_.context(false);
@@ -176,16 +150,9 @@ private:
                    !mask<F>(at.shape == U(MediumHit));
             if (!any(on)) continue;
             U id = pending(j, on);
-            if (moves) {
-                const F met = from(hits.t);
-                Gathered<F> ray(id, on);
-                F begin = ray(transmittance_.begin) + ray(w_.shadows.ray_offset) + met;
-                scatter_lanes<F>(transmittance_.begin.at, id, begin, on);
-                const PointColumn<S> &boundary = transmittance_.boundary;
-                scatter_lanes<F>(boundary.shape, id, at.shape, on), scatter_lanes<F>(boundary.b1, id, at.b1, on);
-                scatter_lanes<F>(boundary.primitive, id, at.primitive, on);
-                scatter_lanes<F>(boundary.b2, id, at.b2, on);
-            }
+            for (uint32_t q = j; moves && q < j + W && q < n; ++q)
+                if (lane_is_set(on, int(q - j)))
+                    keep_boundary(w_.shadows, transmittance_, pending_[q], hits.at.get(q), hits.t[q]);
             on = cross_boundary(c, w_.shadows, transmittance_, at, from(hits.t), id, on);
             store_compressed<F>(pending_ + left, id, on);
             left += uint32_t(count(on));
@@ -193,27 +160,6 @@ private:
         return left;
     }
     U pending(uint32_t j, const M &active) const { return select(mask<U>(active), load_uint<F>(pending_ + j), U(0u)); }
-
-    void write_to_tape(uint32_t k) {
-        const ShadowQueue<S> &shadows = w_.shadows;
-        const TransmittanceColumns<S> &t = transmittance_;
-        const SegmentColumns<S> &tape = w_.tape.last().columns.segment;
-        uint32_t at = shadows.position[k];
-        bool differential = shadows.purpose[k] == uint32_t(ShadowPurpose::Differential);
-        const SpectrumColumn<S> &value = differential ? tape.differential_value : tape.shadow_value;
-        for (int c = 0; c < SpectrumSize; ++c) value[c][at] = t.transmittance[c][k] * shadows.contribution[c][k];
-        if (differential) return;
-        for (int c = 0; c < SpectrumSize; ++c) tape.through[c][at] = t.transmittance[c][k];
-        if (!media.differential || t.total_length[k] == 0) return;
-        tape.shadow_p.set(at, t.point.get(k));
-        tape.shadow_length[at] = t.total_length[k];
-        tape.shadow_medium[at] = t.point_medium[k];
-        if (!w_.needs().geometry) return;
-        const MotionColumns<S> &motion = w_.tape.last().columns.motion;
-        motion.shadow_d.set(at, shadows.d.get(k));
-        motion.shadow_from.copy(at, t.part_from, k), motion.shadow_to.copy(at, t.part_to, k);
-        motion.shadow_t0[at] = t.part_t0[k], motion.shadow_t1[at] = t.part_t1[k], motion.shadow_t[at] = t.part_t[k];
-    }
 
     struct PendingRays {
         VectorColumn<S> o, d;

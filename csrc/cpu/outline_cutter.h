@@ -93,7 +93,6 @@ private:
         bool some = false;
         for (size_t i = 0; i < OutlineTree::Wide; i += size_t(Lanes<F>::Width)) {
             const F given = load<F>(&all.weight[i]), bend = load<F>(&all.bend[i]);
-            const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&all.kind[i])));
             const F weight = select(mask<F>(given > F(0)), F(1), select(mask<F>(given < F(0)), F(still), F(0)));
             const Vec3<F> from{F(o.x), F(o.y), F(o.z)}, d = view.parallel ? from : load_vector<F>(all.a, i) - from;
             const F s0 = dot(load_vector<F>(all.n0, i), d), s1 = dot(load_vector<F>(all.n1, i), d);
@@ -101,9 +100,8 @@ private:
                              F(std::max(rounding.normal, 1e-5f)) * sqrt(squared_norm(d));
             const M same =
                 (mask<F>(s0 > margin) && mask<F>(s1 > margin)) || (mask<F>(s0 < -margin) && mask<F>(s1 < -margin));
-            const M crease = mask<F>(kind == int32_t(OutlineElement::Crease)) && mask<F>(bend > F(1e-6f));
-            const M always =
-                mask<F>(kind == int32_t(OutlineElement::Round)) || mask<F>(kind == int32_t(OutlineElement::Always));
+            const M crease = all.are<F>(OutlineElement::Crease, i) && mask<F>(bend > F(1e-6f));
+            const M always = all.are<F>(OutlineElement::Round, i) || all.are<F>(OutlineElement::Always, i);
             const F folded = creases ? select(crease, max(F(0.05f), min(bend, F(1))), F(0)) : F(0);
             const F r = select(mask<F>(weight > F(0)), select(always || !same, weight, folded), F(0));
             store(&weights[i], r);
@@ -221,9 +219,8 @@ private:
         alignas(64) Weights lengths;
         for (size_t i = 0; i < OutlineTree::Wide; i += W) {
             const OnFilm<F> at = ends_on_film<F>(all, i);
-            const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&all.kind[i])));
             const F weight = convert<F>(load<PacketOf<float>>(&weights[i]));
-            const M some = mask<F>(weight > F(0)), edge = !mask<F>(kind == int32_t(OutlineElement::Round));
+            const M some = mask<F>(weight > F(0)), edge = !all.template are<F>(OutlineElement::Round, i);
             const M brief = edge && mask<F>(at.length < F(Pixels / 2));
             store(&lengths[i], convert<PacketOf<float>>(select(some && brief, weight * counted(at), F(0))));
             if (!any(some && !brief)) continue;

@@ -6,11 +6,11 @@
 // `make cuda` compiles and links them, which shows that the core needs nothing that device code does not have:
 // functions and data of the host, static variables that are initialised when the program runs, exceptions, virtual
 // functions. It says nothing about results.
-#include "core/medium/estimators.h"
 #include "core_sources.h"  // all .cpp files of the core, see the Makefile
 #include "device/adjoint_kernels.h"
 #include "device/derivative_kernels.h"
 #include "device/film_kernels.h"
+#include "device/medium_kernels.h"
 #include "device/output_sweep_kernels.h"
 #include "device/path_kernels.h"
 #include "device/ray_kernels.h"
@@ -95,6 +95,12 @@ TR_RUN(TracePaths)
 TR_RUN(ClassifyHits)
 TR_RUN(ShadeHits)
 TR_RUN(TraceShadows)
+TR_RUN(BeginMedia)
+TR_RUN(FlyRays)
+TR_RUN(ShadeInMedia)
+TR_RUN(TransmitShadows)
+TR_RUN(StartBranches)
+TR_RUN(FinishBranches)
 TR_RUN(CountKeys)
 TR_RUN(SumKeys)
 TR_RUN(PlaceKeys)
@@ -115,139 +121,6 @@ TR_RUN(SweepOutputs)
 TR_RUN(IntersectRays)
 TR_RUN(OccludeRays)
 #undef TR_RUN
-
-// ------------------------------------------------------------------------------------------------------------- media
-__global__ void begin_media(TR_STAGE, PathQueue<S> *queue) {
-    each(queue->n, [&](uint32_t i) { tr::begin_media(stage.context(), *queue, i); });
-}
-
-__global__ void begin_media_slots(TR_STAGE, MediumContext<F> media, uint32_t n_slots) {
-    each(n_slots, [&](uint32_t i) { tr::begin_media_slots(stage.context(), media, i); });
-}
-
-__global__ void begin_flight(TR_STAGE, MediumContext<F> media, const PathQueue<S> *queue, HitColumns<S> hits) {
-    each(queue->n, [&](uint32_t i) { tr::begin_flight(stage.context(), media, *queue, hits, i); });
-}
-
-__global__ void finish_flight(TR_STAGE, MediumContext<F> media, PathQueue<S> *queue, HitColumns<S> hits,
-                              bool add_radiance) {
-    each(queue->n, [&](uint32_t i) { tr::finish_flight(stage.context(), media, *queue, hits, add_radiance, i); });
-}
-
-__global__ void shade_media(TR_STAGE, TR_HITS, PathQueue<S> out, ShadowQueue<S> shadows, uint32_t *out_end,
-                            uint32_t *shadow_end) {
-    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        append_own(out, out_end, i, 1, [&](PathQueue<S> &own) {
-            append_own(shadows, shadow_end, i, 1, [&](ShadowQueue<S> &own_shadows) {
-                shade_medium(stage.context(), at.step, *at.queue, at.hits, lanes, i, own, own_shadows);
-            });
-        });
-    });
-}
-
-__global__ void record_segments(TR_STAGE, TR_HITS, MediumContext<F> media, ShadowQueue<S> shadows, uint32_t *end) {
-    each(at, [&](uint32_t i, const LaneSet<F> &lanes) {
-        append_own(shadows, end, i, 1, [&](ShadowQueue<S> &own) {
-            record_segment(stage.context(), media, at.step, *at.queue, at.hits, lanes, i, own);
-        });
-    });
-}
-
-__global__ void start_branches(TR_STAGE, MediumContext<F> media, uint32_t n_slots, PathQueue<S> out, uint32_t *end) {
-    each(n_slots, [&](uint32_t i) {
-        append_own(out, end, i, 1,
-                   [&](PathQueue<S> &own) { tr::start_branches(stage.context(), media, i, n_slots, own); });
-    });
-}
-
-// Entries of a queue that are in one medium.
-struct Tracked {
-    const MediumInfo *medium;
-    const uint32_t *order;
-    uint32_t n;
-    TrackedQueue<S> rays;
-};
-
-__global__ void fly_through_constant(TR_STAGE, Tracked tracked, FlightColumns<S> at, bool colored, bool points) {
-    each(tracked.n, [&](uint32_t i) {
-        const Spectrum<F> sigma = constant_extinction<F>(stage.scene, {}, *tracked.medium);
-        const uint32_t *entry = tracked.order + i;
-        fly_constant(sigma, tracked.rays.ray_offset, at, colored, points, LaneSet<F>(entry, 1), *entry);
-    });
-}
-
-__global__ void transmit_through_constant(TR_STAGE, Tracked tracked, TransmittanceColumns<S> at) {
-    each(tracked.n, [&](uint32_t i) {
-        const Spectrum<F> sigma = constant_extinction<F>(stage.scene, {}, *tracked.medium);
-        const uint32_t *entry = tracked.order + i;
-        transmit_constant(sigma, tracked.rays.ray_offset, at, LaneSet<F>(entry, 1), *entry);
-    });
-}
-
-// Steps of rays through a grid: they start, advance to a tentative collision or to the end, collide and advance again.
-struct Progress {
-    bool walking, stopped;
-};
-
-template <int N, class Columns, class Estimator>
-__global__ void start_tracking(TR_STAGE, Tracked tracked, Columns at, Estimator estimator, TrackedRay<F, N> *rays,
-                               Progress *progress) {
-    each(tracked.n, [&](uint32_t i) {
-        rays[i].entry = tracked.order[i];
-        progress[i] = {rays[i].start(stage.scene, *tracked.medium, tracked.rays, at, estimator, true), false};
-    });
-}
-
-template <int N, class Estimator>
-__global__ void advance_tracking(TR_STAGE, Tracked tracked, Estimator estimator, TrackedRay<F, N> *rays,
-                                 Progress *progress) {
-    each(tracked.n, [&](uint32_t i) {
-        Progress &p = progress[i];
-        bool left = false;
-        rays[i].walk.advance(stage.scene, *tracked.medium, rays[i].depth, p.walking, p.stopped, left);
-        if (left) estimator.finish(rays[i], left, false);
-    });
-}
-
-template <int N, class Estimator>
-__global__ void collide_tracking(TR_STAGE, Tracked tracked, Estimator estimator, TrackedRay<F, N> *rays,
-                                 Progress *progress, uint32_t *exceeded) {
-    each(tracked.n, [&](uint32_t i) {
-        Progress &p = progress[i];
-        bool above;
-        p.walking |= rays[i].collide(stage.scene, *tracked.medium, estimator, p.stopped, above);
-        p.stopped = false;
-        accumulate(exceeded, uint32_t(count(above)));
-    });
-}
-
-#define TR_TRACKING(N, Columns, Estimator)                                                                      \
-    template __global__ void start_tracking(TR_STAGE, Tracked, Columns<S>, Estimator<F>, TrackedRay<F, N> *,    \
-                                            Progress *);                                                        \
-    template __global__ void advance_tracking(TR_STAGE, Tracked, Estimator<F>, TrackedRay<F, N> *, Progress *); \
-    template __global__ void collide_tracking(TR_STAGE, Tracked, Estimator<F>, TrackedRay<F, N> *, Progress *,  \
-                                              uint32_t *);
-TR_TRACKING(1, FlightColumns, FlightEstimator)
-TR_TRACKING(SpectrumSize, FlightColumns, FlightEstimator)
-TR_TRACKING(1, TransmittanceColumns, TransmittanceEstimator)
-TR_TRACKING(SpectrumSize, TransmittanceColumns, TransmittanceEstimator)
-#undef TR_TRACKING
-
-__global__ void seed_shadow_rays(TR_STAGE, ShadowQueue<S> *shadows, TransmittanceColumns<S> transmittance,
-                                 uint32_t level, uint32_t round, const uint32_t *pending, uint32_t n) {
-    each(n, [&](uint32_t i) {
-        tr::seed_shadow_rays<F>(stage.context(), *shadows, transmittance, level, round, pending[i], true);
-    });
-}
-
-__global__ void cross_boundaries(TR_STAGE, ShadowQueue<S> *shadows, TransmittanceColumns<S> transmittance,
-                                 HitColumns<S> hits, const uint32_t *pending, uint32_t n, bool *goes_on) {
-    each(n, [&](uint32_t i) {
-        Entries<F> from(i);
-        goes_on[i] =
-            cross_boundary<F>(stage.context(), *shadows, transmittance, from(hits.at), from(hits.t), pending[i], true);
-    });
-}
 
 // ------------------------------------------------------------------------------------------------------- light paths
 __global__ void start_light_paths(TR_STAGE, uint32_t n_slots, PathQueue<S> out, ShadowQueue<S> connections,
@@ -278,22 +151,14 @@ __global__ void shade_light_paths(TR_STAGE, TR_HITS, PathQueue<S> out, ShadowQue
 // one gradient, each through a sink of its own.
 struct Sweep {
     int kind;
-    uint32_t begin, count, level;
-    bool scatters, has_parents, has_branches, unit_adjoint;
+    uint32_t begin, count;
+    bool has_parents, unit_adjoint;
     TapeColumns<S> parents;
-    BranchColumns<S> branches;
     GradientSink<F> sink;
     uint32_t *non_finite;
 
     __device__ SweepContext<F> context(const Stage &stage) const {
-        return {stage.scene,
-                stage.config,
-                stage.slots,
-                stage.needs,
-                stage.width,
-                stage.height,
-                has_branches ? &branches : nullptr,
-                unit_adjoint};
+        return {stage.scene, stage.config, stage.slots, stage.needs, stage.width, stage.height, nullptr, unit_adjoint};
     }
     template <class Do>
     __device__ void each(Do &&f) const {

@@ -8,6 +8,10 @@
 #include "core/adjoint/surface.cpp"
 #include "core/adjoint/sweep.cpp"
 #include "core_parts.h"
+#if TR_VOLUMETRIC
+#include "core/adjoint/medium.cpp"
+#include "core/adjoint/medium_motion.cpp"
+#endif
 #if TR_STACKS
 #include "core/adjoint/stack.cpp"
 #endif

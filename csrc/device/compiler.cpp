@@ -94,7 +94,7 @@ std::vector<std::string> KernelCompiler::options(const Kernel &kernel, int capab
                                                  const std::vector<std::string> &definitions) {
     std::vector<std::string> all{"-std=c++17", "-default-device", "-diag-suppress=20012",
                                  "-arch=sm_" + std::to_string(capability)};
-    if (knows_light(kernel.knows))
+    if (knows_light(kernel.knows) && kernel.knows != Knowledge::Tracing)
         all.insert(all.end(), {"-fmad=true", "-prec-div=false", "-prec-sqrt=false"});
     else
         all.emplace_back("-fmad=false");

@@ -10,6 +10,25 @@
 #if TR_STACKS
 #include "core/integrator/bsdf_stack.cpp"
 #endif
+#if TR_VOLUMETRIC
+#include "core/integrator/medium.cpp"
+#include "core/integrator/shadow_transmittance.cpp"
+#if TR_PHASE_KINDS >> 0 & 1
+#include "core/phase/isotropic.cpp"
+#endif
+#if TR_PHASE_KINDS >> 1 & 1
+#include "core/phase/hg.cpp"
+#endif
+#if TR_PHASE_KINDS >> 2 & 1
+#include "core/phase/rayleigh.cpp"
+#endif
+#if TR_PHASE_KINDS >> 3 & 1
+#include "core/phase/tabulated.cpp"
+#endif
+#if TR_PHASE_KINDS >> 4 & 1
+#include "core/phase/blend.cpp"
+#endif
+#endif
 #if TR_EMITTER_KINDS >> 0 & 1
 #include "core/emitter/area.cpp"
 #endif

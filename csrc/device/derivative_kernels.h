@@ -54,10 +54,23 @@ struct DerivativePlaces {
 struct TapeBefore {
     SpectrumColumn<float> suffix{};
     NextColumns<float> next{};
+    VectorColumn<float> rest{}, from{};  // through media
 
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        suffix.each(visit), next.for_arrays(visit);
+        suffix.each(visit), next.for_arrays(visit), rest.each(visit), from.each(visit);
+    }
+};
+
+// Of paths that have gone on from differential samples of segments (BranchColumns): where they began, and what they
+// have brought; null: there are none.
+struct BranchEnds {
+    IndexColumn<float> level{}, entry{};
+    SpectrumColumn<float> radiance{};
+
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        level.each(visit), entry.each(visit), radiance.each(visit);
     }
 };
 
@@ -73,6 +86,7 @@ struct SweepVertices {
     bool scatters;
     const uint32_t *begin, *total;  // by kind
     TapeBefore before;
+    BranchEnds branches;
     DerivativePlaces to;
     bool unit_adjoint;
 
@@ -81,15 +95,28 @@ struct SweepVertices {
         const uint32_t i = begin[kind] + j;
         TapeColumns<float> parents{};
         parents.vertex.suffix = before.suffix, parents.next = before.next;
-        const SweepContext<float> c{stage.scene, stage.config, stage.slots, stage.needs,
-                                    stage.width, stage.height, nullptr,     unit_adjoint};
+        BranchColumns<float> ends{};
+        const bool volumetric = stage.config.volumetric;
+        if (volumetric) {
+            parents.motion.rest_bar = before.rest, parents.motion.from_bar = before.from;
+            ends.level = branches.level, ends.entry = branches.entry, ends.radiance = branches.radiance;
+        }
+        const SweepContext<float> c{stage.scene,
+                                    stage.config,
+                                    stage.slots,
+                                    stage.needs,
+                                    stage.width,
+                                    stage.height,
+                                    volumetric && branches.level.at ? &ends : nullptr,
+                                    unit_adjoint};
         GradientSink<float> sink = to.sink(i);
         sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
         if (sink.non_finite != 0 && !to.measures) accumulate(to.non_finite, uint64_t(sink.non_finite));
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        stage.for_pointers(visit), visit(begin), visit(total), before.for_pointers(visit), to.for_pointers(visit);
+        stage.for_pointers(visit), visit(begin), visit(total), before.for_pointers(visit);
+        branches.for_pointers(visit), to.for_pointers(visit);
     }
 };
 

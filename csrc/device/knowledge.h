@@ -4,7 +4,8 @@
 
 namespace tr {
 
-enum class Knowledge { Nothing, Shapes, Scene, Bsdf, Derivative };
+// `Tracing`: what the scene has, of kernels that trace rays.
+enum class Knowledge { Nothing, Shapes, Tracing, Scene, Bsdf, Derivative };
 
 constexpr bool knows_light(Knowledge of) { return of != Knowledge::Nothing && of != Knowledge::Shapes; }
 constexpr bool knows_bsdf(Knowledge of) { return of == Knowledge::Bsdf || of == Knowledge::Derivative; }

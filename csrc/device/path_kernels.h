@@ -10,6 +10,7 @@
 
 #include "core/integrator/camera.h"
 #include "core/integrator/classify.h"
+#include "core/integrator/medium.h"
 #include "path_stage.h"
 #include "tree_traversal.h"
 #if defined(__CUDACC_RTC__)
@@ -151,22 +152,33 @@ struct ShadeHits {
     int32_t *out_key, *shadow_key;
 
     TR_HD void operator()(uint32_t j) const {
+        shade<1>(j, [](const PathContext<float> &, const LaneSet<float> &, uint32_t, ShadowQueue<float> &) {});
+    }
+    // A hit has up to `MostShadows` shadow rays, of which before(context, hit, i, queue) may be the first.
+    template <uint32_t MostShadows, class Before>
+    TR_HD void shade(uint32_t j, Before &&before) const {
         if (j >= total[kind]) return;
-        const uint32_t i = begin[kind] + j;
+        const uint32_t i = begin[kind] + j, first_shadow = MostShadows * i;
         PathQueue<float> own = out;
         ShadowQueue<float> own_shadows = shadows;
-        own.n = own_shadows.n = i;
+        own.n = i, own_shadows.n = first_shadow;
         const LaneSet<float> lanes(sorted + i, 1);
         stage.with_context(in.slot[sorted[i]], [&](const PathContext<float> &c) {
+            before(c, lanes, i, own_shadows);
             if (kind == MissKind)
                 shade_environment<float>(c, step, in, lanes, i);
+#if !defined(TR_BSDF_KIND) || (TR_VOLUMETRIC && !defined(TR_ONE_BSDF))
+            else if (kind == CollisionKind)
+                shade_medium<float>(c, step, in, hits, lanes, i, own, own_shadows);
+#endif
 #if !defined(TR_BSDF_KIND) || defined(TR_ONE_BSDF)
             else
                 shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
 #endif
         });
         out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
-        shadow_key[i] = own_shadows.n != i ? Kept : Gone;
+        for (uint32_t k = first_shadow; k < first_shadow + MostShadows; ++k)
+            shadow_key[k] = k < own_shadows.n ? Kept : Gone;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

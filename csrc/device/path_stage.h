@@ -48,7 +48,7 @@ struct PathStage {
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
         visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs);
-        for_tape_arrays(tape, {true, true, true}, visit);
+        for_tape_arrays(tape, {true, true, true, true}, visit);
     }
 };
 

@@ -2,6 +2,8 @@
 
 #include <stdexcept>
 
+#include "core/medium/medium.h"
+#include "core/phase/blend.h"
 #include "core/registry.h"
 #include "core/sensor/camera.h"
 
@@ -61,6 +63,15 @@ SceneFacts::SceneFacts(const SceneView<float> &scene, const PathConfig &config) 
     textures = kinds_of(scene.textures, scene.n_textures), emitters = kinds_of(scene.emitters, scene.n_emitters);
     const Record &sensor = scene.sensors[config.sensor];
     sensors = 1u << sensor.kind, pinhole = is_pinhole(sensor);
+    volumetric = config.volumetric;
+    for (int m = 0; m < scene.n_media; ++m) {
+        const Record &phase = scene.phases[scene.media[m].phase];
+        phases |= 1u << phase.kind;
+        if (phase.kind == kind_of_model<BlendPhase>(Phases{}))
+            for (const int part : {BlendPhase::First, BlendPhase::Second})
+                phases |= 1u << scene.phases[phase.field[part]].kind;
+        chromatic = chromatic || (scene.media[m].flags & IsChromatic) != 0;
+    }
     textured = scene.textured, stacks = scene.has_stacks, tangents = scene.follows_tangent;
     sampler = int32_t(config.sampler.kind);
 }
@@ -80,6 +91,8 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     number("TEXTURED", all && textured), number("PINHOLE", all && pinhole);
     number("STACKS", all && stacks), number("TANGENTS", all && tangents);
     number("SAMPLER", all ? sampler : 0);
+    define("PHASE_KINDS", std::to_string(all && volumetric ? phases : 0) + "u");
+    number("VOLUMETRIC", all && volumetric), number("CHROMATIC", all && volumetric && chromatic);
     number("RECORDS", all && records), number("DERIVATIVES", knowledge == Knowledge::Derivative);
     number("FORWARD", knowledge == Knowledge::Derivative && forward), number("MOTION", all && motion);
     number("FIXED_SUMS", knowledge == Knowledge::Derivative && fixed_sums);

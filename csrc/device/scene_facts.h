@@ -13,10 +13,11 @@ namespace tr {
 
 struct SceneFacts {
     int32_t shape_flags = 0;
-    uint32_t textures = 0, emitters = 0, sensors = 0;  // kinds, a bit each
+    uint32_t textures = 0, emitters = 0, sensors = 0, phases = 0;  // kinds, a bit each
     bool textured = false, pinhole = false, stacks = false, tangents = false;
     bool records = false, forward = false, motion = false;  // paths are on a tape; in forward mode; something moves
     bool fixed_sums = false;
+    bool volumetric = false, chromatic = false;  // paths through media, of coloured extinction
     int32_t sampler = 0;
 
     SceneFacts() = default;

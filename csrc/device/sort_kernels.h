@@ -13,14 +13,14 @@ struct SortTable {
 
     const int32_t *key;       // of entry i
     const uint32_t *from;     // what is sorted; null: i itself
-    const uint32_t *n;        // how many entries
+    const uint32_t *n;        // how many entries there are, over `each`
     uint32_t *counts;         // (kinds, chunks), for the sort alone
     uint32_t *begin, *total;  // by key: where its entries begin, and how many they are
     uint32_t *to, *n_to;      // the result, of all keys
-    uint32_t kinds, chunks;
+    uint32_t each, kinds, chunks;
 
     // The key of an entry; -1: there is none.
-    TR_HD int32_t key_of(uint32_t i) const { return i < *n ? key[i] : -1; }
+    TR_HD int32_t key_of(uint32_t i) const { return i < each * *n ? key[i] : -1; }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         visit(key), visit(from), visit(n), visit(counts), visit(begin), visit(total), visit(to), visit(n_to);

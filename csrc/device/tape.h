@@ -6,9 +6,9 @@
 namespace tr {
 
 // Groups besides those that all have: of scenes with stacks of BSDFs, with frames that follow the tangent; of
-// derivatives by what moves.
+// derivatives by what moves; of paths through media.
 struct TapeParts {
-    bool stacks, tangents, motion;
+    bool stacks, tangents, motion, media;
 };
 
 // visit(array)
@@ -17,7 +17,9 @@ void for_tape_arrays(Tape &tape, const TapeParts &parts, Visit &&visit) {
     tape.vertex.for_arrays(visit), tape.outgoing.for_arrays(visit), tape.scattering.for_arrays(visit);
     if (parts.stacks) tape.stack.for_arrays(visit);
     if (parts.tangents) tape.tangent.for_arrays(visit);
-    if (parts.motion) tape.arrival.for_arrays(visit), tape.next.for_arrays(visit);
+    if (parts.motion || parts.media) tape.arrival.for_arrays(visit), tape.next.for_arrays(visit);
+    if (parts.media) tape.segment.for_arrays(visit);
+    if (parts.motion && parts.media) tape.motion.for_arrays(visit);
 }
 
 }  // namespace tr

@@ -68,8 +68,7 @@ void OutlineLeaves::Elements::bound(V &low, V &high) const {
     Vec3<F> least{F(INFINITY), F(INFINITY), F(INFINITY)}, most = -least;
     for (size_t i = 0; i < Wide; i += W) {
         const M counts = mask<F>(load<F>(&weight[i]) != F(0));
-        const IntOf<F> what(load_uint<F>(reinterpret_cast<const uint32_t *>(&kind[i])));
-        const M round = mask<F>(what == int32_t(OutlineElement::Round));
+        const M round = are<F>(OutlineElement::Round, i);
         const Vec3<F> from = load_vector<F>(a, i), to = load_vector<F>(b, i);
         const F radius = select(round, to.x, F(0));
         auto include = [&](const F &x, const F &y, F &below, F &above) {

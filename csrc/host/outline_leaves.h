@@ -62,6 +62,11 @@ public:
 
         void set(size_t k, const OutlineElement &element);
         OutlineElement get(size_t k) const;
+        // Which of as many elements from k on as F has lanes are of a kind.
+        template <class F>
+        TR_INLINE MaskOf<F> are(OutlineElement::Kind what, size_t k) const {
+            return mask<F>(IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(&kind[k]))) == int32_t(what));
+        }
         // The box around what has a weight; upside down, if nothing has.
         void bound(Vec3<float> &low, Vec3<float> &high) const;
     };

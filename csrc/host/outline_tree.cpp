@@ -211,7 +211,6 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
             spread = select(varies, dx * r2 * sqrt(r2) * inverse / h2, spread);
         }
         const Vec3<F> d = from.parallel ? p : a + along * s;
-        const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
         const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
         const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
         const F n0 = dot(load_vector<F>(leaf.n0, i), d), n1 = dot(load_vector<F>(leaf.n1, i), d),
@@ -219,12 +218,11 @@ void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Can
         const M unknown =
             mask<F>(lesser(abs(n0), abs(n1)) <= distance2 * inverse * F(rounding.normal) + F(rounding.place));
         const M in0 = mask<F>(n0 < F(0)), in1 = mask<F>(n1 < F(0)), outline = (in0 && !in1) || (in1 && !in0) || unknown;
-        const F crease =
-            select(mask<F>(kind == int32_t(OutlineElement::Crease)), greater(F(0.05f), lesser(bend, F(1))), F(0));
-        F kept = weight * select(outline || mask<F>(kind == int32_t(OutlineElement::Always)), F(1), crease);
+        const F crease = select(leaf.are<F>(OutlineElement::Crease, i), greater(F(0.05f), lesser(bend, F(1))), F(0));
+        F kept = weight * select(outline || leaf.are<F>(OutlineElement::Always, i), F(1), crease);
         const F r = kept * rough_sqrt(squared_norm(cross(d, along))) * inverse * inverse * inverse *
                     scattered(from, d * inverse, F(1), F(0));
-        const M round = mask<F>(kind == int32_t(OutlineElement::Round));
+        const M round = leaf.are<F>(OutlineElement::Round, i);
         curves |= any(round);
         const F target = select(mask<F>(kept > F(0)) && !round, r, F(0));
         store(&to.s[i], s), store(&to.target[i], target), store(&to.weights.each[i], target * spread);

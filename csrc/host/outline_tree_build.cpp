@@ -89,9 +89,8 @@ OutlineTree::Node OutlineTree::node_of(const Elements &leaf) {
     Vec3<F> normals{F(0), F(0), F(0)};
     every([&](size_t i) {
         const F weight = load<F>(&leaf.weight[i]);
-        const IntOf<F> kind(load_uint<F>(reinterpret_cast<const uint32_t *>(&leaf.kind[i])));
-        const M counts = mask<F>(weight != F(0)), edge = mask<F>(kind == int32_t(OutlineElement::Edge)),
-                round = mask<F>(kind == int32_t(OutlineElement::Round));
+        const M counts = mask<F>(weight != F(0)), edge = leaf.are<F>(OutlineElement::Edge, i),
+                round = leaf.are<F>(OutlineElement::Round, i);
         const Vec3<F> a = load_vector<F>(leaf.a, i), b = load_vector<F>(leaf.b, i);
         // an edge is an outline from the share of directions between its faces
         const F angle = select(edge, sqrt(F(2) * load<F>(&leaf.bend[i])) * F(1 / pi), F(1));

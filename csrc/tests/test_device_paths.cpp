@@ -275,7 +275,13 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     fields.shape_flags |= IsHeightField;
     SceneFacts recorded = room, forward = room;
     recorded.records = forward.records = forward.forward = true;
-    SceneFacts moved = recorded, fixed = recorded, output_moved = room;
+    // ... and of a cloud in it.
+    SceneFacts cloud = room;
+    cloud.volumetric = true, cloud.phases = 1u << kind_of_model<HenyeyGreenstein>(Phases{});
+    SceneFacts colored = cloud, recorded_cloud = cloud;
+    colored.chromatic = recorded_cloud.records = true;
+    SceneFacts moved = recorded, fixed = recorded, output_moved = room, moved_cloud = recorded_cloud;
+    moved_cloud.motion = true;
     moved.motion = output_moved.motion = fixed.fixed_sums = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
     struct Case {
@@ -301,6 +307,18 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<SweepVertices>(), fixed, diffuse, ",diffuse,fixed"},
                              {kernel_of<ShadeHits>(), moved, diffuse, ",diffuse,recorded,moved"},
                              {kernel_of<SweepVertices>(), moved, diffuse, ",diffuse,moved"},
+                             {kernel_of<BeginMedia>(), cloud, -1, ""},
+                             {kernel_of<FlyRays>(), cloud, -1, ""},
+                             {kernel_of<FlyRays>(), colored, -1, ",colored"},
+                             {kernel_of<ShadeInMedia>(), cloud, CollisionKind, ",collision"},
+                             {kernel_of<ShadeInMedia>(), recorded_cloud, CollisionKind, ",collision,recorded"},
+                             {kernel_of<ShadeInMedia>(), recorded_cloud, diffuse, ",diffuse,recorded"},
+                             {kernel_of<TransmitShadows>(), cloud, -1, ""},
+                             {kernel_of<TransmitShadows>(), recorded_cloud, -1, ",recorded"},
+                             {kernel_of<StartBranches>(), cloud, -1, ""},
+                             {kernel_of<FinishBranches>(), cloud, -1, ""},
+                             {kernel_of<SweepVertices>(), recorded_cloud, CollisionKind, ",collision"},
+                             {kernel_of<SweepVertices>(), moved_cloud, CollisionKind, ",collision,moved"},
                              {kernel_of<EvaluateOutputs>(), room, -1, ""},
                              {kernel_of<EvaluateOutputs>(), more, -1, ",more"},
                              {kernel_of<SweepOutputs>(), room, -1, ""},

@@ -8,39 +8,26 @@ import pytest
 import reference_scenes
 import small_scene
 import torch
-from emulated import check_close, check_transposed, differentiable, hills, scene_of_materials
+from emulated import (
+    PATH,
+    check_close,
+    check_forward_mode,
+    check_gradients,
+    differentiable,
+    gradients,
+    hills,
+    scene_of_materials,
+)
 
 import torchrender as tr
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
-PATH = tr.PathTracer(max_depth=5)
 REFERENCES = {**reference_scenes.SCENES, **reference_scenes.CAMERAS}
-
-
-def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **settings) -> dict[str, torch.Tensor]:
-    image = tr.render(scene, **{"integrator": PATH, "spp": 2, "seed": 3, **settings})
-    weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
-    found = torch.autograd.grad((image * weights).sum(), list(parameters.values()))
-    return dict(zip(parameters, found, strict=True))
-
-
-def check_same(device, scene: tr.Scene, parameters: dict[str, torch.nn.Parameter] | None = None, **settings) -> None:
-    """Gradients by everything that does not move, or by these parameters."""
-    device("emulated")
-    chosen = differentiable(scene) if parameters is None else parameters
-    assert chosen
-    device("tree")
-    expected = gradients(scene, chosen, **settings)
-    rays = {name: scene.statistics["vjp"][name] for name in ("closest_rays", "shadow_rays")}
-    device("emulated")
-    check_close(gradients(scene, chosen, **settings), expected)
-    if not getattr(settings.get("integrator"), "hide_emitters", False):  # there the CPU traces all again for a few
-        assert {name: scene.statistics["vjp"][name] for name in rays} == rays
 
 
 @pytest.mark.parametrize("name", sorted(REFERENCES))
 def test_gradients_are_those_of_the_cpu(device, name):
-    check_same(device, tr.load_dict(REFERENCES[name]().scene))
+    check_gradients(device, tr.load_dict(REFERENCES[name]().scene))
 
 
 @pytest.mark.parametrize("interpolation", ["bspline", "bilinear"])
@@ -48,7 +35,7 @@ def test_height_fields(device, interpolation):
     scene = hills(interpolation)
     chosen = differentiable(scene)
     assert {"water.heights", "metal.heights", "metal.to_world"} <= set(chosen)
-    check_same(device, scene, chosen, visibility=False, spp=8)
+    check_gradients(device, scene, chosen, visibility=False, spp=8)
 
 
 @pytest.mark.parametrize("only", ["everything", "bsdfs"])
@@ -60,7 +47,7 @@ def test_every_bsdf(device, only):
         for name in [n for n in chosen if ".bsdf." not in n]:
             chosen.pop(name).requires_grad_(False)
     assert len(chosen) > 30
-    check_same(device, scene, chosen, integrator=tr.PathTracer(max_depth=6, rr_depth=2))
+    check_gradients(device, scene, chosen, integrator=tr.PathTracer(max_depth=6, rr_depth=2))
 
 
 @pytest.mark.parametrize(
@@ -86,33 +73,15 @@ def test_settings(device, rfilter, settings):
     objects = light_scenes.room(lamp=light_scenes.area(), ball=light_scenes.ball_light(), sky=light_scenes.envmap())
     camera = next(name for name, value in objects.items() if isinstance(value, dict) and "film" in value)
     objects = {**objects, camera: {**objects[camera], "film": film}}
-    check_same(device, tr.load_dict(objects), **settings)
+    check_gradients(device, tr.load_dict(objects), **settings)
 
 
 def test_mono(device):
-    check_same(device, tr.load_dict(small_scene.ball_and_wall(), variant="mono"))
+    check_gradients(device, tr.load_dict(small_scene.ball_and_wall(), variant="mono"))
 
 
 def test_forward_mode(device):
-    """Tangents of the image are the CPU's, and <J t, w> = <t, J^T w> with the same samples."""
-    scene = tr.load_dict(REFERENCES["glossy"]().scene)
-    chosen = differentiable(scene)
-    scene.train_only()
-    generator = torch.Generator().manual_seed(1)
-    values = tuple(p.detach() for p in chosen.values())
-    tangents = tuple(torch.randn(v.shape, generator=generator) for v in values)
-    settings = {"integrator": PATH, "spp": 4, "seed": 3, "seed_grad": 5}
-
-    def image(*given: torch.Tensor) -> torch.Tensor:
-        return tr.render(scene, params=dict(zip(chosen, given, strict=True)), **settings)
-
-    found, expected = {}, {}
-    for name, to in (("tree", expected), ("emulated", found)):
-        device(name)
-        to["image"], to["tangent"] = torch.func.jvp(image, values, tangents)
-    assert torch.equal(found["image"], expected["image"])
-    check_close({"tangent": found["tangent"]}, {"tangent": expected["tangent"]})
-    check_transposed(image, values, tangents, found["tangent"], generator)
+    check_forward_mode(device, tr.load_dict(REFERENCES["glossy"]().scene), integrator=PATH)
 
 
 def test_an_optimisation(device):

@@ -11,6 +11,7 @@ import torch
 
 import torchrender as tr
 
+PATH = tr.PathTracer(max_depth=5)
 CLOSE = 2e-5
 """Of the largest number of a gradient: both add the same numbers of single precision, in another order."""
 
@@ -41,6 +42,70 @@ def check_transposed(function, values: tuple[torch.Tensor, ...], tangents, tange
     other = sum((t * g).sum(dtype=torch.float64) for t, g in zip(tangents, back, strict=True))
     scale = (tangent * weights).abs().sum(dtype=torch.float64)
     assert abs(float(one - other)) < 1e-5 * float(scale)
+
+
+RAYS = ("closest_rays", "shadow_rays")
+
+
+def check_image(device, scene: tr.Scene, names: tuple[str, ...] = ("rgb", "alpha"), **settings) -> torch.Tensor:
+    """What the device renders is what the CPU renders in one tree, bit for bit; returns the image."""
+    settings = {"integrator": PATH, "spp": 4, "seed": 3, **settings}
+    device("tree")
+    expected = tr.render(scene, outputs=names, **settings)
+    rays = {name: scene.statistics["render"][name] for name in RAYS}
+    device("emulated")
+    found = tr.render(scene, outputs=names, **settings)
+    for name, a, b in zip(names, found, expected, strict=True):
+        assert torch.equal(a, b), f"{name}: {(a != b).double().mean():.3%} differ, by {(a - b).abs().max()} at most"
+    assert float(found[0].mean()) > 0.01
+    if not getattr(settings["integrator"], "hide_emitters", False):  # there the CPU traces all again for a few
+        assert {name: scene.statistics["render"][name] for name in RAYS} == rays
+    return found[0]
+
+
+def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **settings) -> dict[str, torch.Tensor]:
+    """Of a weighted sum of the image's numbers."""
+    image = tr.render(scene, **{"integrator": PATH, "spp": 2, "seed": 3, **settings})
+    weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
+    found = torch.autograd.grad((image * weights).sum(), list(parameters.values()))
+    return dict(zip(parameters, found, strict=True))
+
+
+def check_gradients(
+    device, scene: tr.Scene, parameters: dict[str, torch.nn.Parameter] | None = None, **settings
+) -> None:
+    """Those of the device are the CPU's but for the order of sums: by everything, or by these parameters."""
+    device("emulated")
+    chosen = differentiable(scene) if parameters is None else parameters
+    assert chosen
+    device("tree")
+    expected = gradients(scene, chosen, **settings)
+    rays = {name: scene.statistics["vjp"][name] for name in RAYS}
+    device("emulated")
+    check_close(gradients(scene, chosen, **settings), expected)
+    if not getattr(settings.get("integrator"), "hide_emitters", False):  # there the CPU traces all again for a few
+        assert {name: scene.statistics["vjp"][name] for name in RAYS} == rays
+
+
+def check_forward_mode(device, scene: tr.Scene, **settings) -> None:
+    """Tangents of the image are the CPU's, and <J t, w> = <t, J^T w> with the same samples."""
+    chosen = differentiable(scene)
+    scene.train_only()
+    generator = torch.Generator().manual_seed(1)
+    values = tuple(p.detach() for p in chosen.values())
+    tangents = tuple(torch.randn(v.shape, generator=generator) for v in values)
+    settings = {"spp": 4, "seed": 3, "seed_grad": 5, **settings}
+
+    def image(*given: torch.Tensor) -> torch.Tensor:
+        return tr.render(scene, params=dict(zip(chosen, given, strict=True)), **settings)
+
+    found, expected = {}, {}
+    for name, to in (("tree", expected), ("emulated", found)):
+        device(name)
+        to["image"], to["tangent"] = torch.func.jvp(image, values, tangents)
+    assert torch.equal(found["image"], expected["image"])
+    check_close({"tangent": found["tangent"]}, {"tangent": expected["tangent"]})
+    check_transposed(image, values, tangents, found["tangent"], generator)
 
 
 def materials() -> dict[str, dict[str, Any]]:

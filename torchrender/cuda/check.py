@@ -86,6 +86,7 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
     checks = {"type": "checkerboard", "to_uv": Transform.scale(8)}
     return {
         "type": "scene",
+        "integrator": {"type": "path", "max_depth": 5},
         "sensor": {"type": "perspective", "fov": 45, "to_world": place, "film": film},
         "ball": {"type": "sphere", "bsdf": bsdf},
         "block": {"type": "cube", "to_world": Transform.translate([2, -0.5, -1]) @ Transform.scale(0.5)},
@@ -97,11 +98,22 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
 
 
 def rooms() -> dict[str, dict[str, Any]]:
-    """One with each BSDF, and one with a height field."""
+    """One with each BSDF, one with a height field, and two with media: a cloud, and a coloured ball that glows."""
     found = {kind: room({"type": kind}) for kind in _plain_bsdfs()}
     place = Transform.translate([-2, -0.5, 0]) @ Transform.rotate([1, 0, 0], -70) @ Transform.scale(0.8)
     waves = {"type": "heightfield", "heights": torch.sin(torch.arange(600.0)).reshape(20, 30) * 0.1, "to_world": place}
-    return {**found, "heightfield": {**room({"type": "diffuse"}), "waves": waves}}
+    found["heightfield"] = {**room({"type": "diffuse"}), "waves": waves}
+    density = {"type": "gridvolume", "data": torch.sin(torch.arange(210.0)).reshape(5, 6, 7).relu(), "raw": True}
+    density["to_world"] = Transform.translate([-1, -1, -1]) @ Transform.scale(2)
+    forward = {"type": "hg", "g": 0.5}
+    cloud = {"type": "heterogeneous", "sigma_t": density, "scale": 4.0, "albedo": 0.8, "phase": forward}
+    colors = {"type": "rgb", "value": [0.3, 1.0, 2.0]}
+    glowing = {"type": "homogeneous", "sigma_t": colors, "albedo": 0.7, "emission": 0.2}
+    for name, medium in (("cloud", cloud), ("glow", glowing)):
+        within = room({"type": "null"})
+        within["ball"]["interior"] = medium
+        found[name] = {**within, "integrator": {"type": "volpath", "max_depth": 8}}
+    return found
 
 
 def train_all(scene: Scene, but_what_moves: bool = False) -> list[str]:
@@ -188,8 +200,8 @@ class Check:
         found, passed = {}, True
         for kind, described in rooms().items():
             scene = load_dict(described)
-            a, b = self.both(lambda scene=scene: render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3))
-            again = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3)
+            a, b = self.both(lambda scene=scene: render(scene, spp=16, seed=3))
+            again = render(scene, spp=16, seed=3)
             far = ((a - b).abs() > FAR * (a.abs() + a.mean())).any(-1).double().mean().item()
             off = (b.mean() / a.mean() - 1).item()
             found[kind] = {"far": far, "mean off by": off, "repeats": torch.equal(b, again)}
@@ -227,7 +239,7 @@ class Check:
             names = train_all(scene)
 
             def gradients(scene: Scene = scene, names: list[str] = names) -> list[torch.Tensor]:
-                image = render(scene, integrator=PathTracer(max_depth=5), spp=16, seed=3, visibility=False)
+                image = render(scene, spp=16, seed=3, visibility=False)
                 weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
                 return list(torch.autograd.grad((image * weights).sum(), [scene.get_parameter(n) for n in names]))
 

@@ -113,7 +113,7 @@ TR_LARGE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeCo
     rest = select(chain, rest + segment.rest.o, zero);
     ray.o = ray.o + segment.glued.o + select(chain, zero, segment.rest.o);
     ray.d = ray.d + segment.glued.d + select(chain, zero, segment.rest.d);
-    if (!parents) {
+    if (!has_parents(parents)) {
         ray.o = ray.o + rest + from;
         if (c.needs.camera) sweep_start(c, slot, ray, active, sink);
         return r;

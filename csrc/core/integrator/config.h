@@ -16,7 +16,7 @@ struct PathConfig {
     uint64_t seed;
     uint32_t sensor;
     SamplerConfig sampler;
-    TR_FACT(bool, volumetric, false);  // through media
+    TR_FACT(bool, volumetric, TR_VOLUMETRIC);  // through media
     SpectralConfig spectral{};
     TR_FACT(bool, stokes, false) = false;  // polarised light: paths are recorded, see adjoint/polarization.h
 };

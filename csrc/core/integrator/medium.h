@@ -12,12 +12,25 @@ namespace tr {
 template <class F>
 struct MediumContext {
     using S = ScalarOf<F>;
-    FlightColumns<S> flight;
-    BranchColumns<S> branch;
-    bool chromatic = false, emissive = false;  // a medium of the scene is
-    bool differential = false;                 // the extinction or a place is: segments have differential samples
-    bool replaying = false;                    // levels go onto the tape once more
-    uint32_t level = 0;                        // of the segments
+    FlightColumns<S> flight{};
+    BranchColumns<S> branch{};
+    TR_CHROMATIC_MEDIA(chromatic) = false;  // a medium of the scene is
+    bool emissive = false;                  // likewise
+    bool differential = false;              // the extinction or a place is: segments have differential samples
+    bool replaying = false;                 // levels go onto the tape once more
+    uint32_t level = 0;                     // of the segments
+
+    MediumContext() = default;
+#if !defined(TR_ONE_SCENE)
+    // `needs`: of a derivative; null: there is none.
+    MediumContext(const SceneView<S> &scene, const GradientNeeds *needs) {
+        for (int m = 0; m < scene.n_media; ++m) {
+            chromatic |= (scene.media[m].flags & IsChromatic) != 0;
+            emissive |= scene.media[m].emission >= 0;
+        }
+        differential = needs && (needs->medium.extinction || needs->geometry);
+    }
+#endif
 
     // Whether tracking keeps points on the segments.
     TR_HD bool keeps_points() const { return differential || emissive; }

@@ -33,6 +33,12 @@
 #define TR_MOVES(name) bool name
 #endif
 
+#if defined(TR_ONE_SCENE) && !TR_CHROMATIC
+#define TR_CHROMATIC_MEDIA(name) TR_FACT(bool, name, false)
+#else
+#define TR_CHROMATIC_MEDIA(name) bool name
+#endif
+
 // The same of a BSDF's kind.
 #if defined(TR_BSDF_KIND)
 #define TR_MODEL_FACT(type, name, value) TR_FACT(type, name, value)
@@ -44,11 +50,12 @@ namespace tr::facts {
 
 #if defined(TR_ONE_SCENE)
 constexpr int32_t ShapeFlags = TR_SHAPE_FLAGS;  // of all shapes
-constexpr uint32_t TextureKinds = TR_TEXTURE_KINDS, EmitterKinds = TR_EMITTER_KINDS, SensorKinds = TR_SENSOR_KINDS;
+constexpr uint32_t TextureKinds = TR_TEXTURE_KINDS, EmitterKinds = TR_EMITTER_KINDS, SensorKinds = TR_SENSOR_KINDS,
+                   PhaseKinds = TR_PHASE_KINDS;
 constexpr bool Pinhole = TR_PINHOLE, Lens = !TR_PINHOLE, Spectral = false, Bends = false;
 #else
 constexpr int32_t ShapeFlags = -1;
-constexpr uint32_t TextureKinds = ~0u, EmitterKinds = ~0u, SensorKinds = ~0u;
+constexpr uint32_t TextureKinds = ~0u, EmitterKinds = ~0u, SensorKinds = ~0u, PhaseKinds = ~0u;
 constexpr bool Pinhole = true, Lens = true, Spectral = true, Bends = true;  // each is possible
 #endif
 

@@ -16,7 +16,11 @@ struct Parts {
     TR_INLINE Parts(const SceneOf<F> &scene, const Record &record, const Vec3<F> &p, const MaskOf<F> &active)
         : part{scene.phases + record.field[BlendPhase::First], scene.phases + record.field[BlendPhase::Second]},
           weight(eval_volume(scene, scene.values, Wavelengths<F>{}, record.field[BlendPhase::Weight], p, active)[0]) {}
-    TR_INLINE const PhaseKernels<F> &kernels(int i) const { return phase_kernels<F>(part[i]->kind); }
+    // Calls visit(table) for a part.
+    template <class Visit>
+    TR_INLINE auto with(int i, Visit &&visit) const {
+        return visit_phase_kind<F, false>(part[i]->kind, visit);
+    }
 };
 
 }  // namespace
@@ -26,7 +30,8 @@ TR_LARGE F BlendPhase::eval(const SceneOf<F> &scene, const Record &record, const
                             const Vec3<F> &wo, const MaskOf<F> &active) {
     Parts<F> parts(scene, record, p, active);
     F value[2];
-    for (int i = 0; i < 2; ++i) value[i] = parts.kernels(i).eval(scene, *parts.part[i], p, d, wo, active);
+    for (int i = 0; i < 2; ++i)
+        value[i] = parts.with(i, [&](const auto &part) { return part.eval(scene, *parts.part[i], p, d, wo, active); });
     return fmadd(parts.weight, value[1] - value[0], value[0]);
 }
 
@@ -38,7 +43,12 @@ TR_LARGE Vec3<F> BlendPhase::sample(const SceneOf<F> &scene, const Record &recor
     Vec3<F> wo = d;
     for (int i = 0; i < 2; ++i) {
         auto lanes = active && (i ? second : !second);
-        if (any(lanes)) wo = select(lanes, parts.kernels(i).sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes), wo);
+        if (!any(lanes)) continue;
+        wo = select(
+            lanes,
+            parts.with(i,
+                       [&](const auto &part) { return part.sample(scene, *parts.part[i], p, d, u0, u1, u2, lanes); }),
+            wo);
     }
     return wo;
 }
@@ -50,8 +60,10 @@ TR_LARGE F BlendPhase::slope(const SceneOf<F> &scene, const Record &record, cons
     Parts<F> parts(scene, record, p, active);
     F value[2], slope[2];
     for (int i = 0; i < 2; ++i) {
-        value[i] = parts.kernels(i).eval(scene, *parts.part[i], p, d, wo, active);
-        slope[i] = parts.kernels(i).slope(scene, *parts.part[i], p, d, wo, g, active, p_bar, sink);
+        slope[i] = parts.with(i, [&](const auto &part) {
+            value[i] = part.eval(scene, *parts.part[i], p, d, wo, active);
+            return part.slope(scene, *parts.part[i], p, d, wo, g, active, p_bar, sink);
+        });
     }
     Spectrum<F> weight_bar = uniform_spectrum(F(0));  // the weight is the first component
     weight_bar[0] = g * (value[1] - value[0]);
@@ -65,10 +77,11 @@ TR_LARGE void BlendPhase::vjp(const SceneOf<F> &scene, const Record &record, con
     Parts<F> parts(scene, record, p, active);
     F value[2];
     for (int i = 0; i < 2; ++i) {
-        const PhaseKernels<F> &part = parts.kernels(i);
-        value[i] = part.eval(scene, *parts.part[i], p, d, wo, active);
-        if (part.vjp)
-            part.vjp(scene, *parts.part[i], p, d, wo, g * (i ? parts.weight : F(1) - parts.weight), active, sink);
+        parts.with(i, [&](const auto &part) {
+            value[i] = part.eval(scene, *parts.part[i], p, d, wo, active);
+            if (part.vjp)
+                part.vjp(scene, *parts.part[i], p, d, wo, g * (i ? parts.weight : F(1) - parts.weight), active, sink);
+        });
     }
     sink.volume(scene, record.field[Weight], p, g * (value[1] - value[0]), active);
 }

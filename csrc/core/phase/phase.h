@@ -54,30 +54,54 @@ TR_DEVICE_CONSTEXPR PhaseKernels<F> phase_kernels_of();
 template <class F>
 TR_HD const PhaseKernels<F> &phase_kernels(int kind);
 
+// Calls visit(table) for the model of a kind, and returns what that returns. `blends`: it may be a blend.
+template <class F, bool blends = true, class Visit>
+TR_INLINE auto visit_phase_kind(int32_t kind, Visit &&visit) {
+#if defined(TR_ONE_SCENE)  // calls of known functions, which are compiled for all lanes together
+#define TR_CASE(M)                                                                                 \
+    if constexpr (facts::has(facts::PhaseKinds, kind_of_model<M>(Phases{})) &&                     \
+                  (blends || kind_of_model<M>(Phases{}) != kind_of_model<BlendPhase>(Phases{}))) { \
+        constexpr PhaseKernels<F> of_##M = phase_kernels_of<M, F>();                               \
+        if (kind == kind_of_model<M>(Phases{})) return visit(of_##M);                              \
+    }
+    TR_PHASES(TR_CASE)
+#undef TR_CASE
+    return decltype(visit(phase_kernels<F>(kind)))();
+#else
+    return visit(phase_kernels<F>(kind));
+#endif
+}
+
 template <class F>
 TR_INLINE F eval_phase(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
                        const MaskOf<F> &active) {
     const Record &record = scene.phases[phase];
-    return phase_kernels<F>(record.kind).eval(scene, record, p, d, wo, active);
+    return visit_phase_kind<F>(
+        record.kind, [&](const PhaseKernels<F> &model) { return model.eval(scene, record, p, d, wo, active); });
 }
 template <class F>
 TR_INLINE Vec3<F> sample_phase(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d, const F &u0,
                                const F &u1, const F &u2, const MaskOf<F> &active) {
     const Record &record = scene.phases[phase];
-    return phase_kernels<F>(record.kind).sample(scene, record, p, d, u0, u1, u2, active);
+    return visit_phase_kind<F>(record.kind, [&](const PhaseKernels<F> &model) {
+        return model.sample(scene, record, p, d, u0, u1, u2, active);
+    });
 }
 template <class F>
 TR_INLINE F phase_slope(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d, const Vec3<F> &wo,
                         const F &g, const MaskOf<F> &active, Vec3<F> &p_bar, GradientSink<F> &sink) {
     const Record &record = scene.phases[phase];
-    return phase_kernels<F>(record.kind).slope(scene, record, p, d, wo, g, active, p_bar, sink);
+    return visit_phase_kind<F>(record.kind, [&](const PhaseKernels<F> &model) {
+        return model.slope(scene, record, p, d, wo, g, active, p_bar, sink);
+    });
 }
 template <class F>
 TR_INLINE void sweep_phase(const SceneOf<F> &scene, int32_t phase, const Vec3<F> &p, const Vec3<F> &d,
                            const Vec3<F> &wo, const Spectrum<F> &g, const MaskOf<F> &active, GradientSink<F> &sink) {
     const Record &record = scene.phases[phase];
-    const PhaseKernels<F> &kernels = phase_kernels<F>(record.kind);
-    if (kernels.vjp) kernels.vjp(scene, record, p, d, wo, g, active, sink);
+    visit_phase_kind<F>(record.kind, [&](const PhaseKernels<F> &model) {
+        if (model.vjp) model.vjp(scene, record, p, d, wo, g, active, sink);
+    });
 }
 
 }  // namespace tr

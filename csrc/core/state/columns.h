@@ -70,6 +70,10 @@ struct PointColumn {  // on a surface
     TR_INLINE void copy(size_t i, const PointColumn &from, size_t j) const {
         shape[i] = from.shape[j], primitive[i] = from.primitive[j], b1[i] = from.b1[j], b2[i] = from.b2[j];
     }
+    TR_INLINE SurfacePoint<S> get(size_t i) const { return {shape[i], primitive[i], b1[i], b2[i]}; }
+    TR_INLINE void set(size_t i, const SurfacePoint<S> &p) const {
+        shape[i] = p.shape, primitive[i] = p.primitive, b1[i] = p.b1, b2[i] = p.b2;
+    }
 };
 
 // What a packet holds of a column.

@@ -1,0 +1,205 @@
+// Paths through media as kernels: what a step of theirs has besides (path_kernels.h). A ray flies, and a shadow ray is
+// followed to its end, in one item each.
+#pragma once
+
+#include "core/integrator/shadow_transmittance.h"
+#include "core/medium/single_ray.h"
+#include "path_kernels.h"
+
+namespace tr {
+
+// How many tentative collisions there were, and how many of them beyond the majorant.
+struct TrackingTotals {
+    uint64_t *collisions, *exceeded;
+
+    TR_HD void add(const TrackingCounts &counts) const {
+        if (counts.collisions != 0) accumulate(collisions, uint64_t(counts.collisions));
+        if (counts.exceeded != 0) accumulate(exceeded, uint64_t(counts.exceeded));
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(collisions), visit(exceeded);
+    }
+};
+
+template <class Visit>
+void visit_media(const MediumContext<float> &media, Visit &&visit) {
+    media.flight.for_arrays(visit), media.branch.for_arrays(visit);
+}
+
+// Of camera rays, one a slot.
+struct BeginMedia {
+    static constexpr const char *Name = "tr::BeginMedia", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
+    PathStage stage;
+    MediumContext<float> media;
+    PathQueue<float> queue;
+
+    TR_HD void operator()(uint32_t i) const {
+        PathQueue<float> own = queue;
+        stage.with_context(i, [&](const PathContext<float> &c) {
+            begin_media<float>(c, own, i);
+            begin_media_slots<float>(c, media, i);
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), visit_media(media, visit), queue.for_arrays(visit);
+    }
+};
+
+// Rays that were traced: where they collide, that is what they hit.
+struct FlyRays {
+    static constexpr const char *Name = "tr::FlyRays", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
+    PathStage stage;
+    MediumContext<float> media;
+    PathQueue<float> queue;
+    HitColumns<float> hits;
+    EntryList rays;
+    TrackingTotals totals;
+
+    TR_HD void operator()(uint32_t k) const {
+        if (k >= *rays.n) return;
+        const uint32_t i = rays.entry[k];
+        const int32_t medium = queue.medium[i];
+        PathQueue<float> own = queue;
+        stage.with_context(queue.slot[i], [&](const PathContext<float> &c) {
+            begin_flight<float>(c, media, queue, hits, i);
+            if (medium >= 0) {
+                TrackingCounts counts;
+                fly_ray<float>(stage.scene, media, medium, {queue.o, queue.d, queue.ray_offset, queue.slot}, i, counts);
+                totals.add(counts);
+            }
+            finish_flight<float>(c, media, own, hits, !stage.records, i);
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), visit_media(media, visit), queue.for_arrays(visit), hits.for_arrays(visit);
+        rays.for_pointers(visit), totals.for_pointers(visit);
+    }
+};
+
+// Shadow rays that a hit has at most: its own, and that of the segment's differential sample, which is on the tape.
+constexpr uint32_t MostShadows = 2;
+
+struct ShadeInMedia {
+    static constexpr const char *Name = "tr::ShadeInMedia", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Bsdf;
+    ShadeHits shading;
+    MediumContext<float> media;
+
+    TR_HD void operator()(uint32_t j) const {
+        shading.shade<MostShadows>(
+            j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, ShadowQueue<float> &shadows) {
+                if (shading.stage.records)
+                    record_segment<float>(c, media, shading.step, shading.in, shading.hits, lanes, i, shadows);
+            });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        shading.for_pointers(visit), visit_media(media, visit);
+    }
+};
+
+// What is left of shadow rays at their ends: added up or, with a tape, written onto it.
+struct TransmitShadows {
+    static constexpr const char *Name = "tr::TransmitShadows", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Tracing;
+    PathStage stage;
+    MediumContext<float> media;
+    TreeView tree;
+    ShadowQueue<float> shadows;
+    TransmittanceColumns<float> transmittance;
+    EntryList rays;
+    uint64_t *traced;
+    TrackingTotals totals;
+
+    TR_HD void operator()(uint32_t q) const {
+        if (q >= *rays.n) return;
+        const uint32_t k = rays.entry[q];
+        stage.with_context(shadows.slot[k], [&](const PathContext<float> &c) {
+            begin_shadow(transmittance, k, stage.records, moves());
+            TrackingCounts counts;
+            uint32_t parts = 0;
+            while (pass(c, k, parts++, counts)) {}
+            accumulate(traced, uint64_t(parts));
+            totals.add(counts);
+            if (c.tape) return record_shadow(*c.tape, shadows, transmittance, k, media.differential, moves());
+            for (int i = 0; i < SpectrumSize; ++i)
+                stage.slots.radiance[i][shadows.slot[k]] +=
+                    transmittance.transmittance[i][k] * shadows.contribution[i][k];
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), visit_media(media, visit), tree.for_pointers(visit), shadows.for_arrays(visit);
+        transmittance.for_arrays(visit), rays.for_pointers(visit), visit(traced), totals.for_pointers(visit);
+    }
+
+private:
+    TR_HD bool moves() const { return stage.records && stage.needs.geometry; }
+    // The part of a ray in front of what it meets next; whether it goes on behind that. As MediumStage of the CPU.
+    TR_HD bool pass(const PathContext<float> &c, uint32_t k, uint32_t round, TrackingCounts &counts) const {
+        const Vec3<float> from = shadows.o.get(k), along = shadows.d.get(k);
+        const float o[] = {from.x, from.y, from.z}, d[] = {along.x, along.y, along.z};
+        const TreeHit hit = trace<false>(tree, o, d, shadows.length[k]);
+        const bool met = hit.shape != TreeHit::Miss;
+        const SurfacePoint<float> place{hit.shape, hit.primitive, hit.b1, hit.b2};
+        seed_shadow_rays<float>(c, shadows, transmittance, media.level, round, k, true);
+        transmittance.end[k] = met ? hit.t : shadows.length[k];
+        if (met && !passes_shadow_rays(stage.scene, hit.shape)) {
+            for (int i = 0; i < SpectrumSize; ++i) transmittance.transmittance[i][k] = 0;
+            return false;
+        }
+        const int32_t medium = shadows.medium[k];
+        if (medium >= 0) {
+            transmit_ray<float>(stage.scene, media, medium, {shadows.o, shadows.d, shadows.ray_offset, shadows.slot},
+                                transmittance, k, counts);
+            if (stage.records && media.differential) choose_point(shadows, transmittance, k, medium, place, moves());
+        }
+        if (!met) return false;
+        if (moves()) keep_boundary(shadows, transmittance, k, place, hit.t);
+        return cross_boundary<float>(c, shadows, transmittance, place, hit.t, k, true);
+    }
+};
+
+// The paths that go on from differential samples, one a slot at most; `key` says which there are.
+struct StartBranches {
+    static constexpr const char *Name = "tr::StartBranches", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;
+    PathStage stage;
+    MediumContext<float> media;
+    PathQueue<float> out;
+    int32_t *key;
+    uint32_t n;
+
+    TR_HD void operator()(uint32_t i) const {
+        PathQueue<float> own = out;
+        own.n = i;
+        stage.with_context(i, [&](const PathContext<float> &c) { start_branches<float>(c, media, i, n, own); });
+        key[i] = own.n != i ? Kept : Gone;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        stage.for_pointers(visit), visit_media(media, visit), out.for_arrays(visit), visit(key);
+    }
+};
+
+// Keeps what these have brought, and makes room for the rest.
+struct FinishBranches {
+    static constexpr const char *Name = "tr::FinishBranches", *Header = "device/medium_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Scene;  // as all that are compiled from this header
+    SpectrumColumn<float> radiance, branch;
+
+    TR_HD void operator()(uint32_t i) const {
+        for (int c = 0; c < SpectrumSize; ++c) branch[c][i] = radiance[c][i], radiance[c][i] = 0;
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        radiance.each(visit), branch.each(visit);
+    }
+};
+
+}  // namespace tr
