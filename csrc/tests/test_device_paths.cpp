@@ -36,6 +36,26 @@ void build_balls(SceneBuilder<float> &builder) {
     builder.camera(0, 0, 0, 40);
 }
 
+// A cloud before them that scatters forwards, glows, and has three densities of colours; its boundary does not scatter.
+void build_cloud(SceneBuilder<float> &builder) {
+    const auto volume = [&](float low, float high) {
+        return builder.add(
+            "volume", "gridvolume",
+            {{"data", builder.random({3, 4, 2, 3}, low, high)}, {"to_world", builder.matrix(-1, -0.8f, 2.5f, 2)}});
+    };
+    const int64_t phase = builder.add("phase", "hg", {{"g", builder.number(0.4f)}});
+    const int64_t medium = builder.add("medium", "heterogeneous",
+                                       {{"sigma_t", volume(0, 2)},
+                                        {"albedo", volume(0.5f, 1)},
+                                        {"emission", volume(0, 0.3f)},
+                                        {"scale", builder.number(1.5f)},
+                                        {"phase", phase}});
+    builder.add("shape", "sphere",
+                {{"to_world", builder.matrix(0, 0.1f, 3.5f, 0.9f)},
+                 {"bsdf", builder.add("bsdf", "null")},
+                 {"interior", medium}});
+}
+
 struct Image {
     std::vector<float> image, alpha, variance, second_moment;
     RenderStats stats;
@@ -53,9 +73,10 @@ struct Balls {
     SceneRays rays;
     TreeWalk walk;
 
-    Balls() {
+    explicit Balls(bool cloud = false) {
         load_embree(embree_path());
         build_balls(builder);
+        if (cloud) build_cloud(builder);
         builder.build(data);
         rays.update(data.view(), 1);
         walk.tree = rays.tree().view();
@@ -71,7 +92,7 @@ struct Balls {
         const auto device = make_emulated();
         DeviceTree copied(*device);
         copied.set(rays.tree());
-        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path());
+        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path(call.config.volumetric));
         Image r(n);
         r.stats = paths.render(call, data, copied.view(), r.out());
         return r;
@@ -132,11 +153,27 @@ TR_TEST(images_of_the_device_are_those_of_the_cpu_in_any_batches) {
     }
 }
 
+TR_TEST(images_through_media_are_those_of_the_cpu_in_any_batches) {
+    Balls balls(true);
+    RenderCall<float> call = make_call(balls.data, small(Filter()));
+    call.config.volumetric = true;
+    const Image expected = balls.on_cpu(call, 18 * 20);
+    CHECK(*std::max_element(expected.image.begin(), expected.image.end()) > 1);
+    CHECK(expected.stats.collisions > 10000);
+    for (const size_t batch : {size_t(1000), size_t(1) << 20}) {
+        const Image found = balls.on_device(call, 18 * 20, batch);
+        CHECK(found == expected);
+        CHECK(found.stats.closest_rays == expected.stats.closest_rays);
+        CHECK(found.stats.shadow_rays == expected.stats.shadow_rays);
+        CHECK(found.stats.collisions == expected.stats.collisions);
+    }
+}
+
 // ... gradients but for the order of sums, to which the emulated device has one thread add.
 TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
-    Balls balls;
-    const auto check = [&](const Filter &filter, bool adaptive) {
-        const RenderCall<float> call = make_call(balls.data, small(filter));
+    const auto check = [&](const Balls &balls, const Filter &filter, bool adaptive, bool volumetric) {
+        RenderCall<float> call = make_call(balls.data, small(filter));
+        call.config.volumetric = volumetric;
         const auto on_cpu = [](const RenderCall<float> &c, DerivativeCall<float> &d) {
             return render_reverse<float>(c, d);
         };
@@ -145,7 +182,7 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
             const auto device = make_emulated();
             DeviceTree copied(*device);
             copied.set(balls.rays.tree());
-            DevicePaths paths(*device, batch * DevicePaths::bytes_per_path());
+            DevicePaths paths(*device, batch * DevicePaths::bytes_per_path(volumetric));
             const auto there = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
                 return paths.reverse(c, balls.data, copied.view(), d);
             };
@@ -156,8 +193,10 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
             CHECK(std::abs(expected.of_slots[0][0]) > 1);
         }
     };
+    const Balls balls, in_cloud(true);
     for (const bool adaptive : {false, true})
-        check(Filter(), adaptive), check(Filter(FilterKind::Gaussian, 0.5), adaptive);
+        check(balls, Filter(), adaptive, false), check(balls, Filter(FilterKind::Gaussian, 0.5), adaptive, false);
+    check(in_cloud, Filter(), false, true);
 }
 
 // ... but sums of whole numbers are the same, bit for bit, in any order, of however many threads.
