@@ -12,7 +12,7 @@ namespace {
 
 constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
 static_assert(Kinds <= SortTable::MostKinds);
-constexpr size_t Totals = 6;
+constexpr size_t Totals = 4, TrackingNumbers = size_t(TrackingTotals::Copies) * TrackingTotals::Sums;
 constexpr int LevelsBetweenLooks = 8;  // at how many paths are left
 constexpr int MostLevels = 16;         // of a tape that batches are sized for; deeper ones have few paths left
 
@@ -102,6 +102,10 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
     reserve(work.batch, media);
     clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), Totals);
+    if (media) {
+        tracking_.reserve(launcher_, TrackingNumbers);
+        clear(launcher_, tracking_.get(), TrackingNumbers);
+    }
 
     SceneFacts &facts = work.facts = SceneFacts(host, call.config);
     facts.records = derivative && paths, facts.forward = derivative && !derivative->adjoint;
@@ -204,7 +208,12 @@ void DevicePaths::finish(const Work &work, RenderStats &stats) const {
     uint64_t totals[Totals];
     totals_.download(totals, Totals);
     stats.closest_rays = totals[0], stats.shadow_rays = totals[1];
-    stats.collisions = totals[4], stats.majorants_exceeded = totals[5];
+    if (work.call.config.volumetric) {
+        std::vector<uint64_t> sums(TrackingNumbers);
+        tracking_.download(sums.data(), sums.size());
+        for (size_t i = 0; i < sums.size(); i += TrackingTotals::Sums)
+            stats.collisions += sums[i], stats.majorants_exceeded += sums[i + 1], stats.shadow_rays += sums[i + 2];
+    }
     if (totals[2] != 0) count_lost(stats);
     stats.count_non_finite(totals[3], "a derivative");
     stats.seconds = work.seconds();
@@ -338,7 +347,7 @@ void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &i
     in.n = uint32_t(capacity_);  // any entry of it may be asked for
     MediumContext<float> media = work.media;
     media.level = uint32_t(at.depth);
-    if (volumetric) launcher_.run(FlyRays{stage, media, in, at_.hits, rays, tracking()}, n);
+    if (volumetric) launcher_.run(FlyRays{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
     launcher_.run(ClassifyHits{stage, at, in, at_.hits, kinds_.get(), rays, at_.key}, n);
     sort(at_.key, &rays, rays.n, sorted_, ranges, n);
     const bool last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
@@ -354,8 +363,7 @@ void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &i
     if (!at.scatters) return;
     keep(at_.shadow_key, sorted_.n, lit_, n, volumetric ? MostShadows : 1);
     if (volumetric) {
-        launcher_.run(TransmitShadows{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, totals_.get() + 1,
-                                      tracking()},
+        launcher_.run(TransmitShadows{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, {tracking_.get()}},
                       MostShadows * n);
     } else {
         launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance,

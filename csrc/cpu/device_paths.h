@@ -65,9 +65,8 @@ private:
     DeviceArray<uint32_t> lengths_;  // of these lists
     DeviceArray<uint32_t> counts_, ranges_, range_of_one_;
     DeviceArray<int32_t> kinds_, targets_;
-    // closest hits, shadow rays, values that are not finite: of paths, of derivatives; collisions, those beyond
-    // majorants
-    DeviceArray<uint64_t> totals_;
+    DeviceArray<uint64_t> totals_;    // closest hits, shadow rays, values that are not finite: of paths, of derivatives
+    DeviceArray<uint64_t> tracking_;  // TrackingTotals
     DeviceArray<double> sums_, open_;
     HostBuffer film_;  // the sums on their way back
     DeviceArray<int32_t> pixels_, places_;
@@ -111,7 +110,6 @@ private:
     void trace_paths(Work &work, uint32_t n);
     void trace_volumetric(Work &work, uint32_t n);
     void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);
-    TrackingTotals tracking() const { return {totals_.get() + 4, totals_.get() + 5}; }
     void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
     void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
               const PathQueue<float> &out, uint32_t n, int parents);

@@ -8,17 +8,20 @@
 
 namespace tr {
 
-// How many tentative collisions there were, and how many of them beyond the majorant.
+// Sums over all items: tentative collisions, those of them beyond the majorant, and parts of shadow rays, in copies,
+// since many items add at once.
 struct TrackingTotals {
-    uint64_t *collisions, *exceeded;
+    static constexpr uint32_t Copies = 256, Sums = 3;
+    uint64_t *at;  // (copies, sums)
 
-    TR_HD void add(const TrackingCounts &counts) const {
-        if (counts.collisions != 0) accumulate(collisions, uint64_t(counts.collisions));
-        if (counts.exceeded != 0) accumulate(exceeded, uint64_t(counts.exceeded));
+    TR_HD void add(uint32_t item, const TrackingCounts &counts, uint32_t parts = 0) const {
+        const uint32_t numbers[Sums] = {counts.collisions, counts.exceeded, parts};
+        for (uint32_t i = 0; i < Sums; ++i)
+            if (numbers[i] != 0) accumulate(at + Sums * (item % Copies) + i, uint64_t(numbers[i]));
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
-        visit(collisions), visit(exceeded);
+        visit(at);
     }
 };
 
@@ -69,7 +72,7 @@ struct FlyRays {
             if (medium >= 0) {
                 TrackingCounts counts;
                 fly_ray<float>(stage.scene, media, medium, {queue.o, queue.d, queue.ray_offset, queue.slot}, i, counts);
-                totals.add(counts);
+                totals.add(k, counts);
             }
             finish_flight<float>(c, media, own, hits, !stage.records, i);
         });
@@ -113,7 +116,6 @@ struct TransmitShadows {
     ShadowQueue<float> shadows;
     TransmittanceColumns<float> transmittance;
     EntryList rays;
-    uint64_t *traced;
     TrackingTotals totals;
 
     TR_HD void operator()(uint32_t q) const {
@@ -124,8 +126,7 @@ struct TransmitShadows {
             TrackingCounts counts;
             uint32_t parts = 0;
             while (pass(c, k, parts++, counts)) {}
-            accumulate(traced, uint64_t(parts));
-            totals.add(counts);
+            totals.add(q, counts, parts);
             if (c.tape) return record_shadow(*c.tape, shadows, transmittance, k, media.differential, moves());
             for (int i = 0; i < SpectrumSize; ++i)
                 stage.slots.radiance[i][shadows.slot[k]] +=
@@ -135,7 +136,7 @@ struct TransmitShadows {
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         stage.for_pointers(visit), visit_media(media, visit), tree.for_pointers(visit), shadows.for_arrays(visit);
-        transmittance.for_arrays(visit), rays.for_pointers(visit), visit(traced), totals.for_pointers(visit);
+        transmittance.for_arrays(visit), rays.for_pointers(visit), totals.for_pointers(visit);
     }
 
 private:

@@ -64,7 +64,7 @@ void OutlineLeaves::Elements::set(size_t k, const OutlineElement &e) {
     kind[k] = e.kind, shape[k] = e.shape, index[k] = e.index;
 }
 
-void OutlineLeaves::Elements::bound(V &low, V &high) const {
+OutlineLeaves::Box OutlineLeaves::Elements::box() const {
     Vec3<F> least{F(INFINITY), F(INFINITY), F(INFINITY)}, most = -least;
     for (size_t i = 0; i < Wide; i += W) {
         const M counts = mask<F>(load<F>(&weight[i]) != F(0));
@@ -79,8 +79,8 @@ void OutlineLeaves::Elements::bound(V &low, V &high) const {
         include(from.x, to.x, least.x, most.x), include(from.y, to.y, least.y, most.y);
         include(from.z, to.z, least.z, most.z);
     }
-    low = {least_of(least.x), least_of(least.y), least_of(least.z)};
-    high = {greatest_of(most.x), greatest_of(most.y), greatest_of(most.z)};
+    return {{least_of(least.x), least_of(least.y), least_of(least.z)},
+            {greatest_of(most.x), greatest_of(most.y), greatest_of(most.z)}};
 }
 
 OutlineElement OutlineLeaves::Elements::get(size_t k) const {
@@ -93,17 +93,16 @@ void OutlineLeaves::resize(size_t n_elements, size_t n_rounded) {
     rounded_.resize((n_rounded + Wide - 1) / Wide);
 }
 
-void OutlineLeaves::set(size_t leaf, const Elements &elements) {
+void OutlineLeaves::set(size_t leaf, const Elements &elements, const Box &box) {
     if (leaf < exact_.size())
         exact_[leaf] = elements;
     else
-        rounded_[leaf - exact_.size()] = pack(elements);
+        rounded_[leaf - exact_.size()] = pack(elements, box);
 }
 
-OutlineLeaves::Rounded OutlineLeaves::pack(const Elements &from) {
+OutlineLeaves::Rounded OutlineLeaves::pack(const Elements &from, const Box &box) {
     Rounded to;
-    V low, high;
-    from.bound(low, high);
+    V low = box.low, high = box.high;
     if (!(low.x <= high.x)) low = high = {0, 0, 0};
     to.step = std::max(std::max({high.x - low.x, high.y - low.y, high.z - low.z}) / Places, 1e-30f);
     const float corner[3] = {low.x, low.y, low.z}, inverse = 1 / to.step;

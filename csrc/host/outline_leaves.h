@@ -56,6 +56,9 @@ public:
     static constexpr size_t Wide = 16;
     template <class T>
     using Column = T[Wide];
+    struct Box {
+        Vec3<float> low, high;
+    };
     struct alignas(64) Elements {                              // of a leaf
         Column<float> a[3], b[3], n0[3], n1[3], weight, bend;  // a weight below zero: it rests
         Column<int32_t> kind, shape, index;
@@ -67,8 +70,8 @@ public:
         TR_INLINE MaskOf<F> are(OutlineElement::Kind what, size_t k) const {
             return mask<F>(IntOf<F>(load_uint<F>(reinterpret_cast<const uint32_t *>(&kind[k]))) == int32_t(what));
         }
-        // The box around what has a weight; upside down, if nothing has.
-        void bound(Vec3<float> &low, Vec3<float> &high) const;
+        // Around what has a weight; upside down, if nothing has.
+        Box box() const;
     };
     // How far a normal is off across its length, at most, and a place; below zero: not at all.
     struct Rounding {
@@ -79,7 +82,8 @@ public:
     void resize(size_t n_elements, size_t n_rounded);
     size_t size() const { return exact_.size() + rounded_.size(); }
     size_t n_exact() const { return exact_.size(); }
-    void set(size_t leaf, const Elements &elements);
+    // `box`: that of the elements.
+    void set(size_t leaf, const Elements &elements, const Box &box);
 
     // Those of a leaf, `space` if they are rounded.
     const Elements &get(size_t leaf, Elements &space, Rounding &rounding) const {
@@ -114,7 +118,7 @@ private:
     std::vector<Elements> exact_;
     std::vector<Rounded> rounded_;
 
-    static Rounded pack(const Elements &elements);
+    static Rounded pack(const Elements &elements, const Box &box);
     static void unpack(const Rounded &from, Elements &to, Rounding &rounding);
 };
 

@@ -87,7 +87,7 @@ private:
     OutlineLeaves leaves_;
     std::vector<std::vector<Nodes>> levels_;  // from the leaves to the root, which are the children of one
 
-    static Node node_of(const Elements &leaf);
+    static Node node_of(const Elements &leaf, const OutlineLeaves::Box &box);
     static Node united(const Nodes &children);
     static void put(const Node &node, Nodes &to, size_t k);
     // A node, or at level -1 an edge and a place along it, see Candidates; and the probability to be there.

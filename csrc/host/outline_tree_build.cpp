@@ -36,8 +36,9 @@ void OutlineTree::set(size_t leaf, const OutlineElement *elements, size_t n) {
 }
 
 void OutlineTree::set(size_t leaf, const Elements &all) {
-    leaves_.set(leaf, all);
-    put(node_of(all), levels_[0][leaf / Wide], leaf % Wide);
+    const OutlineLeaves::Box box = all.box();
+    leaves_.set(leaf, all, box);
+    put(node_of(all, box), levels_[0][leaf / Wide], leaf % Wide);
 }
 
 void OutlineTree::build(int threads) {
@@ -77,7 +78,7 @@ void OutlineTree::put(const Node &node, Nodes &to, size_t k) {
     to.still[k] = node.still;
 }
 
-OutlineTree::Node OutlineTree::node_of(const Elements &leaf) {
+OutlineTree::Node OutlineTree::node_of(const Elements &leaf, const OutlineLeaves::Box &box) {
     using F = PacketOf<float>;
     using M = MaskOf<F>;
     constexpr size_t W = size_t(Lanes<F>::Width);
@@ -103,10 +104,8 @@ OutlineTree::Node OutlineTree::node_of(const Elements &leaf) {
     Node node;
     node.flux = sum_of(moving), node.still = sum_of(resting);
     if (!(node.flux + node.still > 0)) return node;
-    V low, high;
-    leaf.bound(low, high);
-    node.center = (low + high) * 0.5f;
-    node.radius = norm(high - low) * 0.5f * 1.00001f;
+    node.center = (box.low + box.high) * 0.5f;
+    node.radius = norm(box.high - box.low) * 0.5f * 1.00001f;
     node.axis = unit({sum_of(normals.x), sum_of(normals.y), sum_of(normals.z)});
     F cosine(1);
     every([&](size_t i) {

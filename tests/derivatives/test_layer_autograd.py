@@ -246,6 +246,23 @@ def test_compilation_breaks_the_graph_once():
     assert explained.graph_break_count == 1 and explained.graph_count == 2
 
 
+def test_recorded_cuda_graphs_are_refused(scene, monkeypatch):
+    """Where a card's stream records, which here is only said."""
+    monkeypatch.setattr(torch.cuda, "is_initialized", lambda: True)
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: True)
+    rays = torch.zeros(1, 3), torch.ones(1, 3)
+    for name, call in (
+        ("render", lambda: tr.render(scene)),
+        ("render", lambda: tr.Renderer(scene)()),
+        ("ray_intersect", lambda: tr.ray_intersect(scene, *rays)),
+        ("ray_occluded", lambda: tr.ray_occluded(scene, *rays)),
+    ):
+        with pytest.raises(RuntimeError, match=rf"^{name}: a CUDA graph is being recorded.* before torch\.cuda\.graph"):
+            call()
+    monkeypatch.setattr(torch.cuda, "is_current_stream_capturing", lambda: False)
+    assert tr.render(scene, spp=1).shape[2] == 3
+
+
 def test_checkpointing(scene):
     """torch's checkpoints render again in backward(), with the random state of the first time."""
     from torch.utils.checkpoint import checkpoint
