@@ -150,7 +150,7 @@ void DevicePaths::identify(const Work &work, const AovOutput<float> &out, Render
         launcher_.upload(at_.slots.row.at, row.data(), n * sizeof(uint32_t));
         launcher_.upload(at_.slots.column.at, column.data(), n * sizeof(uint32_t));
         launcher_.run(StartCentres{work.stage, at_.queues[0], at_.hits, at_.out_key}, uint32_t(n));
-        list_camera_rays(uint32_t(n));
+        list_started(uint32_t(n), camera_);
         trace_hits(work, at_.queues[0], camera_, work.stage.config.hide_emitters, uint32_t(n));
         launcher_.download(shape.data(), at_.hits.at.shape, n * sizeof(uint32_t));
         launcher_.download(primitive.data(), at_.hits.at.primitive, n * sizeof(uint32_t));

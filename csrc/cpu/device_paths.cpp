@@ -73,7 +73,8 @@ void DevicePaths::reserve(size_t n, bool media) {
     lengths_.reserve(launcher_, 4);
     camera_ = {at_.camera_rays, lengths_.get()}, live_ = {at_.live_rays, lengths_.get() + 1};
     sorted_ = {at_.sorted, lengths_.get() + 2}, lit_ = {at_.shadow_rays, lengths_.get() + 3};
-    counts_.reserve(launcher_, std::max(size_t(Kinds) * chunks_of(n), size_t(chunks_of(MostShadows * n))));
+    static_assert(MostShadows <= Kinds);
+    counts_.reserve(launcher_, size_t(Kinds) * chunks_of(n));  // also of so many shadow rays, of one kind
     ranges_.reserve(launcher_, 2 * size_t(Kinds)), range_of_one_.reserve(launcher_, 2);
     totals_.reserve(launcher_, Totals);
     at_.lost.total = totals_.get() + 2;
@@ -261,12 +262,13 @@ void DevicePaths::keep(const int32_t *key, const uint32_t *n, const EntryList &t
 // Camera rays, and the list of those that there are.
 void DevicePaths::start(const Work &work, uint32_t n) {
     launcher_.run(StartPaths{work.stage, at_.queues[0], at_.out_key, n, work.reverse}, n);
-    list_camera_rays(n);
+    list_started(n, camera_);
 }
 
-void DevicePaths::list_camera_rays(uint32_t n) {
+// Those that a launch for all samples has started.
+void DevicePaths::list_started(uint32_t n, const EntryList &to) {
     launcher_.run(FillWords{sorted_.n, n}, 1);  // in place of hits: all samples
-    keep(at_.out_key, sorted_.n, camera_, n);
+    keep(at_.out_key, sorted_.n, to, n);
 }
 
 // As PathTile::run.
@@ -305,8 +307,7 @@ void DevicePaths::trace_volumetric(Work &work, uint32_t n) {
     facts.records = work.stage.records = false;
     launcher_.know(facts);
     launcher_.run(StartBranches{work.stage, work.media, at_.queues[0], at_.out_key, n}, n);
-    launcher_.run(FillWords{sorted_.n, n}, 1);
-    keep(at_.out_key, sorted_.n, live_, n);
+    list_started(n, live_);
     trace_levels(work, BranchLevel, live_, n);
     launcher_.run(FinishBranches{at_.slots.radiance, at_.branch.radiance}, n);
     work.stage.records = true;

@@ -106,7 +106,7 @@ private:
               uint32_t launched, uint32_t each = 1);
     void keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched, uint32_t each = 1);
     void start(const Work &work, uint32_t n);
-    void list_camera_rays(uint32_t n);
+    void list_started(uint32_t n, const EntryList &to);
     void trace_paths(Work &work, uint32_t n);
     void trace_volumetric(Work &work, uint32_t n);
     void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);

@@ -154,11 +154,11 @@ struct ShadeHits {
     TR_HD void operator()(uint32_t j) const {
         shade<1>(j, [](const PathContext<float> &, const LaneSet<float> &, uint32_t, ShadowQueue<float> &) {});
     }
-    // A hit has up to `MostShadows` shadow rays, of which before(context, hit, i, queue) may be the first.
-    template <uint32_t MostShadows, class Before>
+    // A hit has up to `Most` shadow rays, of which before(context, hit, i, queue) may be the first.
+    template <uint32_t Most, class Before>
     TR_HD void shade(uint32_t j, Before &&before) const {
         if (j >= total[kind]) return;
-        const uint32_t i = begin[kind] + j, first_shadow = MostShadows * i;
+        const uint32_t i = begin[kind] + j, first_shadow = Most * i;
         PathQueue<float> own = out;
         ShadowQueue<float> own_shadows = shadows;
         own.n = i, own_shadows.n = first_shadow;
@@ -177,8 +177,7 @@ struct ShadeHits {
 #endif
         });
         out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
-        for (uint32_t k = first_shadow; k < first_shadow + MostShadows; ++k)
-            shadow_key[k] = k < own_shadows.n ? Kept : Gone;
+        for (uint32_t k = first_shadow; k < first_shadow + Most; ++k) shadow_key[k] = k < own_shadows.n ? Kept : Gone;
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

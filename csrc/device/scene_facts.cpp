@@ -2,7 +2,7 @@
 
 #include <stdexcept>
 
-#include "core/medium/medium.h"
+#include "core/integrator/medium.h"
 #include "core/phase/blend.h"
 #include "core/registry.h"
 #include "core/sensor/camera.h"
@@ -70,8 +70,8 @@ SceneFacts::SceneFacts(const SceneView<float> &scene, const PathConfig &config) 
         if (phase.kind == kind_of_model<BlendPhase>(Phases{}))
             for (const int part : {BlendPhase::First, BlendPhase::Second})
                 phases |= 1u << scene.phases[phase.field[part]].kind;
-        chromatic = chromatic || (scene.media[m].flags & IsChromatic) != 0;
     }
+    chromatic = MediumContext<float>(scene, nullptr).chromatic;
     textured = scene.textured, stacks = scene.has_stacks, tangents = scene.follows_tangent;
     sampler = int32_t(config.sampler.kind);
 }
