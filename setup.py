@@ -71,7 +71,7 @@ PACKET_WIDTH = {"scalar": 1, "v2": 4, "avx2": 8, "avx512": 16}  # floats in a re
 
 # What renders on devices, and runs kernels on cards: it calls the renderer for plain numbers, which that module alone
 # has.
-OF_NUMBERS = ("device_derivative", "device_film", "device_outputs", "device_paths")
+OF_NUMBERS = ("device_derivative", "device_film", "device_light", "device_outputs", "device_paths")
 OF_NUMBERS += ("device_scene", "device_tape", "scene_facts")
 ON_CARDS = ("cards", "compiler", "compiling_launcher", "cuda_launcher", "kernel_cache", "sha256")
 

@@ -8,11 +8,11 @@ import torch
 
 from .devices import device
 from .first_hit_call import FEATURES, PATH_OUTPUTS, STOKES_OUTPUTS
-from .integrators import DirectIllumination, Integrator, PathTracer, Stack, VolumetricPathTracer
+from .integrators import DirectIllumination, Integrator, ParticleTracer, PathTracer, Stack, VolumetricPathTracer
 from .scene.packing import Layout
 from .scene.scene import Scene
 
-_INTEGRATORS = (PathTracer, DirectIllumination, VolumetricPathTracer)
+_INTEGRATORS = (PathTracer, DirectIllumination, VolumetricPathTracer, ParticleTracer)
 
 
 def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> None:

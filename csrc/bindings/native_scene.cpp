@@ -73,8 +73,12 @@ public:
         SceneRays *rays = updated(c.device, values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
-        refuse_light(c, rays);
-        if (c.light) return trace_light<S>(primal, at("image"), c.sums);
+        if (c.light) {
+            if (!rays) return trace_light<S>(primal, at("image"), c.sums);
+            return there(*rays, [&](auto &paths, const auto &tree) {
+                return paths.light(primal, data_, tree, at("image"), c.sums);
+            });
+        }
         if (c.hits) primal.keep_hits = c.hits->add_pass();
         const RenderOutput<S> to{at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums};
         if (!rays) return render_primal<S>(primal, to);
@@ -90,11 +94,13 @@ public:
         d.adaptive = c.adaptive, d.fixed_sums = c.fixed_sums;
         RenderCall<S> reverse = call(c);
         if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
-        refuse_light(c, rays);
-        RenderStats stats =
-            rays ? there(*rays, [&](auto &paths, const auto &tree) { return paths.reverse(reverse, data_, tree, d); })
-            : c.light ? trace_light_reverse<S>(reverse, d)
-                      : render_reverse<S>(reverse, d);
+        RenderStats stats = rays      ? there(*rays,
+                                              [&](auto &paths, const auto &tree) {
+                                             return c.light ? paths.reverse_light(reverse, data_, tree, d)
+                                                            : paths.reverse(reverse, data_, tree, d);
+                                              })
+                            : c.light ? trace_light_reverse<S>(reverse, d)
+                                      : render_reverse<S>(reverse, d);
         add_gradients(data_, d, gradients, c.threads);
         return stats;
     }
@@ -105,10 +111,11 @@ public:
         SceneRays *rays = updated(c.device, values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
         S *to = reinterpret_cast<S *>(image);
-        refuse_light(c, rays);
         if (rays)
-            return there(
-                *rays, [&](auto &paths, const auto &tree) { return paths.forward(call(c), data_, tree, d.call, to); });
+            return there(*rays, [&](auto &paths, const auto &tree) {
+                return c.light ? paths.forward_light(call(c), data_, tree, d.call, to)
+                               : paths.forward(call(c), data_, tree, d.call, to);
+            });
         return c.light ? trace_light_forward<S>(call(c), d.call, to) : render_forward<S>(call(c), d.call, to);
     }
 
@@ -349,10 +356,6 @@ private:
             return std::make_unique<SceneRays>(&cuda::make_compiling, std::stoi(device.substr(3)));
 #endif
         throw std::invalid_argument("device: expected cpu, emulated, tree or a card (cuda:0), got " + device);
-    }
-
-    static void refuse_light(const Config &c, const SceneRays *rays) {
-        if (c.light && rays) throw std::invalid_argument("device: light paths are traced on the CPU alone");
     }
 
     // Paths on another device: what f(paths, tree) returns.

@@ -19,6 +19,13 @@ void clear(Launcher &launcher, T *array, size_t n) {
         launcher.run(FillWords{reinterpret_cast<uint32_t *>(array) + i, 0}, uint32_t(std::min(part, n * words - i)));
 }
 
+// What paths have besides those that light goes straight in: through media, and from lights.
+struct BatchParts {
+    bool media = false, light = false;
+
+    bool operator==(const BatchParts &o) const { return media == o.media && light == o.light; }
+};
+
 // By sample or by entry of a queue: an array of device memory each.
 struct BatchColumns {
     SlotColumns<float> slots{};
@@ -32,10 +39,10 @@ struct BatchColumns {
     BranchColumns<float> branch{};
     TransmittanceColumns<float> transmittance{};
 
-    // visit(array, how many numbers it has for a path). `media`: with what paths through them have besides.
+    // visit(array, how many numbers it has for a path)
     template <class Each>
-    void for_arrays(bool media, Each &&each_array) {
-        const uint32_t shadows_of_path = media ? MostShadows : 1;
+    void for_arrays(const BatchParts &parts, Each &&each_array) {
+        const uint32_t shadows_of_path = parts.media ? MostShadows : 1;
         auto visit = [&](auto *&array) { each_array(array, 1u); };
         auto visit_shadows = [&](auto *&array) { each_array(array, shadows_of_path); };
         auto each = [&](auto &...column) { (column.each(visit), ...); };
@@ -47,6 +54,7 @@ struct BatchColumns {
 #define TR_VISIT(type, name) of.name.each(visit_shadows);
         auto of_shadows = [&](auto &of) { TR_SHADOW_COLUMNS(TR_VISIT) TR_SHADOW_VALUE_COLUMNS(TR_VISIT) };
         auto of_shadows_in_media = [&](auto &of) { TR_SHADOW_MEDIUM_COLUMNS(TR_VISIT) };
+        auto of_connections = [&](auto &of) { TR_SHADOW_FILM_COLUMNS(TR_VISIT) };
 #undef TR_VISIT
         of_samples(slots), each(slots.delta, slots.radiance, slots.alpha);
         visit(lost.count), visit(lost.culprit), visit(lost.index);
@@ -54,7 +62,8 @@ struct BatchColumns {
         hits.for_arrays(visit), of_shadows(shadows);
         visit(key), visit(out_key), visit_shadows(shadow_key);
         visit(camera_rays), visit(live_rays), visit(sorted), visit_shadows(shadow_rays);
-        if (!media) return;
+        if (parts.light) of_connections(shadows);
+        if (!parts.media) return;
         for (auto &queue : queues) of_paths_in_media(queue);
         of_shadows_in_media(shadows), transmittance.for_arrays(visit_shadows);
         flight.for_arrays(visit);

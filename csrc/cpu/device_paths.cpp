@@ -13,20 +13,19 @@ namespace {
 constexpr uint32_t Kinds = uint32_t(EmissionKind) + 1;
 static_assert(Kinds <= SortTable::MostKinds);
 constexpr size_t Totals = 4, TrackingNumbers = size_t(TrackingTotals::Copies) * TrackingTotals::Sums;
-constexpr int LevelsBetweenLooks = 8;  // at how many paths are left
-constexpr int MostLevels = 16;         // of a tape that batches are sized for; deeper ones have few paths left
+constexpr int MostLevels = 16;  // of a tape that batches are sized for; deeper ones have few paths left
 
 uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
 
 // The kinds that hits of a scene can have.
-std::vector<int32_t> kinds_in(const SceneView<float> &scene, const PathConfig &config, bool records) {
+std::vector<int32_t> kinds_in(const SceneView<float> &scene, const PathConfig &config, bool records, bool light) {
     std::set<int32_t> found;
     if (config.volumetric) {
         found.insert(CollisionKind);
         if (records) found.insert(MissKind);
         if (config.hide_emitters) found.insert(NullKind);
     }
-    if (scene.environment >= 0) found.insert(MissKind);
+    if (scene.environment >= 0 && !light) found.insert(MissKind);
     for (int b = 0; b < scene.n_bsdfs; ++b) {
         const int32_t kind = scene.bsdfs[b].kind;
         if (kind < FirstWrapper) found.insert(kind);
@@ -47,25 +46,19 @@ void DevicePaths::check(const RenderCall<float> &call) {
     if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
 }
 
-// Where entries of each key of a sort begin, and how many they are.
-struct DevicePaths::Sorted {
-    uint32_t *begin, *total;
-    uint32_t kinds;
-};
-
-size_t DevicePaths::bytes_per_path(bool media) {
+size_t DevicePaths::bytes_per_path(const BatchParts &parts) {
     size_t bytes = 0;
-    BatchColumns().for_arrays(media, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
+    BatchColumns().for_arrays(parts, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
     return bytes;
 }
 
-void DevicePaths::reserve(size_t n, bool media) {
-    if (n <= capacity_ && media == media_) return;
+void DevicePaths::reserve(size_t n, const BatchParts &parts) {
+    if (n <= capacity_ && parts == parts_) return;
     launcher_.synchronize();
-    capacity_ = 0, media_ = media;
+    capacity_ = 0, parts_ = parts;
     arrays_.clear();
     at_ = {};
-    at_.for_arrays(media, [&](auto *&array, size_t each) {
+    at_.for_arrays(parts, [&](auto *&array, size_t each) {
         static_assert(sizeof(*array) == sizeof(uint32_t));
         arrays_.emplace_back(launcher_, each * n);
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(arrays_.back().get());
@@ -86,22 +79,22 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
                                      const TileSchedule &schedule, const DerivativeCall<float> *derivative,
                                      int channels) {
     const SceneView<float> &host = *call.scene;
-    Work work{call, {}, tree, kinds_in(host, call.config, derivative && channels == Radiance), schedule};
+    const bool media = call.config.volumetric, light = channels == Light, paths = channels < 0;
+    Work work{call, {}, tree, kinds_in(host, call.config, derivative && paths, light), schedule};
     for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += schedule.n_paths(i);
     if (call.pixels) work.list = list_pixels(schedule, work.lists);
-    const bool media = call.config.volumetric;
-    size_t memory = memory_, bytes = bytes_per_path(media);
-    const bool paths = channels == Radiance;
+    size_t memory = memory_, bytes = bytes_per_path({media, light});
     if (!paths) bytes += size_t(channels) * sizeof(float);
     if (derivative) work.parts.motion = derivative->needs.numbers();
     if (derivative && paths) {
         const int depth = call.config.max_depth, levels = depth < 0 || media ? MostLevels : std::min(depth, MostLevels);
         memory *= TapeShare;
-        work.parts = {host.has_stacks, host.follows_tangent, derivative->needs.numbers(), media};
+        work.parts = {host.has_stacks, host.follows_tangent,         derivative->needs.numbers(), media,
+                      light,           light && !derivative->adjoint};
         bytes += size_t(levels + work.splits()) * DeviceTapeLevels::bytes_per_entry(work.parts);
     }
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
-    reserve(work.batch, media);
+    reserve(work.batch, {media, light});
     clear(launcher_, at_.lost.count, capacity_), clear(launcher_, totals_.get(), Totals);
     if (media) {
         tracking_.reserve(launcher_, TrackingNumbers);
@@ -110,6 +103,7 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
 
     SceneFacts &facts = work.facts = SceneFacts(host, call.config);
     facts.records = derivative && paths, facts.forward = derivative && !derivative->adjoint;
+    facts.light_paths = light;
     facts.motion = work.parts.motion, facts.fixed_sums = derivative && derivative->fixed_sums;
     launcher_.know(facts);
     std::vector<int32_t> kinds(size_t(host.n_bsdfs));
@@ -165,7 +159,7 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
         work.reverse = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
-        DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
@@ -173,13 +167,7 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
                 CollectAdjoints{derivative_.gather(call.filter, at_.slots), at_.slots.alpha.at, at_.slots.delta},
                 batch.size);
             trace_paths(work, batch.size);
-            to.measures = to.fixed;
-            sweep(work, to, false);
-            if (to.fixed) {
-                to.measures = false;
-                sweep(work, to, false);
-            }
-            derivative_.settle(launcher_);
+            sweep_gradients(work, to);
         });
         if (stats.interrupted) return;
         finish(work, stats);
@@ -332,34 +320,54 @@ void DevicePaths::trace_hits(const Work &work, const PathQueue<float> &queue, co
     launcher_.run(TracePaths{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
 }
 
-// Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_. `parents`: the level of
-// the tape that they come from.
+// The stage of a step, with a level of the tape if there is one, and where its hits of each kind are. `parents`: the
+// level that they come from.
+PathStage DevicePaths::begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges) {
+    ranges = {ranges_.get(), ranges_.get() + Kinds, Kinds};
+    PathStage stage = work.stage;
+    if (stage.records) {
+        const DeviceTapeLevels::Level &level = levels_.add(launcher_, parents, scatters, n, Kinds);
+        stage.tape = level.tape;
+        ranges = {level.begin, level.total, Kinds};
+    }
+    return stage;
+}
+
+// Lists the hits of the rays, n at most, by kind.
+void DevicePaths::sort_hits(const PathStage &stage, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
+                            uint32_t n, const Sorted &ranges) {
+    const bool viewed = !parts_.light;
+    launcher_.run(ClassifyHits{stage, at, viewed, in, at_.hits, kinds_.get(), rays, at_.key}, n);
+    sort(at_.key, &rays, rays.n, sorted_, ranges, n);
+}
+
+// ... which are to be shaded so.
+ShadeHits DevicePaths::shading(const PathStage &stage, const PathStep &at, const PathQueue<float> &in,
+                               const PathQueue<float> &out, const Sorted &ranges) const {
+    return {stage,        at,           MissKind, false,       in,          at_.hits,      sorted_.entry,
+            ranges.begin, ranges.total, out,      at_.shadows, at_.out_key, at_.shadow_key};
+}
+
+// Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_.
 void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
                        const PathQueue<float> &out, uint32_t n, int parents) {
     const int depth = work.call.config.max_depth;
     const bool volumetric = work.call.config.volumetric;
-    Sorted ranges{ranges_.get(), ranges_.get() + Kinds, Kinds};
-    PathStage stage = work.stage;
-    if (stage.records) {
-        const DeviceTapeLevels::Level &level = levels_.add(launcher_, parents, at.scatters, n, Kinds);
-        stage.tape = level.tape;
-        ranges = {level.begin, level.total, Kinds};
-    }
+    Sorted ranges;
+    const PathStage stage = begin_step(work, parents, at.scatters, n, ranges);
     in.n = uint32_t(capacity_);  // any entry of it may be asked for
     MediumContext<float> media = work.media;
     media.level = uint32_t(at.depth);
     if (volumetric) launcher_.run(FlyRays{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
-    launcher_.run(ClassifyHits{stage, at, in, at_.hits, kinds_.get(), rays, at_.key}, n);
-    sort(at_.key, &rays, rays.n, sorted_, ranges, n);
-    const bool last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
+    sort_hits(stage, at, in, rays, n, ranges);
+    ShadeHits hits = shading(stage, at, in, out, ranges);
+    hits.last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
     for (const int32_t kind : work.kinds) {
-        const ShadeHits shading{stage,         at,           kind,         last, in,          at_.hits,
-                                sorted_.entry, ranges.begin, ranges.total, out,  at_.shadows, at_.out_key,
-                                at_.shadow_key};
+        hits.kind = kind;
         if (volumetric)
-            launcher_.run(ShadeInMedia{shading, media}, n, kind);
+            launcher_.run(ShadeInMedia{hits, media}, n, kind);
         else
-            launcher_.run(shading, n, kind);
+            launcher_.run(hits, n, kind);
     }
     if (!at.scatters) return;
     keep(at_.shadow_key, sorted_.n, lit_, n, volumetric ? MostShadows : 1);
@@ -374,11 +382,13 @@ void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &i
     keep(at_.out_key, sorted_.n, live_, n);
 }
 
-// As PathTile::sweep_levels.
-void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint) {
+// As PathTile::sweep_levels, or LightTile::sweep, from level `last` on.
+void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint, int last) {
+    static const std::vector<int32_t> beginning{EmissionKind};
+    const bool light = parts_.light;
     BranchEnds branches;
     if (work.media.differential) branches = {at_.branch.level, at_.branch.entry, at_.branch.radiance};
-    for (int l = levels_.size() - 1; l >= 0; --l) {
+    for (int l = last; l >= 0; --l) {
         const DeviceTapeLevels::Level &level = levels_[l];
         PathStage stage = work.stage;
         stage.tape = level.tape;
@@ -387,11 +397,26 @@ void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_
             const TapeColumns<float> &parents = levels_[level.parents].tape;
             before = {parents.vertex.suffix, parents.next, parents.motion.rest_bar, parents.motion.from_bar};
         }
-        for (const int32_t kind : work.kinds)
-            launcher_.run(SweepVertices{stage, kind, uint32_t(l), level.scatters, level.begin, level.total, before,
-                                        branches, to, unit_adjoint},
-                          level.room, kind);
+        for (const int32_t kind : light &&l == 0 ? beginning : work.kinds) {
+            const SweepVertices vertices{stage,  kind,     uint32_t(l), level.scatters, level.begin, level.total,
+                                         before, branches, to,          unit_adjoint};
+            if (light)
+                launcher_.run(SweepLightVertices{vertices}, level.room, kind);
+            else
+                launcher_.run(vertices, level.room, kind);
+        }
     }
+}
+
+// In reverse mode, the gradients of a batch.
+void DevicePaths::sweep_gradients(const Work &work, DerivativePlaces to) {
+    to.measures = to.fixed;
+    sweep(work, to, false);
+    if (to.fixed) {
+        to.measures = false;
+        sweep(work, to, false);
+    }
+    derivative_.settle(launcher_);
 }
 
 // In forward mode, as PathTile::sweep_tape: numbers need a sweep a component.

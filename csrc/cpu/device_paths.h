@@ -40,13 +40,23 @@ public:
     RenderStats forward_outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                                 const AovOutput<float> &out, const DerivativeCall<float> &derivative);
 
+    // As trace_light, trace_light_reverse and trace_light_forward, the sums of images being whole multiples of units
+    // (FixedSum), in any order.
+    RenderStats light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree, float *image,
+                      FilmSums *sums);
+    RenderStats reverse_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                              DerivativeCall<float> &derivative);
+    RenderStats forward_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                              const DerivativeCall<float> &derivative, float *image);
+
     // Of `memory` a path takes, without the tape.
-    static size_t bytes_per_path(bool media = false);
+    static size_t bytes_per_path(const BatchParts &parts = {});
     static constexpr size_t TapeShare = 4;
 
 private:
     static constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
-    static constexpr int Radiance = -1;                     // in place of a number of channels
+    static constexpr int LevelsBetweenLooks = 8;            // at how many paths are left
+    static constexpr int Radiance = -1, Light = -2;         // in place of a number of channels: of paths, of light's
 
     // What one call is about, and where the pixels of a tile are in a list of them.
     struct Work;
@@ -58,7 +68,7 @@ private:
     size_t memory_;
     DeviceScene scene_;
     size_t capacity_ = 0;  // paths of a batch
-    bool media_ = false;   // these may go through media
+    BatchParts parts_;     // of these
     BatchColumns at_{};
     std::vector<DeviceArray<uint32_t>> arrays_;  // of it
     EntryList camera_{}, live_{}, sorted_{}, lit_{};
@@ -68,7 +78,9 @@ private:
     DeviceArray<uint64_t> totals_;    // closest hits, shadow rays, values that are not finite: of paths, of derivatives
     DeviceArray<uint64_t> tracking_;  // TrackingTotals
     DeviceArray<double> sums_, open_;
-    HostBuffer film_;  // the sums on their way back
+    DeviceArray<FixedSum> splats_;      // on their way to the former
+    DeviceArray<float> splat_adjoint_;  // of these
+    HostBuffer film_;                   // the sums on their way back
     DeviceArray<int32_t> pixels_, places_;
     DeviceArray<FilmUnit> units_;
     DeviceArray<OwnSamples> own_;
@@ -85,7 +97,7 @@ private:
     void release();
     Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
                const TileSchedule &schedule, const DerivativeCall<float> *derivative, int channels);
-    void reserve(size_t n, bool media);
+    void reserve(size_t n, const BatchParts &parts);
     template <class Body>
     void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
     void finish(const Work &work, RenderStats &stats) const;
@@ -111,11 +123,34 @@ private:
     void trace_volumetric(Work &work, uint32_t n);
     void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);
     void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
+    PathStage begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges);
+    void sort_hits(const PathStage &stage, const PathStep &at, PathQueue<float> &in, const EntryList &rays, uint32_t n,
+                   const Sorted &ranges);
+    ShadeHits shading(const PathStage &stage, const PathStep &at, const PathQueue<float> &in,
+                      const PathQueue<float> &out, const Sorted &ranges) const;
     void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
               const PathQueue<float> &out, uint32_t n, int parents);
-    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint);
+    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint, int last);
+    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint) {
+        sweep(work, to, unit_adjoint, levels_.size() - 1);
+    }
+    void sweep_gradients(const Work &work, DerivativePlaces to);
     void sweep_components(const Work &work, DerivativePlaces to, uint32_t n);
     uint32_t live() const;
+
+    // light paths
+    template <class Do>
+    RenderStats run_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
+                          const DerivativeCall<float> *derivative, Do &&f);
+    template <class Visit>
+    void trace_light(const Work &work, uint32_t n, Visit &&visit);
+    void trace_connections(const Work &work, const PathStage &stage, uint32_t n);
+    FreeConnections free_connections() const { return {at_.shadows, lit_, at_.shadow_key}; }
+    void begin_splats(const RenderCall<float> &call);
+    template <class Splat>
+    void add_splats(const RenderCall<float> &call, Splat splat, uint32_t n);
+    void write_splats(const RenderCall<float> &call, float *image, FilmSums *sums);
+    void splat_tangents(const Work &work, const RenderCall<float> &call, DerivativePlaces to);
 
     // outputs besides radiance
     struct Outputs;

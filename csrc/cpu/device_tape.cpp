@@ -4,10 +4,16 @@ namespace tr {
 
 namespace {
 
+template <class Level, class Visit>
+void for_arrays(Level &level, const TapeParts &parts, Visit &&visit) {
+    for_tape_arrays(level.tape, parts, visit);
+    if (parts.splats) level.kept.for_arrays(visit);
+}
+
 size_t n_arrays(const TapeParts &parts) {
     size_t n = 0;
-    const TapeColumns<float> none{};
-    for_tape_arrays(none, parts, [&](const auto *) { ++n; });
+    const DeviceTapeLevels::Level none;
+    for_arrays(none, parts, [&](const auto *) { ++n; });
     return n;
 }
 
@@ -22,9 +28,9 @@ DeviceTapeLevels::Level &DeviceTapeLevels::add(Launcher &launcher, int parents, 
     level.parents = parents, level.scatters = scatters, level.room = room;
     const size_t aligned = (size_t(room) + 63) / 64 * 64;  // arrays begin at lines of the memory
     level.memory_.reserve(launcher, aligned * n_arrays(parts_));
-    level.tape = {};
+    level.tape = {}, level.kept = {};
     uint32_t *at = level.memory_.get();
-    for_tape_arrays(level.tape, parts_, [&](auto *&array) {
+    for_arrays(level, parts_, [&](auto *&array) {
         static_assert(sizeof(*array) == sizeof(uint32_t));
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(at);
         at += aligned;

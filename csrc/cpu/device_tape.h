@@ -4,6 +4,7 @@
 #include <deque>
 
 #include "device/launcher.h"
+#include "device/splat_kernels.h"
 #include "device/tape.h"
 
 namespace tr {
@@ -13,6 +14,7 @@ public:
     struct Level {
         static constexpr int NoParents = -1;
         TapeColumns<float> tape{};
+        KeptConnections kept{};
         uint32_t *begin = nullptr, *total = nullptr;  // by kind: where its entries begin, and how many they are
         int parents = NoParents;                      // the level of the vertices before
         bool scatters = false;

@@ -23,6 +23,7 @@ struct DevicePaths::Work {
     TapeParts parts{};
     SceneFacts facts{};
     MediumContext<float> media{};
+    bool measured = false;  // of light paths: what arrives on a surface
     int64_t n_paths = 0;
     size_t batch = 0;      // paths of one at most
     bool reverse = false;  // paths that nothing is asked of are left out
@@ -46,6 +47,12 @@ struct DevicePaths::Work {
         const bool scatters = config.max_depth < 0 || config.max_depth > 1;
         return scatters ? std::max(config.emitter_samples, config.bsdf_samples) : 1;
     }
+};
+
+// Where entries of each key of a sort begin, and how many they are.
+struct DevicePaths::Sorted {
+    uint32_t *begin, *total;
+    uint32_t kinds;
 };
 
 // Waits, whatever happens: what was launched needs memory that may be given back.

@@ -4,20 +4,10 @@
 
 #include <array>
 
+#include "light_film.h"
 #include "light_tile.h"
-#include "splat.h"
 
 namespace tr {
-
-// What is splatted apart: radiance, or the components of Stokes vectors.
-template <class S>
-size_t n_parts(const RenderCall<S> &call) {
-    return call.config.stokes ? 4 : 1;
-}
-template <class T, class S>
-std::vector<SplatFilm<T>> empty_films(const RenderCall<S> &call) {
-    return std::vector<SplatFilm<T>>(n_parts(call), SplatFilm<T>(call.crop));
-}
 
 // In the spectral variant: what connections bring becomes channels of the film.
 template <class F>

@@ -98,8 +98,6 @@ private:
         std::vector<KindRange> *ranges = recording ? &add_level().ranges : &ranges_;
         // the last vertex, too, is connected and therefore sorted by its BSDF
         wavefront.sort({step.depth, step.split, true}, current, false, recording, *ranges);
-        auto missed = [](const KindRange &range) { return range.kind == MissKind; };
-        ranges->erase(std::remove_if(ranges->begin(), ranges->end(), missed), ranges->end());
         PathContext<F> c = wavefront.context(recording);
         for (const KindRange &range : *ranges)
             wavefront.for_packets(range, [&](const LaneSet<F> &lanes, uint32_t i) {

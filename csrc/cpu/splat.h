@@ -77,6 +77,8 @@ public:
             for (int c = 0; c < SpectrumSize; ++c) sum_[i].v[c] += T(other.number(i)[c]);
     }
     const Vector &number(size_t i) const { return sum_[i].v; }
+    size_t size() const { return sum_.size(); }
+    const T *data() const { return reinterpret_cast<const T *>(sum_.data()); }  // (size, Stride)
 
     // Adds `value` at lane i of two axes. Most of light tracing's time on the film goes here, hence four pixels at
     // once.

@@ -12,6 +12,9 @@
 #include "core/adjoint/medium.cpp"
 #include "core/adjoint/medium_motion.cpp"
 #endif
+#if TR_LIGHT_PATHS
+#include "core/adjoint/light.cpp"
+#endif
 #if TR_STACKS
 #include "core/adjoint/stack.cpp"
 #endif

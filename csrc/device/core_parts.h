@@ -59,3 +59,6 @@
 #include "core/bsdf/parameters.cpp"
 #endif
 #include "core/integrator/surface.cpp"
+#if TR_LIGHT_PATHS
+#include "core/integrator/light.cpp"
+#endif

@@ -91,6 +91,14 @@ struct SweepVertices {
     bool unit_adjoint;
 
     TR_HD void operator()(uint32_t j) const {
+        for_vertex(j, [&](const SweepContext<float> &c, const TapeColumns<float> &parents, uint32_t i,
+                          GradientSink<float> &sink) {
+            sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
+        });
+    }
+    // Calls sweep(context, parents, i, sink) for vertex j of the kind.
+    template <class Sweep>
+    TR_HD void for_vertex(uint32_t j, Sweep &&sweep) const {
         if (j >= total[kind]) return;
         const uint32_t i = begin[kind] + j;
         TapeColumns<float> parents{};
@@ -110,13 +118,32 @@ struct SweepVertices {
                                     volumetric && branches.level.at ? &ends : nullptr,
                                     unit_adjoint};
         GradientSink<float> sink = to.sink(i);
-        sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
+        sweep(c, parents, i, sink);
         if (sink.non_finite != 0 && !to.measures) accumulate(to.non_finite, uint64_t(sink.non_finite));
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         stage.for_pointers(visit), visit(begin), visit(total), before.for_pointers(visit);
         branches.for_pointers(visit), to.for_pointers(visit);
+    }
+};
+
+// ... of light paths.
+struct SweepLightVertices {
+    static constexpr const char *Name = "tr::SweepLightVertices", *Header = "device/derivative_kernels.h";
+    static constexpr Knowledge Knows = Knowledge::Derivative;
+    SweepVertices of;
+    bool adds() const { return of.adds(); }
+
+    TR_HD void operator()(uint32_t j) const {
+        of.for_vertex(j, [&](const SweepContext<float> &c, const TapeColumns<float> &parents, uint32_t i,
+                             GradientSink<float> &sink) {
+            sweep_light_vertex<float>(c, of.stage.light_sensor(), of.stage.tape, &parents, of.kind, i, true, sink);
+        });
+    }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        of.for_pointers(visit);
     }
 };
 

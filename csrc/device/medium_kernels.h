@@ -94,11 +94,12 @@ struct ShadeInMedia {
     MediumContext<float> media;
 
     TR_HD void operator()(uint32_t j) const {
-        shading.shade<MostShadows>(
-            j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, ShadowQueue<float> &shadows) {
-                if (shading.stage.records)
-                    record_segment<float>(c, media, shading.step, shading.in, shading.hits, lanes, i, shadows);
-            });
+        shading.for_hit<MostShadows>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i,
+                                            PathQueue<float> &own, ShadowQueue<float> &shadows) {
+            if (shading.stage.records)
+                record_segment<float>(c, media, shading.step, shading.in, shading.hits, lanes, i, shadows);
+            shading.shade(c, lanes, i, own, shadows);
+        });
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

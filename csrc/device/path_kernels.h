@@ -11,6 +11,7 @@
 #include "core/integrator/camera.h"
 #include "core/integrator/classify.h"
 #include "core/integrator/medium.h"
+#include "entries.h"
 #include "path_stage.h"
 #include "tree_traversal.h"
 #if defined(__CUDACC_RTC__)
@@ -18,19 +19,6 @@
 #endif
 
 namespace tr {
-
-// Entries of a queue, in their order, and how many these are.
-struct EntryList {
-    uint32_t *entry, *n;
-
-    template <class Visit>
-    void for_pointers(Visit &&visit) const {
-        visit(entry), visit(n);
-    }
-};
-
-// In lists of what is left of a launch; -1: nothing.
-constexpr int32_t Kept = 0, Gone = -1;
 
 // Camera rays of the samples; `skip_zero_adjoint`: see start_paths.
 struct StartPaths {
@@ -70,6 +58,27 @@ struct PlaceSamples {
     }
 };
 
+// Of ray i of a queue. `Any`: whatever it meets.
+template <bool Any, class Queue>
+TR_HD inline TreeHit trace_entry(const TreeView &tree, const Queue &rays, uint32_t i) {
+    const float o[] = {rays.o.x[i], rays.o.y[i], rays.o.z[i]}, d[] = {rays.d.x[i], rays.d.y[i], rays.d.z[i]};
+    return trace<Any>(tree, o, d, rays.length[i]);
+}
+
+// ... the closest; `passes`: it goes on behind what emits.
+template <class Queue>
+TR_HD inline TreeHit trace_past(const TreeView &tree, const SceneView<float> &scene, const Queue &rays, uint32_t i,
+                                bool passes) {
+    TreeHit hit = trace_entry<false>(tree, rays, i);
+    for (int pass = 0; passes && pass < MostPasses && passes_emitter(scene, hit.shape); ++pass) {
+        Vec3<float> o = rays.o.get(i);
+        pass_behind(o, rays.d.get(i), hit.t, rays.length[i]);
+        rays.o.set(i, o);
+        hit = trace_entry<false>(tree, rays, i);
+    }
+    return hit;
+}
+
 // Closest hits. `passes`: rays go on behind what emits.
 struct TracePaths {
     static constexpr const char *Name = "tr::TracePaths", *Header = "device/path_kernels.h";
@@ -86,13 +95,7 @@ struct TracePaths {
         if (k == 0) *traced += *rays.n;
         if (k >= *rays.n) return;
         const uint32_t i = rays.entry[k];
-        TreeHit hit = trace(i);
-        for (int pass = 0; passes && pass < MostPasses && passes_emitter(scene, hit.shape); ++pass) {
-            Vec3<float> o = queue.o.get(i);
-            pass_behind(o, queue.d.get(i), hit.t, queue.length[i]);
-            queue.o.set(i, o);
-            hit = trace(i);
-        }
+        const TreeHit hit = trace_past(tree, scene, queue, i, passes);
         hits.at.shape[i] = hit.shape, hits.at.primitive[i] = hit.primitive;
         hits.at.b1[i] = hit.b1, hits.at.b2[i] = hit.b2, hits.t[i] = hit.t;
     }
@@ -100,12 +103,6 @@ struct TracePaths {
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), tree.for_pointers(visit), queue.for_arrays(visit), hits.for_arrays(visit);
         rays.for_pointers(visit), visit(traced);
-    }
-
-private:
-    TR_HD TreeHit trace(uint32_t i) const {
-        const float o[] = {queue.o.x[i], queue.o.y[i], queue.o.z[i]}, d[] = {queue.d.x[i], queue.d.y[i], queue.d.z[i]};
-        return tr::trace<false>(tree, o, d, queue.length[i]);
     }
 };
 
@@ -115,6 +112,7 @@ struct ClassifyHits {
     static constexpr Knowledge Knows = Knowledge::Scene;
     PathStage stage;
     PathStep step;
+    TR_FACT(bool, viewed, !TR_LIGHT_PATHS);  // from the camera's side
     PathQueue<float> queue;
     HitColumns<float> hits;
     const int32_t *kinds;  // by bsdf
@@ -125,7 +123,7 @@ struct ClassifyHits {
         if (k >= *rays.n) return;
         const uint32_t i = rays.entry[k];
         stage.with_context(queue.slot[i], [&](const PathContext<float> &c) {
-            key[k] = classify_hits<float>(c, step, queue, hits, kinds, true, i);
+            key[k] = classify_hits<float>(c, step, queue, hits, kinds, viewed, i);
         });
     }
     template <class Visit>
@@ -152,32 +150,35 @@ struct ShadeHits {
     int32_t *out_key, *shadow_key;
 
     TR_HD void operator()(uint32_t j) const {
-        shade<1>(j, [](const PathContext<float> &, const LaneSet<float> &, uint32_t, ShadowQueue<float> &) {});
+        for_hit<1>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, PathQueue<float> &own,
+                          ShadowQueue<float> &own_shadows) { shade(c, lanes, i, own, own_shadows); });
     }
-    // A hit has up to `Most` shadow rays, of which before(context, hit, i, queue) may be the first.
-    template <uint32_t Most, class Before>
-    TR_HD void shade(uint32_t j, Before &&before) const {
+    // Calls do_shade(context, hit, i, what goes on from it, its shadow rays) for hit j of the kind, which has up to
+    // `Most` of the last.
+    template <uint32_t Most, class Shade>
+    TR_HD void for_hit(uint32_t j, Shade &&do_shade) const {
         if (j >= total[kind]) return;
         const uint32_t i = begin[kind] + j, first_shadow = Most * i;
         PathQueue<float> own = out;
         ShadowQueue<float> own_shadows = shadows;
         own.n = i, own_shadows.n = first_shadow;
         const LaneSet<float> lanes(sorted + i, 1);
-        stage.with_context(in.slot[sorted[i]], [&](const PathContext<float> &c) {
-            before(c, lanes, i, own_shadows);
-            if (kind == MissKind)
-                shade_environment<float>(c, step, in, lanes, i);
-#if !defined(TR_BSDF_KIND) || (TR_VOLUMETRIC && !defined(TR_ONE_BSDF))
-            else if (kind == CollisionKind)
-                shade_medium<float>(c, step, in, hits, lanes, i, own, own_shadows);
-#endif
-#if !defined(TR_BSDF_KIND) || defined(TR_ONE_BSDF)
-            else
-                shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
-#endif
-        });
+        stage.with_context(in.slot[sorted[i]],
+                           [&](const PathContext<float> &c) { do_shade(c, lanes, i, own, own_shadows); });
         out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
         for (uint32_t k = first_shadow; k < first_shadow + Most; ++k) shadow_key[k] = k < own_shadows.n ? Kept : Gone;
+    }
+    TR_HD void shade(const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, PathQueue<float> &own,
+                     ShadowQueue<float> &own_shadows) const {
+        if (kind == MissKind) shade_environment<float>(c, step, in, lanes, i);
+#if !defined(TR_BSDF_KIND) || (TR_VOLUMETRIC && !defined(TR_ONE_BSDF))
+        else if (kind == CollisionKind)
+            shade_medium<float>(c, step, in, hits, lanes, i, own, own_shadows);
+#endif
+#if !defined(TR_BSDF_KIND) || defined(TR_ONE_BSDF)
+        else
+            shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
+#endif
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -210,9 +211,7 @@ struct TraceShadows {
         if (k == 0) *traced += *rays.n;
         if (k >= *rays.n) return;
         const uint32_t i = rays.entry[k];
-        const float o[] = {shadows.o.x[i], shadows.o.y[i], shadows.o.z[i]},
-                    d[] = {shadows.d.x[i], shadows.d.y[i], shadows.d.z[i]};
-        const bool occluded = trace<true>(tree, o, d, shadows.length[i]).shape != TreeHit::Miss;
+        const bool occluded = trace_entry<true>(tree, shadows, i).shape != TreeHit::Miss;
         if (light_weight && occluded) light_weight[shadows.position[i]] = 0;
         if (light_weight || occluded) return;
         for (int c = 0; c < SpectrumSize; ++c) radiance[c][shadows.slot[i]] += shadows.contribution[c][i];

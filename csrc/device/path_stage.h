@@ -1,7 +1,7 @@
 // What the kernels of paths and of their derivatives work on.
 #pragma once
 
-#include "core/integrator/context.h"
+#include "core/integrator/light.h"
 #include "knowledge.h"
 #include "tape.h"
 
@@ -44,11 +44,12 @@ struct PathStage {
                              bsdfs_alone});
         if (found.non_finite != 0) lost.add(slot, found);
     }
+    TR_HD LightSensor<float> light_sensor() const { return {scene, config.sensor, width, height}; }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
         visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs);
-        for_tape_arrays(tape, {true, true, true, true}, visit);
+        for_tape_arrays(tape, AllTapeParts, visit);
     }
 };
 

@@ -93,6 +93,7 @@ std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) cons
     number("SAMPLER", all ? sampler : 0);
     define("PHASE_KINDS", std::to_string(all && volumetric ? phases : 0) + "u");
     number("VOLUMETRIC", all && volumetric), number("CHROMATIC", all && volumetric && chromatic);
+    number("LIGHT_PATHS", all && light_paths);
     number("RECORDS", all && records), number("DERIVATIVES", knowledge == Knowledge::Derivative);
     number("FORWARD", knowledge == Knowledge::Derivative && forward), number("MOTION", all && motion);
     number("FIXED_SUMS", knowledge == Knowledge::Derivative && fixed_sums);

@@ -18,6 +18,7 @@ struct SceneFacts {
     bool records = false, forward = false, motion = false;  // paths are on a tape; in forward mode; something moves
     bool fixed_sums = false;
     bool volumetric = false, chromatic = false;  // paths through media, of coloured extinction
+    bool light_paths = false;
     int32_t sampler = 0;
 
     SceneFacts() = default;

@@ -17,6 +17,7 @@
 #if !TR_HAS_PACKETS
 #include "cpu/derivative_call.h"
 #include "cpu/device_paths.h"
+#include "device/light_kernels.h"
 
 namespace tr::testing {
 
@@ -92,7 +93,7 @@ struct Balls {
         const auto device = make_emulated();
         DeviceTree copied(*device);
         copied.set(rays.tree());
-        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path(call.config.volumetric));
+        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path({call.config.volumetric, false}));
         Image r(n);
         r.stats = paths.render(call, data, copied.view(), r.out());
         return r;
@@ -182,7 +183,7 @@ TR_TEST(gradients_of_the_device_are_those_of_the_cpu_in_any_batches) {
             const auto device = make_emulated();
             DeviceTree copied(*device);
             copied.set(balls.rays.tree());
-            DevicePaths paths(*device, batch * DevicePaths::bytes_per_path(volumetric));
+            DevicePaths paths(*device, batch * DevicePaths::bytes_per_path({volumetric, false}));
             const auto there = [&](const RenderCall<float> &c, DerivativeCall<float> &d) {
                 return paths.reverse(c, balls.data, copied.view(), d);
             };
@@ -322,6 +323,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     SceneFacts moved = recorded, fixed = recorded, output_moved = room, moved_cloud = recorded_cloud;
     moved_cloud.motion = true;
     moved.motion = output_moved.motion = fixed.fixed_sums = true;
+    SceneFacts light = room, recorded_light = recorded, moved_light = moved;
+    light.light_paths = recorded_light.light_paths = moved_light.light_paths = true;
     const int diffuse = kind_of_model<Diffuse>(Bsdfs{}), principled = kind_of_model<Principled>(Bsdfs{});
     struct Case {
         const Kernel &kernel;
@@ -358,6 +361,19 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<FinishBranches>(), cloud, -1, ""},
                              {kernel_of<SweepVertices>(), recorded_cloud, CollisionKind, ",collision"},
                              {kernel_of<SweepVertices>(), moved_cloud, CollisionKind, ",collision,moved"},
+                             {kernel_of<StartLightPaths>(), light, -1, ""},
+                             {kernel_of<ShadeLightPaths>(), light, diffuse, ",diffuse"},
+                             {kernel_of<ShadeLightPaths>(), recorded_light, diffuse, ",diffuse,recorded"},
+                             {kernel_of<TraceConnections>(), light, -1, ""},
+                             {kernel_of<SplatConnections>(), light, -1, ""},
+                             {kernel_of<CollectConnections>(), light, -1, ""},
+                             {kernel_of<KeepConnections>(), light, -1, ""},
+                             {kernel_of<SetAdjoints>(), light, -1, ""},
+                             {kernel_of<SplatTangents>(), light, -1, ""},
+                             {kernel_of<SweepLightVertices>(), recorded_light, EmissionKind, ",emission"},
+                             {kernel_of<SweepLightVertices>(), recorded_light, diffuse, ",diffuse"},
+                             {kernel_of<SweepLightVertices>(), moved_light, EmissionKind, ",emission,moved"},
+                             {kernel_of<SweepLightVertices>(), moved_light, diffuse, ",diffuse,moved"},
                              {kernel_of<EvaluateOutputs>(), room, -1, ""},
                              {kernel_of<EvaluateOutputs>(), more, -1, ",more"},
                              {kernel_of<SweepOutputs>(), room, -1, ""},

@@ -1,8 +1,16 @@
-// Light tracing: forward mode against reverse mode, and images that do not depend on threads or on what is cropped.
+// Light tracing: forward mode against reverse mode, and images that do not depend on threads or on what is cropped. On
+// the emulated device: images and derivatives are those of the CPU, in whatever batches and order.
+#include <algorithm>
 #include <random>
 
 #include "accel/embree_library.h"
+#include "device/emulated.h"
+#include "device/scene_rays.h"
+#include "device/tree_walk.h"
 #include "scene_builder.h"
+#if !TR_HAS_PACKETS
+#include "cpu/device_paths.h"
+#endif
 
 namespace tr::testing {
 
@@ -107,5 +115,113 @@ TR_TEST(light_images_are_the_same_for_any_threads_and_crop) {
             same = same && part[size_t(y * 27 + x)] == one[size_t((y + 3) * s.width * 3 + 6 + x)];
     CHECK(same);
 }
+
+#if !TR_HAS_PACKETS
+namespace {
+
+// A scene that the CPU walks through a device's tree of.
+struct OnDevice {
+    SceneBuilder<float> builder{3};
+    SceneData<float> data;
+    SceneRays rays;
+    TreeWalk walk;
+    Settings settings;
+
+    explicit OnDevice(bool meter) {
+        load_embree(embree_path());
+        add_scene(builder, meter);
+        builder.build(data);
+        rays.update(data.view(), 1);
+        walk.tree = rays.tree().view();
+        data.walk(&walk);
+        settings.spp = 30, settings.max_depth = 5, settings.filter = Filter(FilterKind::Gaussian, 0.5);
+    }
+    // What f(paths, tree) does with batches of so many paths.
+    template <class Do>
+    void run(size_t batch, const EmulatedOptions &options, Do &&f) const {
+        const auto device = make_emulated(options);
+        DeviceTree copied(*device);
+        copied.set(rays.tree());
+        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path({false, true}));
+        f(paths, copied.view());
+    }
+    std::vector<float> image(size_t batch, const EmulatedOptions &options = {}) const {
+        std::vector<float> found(n_values(data, settings));
+        const RenderCall<float> call = make_call(data, settings);
+        run(batch, options,
+            [&](DevicePaths &paths, const TreeView &tree) { paths.light(call, data, tree, found.data(), nullptr); });
+        return found;
+    }
+    std::vector<float> tangent(size_t batch, const std::vector<std::vector<float>> &tangents) const {
+        std::vector<float> found(n_values(data, settings));
+        const RenderCall<float> call = make_call(data, settings);
+        const ForwardCall<float> d(data, call.config, true, addresses_of(tangents));
+        run(batch, {}, [&](DevicePaths &paths, const TreeView &tree) {
+            paths.forward_light(call, data, tree, d.call, found.data());
+        });
+        return found;
+    }
+    std::vector<std::vector<float>> gradient(size_t batch, const std::vector<float> &adjoint, bool fixed,
+                                             const EmulatedOptions &options = {}) const {
+        std::vector<std::vector<float>> found;
+        for (int64_t n : data.layout().slot_sizes) found.emplace_back(size_t(n), 0.f);
+        const RenderCall<float> call = make_call(data, settings);
+        DerivativeCall<float> d = reverse_call(data, call.config, true, addresses_of(found));
+        d.adjoint = adjoint.data(), d.fixed_sums = fixed;
+        run(batch, options, [&](DevicePaths &paths, const TreeView &tree) {
+            CHECK(paths.reverse_light(call, data, tree, d).non_finite == 0);
+        });
+        add_gradients(data, d, addresses_of(found), 2);
+        return found;
+    }
+};
+
+// Relative to the largest number.
+void check_close(const std::vector<float> &found, const std::vector<float> &expected) {
+    float largest = 0;
+    for (const float x : expected) largest = std::max(largest, std::abs(x));
+    for (size_t i = 0; i < expected.size(); ++i) CHECK(std::abs(found[i] - expected[i]) <= 1e-4f * largest);
+}
+
+}  // namespace
+
+TR_TEST(light_of_the_device_is_that_of_the_cpu_in_any_batches) {
+    for (const bool meter : {false, true}) {
+        const OnDevice scene(meter);
+        const Settings &s = scene.settings;
+        std::mt19937 random(2);
+        std::normal_distribution<float> normal;
+        std::vector<float> adjoint(n_values(scene.data, s));
+        for (float &x : adjoint) x = normal(random);
+        std::vector<std::vector<float>> tangents;
+        for (const int64_t n : scene.data.layout().slot_sizes) {
+            tangents.emplace_back();
+            for (int64_t i = 0; i < n; ++i) tangents.back().push_back(n == 16 && i >= 12 ? 0.f : normal(random));
+        }
+        const std::vector<float> image = light(scene.data, s), tangent = forward(scene.data, s, tangents, true);
+        const auto gradient = reverse(scene.data, s, adjoint, true);
+        CHECK(*std::max_element(image.begin(), image.end()) > 0.1f);
+        for (const size_t batch : {size_t(1000), size_t(1) << 20}) {
+            check_close(scene.image(batch), image);
+            check_close(scene.tangent(batch, tangents), tangent);
+            const auto found = scene.gradient(batch, adjoint, false);
+            for (size_t k = 0; k < gradient.size(); ++k) check_close(found[k], gradient[k]);
+        }
+    }
+}
+
+TR_TEST(light_of_the_device_does_not_depend_on_any_order) {
+    const OnDevice scene(false);
+    const std::vector<float> adjoint(n_values(scene.data, scene.settings), 1.f);
+    const std::vector<float> image = scene.image(3000);
+    const auto gradient = scene.gradient(3000, adjoint, true);
+    for (const int threads : {1, 5}) {
+        EmulatedOptions options;
+        options.threads = threads, options.seed = uint64_t(threads) + 7;
+        CHECK(scene.image(3000, options) == image);
+        CHECK(scene.gradient(3000, adjoint, true, options) == gradient);
+    }
+}
+#endif
 
 }  // namespace tr::testing

@@ -121,11 +121,10 @@ def ball(variant: str = "rgb", dtype: torch.dtype = torch.float32, **objects) ->
 
 
 REFUSED = {
-    "ParticleTracer yet, but PathTracer, DirectIllumination, VolumetricPathTracer, and AOV": {
-        "integrator": tr.ParticleTracer()
+    "WavefrontPathTracer yet, but PathTracer, DirectIllumination, VolumetricPathTracer, ParticleTracer, and AOV": {
+        "integrator": tr.WavefrontPathTracer()
     },
-    "WavefrontPathTracer yet": {"integrator": tr.WavefrontPathTracer()},
-    "ParticleTracer yet, but PathTracer": {"integrator": tr.AOV("d:depth", tr.ParticleTracer())},
+    "WavefrontPathTracer yet, but PathTracer": {"integrator": tr.AOV("d:depth", tr.WavefrontPathTracer())},
     "the output 'features' yet, but rgb, alpha, variance, second_moment": {
         "outputs": ("rgb", "features"),
         "features": {"ball": torch.ones(2, 2, 4)},

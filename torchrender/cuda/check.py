@@ -98,11 +98,15 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
 
 
 def rooms() -> dict[str, dict[str, Any]]:
-    """One with each BSDF, one with a height field, and two with media: a cloud, and a coloured ball that glows."""
+    """One with each BSDF, one with a height field, one that light paths light, and two with media.
+
+    These are a cloud, and a coloured ball that glows.
+    """
     found = {kind: room({"type": kind}) for kind in _plain_bsdfs()}
     place = Transform.translate([-2, -0.5, 0]) @ Transform.rotate([1, 0, 0], -70) @ Transform.scale(0.8)
     waves = {"type": "heightfield", "heights": torch.sin(torch.arange(600.0)).reshape(20, 30) * 0.1, "to_world": place}
     found["heightfield"] = {**room({"type": "diffuse"}), "waves": waves}
+    found["light"] = {**room({"type": "plastic"}), "integrator": {"type": "ptracer", "max_depth": 5}}
     density = {"type": "gridvolume", "data": torch.sin(torch.arange(210.0)).reshape(5, 6, 7).relu(), "raw": True}
     density["to_world"] = Transform.translate([-1, -1, -1]) @ Transform.scale(2)
     forward = {"type": "hg", "g": 0.5}

@@ -173,7 +173,7 @@ struct Area : OnShape<AreaEmitter, F> {
                 TR_OF_LIGHT_PATHS(sample_emission),
                 TR_OF_DERIVATIVES(Base::vjp),
                 TR_OF_DERIVATIVES(direct_vjp),
-                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_OF_DERIVATIVES(TR_OF_LIGHT_PATHS(emission_vjp)),
                 TR_HOST_POINTER(power)};
     }
 };

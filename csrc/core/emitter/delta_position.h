@@ -195,7 +195,7 @@ struct DeltaPosition {
                 TR_OF_LIGHT_PATHS(sample_emission),
                 TR_OF_DERIVATIVES(vjp),
                 TR_OF_DERIVATIVES(direct_vjp),
-                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_OF_DERIVATIVES(TR_OF_LIGHT_PATHS(emission_vjp)),
                 TR_HOST_POINTER(power)};
     }
 

@@ -59,7 +59,7 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
                 TR_OF_LIGHT_PATHS(sample_emission),
                 TR_OF_DERIVATIVES(Base::vjp),
                 nullptr,
-                TR_OF_LIGHT_PATHS(emission_vjp),
+                TR_OF_DERIVATIVES(TR_OF_LIGHT_PATHS(emission_vjp)),
                 TR_HOST_POINTER(power)};
     }
 };

@@ -206,13 +206,12 @@ struct EmitterFlags {
     UIntOf<F> flags;
 
     TR_INLINE EmitterFlags(const SceneOf<F> &scene, const IntOf<F> &kind) : flags(0u) {
-        const EmitterKernels<F> *const tables = &emitter_kernels<F>(0);
-        if (scene.n_emitters == 1) {
-            flags = UIntOf<F>(tables[scene.emitters[0].kind].flags);
-            return;
-        }
-        for (int k = 0; k < EmitterKinds; ++k)
-            flags = select(mask<UIntOf<F>>(mask<F>(kind == k)), UIntOf<F>(tables[k].flags), flags);
+        const bool one = scene.n_emitters == 1;
+        for (int k = one ? scene.emitters[0].kind : 0, end = one ? k + 1 : EmitterKinds; k < end; ++k)
+            visit_emitter_kind<F>(k, [&](const EmitterKernels<F> &emitter) {
+                flags = one ? UIntOf<F>(emitter.flags)
+                            : select(mask<UIntOf<F>>(mask<F>(kind == k)), UIntOf<F>(emitter.flags), flags);
+            });
     }
     TR_INLINE MaskOf<F> has(uint32_t flag) const { return mask<F>((flags & UIntOf<F>(flag)) != UIntOf<F>(0u)); }
 };

@@ -33,12 +33,12 @@ TR_LARGE IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, c
     using U = UIntOf<F>;
     using I = IntOf<F>;
     using M = MaskOf<F>;
-    const bool volumetric = c.config.volumetric, has_environment = c.scene.environment >= 0;
+    const bool volumetric = c.config.volumetric, looks_behind = viewed && c.scene.environment >= 0;
     Entries<F> from(i);
     U shape = from.get(hits.at.shape);
     M active = mask<F>(U(i) + lane_index<F>() < U(queue.n));
     M missed = active && mask<F>(shape == U(NoHit)), hit = active && !missed;
-    M shows = missed && M(has_environment);
+    M shows = missed && M(looks_behind);
     if (!volumetric && c.config.hide_emitters && step.depth == 0) shows = M(false);
     I kind(IgnoredKind);
     if (volumetric) {

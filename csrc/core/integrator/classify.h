@@ -29,7 +29,8 @@ TR_HD int resolved_kind(const SceneView<S> &scene, int bsdf) {
     return DependentKind;  // a mask
 }
 
-// The kinds of entries i on of a queue whose rays were traced. `kinds`: by bsdf, resolved_kind.
+// The kinds of entries i on of a queue whose rays were traced. `kinds`: by bsdf, resolved_kind. `viewed`: paths from
+// the camera, which an environment shines on.
 template <class F>
 TR_LARGE IntOf<F> classify_hits(const PathContext<F> &c, const PathStep &step, const PathQueue<ScalarOf<F>> &queue,
                                 const HitColumns<ScalarOf<F>> &hits, const int32_t *kinds, bool viewed, uint32_t i);

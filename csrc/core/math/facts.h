@@ -9,17 +9,20 @@
 #define TR_FACT(type, name, value)      \
     static constexpr type name = value; \
     type name##_of_host
-// Pointers in tables of functions that kernels of light paths, or of derivatives, alone call: others do not compile
-// them.
-#define TR_OF_LIGHT_PATHS(p) nullptr
 #else
 #define TR_FACT(type, name, value) type name
-#define TR_OF_LIGHT_PATHS(p) p
 #endif
 #if defined(TR_ONE_SCENE) && !TR_RECORDS
 #define TR_TAPE(type, name) TR_FACT(type, name, nullptr)
 #else
 #define TR_TAPE(type, name) type name
+#endif
+// Pointers in tables of functions that kernels of light paths, or of derivatives, alone call: others do not compile
+// them.
+#if defined(TR_ONE_SCENE) && !TR_LIGHT_PATHS
+#define TR_OF_LIGHT_PATHS(p) nullptr
+#else
+#define TR_OF_LIGHT_PATHS(p) p
 #endif
 #if defined(TR_ONE_SCENE) && !TR_DERIVATIVES
 #define TR_OF_DERIVATIVES(p) nullptr
