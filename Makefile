@@ -35,7 +35,7 @@ PIP := $(PY) -m pip install --disable-pip-version-check -q $(PIP_OPTIONS) $(if $
 BUILD_REQUIREMENTS := setuptools wheel drjit ninja
 
 .PHONY: demo test build wheels smoke aarch64 workflows packages notebook docs docs-check docs-tutorials lint tidy \
-  format sanitize native-test cuda clean distclean
+  format sanitize native-test cuda cuda-check clean distclean
 .DEFAULT_GOAL := build
 
 # What is being done is said in one line each by those who wait for it: `$(call say,2,native modules)`.
@@ -159,12 +159,17 @@ aarch64: $(VENV)/.tools
 	@program=$$(TORCHRENDER_MACHINE=aarch64 CXX=aarch64-linux-gnu-g++ $(PY) setup.py -q native_tests --folder=aarch64) && \
 	  qemu-aarch64 -L $(AARCH64_ROOT) "$$program" "$(AARCH64_EMBREE)" $(AARCH64_CASES)
 
+# Kernels of the common scenes for cards, into the package of this working copy, so that nothing is compiled when they are
+# rendered: some minutes, with NVRTC, but no card. What an installation has is setup.py's, see TORCHRENDER_CUDA there.
+cuda: build
+	@$(PY) setup.py -q compile_kernels
+
 # Compiles the renderer's core for CUDA and links it: nothing runs, and no GPU is needed. Device code that calls a host
 # function is an error. Relocatable, so that each function is compiled once: a whole program's are copied for the kernels
 # that call them, which takes ptxas many minutes and gigabytes of memory.
 NVCC ?= nvcc
 CUDA_ARCH ?= sm_80
-cuda:
+cuda-check:
 	@mkdir -p build/cuda
 	@cd csrc && find core -name '*.cpp' | sort | sed 's/.*/#include "&"/' > ../build/cuda/core_sources.h
 	$(NVCC) -std=c++17 -arch=$(CUDA_ARCH) --expt-relaxed-constexpr -Werror cross-execution-space-call -Icsrc -Ibuild/cuda \
@@ -172,7 +177,7 @@ cuda:
 	$(NVCC) -arch=$(CUDA_ARCH) -Xnvlink -suppress-stack-size-warning -dlink build/cuda/instantiate.o -o build/cuda/linked.o
 
 clean:
-	rm -rf build dist *.egg-info torchrender/_core_*.so .pytest_cache .ruff_cache $(VENV)/.tools $(VENV)/.installed
+	rm -rf build dist *.egg-info torchrender/_core_*.so torchrender/_packs .pytest_cache .ruff_cache $(VENV)/.tools $(VENV)/.installed
 
 distclean: clean
 	rm -rf $(VENV) output

@@ -15,6 +15,8 @@ Commands
     python setup.py build_ext --inplace     the modules, next to the Python sources (what ``make build`` runs)
     python setup.py native_tests            the C++ test program (``--sanitize``: with address and undefined-behaviour
                                             sanitizers), printed as a path
+    python setup.py compile_kernels         kernels of common scenes for cards, into torchrender/_packs (``make cuda``):
+                                            minutes, with NVRTC and all that torchrender needs, but no card
     python setup.py check_tools             only says whether everything that a build needs is there
 
 Environment
@@ -25,6 +27,9 @@ Environment
                                double precision, is built always)
     TORCHRENDER_MACHINE        the processor that a cross compiler compiles for, such as aarch64 (default: this one)
     TORCHRENDER_PORTABLE=1     on Linux: modules that run with older C libraries than this machine's, for wheels
+    TORCHRENDER_CUDA           1, or compute capabilities of cards ("80 90"): what is installed has kernels of common
+                               scenes for them; it needs NVRTC, and in the environment of the build what torchrender
+                               needs (pip install --no-build-isolation .)
     TORCHRENDER_SANITIZE=1     build the modules with sanitizers (run Python with the sanitizer's library preloaded)
 """
 
@@ -399,6 +404,29 @@ def copy_kernels(target: Path) -> None:
         shutil.copytree(CSRC / name, target / name, dirs_exist_ok=True)
 
 
+# Cards that kernels are compiled for unless TORCHRENDER_CUDA says which; drivers of later ones compile PTX themselves.
+CAPABILITIES = ["80", "86", "89", "90"]
+COMMON_SCENES = ("cornell_box", "textured_sphere", "textured_monkey")
+
+
+def compile_kernels(package: Path) -> None:
+    """Kernels of common scenes, by the package in this folder and into it. TORCHRENDER_CUDA: capabilities, or 1."""
+    given = os.environ.get("TORCHRENDER_CUDA", "1").replace(",", " ").split()
+    capabilities = CAPABILITIES if given == ["1"] else given
+    if not all(word.isdecimal() for word in capabilities):
+        fail(f"TORCHRENDER_CUDA is {' '.join(given)}; expected 1 or capabilities of cards, such as '80 90'.")
+    scenes = [str(ROOT / "scenes" / f"{name}.xml") for name in COMMON_SCENES]
+    command = [sys.executable, "-m", "torchrender.cuda", "compile", *scenes, "--for", *capabilities]
+    command += ["--ptx", min(capabilities, key=int), "--into", str(package / "_packs")]
+    environment = {**os.environ, "PYTHONPATH": str(package.parent)}
+    environment.pop("TORCHRENDER_KERNELS", None)
+    done = subprocess.run(command, env=environment, cwd=package.parent, stderr=subprocess.PIPE, text=True)
+    if done.returncode != 0:
+        reason = (done.stderr.strip().splitlines() or ["no message"])[-1]
+        hint = "; what torchrender needs has to be there: pip install --no-build-isolation ." * ("No module" in reason)
+        fail(f"TORCHRENDER_CUDA: kernels cannot be compiled ({reason}){hint}")
+
+
 class BuildModules(build_ext):
     """build_ext through Ninja. In a checkout objects are kept in build/native, else in setuptools' build folder."""
 
@@ -416,7 +444,10 @@ class BuildModules(build_ext):
             product = products[extension.name.rsplit("_", 1)[1]]
             replace_file(product, Path(self.get_ext_fullpath(extension.name)))
         if not self.inplace:
-            copy_kernels(Path(self.build_lib) / "torchrender" / "_kernels")
+            package = Path(self.build_lib).resolve() / "torchrender"
+            copy_kernels(package / "_kernels")
+            if switched_on("TORCHRENDER_CUDA"):
+                compile_kernels(package)
 
 
 class Wheel(bdist_wheel):
@@ -452,6 +483,22 @@ class NativeTests(Command):
         print(build_native_tests(directory, self.isa, bool(self.sanitize)))
 
 
+class CompileKernels(Command):
+    """Kernels for cards, of common scenes, into the package of a working copy."""
+
+    description = "compile kernels of common scenes for cards (TORCHRENDER_CUDA)"
+    user_options: ClassVar = []
+
+    def initialize_options(self) -> None:
+        pass
+
+    def finalize_options(self) -> None:
+        pass
+
+    def run(self) -> None:
+        compile_kernels(ROOT / "torchrender")
+
+
 class CheckTools(Command):
     """Say in one sentence what a build lacks, before anything large is downloaded."""
 
@@ -472,5 +519,11 @@ class CheckTools(Command):
 
 setup(
     ext_modules=[Extension(f"torchrender._core_{isa}", sources=[]) for isa in selected_isas()],
-    cmdclass={"build_ext": BuildModules, "bdist_wheel": Wheel, "native_tests": NativeTests, "check_tools": CheckTools},
+    cmdclass={
+        "build_ext": BuildModules,
+        "bdist_wheel": Wheel,
+        "native_tests": NativeTests,
+        "compile_kernels": CompileKernels,
+        "check_tools": CheckTools,
+    },
 )

@@ -29,6 +29,9 @@ FUNCTIONS = ("ray_intersect", "ray_occluded", *RENDERS, "find_outlines", "bounda
 
 _WHAT = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
 
+PACKS = Path(__file__).resolve().parent / "_packs"
+"""Kernels of common scenes, where the package was installed with them (``TORCHRENDER_CUDA``, ``make cuda``)."""
+
 _NO_NVRTC = "there is no NVRTC: pip install nvidia-cuda-nvrtc-cu12, or set TORCHRENDER_NVRTC"
 
 _chosen: str | None = None
@@ -52,7 +55,7 @@ def chosen(name: str) -> Iterator[None]:
     """Another device for a while: one of `CHOICES` or a card.
 
     Or ``tree``, where the CPU walks the tree of devices; or ``sm_90``, where nothing runs, but kernels are compiled for
-    cards of this capability.
+    cards of this capability, or ``compute_80``, into PTX for these and later ones.
     """
     global _chosen
     before, _chosen = _chosen, name
@@ -89,12 +92,15 @@ def compiling_into(core: Library, folder: Path) -> Iterator[None]:
 
 
 def compiled_before() -> list[str]:
-    """Folders of kernels that were compiled before: those of ``TORCHRENDER_KERNELS``. ValueError if one is missing."""
+    """Folders of kernels that were compiled before: those of ``TORCHRENDER_KERNELS``, and what the package has.
+
+    ValueError if one is missing.
+    """
     folders = [folder for folder in os.environ.get("TORCHRENDER_KERNELS", "").split(os.pathsep) if folder]
     for folder in folders:
         if not Path(folder).is_dir():
             raise ValueError(f"TORCHRENDER_KERNELS: there is no folder {folder}")
-    return folders
+    return [*folders, *([str(PACKS)] if PACKS.is_dir() else [])]
 
 
 def _name_compiler(core: Library, into: str, packs: list[str], needed: bool) -> None:
@@ -157,7 +163,8 @@ def _nvrtc(core: Library) -> str:
         except RuntimeError as error:
             if os.sep in path:  # it was meant, or is there
                 problem = problem or str(error)
-    return problem or _NO_NVRTC
+    problem = problem or _NO_NVRTC
+    return f"{problem}; without it there are the kernels in {PACKS} alone" if PACKS.is_dir() else problem
 
 
 def nvrtc_candidates() -> Iterator[str]:

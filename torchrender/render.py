@@ -226,7 +226,7 @@ def render(
             chosen_integrator, integrator_config = measured, measured.config()
     for value in params.values() if isinstance(params, Mapping) else ():
         refuse_batches(value)
-    check_device(scene, packed, names, chosen_integrator)
+    check_device(scene, packed, names)
     share = current_share()
     first_seed, gradient_seed = seeds(seed, seed_grad, correlated)
     of_paths = (*PATH_OUTPUTS, *STOKES_OUTPUTS)

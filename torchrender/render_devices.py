@@ -7,18 +7,15 @@ from collections.abc import Iterator, Sequence
 import torch
 
 from .devices import device
-from .first_hit_call import FEATURES, PATH_OUTPUTS, STOKES_OUTPUTS
-from .integrators import DirectIllumination, Integrator, ParticleTracer, PathTracer, Stack, VolumetricPathTracer
+from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS
 from .scene.packing import Layout
 from .scene.scene import Scene
 
-_INTEGRATORS = (PathTracer, DirectIllumination, VolumetricPathTracer, ParticleTracer)
 
-
-def check_device(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> None:
-    """RuntimeError unless the chosen device renders these outputs of a scene by this integrator."""
+def check_device(scene: Scene, packed: Layout, names: Sequence[str]) -> None:
+    """RuntimeError unless the chosen device renders these outputs of a scene."""
     if device() != "cpu":
-        _refuse(_missing(scene, packed, names, integrator))
+        _refuse(_missing(scene, packed, names))
 
 
 def _refuse(missing: Iterator[str]) -> None:
@@ -29,15 +26,11 @@ def _refuse(missing: Iterator[str]) -> None:
         )
 
 
-def _missing(scene: Scene, packed: Layout, names: Sequence[str], integrator: Integrator) -> Iterator[str]:
+def _missing(scene: Scene, packed: Layout, names: Sequence[str]) -> Iterator[str]:
     """What is not there, with what is."""
-    inner = integrator.integrator if isinstance(integrator, Stack) else integrator
-    if inner is not None and not isinstance(inner, _INTEGRATORS):
-        there = ", ".join(kind.__name__ for kind in _INTEGRATORS)
-        yield f"the integrator {type(inner).__name__} yet, but {there}, and AOV, Depth and Moment around them"
     for name in names:
-        if name in (FEATURES, *STOKES_OUTPUTS):
-            yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)} and those of first hits"
+        if name in STOKES_OUTPUTS:
+            yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)}, features and those of first hits"
     if scene.dtype != torch.float32:
         yield f"{str(scene.dtype).removeprefix('torch.')} yet, but float32"
     if packed.spectral:
@@ -46,5 +39,3 @@ def _missing(scene: Scene, packed: Layout, names: Sequence[str], integrator: Int
         yield "polarised light yet, but variants without it (rgb, mono)"
     if packed.bending:
         yield f"media that light bends in yet, such as {packed.objects['medium'][packed.bending[0]][2]}"
-    if packed.torch_bsdfs:
-        yield "BSDFs in Python (TorchBSDF), but the others"

@@ -354,6 +354,8 @@ private:
             return std::make_unique<SceneRays>(&cuda::make_card, std::stoi(device.substr(5)));
         if (device.compare(0, 3, "sm_") == 0)
             return std::make_unique<SceneRays>(&cuda::make_compiling, std::stoi(device.substr(3)));
+        if (device.compare(0, 8, "compute_") == 0)
+            return std::make_unique<SceneRays>(&cuda::make_compiling_ptx, std::stoi(device.substr(8)));
 #endif
         throw std::invalid_argument("device: expected cpu, emulated, tree or a card (cuda:0), got " + device);
     }

@@ -1,7 +1,7 @@
 // The renderer's core compiled for a device, with F = float: the kernels of csrc/device, which the emulated device runs
 // (cpu/device_paths.cpp and device_light.cpp have their schedules).
 //
-// `make cuda` compiles and links them, which shows that the core needs nothing that device code does not have:
+// `make cuda-check` compiles and links them, which shows that the core needs nothing that device code does not have:
 // functions and data of the host, static variables that are initialised when the program runs, exceptions, virtual
 // functions. It says nothing about results.
 #include "core_sources.h"  // all .cpp files of the core, see the Makefile

@@ -50,6 +50,12 @@ std::unique_ptr<Launcher> make_card(int ordinal) {
     return make_launcher(api, compiler(), ordinal);
 }
 
-std::unique_ptr<Launcher> make_compiling(int capability) { return make_compiling_launcher(&compiler, capability); }
+std::unique_ptr<Launcher> make_compiling(int capability) {
+    return make_compiling_launcher(&compiler, capability, false);
+}
+
+std::unique_ptr<Launcher> make_compiling_ptx(int capability) {
+    return make_compiling_launcher(&compiler, capability, true);
+}
 
 }  // namespace tr::cuda

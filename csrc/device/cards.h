@@ -17,7 +17,8 @@ void use_compiler(const std::string &nvrtc, const std::string &sources, const st
 
 // A card, by its number. std::runtime_error with one sentence if there is none, or nothing to compile kernels with.
 std::unique_ptr<Launcher> make_card(int ordinal);
-// What only compiles, for cards of this capability (90).
+// What only compiles, for cards of this capability (90), or into PTX for these and later ones.
 std::unique_ptr<Launcher> make_compiling(int capability);
+std::unique_ptr<Launcher> make_compiling_ptx(int capability);
 
 }  // namespace tr::cuda

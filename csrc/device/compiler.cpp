@@ -14,6 +14,8 @@ namespace tr::cuda {
 
 namespace {
 
+constexpr int OldestCapability = 50;  // that NVRTC 12 knows
+
 std::string content(const std::string &path) {
     std::ifstream file(path, std::ios::binary);
     if (!file) throw std::runtime_error("the source of a kernel cannot be read: " + path);
@@ -90,10 +92,9 @@ std::string KernelCompiler::unit(const Kernel &kernel) {
 // What traces rays and adds up has the host's rounding: products and sums one by one, so that hits are the same. Light
 // is as good with products that are added unrounded, and quotients and roots whose last bit or two may differ. A
 // default of the core's is host and device.
-std::vector<std::string> KernelCompiler::options(const Kernel &kernel, int capability,
+std::vector<std::string> KernelCompiler::options(const Kernel &kernel, const std::string &architecture,
                                                  const std::vector<std::string> &definitions) {
-    std::vector<std::string> all{"-std=c++17", "-default-device", "-diag-suppress=20012",
-                                 "-arch=sm_" + std::to_string(capability)};
+    std::vector<std::string> all{"-std=c++17", "-default-device", "-diag-suppress=20012", "-arch=" + architecture};
     if (knows_light(kernel.knows) && kernel.knows != Knowledge::Tracing)
         all.insert(all.end(), {"-fmad=true", "-prec-div=false", "-prec-sqrt=false"});
     else
@@ -102,32 +103,49 @@ std::vector<std::string> KernelCompiler::options(const Kernel &kernel, int capab
     return all;
 }
 
-std::string KernelCompiler::cubin(const Kernel &kernel, int capability,
-                                  const std::vector<std::string> &definitions) const {
-    std::vector<std::string> all_options = options(kernel, capability, definitions);
-    const std::string source = unit(kernel);
-    // not of the compiler: what one has made is as good where there is another, or none
-    std::string all = fingerprint_ + '\n' + source;
-    for (const std::string &option : all_options) all += '\n' + option;
-    const std::string key = sha256(all);
+// Not of the compiler: what one has made is as good where there is another, or none.
+std::string KernelCompiler::key(const Kernel &kernel, const std::vector<std::string> &options) const {
+    std::string all = fingerprint_ + '\n' + unit(kernel);
+    for (const std::string &option : options) all += '\n' + option;
+    return sha256(all);
+}
+
+std::optional<std::string> KernelCompiler::find(const std::string &key) const {
     for (const KernelCache &pack : packs_)
-        if (std::optional<std::string> found = pack.find(key)) return *found;
-    if (std::optional<std::string> found = cache_.find(key)) return *found;
+        if (std::optional<std::string> found = pack.find(key)) return found;
+    return cache_.find(key);
+}
+
+std::string KernelCompiler::code(const Kernel &kernel, const std::string &architecture,
+                                 const std::vector<std::string> &definitions) const {
+    std::vector<std::string> all_options = options(kernel, architecture, definitions);
+    const std::string own = key(kernel, all_options);
+    if (std::optional<std::string> found = find(own)) return *found;
     if (!nvrtc_)
-        throw std::runtime_error(std::string("there is no NVRTC to compile ") + kernel.name + " with, for sm_" +
-                                 std::to_string(capability) +
+        throw std::runtime_error(std::string("there is no NVRTC to compile ") + kernel.name + " with, for " +
+                                 architecture +
                                  ", and it was not compiled before: pip install nvidia-cuda-nvrtc-cu12, or name a "
                                  "folder that `python -m torchrender.cuda compile` has made for this scene in "
                                  "TORCHRENDER_KERNELS");
     add_folders(sources_, all_options);
-    std::string made = nvrtc_->compile(source, all_options);
-    cache_.put(key, made);
+    std::string made = nvrtc_->compile(unit(kernel), all_options);
+    cache_.put(own, made);
     return made;
+}
+
+std::string KernelCompiler::for_card(const Kernel &kernel, int capability,
+                                     const std::vector<std::string> &definitions) const {
+    const std::string architecture = "sm_" + std::to_string(capability);
+    const auto found = [&](const std::string &of) { return find(key(kernel, options(kernel, of, definitions))); };
+    const bool missing = !nvrtc_ && !found(architecture);
+    for (int from = capability; missing && from >= OldestCapability; --from)
+        if (std::optional<std::string> ptx = found("compute_" + std::to_string(from))) return *ptx;
+    return code(kernel, architecture, definitions);
 }
 
 KernelCompiler::Resources KernelCompiler::resources(const Kernel &kernel, int capability,
                                                     const std::vector<std::string> &definitions) const {
-    std::vector<std::string> all_options = options(kernel, capability, definitions);
+    std::vector<std::string> all_options = options(kernel, "sm_" + std::to_string(capability), definitions);
     add_folders(sources_, all_options);
     all_options.emplace_back("--ptxas-options=-v");
     std::string log;

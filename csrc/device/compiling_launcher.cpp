@@ -10,8 +10,8 @@ namespace {
 
 class CompilingLauncher final : public Launcher {
 public:
-    CompilingLauncher(const KernelCompiler &(*compiler)(), int capability)
-        : compiler_(compiler), capability_(capability) {}
+    CompilingLauncher(const KernelCompiler &(*compiler)(), int capability, bool ptx)
+        : compiler_(compiler), capability_(capability), ptx_(ptx) {}
 
     // Addresses that nobody follows.
     void *allocate(size_t bytes) override {
@@ -31,21 +31,26 @@ public:
 private:
     const KernelCompiler &(*const compiler_)();
     const int capability_;
+    const bool ptx_;
     uintptr_t next_ = 256;
     SceneFacts facts_;
     std::set<std::pair<const char *, int>> known_;  // compiled for these facts, by kernel and BSDF
 
     void launch(const Kernel &kernel, const void *, uint32_t, int bsdf) override {
         if (!knows_bsdf(kernel.knows)) bsdf = -1;
-        if (known_.insert({kernel.name, bsdf}).second)
-            compiler_().cubin(kernel, capability_, facts_.options(kernel.knows, bsdf));
+        if (!known_.insert({kernel.name, bsdf}).second) return;
+        const std::vector<std::string> definitions = facts_.options(kernel.knows, bsdf);
+        if (ptx_)
+            compiler_().code(kernel, "compute_" + std::to_string(capability_), definitions);
+        else
+            compiler_().for_card(kernel, capability_, definitions);
     }
 };
 
 }  // namespace
 
-std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability) {
-    return std::make_unique<CompilingLauncher>(compiler, capability);
+std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability, bool ptx) {
+    return std::make_unique<CompilingLauncher>(compiler, capability, ptx);
 }
 
 }  // namespace tr::cuda

@@ -9,7 +9,7 @@
 
 namespace tr::cuda {
 
-// `compiler`: gives that which is used, at every launch.
-std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability);
+// `compiler`: gives that which is used, at every launch. `ptx`: it makes PTX.
+std::unique_ptr<Launcher> make_compiling_launcher(const KernelCompiler &(*compiler)(), int capability, bool ptx);
 
 }  // namespace tr::cuda

@@ -128,10 +128,10 @@ private:
         for (const std::string &option : options) key += option;
         auto found = modules_.find(key);
         if (found != modules_.end()) return found->second.second;
-        const std::string cubin = compiler_.cubin(kernel, card_.capability, options),
+        const std::string code = compiler_.for_card(kernel, card_.capability, options),
                           doing = std::string("loading ") + kernel.name;
         std::pair<Module, Function> loaded;
-        check(api_, api_.ModuleLoadData(&loaded.first, cubin.data()), doing);
+        check(api_, api_.ModuleLoadData(&loaded.first, code.data()), doing);
         modules_[key] = loaded;  // unloaded also if the function is not in it
         check(api_, api_.ModuleGetFunction(&loaded.second, loaded.first, KernelCompiler::EntryPoint), doing);
         modules_[key] = loaded;

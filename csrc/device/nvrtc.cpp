@@ -2,6 +2,7 @@
 
 #include <dlfcn.h>
 
+#include <algorithm>
 #include <stdexcept>
 
 namespace tr::cuda {
@@ -18,6 +19,8 @@ using Program = struct ProgramObject *;
     X(GetProgramLog, (Program program, char *log))                                                                \
     X(GetCUBINSize, (Program program, size_t *size))                                                              \
     X(GetCUBIN, (Program program, char *cubin))                                                                   \
+    X(GetPTXSize, (Program program, size_t *size))                                                                \
+    X(GetPTX, (Program program, char *ptx))                                                                       \
     X(DestroyProgram, (Program * program))
 
 struct Nvrtc::Api {
@@ -77,13 +80,14 @@ std::string Nvrtc::compile(const std::string &source, const std::vector<std::str
     }
     if (failed != 0) throw std::runtime_error("NVRTC " + version_ + " cannot compile a kernel:\n" + said);
     if (log) *log = said;
-    std::string cubin;
-    if (api_->GetCUBINSize(made.program, &size) != 0 || size == 0)
+    const bool ptx = std::any_of(options.begin(), options.end(),
+                                 [](const std::string &option) { return option.rfind("-arch=compute_", 0) == 0; });
+    if ((ptx ? api_->GetPTXSize : api_->GetCUBINSize)(made.program, &size) != 0 || size == 0)
         throw std::runtime_error("NVRTC " + version_ +
-                                 " gives no machine code; -arch has to name a card's, such as sm_90");
-    cubin.resize(size);
-    api_->GetCUBIN(made.program, cubin.data());
-    return cubin;
+                                 " gives no machine code; -arch has to name an architecture, such as sm_90");
+    std::string code(size, '\0');
+    (ptx ? api_->GetPTX : api_->GetCUBIN)(made.program, code.data());
+    return code;
 }
 
 }  // namespace tr::cuda

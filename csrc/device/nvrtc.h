@@ -18,8 +18,9 @@ public:
     // "12.2"
     const std::string &version() const { return version_; }
 
-    // Machine code for the architecture that `options` name (-arch=sm_90). std::runtime_error with what the compiler
-    // says; `log` is told that where it goes well, too.
+    // Machine code for the architecture that `options` name (-arch=sm_90), or, of one that no card has
+    // (-arch=compute_80), PTX, which drivers compile for it and all that came later. std::runtime_error with what the
+    // compiler says; `log` is told that where it goes well, too.
     std::string compile(const std::string &source, const std::vector<std::string> &options,
                         std::string *log = nullptr) const;
 

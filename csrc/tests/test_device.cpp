@@ -379,8 +379,8 @@ TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {
     const TemporaryFolder folder;
     const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
     const Kernel &kernel = kernel_of<OccludeRays>();
-    const std::string of_plain = compiler.cubin(kernel, 90, plain.options(kernel.knows, -1)),
-                      of_curved = compiler.cubin(kernel, 90, curved.options(kernel.knows, -1));
+    const std::string of_plain = compiler.for_card(kernel, 90, plain.options(kernel.knows, -1)),
+                      of_curved = compiler.for_card(kernel, 90, curved.options(kernel.knows, -1));
     CHECK(of_plain.size() < of_curved.size() && folder.files().size() == 2);
 }
 
@@ -389,19 +389,25 @@ TR_TEST(kernels_are_compiled_for_cards) {
     if (!nvrtc) return;
     const TemporaryFolder folder;
     const cuda::KernelCompiler compiler(nvrtc.get(), sources(), KernelCache(folder.path));
-    const std::string cubin = compiler.cubin(kernel_of<AddOne>(), 90);
+    const std::string cubin = compiler.for_card(kernel_of<AddOne>(), 90);
     CHECK(cubin.substr(1, 3) == "ELF" && cubin.find(cuda::KernelCompiler::EntryPoint) != std::string::npos);
-    CHECK(compiler.cubin(kernel_of<AddOne>(), 90) == cubin && folder.files().size() == 1);
-    CHECK(compiler.cubin(kernel_of<AddOne>(), 80) != cubin && folder.files().size() == 2);
+    CHECK(compiler.for_card(kernel_of<AddOne>(), 90) == cubin && folder.files().size() == 1);
+    CHECK(compiler.for_card(kernel_of<AddOne>(), 80) != cubin && folder.files().size() == 2);
     const TemporaryFolder empty;
     const cuda::KernelCompiler none(nullptr, sources(), KernelCache(empty.path), {KernelCache(folder.path)});
-    CHECK(none.cubin(kernel_of<AddOne>(), 90) == cubin && empty.files().empty());
-    CHECK_THROWS(none.cubin(kernel_of<AddOne>(), 75), std::runtime_error, "no NVRTC to compile tr::testing::AddOne");
+    CHECK(none.for_card(kernel_of<AddOne>(), 90) == cubin && empty.files().empty());
+    CHECK_THROWS(none.for_card(kernel_of<AddOne>(), 75), std::runtime_error, "no NVRTC to compile tr::testing::AddOne");
+    // ... nor do cards that came after PTX
+    const std::string ptx = compiler.code(kernel_of<AddOne>(), "compute_75");
+    CHECK(ptx.find(".target sm_75") != std::string::npos && ptx.find("tr_kernel") != std::string::npos);
+    CHECK(none.for_card(kernel_of<AddOne>(), 75) == ptx && none.for_card(kernel_of<AddOne>(), 120) == ptx);
+    CHECK(none.for_card(kernel_of<AddOne>(), 90) == cubin);
+    CHECK_THROWS(none.for_card(kernel_of<AddOne>(), 70), std::runtime_error, "for sm_70");
     for (const Kernel &kernel : {kernel_of<IntersectRays>(), kernel_of<OccludeRays>()})
-        CHECK(compiler.cubin(kernel, 75).substr(1, 3) == "ELF");
+        CHECK(compiler.for_card(kernel, 75).substr(1, 3) == "ELF");
     Kernel other = kernel_of<AddOne>();
     other.size = 12;
-    CHECK_THROWS(compiler.cubin(other, 90), std::runtime_error, "a functor is not what it is on the host");
+    CHECK_THROWS(compiler.for_card(other, 90), std::runtime_error, "a functor is not what it is on the host");
     CHECK_THROWS(cuda::Nvrtc("/nowhere/libnvrtc.so"), std::runtime_error, "NVRTC at /nowhere/libnvrtc.so cannot be");
     CHECK_THROWS(cuda::Nvrtc("libc.so.6"), std::runtime_error, "has no function nvrtcVersion");
 }

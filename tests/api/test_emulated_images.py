@@ -121,14 +121,6 @@ def ball(variant: str = "rgb", dtype: torch.dtype = torch.float32, **objects) ->
 
 
 REFUSED = {
-    "WavefrontPathTracer yet, but PathTracer, DirectIllumination, VolumetricPathTracer, ParticleTracer, and AOV": {
-        "integrator": tr.WavefrontPathTracer()
-    },
-    "WavefrontPathTracer yet, but PathTracer": {"integrator": tr.AOV("d:depth", tr.WavefrontPathTracer())},
-    "the output 'features' yet, but rgb, alpha, variance, second_moment": {
-        "outputs": ("rgb", "features"),
-        "features": {"ball": torch.ones(2, 2, 4)},
-    },
     "float64 yet, but float32": {"dtype": torch.float64},
     "spectral scenes yet, but those in rgb and mono": {"variant": "spectral"},
     "polarised light yet": {"variant": "rgb_polarized"},

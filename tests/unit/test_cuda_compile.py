@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 import small_scene
@@ -19,7 +21,7 @@ from torchrender.cuda.compile import compile_kernels
 FAKE = """
 #include <cstring>
 #include <string>
-struct ProgramObject { std::string made; };
+struct ProgramObject { std::string made; bool ptx = false; };
 using Program = ProgramObject *;
 extern "C" {
 int nvrtcVersion(int *major, int *minor) { return *major = 12, *minor = 8, 0; }
@@ -29,13 +31,16 @@ int nvrtcCreateProgram(Program *p, const char *source, const char *, int, const 
 int nvrtcCompileProgram(Program p, int n, const char **options) {
     for (int i = 0; i < n; ++i) {
         if (!std::strcmp(options[i], "-arch=sm_7")) return 5;
+        p->ptx |= !std::strncmp(options[i], "-arch=compute_", 14);
         p->made += std::string("\\n") + options[i];
     }
     return 0;
 }
 int nvrtcGetProgramLogSize(Program, size_t *size) { return *size = 1, 0; }
 int nvrtcGetProgramLog(Program, char *) { return 0; }
-int nvrtcGetCUBINSize(Program p, size_t *size) { return *size = p->made.size(), 0; }
+int nvrtcGetCUBINSize(Program p, size_t *size) { return *size = p->ptx ? 0 : p->made.size(), 0; }
+int nvrtcGetPTXSize(Program p, size_t *size) { return *size = p->made.size(), 0; }
+int nvrtcGetPTX(Program p, char *to) { return std::memcpy(to, p->made.data(), p->made.size()), 0; }
 int nvrtcGetCUBIN(Program p, char *to) { return std::memcpy(to, p->made.data(), p->made.size()), 0; }
 int nvrtcDestroyProgram(Program *p) { return delete *p, 0; }
 }
@@ -110,6 +115,64 @@ def test_kernels_that_are_there_need_no_compiler(nvrtc, tmp_path):
     nvrtc.setattr(devices, "_with_compiler", set())
     with devices.chosen("sm_90"), pytest.raises(ValueError, match="TORCHRENDER_KERNELS: there is no folder /nowhere"):
         tr.render(scene, spp=1)
+
+
+def test_cards_without_kernels_of_their_own_take_ptx_of_older_ones(nvrtc, tmp_path):
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    assert compile_kernels(scene, 80, tmp_path, ptx=True) > 10
+    assert "-arch=compute_80" in kernels(tmp_path)["ShadeHits"]
+    nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
+    nvrtc.setenv("TORCHRENDER_KERNELS", str(tmp_path))
+    nvrtc.setenv("TORCHRENDER_CACHE", str(tmp_path / "cache"))
+    for place in ("sm_80", "sm_120"):
+        with devices.chosen(place):
+            tr.render(scene, spp=1)
+    with devices.chosen("sm_75"), pytest.raises(RuntimeError, match=r"no NVRTC to compile tr::\w+ with, for sm_75"):
+        tr.render(scene, spp=1)
+
+
+def test_kernels_of_the_package(nvrtc, tmp_path):
+    packs = tmp_path / "_packs"
+    nvrtc.setattr(devices, "PACKS", packs)
+    assert devices.compiled_before() == []
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    compile_kernels(scene, 90, packs)
+    nvrtc.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
+    nvrtc.setenv("TORCHRENDER_CACHE", str(tmp_path / "cache"))
+    with devices.chosen("sm_90"):
+        tr.render(scene, spp=1)
+    assert f"without it there are the kernels in {packs} alone" in tr.backends.devices()["cuda"]
+
+
+def test_an_installation_has_kernels_where_it_is_asked_to(nvrtc, tmp_path):
+    """As setup.py has them compiled: by the package in another folder."""
+    root = Path(tr.__file__).resolve().parent.parent
+    package = tmp_path / "torchrender"
+    shutil.copytree(root / "torchrender", package, ignore=shutil.ignore_patterns("__pycache__", "_packs"))
+    shutil.copytree(root / "csrc" / "core", package / "_kernels" / "core")
+    shutil.copytree(root / "csrc" / "device", package / "_kernels" / "device")
+
+    def run(given: str) -> subprocess.CompletedProcess:
+        code = "import pathlib, runpy, sys\nsys.argv = ['setup.py', '-q', '--version']\n"
+        code += f"of = runpy.run_path('setup.py')\nof['compile_kernels'](pathlib.Path({str(package)!r}))"
+        return subprocess.run(
+            [sys.executable, "-c", code],
+            cwd=root,
+            env={**os.environ, "TORCHRENDER_CUDA": given},
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+
+    done = run("90")
+    assert done.returncode == 0, done.stderr
+    found = kernels(package / "_packs")["ShadeHits"]
+    assert {"-arch=sm_90", "-arch=compute_90"} <= found
+    assert not any("-arch=sm_80" in options for options in found)
+    wrong = run("hopper")
+    assert wrong.returncode != 0 and "TORCHRENDER_CUDA is hopper; expected 1 or capabilities" in wrong.stderr
+    failing = run("7")
+    assert failing.returncode != 0 and "TORCHRENDER_CUDA: kernels cannot be compiled" in failing.stderr
 
 
 def test_the_command(nvrtc, tmp_path, capsys):

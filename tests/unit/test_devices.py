@@ -152,7 +152,8 @@ def test_what_there_is_of_cuda_is_said(unchosen, tmp_path):
     declared = [
         line.split('"')[1] for line in (ROOT / "csrc/device/driver_api.h").read_text().splitlines() if ', "cu' in line
     ]
-    compiled = "CreateProgram CompileProgram GetProgramLogSize GetProgramLog GetCUBINSize GetCUBIN DestroyProgram"
+    compiled = "CreateProgram CompileProgram GetProgramLogSize GetProgramLog DestroyProgram"
+    compiled += " GetCUBINSize GetCUBIN GetPTXSize GetPTX"
     names = [*declared, *(f"nvrtc{name}" for name in compiled.split())]
     source = FAKE + "\n".join(f"FUNCTION({name})" for name in names if name != "cuDriverGetVersion")
     (tmp_path / "fake.cpp").write_text(source)

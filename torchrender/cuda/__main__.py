@@ -36,6 +36,14 @@ def main() -> int:
         metavar="CAPABILITY",
         help="compute capabilities without their points: 80 for an A100, 89 for an RTX 40, 90 for an H100",
     )
+    made.add_argument(
+        "--ptx",
+        type=int,
+        nargs="+",
+        default=[],
+        metavar="CAPABILITY",
+        help="PTX besides, which drivers compile for cards of these and of later capabilities",
+    )
     made.add_argument("--into", type=Path, required=True, help="a folder, which TORCHRENDER_KERNELS is to name")
     made.add_argument("--outputs", action="store_true", help="other outputs than images, such as depth, too")
     made.add_argument("--forward", action="store_true", help="forward-mode derivatives, too")
@@ -49,15 +57,15 @@ def main() -> int:
 def compile_all(options: argparse.Namespace) -> int:
     """The kernels of all scenes for all cards; 1 after the first that cannot be compiled."""
     for path in options.scenes:
-        for capability in options.capabilities:
-            begin = time.perf_counter()
+        for ptx, capability in [*((False, c) for c in options.capabilities), *((True, c) for c in options.ptx)]:
+            begin, told = time.perf_counter(), f"{path}, {'compute' if ptx else 'sm'}_{capability}"
             settings = {name: getattr(options, name) for name in ("outputs", "forward", "deterministic")}
             try:
-                new = compile_kernels(load_file(path), capability, options.into, **settings)
+                new = compile_kernels(load_file(path), capability, options.into, ptx=ptx, **settings)
             except (OSError, RuntimeError, ValueError) as error:
-                print(f"{path}, sm_{capability}: {error}", file=sys.stderr)
+                print(f"{told}: {error}", file=sys.stderr)
                 return 1
-            print(f"{path}, sm_{capability}: {new} new kernels, {time.perf_counter() - begin:.1f} s", flush=True)
+            print(f"{told}: {new} new kernels, {time.perf_counter() - begin:.1f} s", flush=True)
     return 0
 
 

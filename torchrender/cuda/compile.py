@@ -24,6 +24,7 @@ def compile_kernels(
     outputs: bool = False,
     forward: bool = False,
     deterministic: bool = False,
+    ptx: bool = False,
 ) -> int:
     """Compile what `tr.render`, its derivatives and ray queries launch for a scene on a card; returns how many are new.
 
@@ -37,6 +38,8 @@ def compile_kernels(
         outputs: also those of other outputs than images, such as depth.
         forward: also derivatives in forward mode.
         deterministic: also those under ``torch.use_deterministic_algorithms(True)``.
+        ptx: in place of machine code make PTX, which the drivers of these and of later cards compile when it is used,
+            where there are neither machine code for them nor NVRTC.
 
     Raises:
         RuntimeError: there is no NVRTC, or it does not know the capability; or cards do not have what the scene needs.
@@ -44,7 +47,8 @@ def compile_kernels(
     folder = Path(folder).resolve()
     before = kernels_in(folder)
     trained = [name for name, p in scene.named_parameters() if p.requires_grad]
-    with devices.chosen(f"sm_{capability}"), devices.compiling_into(scene_core(), folder), warnings.catch_warnings():
+    place = f"{'compute' if ptx else 'sm'}_{capability}"
+    with devices.chosen(place), devices.compiling_into(scene_core(), folder), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # pictures are black
         try:
             _launch(scene, ("rgb", "depth", "shape_id") if outputs else ("rgb",), forward, deterministic)

@@ -76,7 +76,7 @@ class NativeScene:
             dirty = self._dirty(params)
             addresses = [t.data_ptr() for t in params]
             try:
-                if device().startswith(("cuda", "sm_")):
+                if device().startswith(("cuda", "sm_", "compute_")):
                     use_compiler(self.handle.library)
                 if function in _WITH_CONFIG:
                     settings, *rest = args
