@@ -483,10 +483,7 @@ class NativeTests(Command):
         print(build_native_tests(directory, self.isa, bool(self.sanitize)))
 
 
-class CompileKernels(Command):
-    """Kernels for cards, of common scenes, into the package of a working copy."""
-
-    description = "compile kernels of common scenes for cards (TORCHRENDER_CUDA)"
+class WithoutOptions(Command):
     user_options: ClassVar = []
 
     def initialize_options(self) -> None:
@@ -494,22 +491,21 @@ class CompileKernels(Command):
 
     def finalize_options(self) -> None:
         pass
+
+
+class CompileKernels(WithoutOptions):
+    """Kernels for cards, of common scenes, into the package of a working copy."""
+
+    description = "compile kernels of common scenes for cards (TORCHRENDER_CUDA)"
 
     def run(self) -> None:
         compile_kernels(ROOT / "torchrender")
 
 
-class CheckTools(Command):
+class CheckTools(WithoutOptions):
     """Say in one sentence what a build lacks, before anything large is downloaded."""
 
     description = "check that compiler and build requirements are there"
-    user_options: ClassVar = []
-
-    def initialize_options(self) -> None:
-        pass
-
-    def finalize_options(self) -> None:
-        pass
 
     def run(self) -> None:
         find_compiler()
