@@ -139,14 +139,17 @@ def _scalar() -> Library:
     return library("scalar")
 
 
-def scene_core(dtype: Any = None) -> Library:
-    """The compiled core that has scenes in `dtype`: other devices than the CPU compute a number at a time."""
-    return core(dtype) if device() == "cpu" else _scalar()
+def scene_core(dtype: Any = None, home: Any = None) -> Library:
+    """The compiled core that has scenes in `dtype`: other devices than the CPU compute a number at a time.
+
+    `home`: see `torchrender.devices.device`.
+    """
+    return core(dtype) if device(home) == "cpu" else _scalar()
 
 
-def ready(dtype: Any = None) -> Library:
+def ready(dtype: Any = None, home: Any = None) -> Library:
     """`scene_core` with Embree loaded and tested: what building a scene needs."""
-    found = scene_core(dtype)
+    found = scene_core(dtype, home)
     if found.isa not in _with_embree:
         with _lock:
             if found.isa not in _with_embree:

@@ -11,7 +11,6 @@ import torch
 from . import backends
 from .bsdf_functions import BsdfDirection, BsdfEvaluation, BsdfPoints, BsdfSampling
 from .compiling import opaque
-from .devices import refusal
 from .errors import describe, nearest
 from .scene.context import Context
 from .scene.conversion import decode, encode, static_value
@@ -234,7 +233,7 @@ def _tensor(where: str, value: Any, dtype: torch.dtype | None = None) -> torch.T
         except (TypeError, ValueError, RuntimeError) as error:
             raise TypeError(f"{where}: expected a tensor, got {describe(value)}") from error
     if value.device.type != "cpu":
-        raise ValueError(f"{where}: lies on {value.device}; {refusal(value.device)}")
+        raise ValueError(f"{where}: lies on {value.device}; native BSDFs are computed on the CPU: use .to('cpu')")
     if value.is_complex():
         raise TypeError(f"{where}: expected real numbers, got {describe(value)}")
     return value if dtype is None else value.to(dtype)

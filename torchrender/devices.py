@@ -1,10 +1,11 @@
 """Where rays are traced and images rendered: on the CPU, on a card or on the emulated device; what there is of CUDA.
 
 The emulated device is the host that behaves like a card, for tests: it has memory of its own, which is guarded, works
-later than it is asked to, and shuffles what runs at once. Environment variables: ``TORCHRENDER_BACKEND`` is ``cpu``
-(the default), ``cuda``, ``cuda:NUMBER`` or ``emulated``, read when it is first needed; ``TORCHRENDER_NVRTC`` is the
-path of CUDA's compiler; ``TORCHRENDER_KERNELS`` names folders with kernels that were compiled before (cuda/compile.py),
-with ``:`` between them. Nothing of CUDA is loaded unless a card is chosen, but by `report`.
+later than it is asked to, and shuffles what runs at once. Environment variables: ``TORCHRENDER_BACKEND`` is ``cpu``,
+``cuda``, ``cuda:NUMBER`` or ``emulated``, read when it is first needed (without it a card computes the scenes that lie
+on it, the CPU all others); ``TORCHRENDER_NVRTC`` is the path of CUDA's compiler; ``TORCHRENDER_KERNELS`` names folders
+with kernels that were compiled before (cuda/compile.py), with ``:`` between them. Nothing of CUDA is loaded unless a
+card is to compute, but by `report`.
 """
 
 from __future__ import annotations
@@ -38,16 +39,20 @@ _chosen: str | None = None
 _with_compiler: set[str] = set()  # cores that know one
 
 
-def device() -> str:
-    """The device that ``TORCHRENDER_BACKEND`` has chosen for this process: ``"cpu"``, ``"emulated"``, ``"cuda:0"``."""
+def device(home: torch.device | None = None) -> str:
+    """What computes: ``"cpu"``, ``"emulated"``, ``"cuda:0"``.
+
+    That is what ``TORCHRENDER_BACKEND`` has chosen for this process; else, of a scene that lies on a card (`home`),
+    this card; else the CPU.
+    """
     global _chosen
     if _chosen is None:
-        given = os.environ.get("TORCHRENDER_BACKEND", "").strip() or "cpu"
+        given = os.environ.get("TORCHRENDER_BACKEND", "").strip()
         given = "cuda:0" if given == "cuda" else given
-        if given not in CHOICES and not re.fullmatch(r"cuda:\d{1,3}", given):
+        if given and given not in CHOICES and not re.fullmatch(r"cuda:\d{1,3}", given):
             raise ValueError(f"TORCHRENDER_BACKEND: expected cpu, emulated, cuda or cuda:NUMBER, got {given!r}")
         _chosen = given
-    return _chosen
+    return _chosen or (str(home) if home is not None and home.type == "cuda" else "cpu")
 
 
 @contextlib.contextmanager
@@ -116,20 +121,20 @@ def _name_compiler(core: Library, into: str, packs: list[str], needed: bool) -> 
     core.use_cuda_compiler("", str(kernels()), into, packs)
 
 
-def require_cpu(what: str) -> None:
-    """RuntimeError if another device is chosen, which does not have this yet."""
-    if device() != "cpu":
-        raise RuntimeError(
-            f"{what}: TORCHRENDER_BACKEND={device()} has {_WHAT} so far; with TORCHRENDER_BACKEND=cpu, or without it, "
-            "everything is there"
-        )
+def named(computing: str) -> str:
+    """Another device than the CPU, and what has chosen it, for messages."""
+    return f"TORCHRENDER_BACKEND={computing}" if _chosen else f"a scene on {computing}"
 
 
-def refusal(place: torch.device) -> str:
-    """The end of the sentence that refuses a tensor which does not lie on the CPU."""
-    if place.type == "cuda":
-        return "scenes and tensors are the CPU's (TORCHRENDER_BACKEND=cuda renders them on a card): use .to('cpu')"
-    return "torchrender computes on the CPU: use .to('cpu')"
+def everything_on_the_cpu() -> str:
+    """What helps where a device does not have something."""
+    return f"with TORCHRENDER_BACKEND=cpu{', or without it,' if _chosen else ''} everything is there"
+
+
+def require_cpu(what: str, computing: str) -> None:
+    """RuntimeError if another device is to compute, which does not have this yet."""
+    if computing != "cpu":
+        raise RuntimeError(f"{what}: {named(computing)} has {_WHAT} so far; {everything_on_the_cpu()}")
 
 
 def report(core: Library) -> dict[str, str]:
@@ -139,7 +144,7 @@ def report(core: Library) -> dict[str, str]:
     sentences = {
         "cpu": "used for everything",
         "emulated": f"a test of what runs on cards, has {_WHAT}; TORCHRENDER_BACKEND=emulated chooses it",
-        "cuda": f"has {_WHAT}; TORCHRENDER_BACKEND=cuda chooses it",
+        "cuda": f"has {_WHAT}; scene.to('cuda') or TORCHRENDER_BACKEND=cuda chooses it",
     }
     if used != "cpu":
         sentences["cpu"] = f"not used, by TORCHRENDER_BACKEND={used}; without it everything runs here"

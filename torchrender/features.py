@@ -15,7 +15,7 @@ from .queries import Hits
 from .render_call import RenderCall
 from .scene.context import Context
 from .scene.derivatives import moves_rays
-from .scene.gather import check_device, has_derivative
+from .scene.gather import check_place, has_derivative
 from .scene.mesh import Mesh
 from .scene.packing import Layout, record
 from .scene.scene import Scene
@@ -147,7 +147,7 @@ def check_features(scene: Scene, layout: Layout, given: Any, names: Sequence[str
             raise ValueError(f"render: features: there is no shape {said}; {nearest(str(name), numbers)}")
         refuse_batches(value)
         if isinstance(value, torch.Tensor):
-            check_device(scene, what, value)
+            check_place(scene, what, value)
         tensor = floating(value, Context(dtype=scene.dtype, path=(what,)))
         if tensor.ndim not in (2, 3) or 0 in tensor.shape:
             raise ValueError(f"{what}: expected a texture (H, W, N) or rows of vertices (V, N), got {describe(value)}")
@@ -168,7 +168,7 @@ def _at_hits(layout: Layout, hits: Hits, given: Mapping[int, torch.Tensor], chan
     for number, tensor in given.items():
         rows = (hits.shape_id == number).nonzero()[:, 0]
         if tensor.ndim == 2:
-            faces = layout.index_tensors[record(layout, "shape", number).field["faces"]].long()
+            faces = layout.indices(record(layout, "shape", number).field["faces"]).long()
             b = hits.barycentric[rows]
             weight = torch.cat([1 - b.sum(1, keepdim=True), b], dim=1)[..., None]
             corners = faces[hits.prim_id[rows]]  # whose derivative is added up in one order, by `index_select`

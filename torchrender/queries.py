@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import torch
 
 from .compiling import opaque
-from .devices import device, refusal
 from .errors import describe
 from .functions import ConstantFunction
-from .scene.gather import gather, has_derivative
+from .scene.gather import check_place, gather, has_derivative
+from .scene.host_memory import results_at_the_scene
 from .scene.native import NativeScene
 from .scene.packing import Layout
 from .scene.scene import Scene
@@ -43,6 +43,7 @@ CONTINUOUS = Hits._fields[:6]
 
 
 @opaque
+@results_at_the_scene
 def ray_intersect(
     scene: Scene,
     origins: Any,
@@ -91,6 +92,7 @@ def ray_intersect(
 
 
 @opaque
+@results_at_the_scene
 def ray_occluded(
     scene: Scene,
     origins: Any,
@@ -172,7 +174,7 @@ def nearest_hits(
     dense = [t.contiguous() for t in (origins, directions, limits)]
     rays = [t.data_ptr() for t in dense]
     addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-    native.call("ray_intersect", params, n, *rays, addresses, device())
+    native.call("ray_intersect", params, n, *rays, addresses, native.device())
     out["barycentric"] = torch.stack([out.pop("b1"), out.pop("b2")], dim=1)
     return Hits(**out, valid=out["shape_id"] >= 0)
 
@@ -188,7 +190,7 @@ def occlusion(
     hit = torch.empty(origins.shape[0], dtype=torch.uint8, device="cpu")
     dense = [t.contiguous() for t in (origins, directions, limits)]
     rays = [t.data_ptr() for t in dense]
-    native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr(), device())
+    native.call("ray_occluded", params, origins.shape[0], *rays, hit.data_ptr(), native.device())
     return hit.bool()
 
 
@@ -201,13 +203,12 @@ def _geometry(layout: Layout) -> list[int]:
     return [i for i, slot in enumerate(layout.slots) if slot.module.category == "shape"]
 
 
-def _on_cpu(name: str, value: Any, dtype: torch.dtype | None = None) -> torch.Tensor:
+def _on_cpu(name: str, value: Any, scene: Scene, dtype: torch.dtype | None = None) -> torch.Tensor:
     """`value` as a tensor whose memory the core can read; what torch's default device is does not matter."""
     if not isinstance(value, torch.Tensor):
         return torch.as_tensor(value, dtype=dtype, device="cpu")
-    if value.device.type != "cpu":
-        raise ValueError(f"{name}: lies on {value.device}; {refusal(value.device)}")
-    return value if dtype is None else value.to(dtype)
+    check_place(scene, name, value)
+    return value.to("cpu", dtype)
 
 
 def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -> tuple[Any, ...]:
@@ -215,7 +216,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         raise TypeError(f"{function}: scene: expected a Scene, got {describe(scene)}")
     made = []
     for name, value in (("origins", origins), ("directions", directions)):
-        tensor = _on_cpu(f"{function}: {name}", value)
+        tensor = _on_cpu(f"{function}: {name}", value, scene)
         if tensor.ndim != 2 or tensor.shape[1] != 3 or tensor.is_complex():
             raise ValueError(f"{function}: {name}: expected shape (N, 3), got {describe(tensor)}")
         made.append(tensor.to(scene.dtype).contiguous())
@@ -223,7 +224,7 @@ def _rays(function: str, scene: Any, origins: Any, directions: Any, tmax: Any) -
         raise ValueError(
             f"{function}: origins have shape {tuple(made[0].shape)}, but directions {tuple(made[1].shape)}"
         )
-    limit = _on_cpu(f"{function}: tmax", float("inf") if tmax is None else tmax, scene.dtype).detach()
+    limit = _on_cpu(f"{function}: tmax", float("inf") if tmax is None else tmax, scene, scene.dtype).detach()
     if limit.ndim > 1 or (limit.ndim == 1 and limit.shape[0] != made[0].shape[0]):
         raise ValueError(f"{function}: tmax: expected a number or shape (N,), got {describe(limit)}")
     if bool(torch.isnan(limit).any()):

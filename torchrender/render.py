@@ -12,7 +12,6 @@ import torch
 
 from .autograd import RenderFunction
 from .compiling import opaque
-from .devices import device
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
@@ -61,6 +60,7 @@ from .scene.bands import check_bands, groups, joined
 from .scene.boundaries import warn_of_glass_on_curves
 from .scene.gather import gather, has_derivative, replace_placeholder
 from .scene.gradient_requirements import GradientRequirements
+from .scene.host_memory import results_at_the_scene
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
 from .scene.scene import Scene, operation
@@ -84,6 +84,7 @@ def render(scene: Scene, *, outputs: OutputNames, **settings: Unpack[RenderSetti
 
 @operation("render")
 @opaque
+@results_at_the_scene
 def render(
     scene: Scene,
     *,
@@ -358,7 +359,7 @@ def render(
             and not bends
             and call.spp_grad == call.spp
             and not _mixes(packed)
-            and device() == "cpu"
+            and native.device() == "cpu"
             and torch.is_grad_enabled()
             and any(tensor.requires_grad for tensor in used)
         )

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import torch
 
-from .devices import device
+from .devices import device, everything_on_the_cpu, named
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS
 from .scene.packing import Layout
 from .scene.scene import Scene
@@ -14,16 +14,10 @@ from .scene.scene import Scene
 
 def check_device(scene: Scene, packed: Layout, names: Sequence[str]) -> None:
     """RuntimeError unless the chosen device renders these outputs of a scene."""
-    if device() != "cpu":
-        _refuse(_missing(scene, packed, names))
-
-
-def _refuse(missing: Iterator[str]) -> None:
-    for what in missing:
-        raise RuntimeError(
-            f"render: TORCHRENDER_BACKEND={device()} does not have {what}; with TORCHRENDER_BACKEND=cpu, or without "
-            "it, everything is there"
-        )
+    computing = device(scene.device)
+    if computing != "cpu":
+        for what in _missing(scene, packed, names):
+            raise RuntimeError(f"render: {named(computing)} does not have {what}; {everything_on_the_cpu()}")
 
 
 def _missing(scene: Scene, packed: Layout, names: Sequence[str]) -> Iterator[str]:

@@ -78,7 +78,7 @@ class Surfaces:
     @classmethod
     def of(cls, scene: Scene, layout: Layout, tensors: Sequence[torch.Tensor]) -> Surfaces:
         """The shapes with these `tensors` in the layout's slots, attached to them."""
-        real = {"dtype": scene.dtype, "device": scene.device}
+        real = {"dtype": scene.dtype, "device": "cpu"}
         whole, truth = {**real, "dtype": torch.int64}, {**real, "dtype": torch.bool}
         identity = torch.eye(4, **real)
         kinds, flips, smooth, textured, first_face, first_vertex, matrices = [], [], [], [], [], [], []
@@ -93,13 +93,13 @@ class Surfaces:
             corners = indices = None
             if kind == "mesh":
                 corners = tensors[value["vertices"]]
-                indices = layout.index_tensors[value["faces"]].long()
+                indices = layout.indices(value["faces"]).long()
                 has_normals, has_texcoords = value["normals"] >= 0, value["texcoords"] >= 0
                 normals.append(tensors[value["normals"]] if has_normals else corners.new_zeros(corners.shape))
                 texcoords.append(tensors[value["texcoords"]] if has_texcoords else corners.new_zeros(len(corners), 2))
             elif kind in CURVES:
                 points, radii = tensors[value["control_points"]], tensors[value["radii"]]
-                segments = layout.index_tensors[value["segments"]].long()
+                segments = layout.indices(value["segments"]).long()
                 curves[len(kinds)] = (points, radii, segments, kind == "linearcurve")
             else:
                 matrix = tensors[value["to_world"]]

@@ -211,8 +211,8 @@ def test_texels_out_of_range_are_warned_about():
         ({"variant": "rgb_polarised"}, "unknown variant 'rgb_polarised'; did you mean 'rgb_polarized'"),
         ({"variant": "rbg"}, "unknown variant 'rbg'; did you mean 'rgb'"),
         ({"dtype": torch.float16}, "dtype: expected torch.float32 or torch.float64"),
-        ({"device": "cuda"}, "device: expected 'cpu', got 'cuda'; scenes and tensors are the CPU's"),
-        ({"device": "abacus"}, "device: expected 'cpu'"),
+        ({"device": "cuda:99"}, "device: PyTorch has no 'cuda:99' here"),
+        ({"device": "abacus"}, "device: expected 'cpu' or another device, got 'abacus'"),
     ],
 )
 def test_settings(settings, message):

@@ -12,16 +12,15 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import small_scene
 import torch
 
 import torchrender as tr
 from torchrender import backends, devices
-from torchrender.scene.gather import check_device
+from torchrender.scene.gather import check_place
 
 ROOT = Path(__file__).resolve().parents[2]
 ALONE = "ray queries, images and their derivatives (tr.ray_intersect, tr.ray_occluded, tr.render)"
-
-CPUS = "scenes and tensors are the CPU's (TORCHRENDER_BACKEND=cuda renders them on a card)"
 
 # A driver that says its version, and has all functions that are looked for. As a process's NVRTC it says another.
 FAKE = """
@@ -82,15 +81,32 @@ def test_other_devices_are_refused(unchosen, capsys, name):
     capsys.readouterr()
 
 
-def test_tensors_on_cards_are_refused():
+def test_tensors_elsewhere_than_the_scene_are_refused():
     scene = tr.load_dict({"type": "scene", "ball": {"type": "sphere"}})
-    for place, end in (("cuda:1", CPUS), ("meta", "torchrender computes on the CPU")):
+    for place in ("cuda:1", "meta"):
         tensor = SimpleNamespace(device=torch.device(place))
-        sentence = f"ball.radius: lies on {place}, but the scene on cpu; {end}: use .to('cpu')"
+        sentence = f"ball.radius: lies on {place}, but the scene on cpu: use .to('cpu')"
         with pytest.raises(ValueError, match=re.escape(sentence)):
-            check_device(scene, "ball.radius", tensor)
-    with pytest.raises(ValueError, match=re.escape(f"device: expected 'cpu', got 'cuda:0'; {CPUS}")):
-        tr.load_dict({"type": "scene"}, device="cuda:0")
+            check_place(scene, "ball.radius", tensor)
+    with pytest.raises(ValueError, match=r"load_dict: device: PyTorch has no 'cuda:99' here: \w+"):
+        tr.load_dict({"type": "scene"}, device="cuda:99")
+
+
+def test_a_card_computes_the_scenes_that_lie_on_it(unchosen):
+    card = torch.device("cuda:1")
+    assert (devices.device(card), devices.device()) == ("cuda:1", "cpu")
+    scenes = [tr.load_dict(small_scene.ball_and_wall(), variant=variant) for variant in ("spectral", "rgb")]
+    for scene in scenes:
+        scene._device = card  # there may be none to bring it to
+    sentence = "render: a scene on cuda:1 does not have spectral scenes yet, but those in rgb and mono; with "
+    with pytest.raises(RuntimeError, match=f"^{sentence}TORCHRENDER_BACKEND=cpu everything is there$"):
+        tr.render(scenes[0], spp=1)
+    unchosen.setenv("TORCHRENDER_NVRTC", "/nowhere/libnvrtc.so")
+    for function in (lambda: tr.render(scenes[1], spp=1), lambda: tr.ray_occluded(scenes[1], [[0, 0, 3]], [[0, 0, 1]])):
+        with pytest.raises(RuntimeError, match=r"NVRTC|driver"):
+            function()
+    with devices.chosen("cpu"):
+        assert devices.device(card) == "cpu"
 
 
 def test_a_process_of_its_own_and_its_children():
@@ -165,7 +181,7 @@ for version in ("11080", "12020"):
     os.environ["FAKE_CUDA"] = version
     print(tr.backends.devices()["cuda"])
 """
-    none = f"has {ALONE}; TORCHRENDER_BACKEND=cuda chooses it; "
+    none = f"has {ALONE}; scene.to('cuda') or TORCHRENDER_BACKEND=cuda chooses it; "
     nvrtc = f"NVRTC 12.8 at {library}"
     out = python(code, LD_LIBRARY_PATH=str(tmp_path), TORCHRENDER_NVRTC=str(library)).splitlines()
     old = "the NVIDIA driver is made for CUDA 11.8, expected at least 12.0; install driver 525 or newer"

@@ -41,7 +41,7 @@ MOST_OFF = 0.03
 With the principled BSDF the CPU's packets and single numbers differ by 0.018.
 """
 
-STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "rates", "kernels", "sanitizers")
+STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "moved", "rates", "kernels", "sanitizers")
 OUTPUTS = ("depth", "position", "shading_normal", "uv", "dp_du", "albedo", "roughness", "shape_id")
 
 ROWS = {
@@ -261,6 +261,34 @@ class Check:
             passed = passed and off[worst] < MOST_OFF
         return {"passed": passed, "gradients": found}
 
+    def moved(self, place: str | None = None, size: int = 64) -> dict[str, Any]:
+        """A scene that lies on the card (or at `place`): image, gradients and a step of an optimiser, bit for bit.
+
+        And the seconds that it takes to get an image and gradients, beside a scene on the CPU, by the same card.
+        """
+        place = place or self.card
+        if place.startswith("cuda") and not torch.cuda.is_available():
+            return {"none": "this PyTorch has no CUDA"}
+        found, seconds = [], {}
+        for lies in ("cpu", place):
+            with devices.chosen("" if lies == self.card else self.card), deterministic_algorithms(True):
+                scene = load_dict(room({"type": "plastic"}, size=size), device=lies)
+                parameters = [scene.get_parameter(name) for name in train_all(scene, but_what_moves=True)]
+                optimizer = torch.optim.Adam(parameters, lr=0.01)
+
+                def image(seed: int, scene: Scene = scene, optimizer: Any = optimizer) -> torch.Tensor:
+                    optimizer.zero_grad()
+                    rendered = render(scene, spp=16, seed=seed)
+                    rendered.sum().backward()
+                    return rendered.detach()
+
+                seconds[lies] = _median(image, 3)
+                values = [image(3), *(p.grad.clone() for p in parameters if p.grad is not None)]
+                optimizer.step()
+                found.append([*values, image(4)])
+        same = all(b.device == torch.device(place) and torch.equal(b.to("cpu"), a) for a, b in zip(*found, strict=True))
+        return {"passed": same, "of": len(found[0]), "seconds": seconds}
+
     def repeats(self) -> dict[str, Any]:
         """Equal bits in parts of a film, with lists of pixels, and in batches: 512 samples of these pixels are many."""
         scene = load_dict(room({"type": "roughplastic"}, size=128))
@@ -357,6 +385,7 @@ def check(card: str, out: Path, scenes: Path, commit: str, only: Sequence[str] =
         run.step("images", run.images)
         run.step("outputs", run.outputs)
         run.step("gradients", run.gradients)
+        run.step("moved", run.moved)
         if scenes.is_dir():
             run.step("rates", lambda: run.rates(scenes))
             run.step("kernels", lambda: run.kernels(scenes))

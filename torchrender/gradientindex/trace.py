@@ -16,6 +16,7 @@ from ..functions import refuse_batches
 from ..queries import _rays, find_hits
 from ..scene.bending_field import reference_index
 from ..scene.gather import gather
+from ..scene.host_memory import results_at_the_scene
 from ..scene.native import NativeScene
 from ..scene.packing import Layout, Record, bending_boundary, record
 from ..scene.scene import Scene
@@ -56,6 +57,7 @@ class BentRays(NamedTuple):
 
 
 @opaque
+@results_at_the_scene
 def trace(
     scene: Scene,
     shape: str,

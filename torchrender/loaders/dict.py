@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import torch
+from torch import nn
 
 from .. import backends
-from ..devices import refusal
 from ..errors import describe, nearest
 from ..integrators import TYPES, from_dict
 from ..scene import registry
@@ -43,9 +43,12 @@ def _settings(function: str, variant: Any, dtype: Any, device: Any, wavelength: 
     try:
         made = torch.device(device)
     except (RuntimeError, TypeError):
-        raise ValueError(f"{function}: device: expected 'cpu', got {describe(device)}") from None
-    if made.type != "cpu":
-        raise ValueError(f"{function}: device: expected 'cpu', got {str(made)!r}; {refusal(made)}")
+        raise ValueError(f"{function}: device: expected 'cpu' or another device, got {describe(device)}") from None
+    try:
+        torch.empty(0, device=made)
+    except (AssertionError, NotImplementedError, RuntimeError) as error:  # torch without CUDA asserts
+        sentence = str(error).strip().splitlines()[0]
+        raise ValueError(f"{function}: device: PyTorch has no {str(made)!r} here: {sentence}") from None
     if wavelength is not None:
         if variant.removesuffix(POLARIZED) != "mono":
             raise ValueError(f"{function}: wavelength: it is for variant='mono', not {variant!r}")
@@ -104,7 +107,7 @@ def load_dict(
             tensors, dicts, references ``{"type": "ref", "id": NAME}`` and built objects such as `tr.Mesh`.
         variant: colour mode, one of `variants()`.
         dtype: `torch.float32` or `torch.float64`, of all parameters and of the rendering.
-        device: ``"cpu"``.
+        device: where its tensors lie, as by ``.to(device)``: ``"cpu"``, a card, which then renders it, or another.
         wavelength: for ``variant="mono"``: in nm, from 360 to 830, where spectra, metals and glasses are taken. Numbers
             stay what they are; of colours and images it is the luminance, as it is of everything without `wavelength`.
         unsupported: ``"error"``, or ``"substitute"``: what this version does not have is replaced by the nearest thing
@@ -113,7 +116,11 @@ def load_dict(
     Raises:
         ValueError: naming the place in the scene, the word that is wrong, and the nearest known ones.
     """
-    made_device = _settings("load_dict", variant, dtype, device, wavelength)
+    place = _settings("load_dict", variant, dtype, device, wavelength)
+    if place.type != "cpu":
+        settings = {"variant": variant, "dtype": dtype, "wavelength": wavelength, "unsupported": unsupported}
+        built = load_dict(description, **settings, _folder=_folder)
+        return built.to(place) if isinstance(built, nn.Module) else built
     if not isinstance(description, Mapping):
         hint = "; tr.load_file reads files" if isinstance(description, (str, os.PathLike)) else ""
         raise TypeError(f"load_dict: expected a nested dict, got {describe(description)}{hint}")
@@ -121,7 +128,7 @@ def load_dict(
         raise ValueError("load_dict: the dict has no 'type'; a scene's is 'scene'")
     if not isinstance(description["type"], str):
         raise ValueError(f"load_dict: type: expected a word, got {describe(description['type'])}")
-    ctx = Context(variant.removesuffix(POLARIZED), dtype, made_device, (), _folder, wavelength=wavelength)
+    ctx = Context(variant.removesuffix(POLARIZED), dtype, folder=_folder, wavelength=wavelength)
     check_names(description, ctx)
     if description["type"] == "scene":
         description = expand_compounds(description, ctx)
@@ -133,7 +140,7 @@ def load_dict(
     if kind == "scene":
         objects = {k: v for k, v in description.items() if k not in ("type", "id")}
         objects = expand_instances(objects, ctx)
-        return Scene(objects, variant, dtype, made_device, _folder, wavelength)
+        return Scene(objects, variant, dtype, _folder, wavelength)
     ctx = ctx.at(str(kind))
     if kind in TYPES:
         return from_dict(dict(description), str(kind))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import torch
 from torch import nn
 
 from ..errors import describe, nearest
@@ -14,6 +15,7 @@ from . import registry, spectra
 from .construction import child_of
 from .context import Context, Reference
 from .film import SAMPLERS
+from .host_memory import move
 from .packing import ORDER
 from .plugin import Plugin
 from .references import replace_references, resolve_references
@@ -25,6 +27,11 @@ class Container(nn.Module):
 
     An id that modules have another use for gets an underscore: ``scene["train"]`` is ``scene.train_``.
     """
+
+    @property
+    def device(self) -> torch.device:
+        """Where the tensors of its objects lie."""
+        raise NotImplementedError
 
     def _context(self) -> Context:
         """What objects are built with that come into the scene."""
@@ -69,6 +76,7 @@ class Container(nn.Module):
                 self._modules.clear()
                 self._modules.update(before)  # the order too: it numbers the shapes
                 raise
+        move(value, self.device)
         if isinstance(previous, Plugin) and isinstance(value, Plugin):
             replace_references(self, previous, value)
         structure_changed()

@@ -14,6 +14,7 @@ from . import construction, spectra, values
 from .construction import check_inert
 from .context import SAMPLES, Context, Reference
 from .declaration import Field
+from .host_memory import move
 from .structure import structure_changed
 
 if TYPE_CHECKING:
@@ -22,7 +23,9 @@ if TYPE_CHECKING:
 
 def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
     """``plugin.name = value``, converted and checked as when the object was built; an error leaves it as it was."""
-    ctx = plugin._own_context(name)
+    ctx, place = plugin._own_context(name), plugin._place()
+    if isinstance(value, torch.Tensor):
+        ctx = replace(ctx, device=place)
     if value is None:
         if plugin._holds(field) and not field.optional:
             ctx.error("None removes a parameter, but this one is required")
@@ -43,6 +46,10 @@ def assign(plugin: Plugin, name: str, field: Field, value: Any) -> None:
             restore()
             raise
         new, child = plugin._parameters.get(name), plugin._child(name)
+        if new is not None and new.device != place:
+            plugin._parameters[name] = new = nn.Parameter(new.detach().to(place), requires_grad=new.requires_grad)
+        if child is not None:
+            move(child, place)
         if asks:
             for tensor in [new] if child is None else [t for _, t in child.texels()]:
                 if tensor is not None:
@@ -120,7 +127,7 @@ def snapshot(plugin: Plugin) -> Callable[[], None]:
 
 
 def adapt(plugin: Plugin, ctx: Context) -> None:
-    """Take over colour mode, dtype and device of a scene, down to all children; parameters keep their identity."""
+    """Take over colour mode and dtype of a scene, down to all children; parameters keep their identity."""
     recolor = plugin._color != ctx.color and ctx.color == "mono"
 
     def adapted(name: str, tensor: torch.Tensor) -> torch.Tensor:
@@ -129,7 +136,7 @@ def adapt(plugin: Plugin, ctx: Context) -> None:
             tensor = _as_described(plugin, name, tensor, ctx)
         if recolor and name in ("value", "data") and tensor.ndim in (1, 3, 4) and tensor.shape[-1] == 3:
             tensor = values.luminance(tensor)
-        return tensor.to(dtype=ctx.dtype, device=ctx.device)
+        return tensor.to(dtype=ctx.dtype)
 
     for name, parameter in plugin._parameters.items():
         if parameter is not None:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Mapping
 import torch
 from torch import nn
 
-from ..devices import refusal
 from ..errors import describe, nearest
 from .bending_field import bending_field
+from .host_memory import on_host
 from .packing import Layout, record
 from .plugin import Plugin
 from .scene import Scene
-from .values import has_tangent
+from .values import has_derivative
 
 
 def gather(
@@ -74,11 +74,6 @@ def gather(
     return tensors
 
 
-def has_derivative(tensor: torch.Tensor) -> bool:
-    """Whether a derivative with respect to `tensor` is recorded: reverse mode, or a tangent of forward mode."""
-    return (tensor.requires_grad and torch.is_grad_enabled()) or has_tangent(tensor)
-
-
 def replace_placeholder(
     scene: Scene,
     layout: Layout,
@@ -99,15 +94,19 @@ def replace_placeholder(
     return changed
 
 
-def check_device(scene: Scene, name: str, tensor: torch.Tensor) -> None:
-    """ValueError if the core cannot read the tensor's memory."""
-    if tensor.device.type != "cpu":
-        where = "" if tensor.device == scene.device else f", but the scene on {scene.device}"
-        raise ValueError(f"{name}: lies on {tensor.device}{where}; {refusal(tensor.device)}")
+def check_place(scene: Scene, name: str, tensor: torch.Tensor) -> None:
+    """ValueError for a tensor that lies neither on the CPU nor with the scene, or has no numbers."""
+    place = tensor.device
+    if place.type != "cpu" and (place.type == "meta" or place != scene.device):
+        where = "" if place == scene.device else f", but the scene on {scene.device}"
+        better = "cpu" if scene.device.type == "meta" else scene.device
+        raise ValueError(f"{name}: lies on {place}{where}: use .to({str(better)!r})")
 
 
 def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
-    check_device(scene, name, tensor)
+    if not tensor.is_cpu:
+        check_place(scene, name, tensor)
+        tensor = on_host(tensor)
     if tensor.dtype != scene.dtype:
         tensor = tensor.to(scene.dtype)
     return tensor if tensor.is_contiguous() else tensor.contiguous()

@@ -14,6 +14,7 @@ from . import values
 from .construction import install_tensor
 from .context import Context
 from .declaration import Field
+from .host_memory import numbers_on_host, on_host
 from .normals import vertex_normals
 from .plugin import Plugin
 from .registry import builder, register
@@ -223,15 +224,15 @@ class Mesh(Shape):
 
     def normals_from_positions(self, positions: torch.Tensor) -> torch.Tensor:
         """Vertex normals (V, 3) of the mesh with other `positions`, weighted by the angles at each corner."""
-        return vertex_normals(positions, self.faces)
+        return vertex_normals(positions, on_host(self.faces) if positions.device.type == "cpu" else self.faces)
 
     def compute_normals(self) -> None:
         """Shade smooth, with normals that are computed from the positions and follow them from now on."""
-        positions = self.vertex_positions.detach()
-        normals = vertex_normals(positions, self.faces)
-        install_tensor(self, "vertex_normals", None, normals)
+        positions, faces = numbers_on_host(self.vertex_positions), numbers_on_host(self.faces)
+        normals = vertex_normals(positions, faces)
+        install_tensor(self, "vertex_normals", None, normals.to(self.vertex_positions.device))
         self.__dict__["computed_normals"] = True
-        self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), normals.clone())
+        self.__dict__["_normals_of"] = (positions.clone(), faces.clone(), normals.clone())
         structure_changed()
 
     def refresh_normals(self, computed: torch.Tensor | None = None) -> None:
@@ -239,17 +240,17 @@ class Mesh(Shape):
         normals = self._parameters.get("vertex_normals")
         if not isinstance(normals, nn.Parameter):  # a substitute for one call, which is not ours to write to
             return
-        positions = self.vertex_positions.detach()
+        positions, faces = numbers_on_host(self.vertex_positions), numbers_on_host(self.faces)
         # Numbers are compared, not version counters, which writes through `.data` do not advance.
         old_positions, old_faces, known = self.__dict__["_normals_of"]
         same = old_positions.dtype == positions.dtype and known.dtype == normals.dtype
-        if not (same and torch.equal(old_positions, positions) and torch.equal(old_faces, self.faces)):
-            known = vertex_normals(positions, self.faces) if computed is None else computed.detach()
-            known = known.to(normals.dtype, copy=True)
-            self.__dict__["_normals_of"] = (positions.clone(), self.faces.clone(), known)
+        if not (same and torch.equal(old_positions, positions) and torch.equal(old_faces, faces)):
+            known = vertex_normals(positions, faces) if computed is None else computed.detach()
+            known = known.to("cpu", normals.dtype, copy=True)
+            self.__dict__["_normals_of"] = (positions.clone(), faces.clone(), known)
         if normals.shape != known.shape:  # another number of vertices
-            normals.data, normals.grad = torch.empty_like(known), None
-        if not torch.equal(normals, known):
+            normals.data, normals.grad = torch.empty_like(known, device=normals.device), None
+        if not torch.equal(numbers_on_host(normals), known):
             with torch.no_grad():
                 normals.copy_(known)
 

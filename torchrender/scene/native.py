@@ -25,7 +25,7 @@ class NativeScene:
 
     `previous` is the native scene that this one replaces: what did not change, of the acceleration structure, the
     tables of lights and the knowledge of what changed, is taken from it. It stays usable, for derivatives of images
-    that it rendered; it makes its own again then.
+    that it rendered; it makes its own again then. `home` is where the scene lies.
     """
 
     def __init__(
@@ -35,14 +35,16 @@ class NativeScene:
         dtype: torch.dtype,
         shapes: list[tuple[int, ...]],
         previous: NativeScene | None = None,
+        home: torch.device | None = None,
     ) -> None:
+        self.home = home
         self.layout = layout
         self.index_key = layout.index_key()
         self.dtype = dtype
         self.shapes = shapes
         self.channels = 1 if color == "mono" else 3
         self.lock = threading.Lock()
-        self.core = backends.ready(dtype)
+        self.core = backends.ready(dtype, home)
         self.handle = self.core.Scene(color, str(dtype).removeprefix("torch."))
         self.names = [slot.name for slot in layout.slots]
         self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
@@ -65,18 +67,22 @@ class NativeScene:
         """How often parts of the core's copy of the scene were made, see `Scene.updates`."""
         return {"scenes": self.builds, **self.handle.counters()}
 
+    def device(self) -> str:
+        """What computes, see `torchrender.devices.device`."""
+        return device(self.home)
+
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
 
         ValueError names a parameter that is not finite; RuntimeError says that the device does not have this.
         """
         if function not in FUNCTIONS:
-            require_cpu(function)
+            require_cpu(function, self.device())
         with self.lock:
             dirty = self._dirty(params)
             addresses = [t.data_ptr() for t in params]
             try:
-                if device().startswith(("cuda", "sm_", "compute_")):
+                if self.device().startswith(("cuda", "sm_", "compute_")):
                     use_compiler(self.handle.library)
                 if function in _WITH_CONFIG:
                     settings, *rest = args
@@ -84,7 +90,7 @@ class NativeScene:
                     if isinstance(settings, dict):
                         settings = {name: value for name, value in settings.items() if name != "progress"}
                     if function in RENDERS:
-                        settings |= {"device": device()}
+                        settings |= {"device": self.device()}
                     return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 return getattr(self.handle, function)(*args, addresses, dirty)
             except BaseException as error:

@@ -16,6 +16,7 @@ from torch import nn
 from .context import SAMPLES
 from .declaration import TENSOR_KINDS, models
 from .derivatives import COMPLETE, Limits
+from .host_memory import on_host
 from .media import Medium, ScatteringMedium
 from .mesh import Mesh
 from .plugin import Plugin
@@ -85,7 +86,7 @@ class Layout:
 
     slots: list[Slot] = field(default_factory=list)
     objects: dict[str, list[tuple[str, list[int], str]]] = field(default_factory=dict)
-    index_tensors: list[torch.Tensor] = field(default_factory=list)
+    index_sources: list[torch.Tensor] = field(default_factory=list)  # wherever they lie
     slot_of: dict[tuple[int, str], int] = field(default_factory=dict)
     by_name: dict[str, int] = field(default_factory=dict)
     sensors: list[Sensor] = field(default_factory=list)  # those of the scene, then those that stand for others
@@ -102,6 +103,15 @@ class Layout:
     spectral: bool = False  # colours are spectra for the core
     roles: list[str | None] | None = None  # of slots, once that was asked, see spectral/roles.py
     edges: Any = None  # the core's outlines, and the index arrays they were found with, see visibility/outlines.py
+
+    @property
+    def index_tensors(self) -> list[torch.Tensor]:
+        """Faces of meshes and segments of curves, in the host's memory."""
+        return [tensor if tensor.is_cpu else on_host(tensor) for tensor in self.index_sources]
+
+    def indices(self, number: int) -> torch.Tensor:
+        """One of `index_tensors`."""
+        return on_host(self.index_sources[number])
 
     def index_key(self) -> list[tuple[int, int, int]]:
         """Tells whether the index arrays are still those that a native scene was built with."""
@@ -229,8 +239,8 @@ class _Packer:
                 return self.attribute_id(plugin.__dict__["name"])
             return plugin.encode(field_name)
         if kind == "indices":
-            self.layout.index_tensors.append(getattr(plugin, field_name))
-            return len(self.layout.index_tensors) - 1
+            self.layout.index_sources.append(getattr(plugin, field_name))
+            return len(self.layout.index_sources) - 1
         if kind in TENSOR_KINDS and plugin._holds(declared):
             if isinstance(plugin, Mesh) and field_name == "vertex_normals" and plugin.face_normals:
                 return -1

@@ -167,11 +167,14 @@ class Plugin(nn.Module):
                 yield name, tensor
 
     def adapt(self, ctx: Context) -> None:
-        """Take over colour mode, dtype and device of a scene; parameters keep their identity."""
+        """Take over colour mode and dtype of a scene; parameters keep their identity."""
         editing.adapt(self, ctx)
 
     def _dtype(self) -> torch.dtype | None:
         return next((tensor.dtype for tensor in self.parameters()), None)
+
+    def _place(self) -> torch.device:
+        return next((tensor.device for tensor in self.parameters()), torch.device("cpu"))
 
     def hint(self, name: str) -> str:
         """For an error message: what is meant by a name that is no parameter."""

@@ -69,7 +69,6 @@ class Scene(Container):
         objects: Mapping[str, Any],
         variant: str = "rgb",
         dtype: torch.dtype = torch.float32,
-        device: str | torch.device = "cpu",
         folder: Path | None = None,
         wavelength: float | None = None,
     ) -> None:
@@ -78,7 +77,7 @@ class Scene(Container):
         self._polarized = variant.endswith(POLARIZED)
         self._wavelength = wavelength
         self._dtype = dtype
-        self._device = torch.device(device)
+        self._device = torch.device("cpu")
         self._native: NativeScene | None = None
         self._epoch = -1
         self._layout: Layout | None = None
@@ -116,6 +115,7 @@ class Scene(Container):
 
     @property
     def device(self) -> torch.device:
+        """Where the scene lies."""
         return self._device
 
     @property
@@ -140,7 +140,7 @@ class Scene(Container):
         return sensors[0].film if sensors else None
 
     def _context(self, folder: Path | None = None) -> Context:
-        return Context(self._color, self._dtype, self._device, (), folder, wavelength=self._wavelength)
+        return Context(self._color, self._dtype, path=(), folder=folder, wavelength=self._wavelength)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write a Mitsuba 3 XML file, and ``meshes/*.ply``, ``textures/*.exr`` and ``volumes/*.vol`` beside it.
@@ -255,6 +255,11 @@ class Scene(Container):
         # The native scene is a cache: copies and files go without, and make their own when they render.
         return {**self.__dict__, "_native": None, "_watch": None, "_layout": None, "_epoch": -1, "statistics": {}}
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        super().__setstate__(state)
+        # torch.load may have brought the tensors elsewhere
+        self._device = next(iter(self._placeholders.values())).to_world.device
+
     def __repr__(self) -> str:
         return summarise(self)
 
@@ -279,12 +284,13 @@ class Scene(Container):
         if (
             native is not None
             and native.dtype == self._dtype
-            and native.core is backends.scene_core(self._dtype)
+            and native.home == self.device
+            and native.core is backends.scene_core(self._dtype, self.device)
             and native.shapes == shapes
             and (native.layout is layout or native.layout.objects == layout.objects)
             and native.index_key == layout.index_key()
         ):
             return native
-        native = NativeScene(layout, self._color, self._dtype, shapes, previous=native)
+        native = NativeScene(layout, self._color, self._dtype, shapes, previous=native, home=self.device)
         self._native = native
         return native

@@ -125,11 +125,10 @@ class TorchBSDF(Plugin):
         return {}
 
     def adapt(self, ctx: Context) -> None:
-        """Take over dtype and device of a scene; parameters keep their identity."""
+        """Take over dtype of a scene; parameters keep their identity."""
         for tensor in (*self.parameters(), *self.buffers()):
-            dtype = ctx.dtype if tensor.is_floating_point() else None
-            if tensor.device != ctx.device or (dtype is not None and tensor.dtype != dtype):
-                tensor.data = tensor.data.to(device=ctx.device, dtype=dtype)
+            if tensor.is_floating_point() and ctx.dtype is not None and tensor.dtype != ctx.dtype:
+                tensor.data = tensor.data.to(ctx.dtype)
         self.__dict__["_color"] = ctx.color
 
     def extra_repr(self) -> str:

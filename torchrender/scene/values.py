@@ -25,7 +25,7 @@ def floating(value: Any, ctx: Context) -> torch.Tensor:
         if isinstance(value, (str, bytes, Mapping)) or value is None:
             ctx.error(f"expected numbers, got {describe(value)}")
         try:
-            tensor = torch.as_tensor(plain(value), dtype=torch.float64, device=ctx.device)
+            tensor = torch.as_tensor(plain(value), dtype=torch.float64, device="cpu")
         except (TypeError, ValueError, RuntimeError):
             ctx.error(f"expected numbers, got {describe(value)}")
         if ctx.dtype is None and str(given) not in ("float64",):
@@ -53,6 +53,11 @@ def in_forward_mode() -> bool:
 def has_tangent(tensor: torch.Tensor) -> bool:
     """Whether `tensor` carries a tangent of forward mode, which no attribute of it tells."""
     return in_forward_mode() and forward_ad.unpack_dual(tensor).tangent is not None
+
+
+def has_derivative(tensor: torch.Tensor) -> bool:
+    """Whether a derivative with respect to `tensor` is recorded: reverse mode, or a tangent of forward mode."""
+    return (tensor.requires_grad and torch.is_grad_enabled()) or has_tangent(tensor)
 
 
 def number(value: Any, ctx: Context) -> torch.Tensor:

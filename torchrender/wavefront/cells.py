@@ -50,7 +50,7 @@ class LightCells:
         record = records["shape"][shape]
         if record.type not in ("rectangle", "mesh"):
             return None
-        if record.type == "mesh" and len(world.layout.index_tensors[record.field["faces"]]) != 2:
+        if record.type == "mesh" and len(world.layout.indices(record.field["faces"])) != 2:
             return None
         first = int(surfaces.first_face[shape])
         p0, p1, p2 = surfaces.positions.detach().double()[surfaces.faces[first : first + 2]].unbind(1)

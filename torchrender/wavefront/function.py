@@ -18,6 +18,7 @@ from ..progress import steps
 from ..render_call import RenderCall
 from ..scene.derivatives import moves_rays
 from ..scene.gradient_requirements import GradientRequirements
+from ..scene.host_memory import on_host
 from ..scene.native import NativeScene
 from ..scene.packing import Layout
 from ..scene.scene import Scene
@@ -58,7 +59,7 @@ class TorchParameters(nn.Module):
                     f"render: params: {name}: expected shape {tuple(own.shape)}, got {tuple(tensor.shape)}"
                 )
             found[index[id(own)]] = tensor
-        return found
+        return {name: on_host(tensor) for name, tensor in found.items()}
 
     def _own(self, name: str) -> torch.Tensor | None:
         parameters = dict(self.named_parameters(remove_duplicate=False))
@@ -175,7 +176,8 @@ class WavefrontCall:
         def trace() -> Any:
             return tracer.trace(rays, pixel_key(*samples.pixel.unbind(1)), samples.sample)
 
-        return torch.func.functional_call(self.parameters, modules, (trace,))
+        elsewhere = {n: on_host(b) for n, b in self.parameters.named_buffers() if b.device.type != "cpu"}
+        return torch.func.functional_call(self.parameters, {**elsewhere, **modules}, (trace,))
 
     def _drop(
         self,

@@ -56,7 +56,7 @@ class Triangles(LightShape):
 
     def __init__(self, world: World, index: int) -> None:
         surfaces, record = world.surfaces, world.records["shape"][index]
-        count = 2 if record.type == "rectangle" else len(world.layout.index_tensors[record.field["faces"]])
+        count = 2 if record.type == "rectangle" else len(world.layout.indices(record.field["faces"]))
         first = int(surfaces.first_face[index])
         p0, p1, p2 = surfaces.positions.detach()[surfaces.faces[first : first + count]].unbind(1)
         self.p0, self.e1, self.e2 = p0, p1 - p0, p2 - p0

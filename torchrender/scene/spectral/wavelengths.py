@@ -15,6 +15,7 @@ import torch
 from ... import spectrum
 from ...functions import unwrapped
 from ..context import SAMPLES
+from ..host_memory import on_host
 from ..packing import Layout
 from .roles import LIGHT, roles_of
 
@@ -66,8 +67,10 @@ def film_weights() -> torch.Tensor:
 
 def sensor_weights(responses: torch.Tensor | None, srf: torch.Tensor | None) -> torch.Tensor | None:
     """The same of up to three `responses` (471, 3), None for the standard observer, and a sensor's response (471,)."""
+    srf = None if srf is None else on_host(srf)
     if responses is None:
         return None if srf is None else film_weights() * srf.double()[:, None]
+    responses = on_host(responses)
     if srf is not None:
         responses = responses * srf.double()[:, None]
     return responses * spectrum.d65(responses)[:, None]
