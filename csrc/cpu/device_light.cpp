@@ -37,7 +37,8 @@ RenderStats DevicePaths::run_light(const RenderCall<float> &call, const SceneDat
     if (n_sums(call) > UINT32_MAX / 4) throw std::invalid_argument("device: the image has too many pixels");
     const RenderCall<float> paths = call_of_paths(call);
     return run(paths, data, tree, derivative, Light, [&](Work &work, RenderStats &stats) {
-        work.measured = call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind;
+        const LightSensor<float> sensor(*call.scene, call.config.sensor, work.stage.width, work.stage.height);
+        work.light = {sensor.camera, sensor.meter};
         f(work, stats);
     });
 }
@@ -113,7 +114,7 @@ void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
         launcher_.run(FillWords{ranges.begin + EmissionKind, 0}, 1);
         launcher_.run(FillWords{ranges.total + EmissionKind, n}, 1);
     }
-    launcher_.run(StartLightPaths{first, *current, at_.shadows, at_.out_key, at_.shadow_key, n}, n);
+    launcher_.run(StartLightPaths{first, work.light, *current, at_.shadows, at_.out_key, at_.shadow_key, n}, n);
     list_started(n, camera_);
     trace_connections(work, first, n);
     visit(n);
@@ -125,7 +126,8 @@ void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
         current->n = uint32_t(capacity_);  // any entry of it may be asked for
         // the last vertex, too, is connected and therefore sorted by its BSDF
         sort_hits(stage, {level, 0, true}, *current, rays, most, ranges);
-        ShadeLightPaths paths{shading(stage, {level, 0, depth < 0 || level + 3 <= depth}, *current, *next, ranges)};
+        ShadeLightPaths paths{shading(stage, {level, 0, depth < 0 || level + 3 <= depth}, *current, *next, ranges),
+                              work.light};
         for (const int32_t kind : work.kinds) {
             paths.shading.kind = kind;
             launcher_.run(paths, most, kind);
@@ -141,7 +143,7 @@ void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
 // Those of a launch of n items, of which free_connections() are left.
 void DevicePaths::trace_connections(const Work &work, const PathStage &stage, uint32_t n) {
     keep(at_.shadow_key, sorted_.n, lit_, n);
-    if (work.measured) return;  // nothing is in the way
+    if (work.light.meter >= 0) return;  // nothing is in the way
     launcher_.run(TraceConnections{stage.scene, work.tree, at_.shadows, lit_, at_.shadow_key,
                                    stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1,
                                    work.call.config.hide_emitters},

@@ -401,7 +401,7 @@ void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_
             const SweepVertices vertices{stage,  kind,     uint32_t(l), level.scatters, level.begin, level.total,
                                          before, branches, to,          unit_adjoint};
             if (light)
-                launcher_.run(SweepLightVertices{vertices}, level.room, kind);
+                launcher_.run(SweepLightVertices{vertices, work.light}, level.room, kind);
             else
                 launcher_.run(vertices, level.room, kind);
         }

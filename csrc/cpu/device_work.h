@@ -23,7 +23,7 @@ struct DevicePaths::Work {
     TapeParts parts{};
     SceneFacts facts{};
     MediumContext<float> media{};
-    bool measured = false;  // of light paths: what arrives on a surface
+    LightView light{};  // of light paths
     int64_t n_paths = 0;
     size_t batch = 0;      // paths of one at most
     bool reverse = false;  // paths that nothing is asked of are left out

@@ -133,12 +133,13 @@ struct SweepLightVertices {
     static constexpr const char *Name = "tr::SweepLightVertices", *Header = "device/derivative_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Derivative;
     SweepVertices of;
+    LightView view;
     bool adds() const { return of.adds(); }
 
     TR_HD void operator()(uint32_t j) const {
         of.for_vertex(j, [&](const SweepContext<float> &c, const TapeColumns<float> &parents, uint32_t i,
                              GradientSink<float> &sink) {
-            sweep_light_vertex<float>(c, of.stage.light_sensor(), of.stage.tape, &parents, of.kind, i, true, sink);
+            sweep_light_vertex<float>(c, view.sensor(of.stage), of.stage.tape, &parents, of.kind, i, true, sink);
         });
     }
     template <class Visit>

@@ -12,6 +12,7 @@ struct StartLightPaths {
     static constexpr const char *Name = "tr::StartLightPaths", *Header = "device/light_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
     PathStage stage;
+    LightView view;
     PathQueue<float> out;
     ShadowQueue<float> connections;
     int32_t *key, *connection_key;
@@ -22,7 +23,7 @@ struct StartLightPaths {
         ShadowQueue<float> own_connections = connections;
         own.n = own_connections.n = i;
         stage.with_context(i, [&](const PathContext<float> &c) {
-            start_light_paths<float>(c, stage.light_sensor(), i, n, own, own_connections);
+            start_light_paths<float>(c, view.sensor(stage), i, n, own, own_connections);
         });
         key[i] = own.n != i ? Kept : Gone;
         connection_key[i] = own_connections.n != i ? Kept : Gone;
@@ -38,12 +39,13 @@ struct ShadeLightPaths {
     static constexpr const char *Name = "tr::ShadeLightPaths", *Header = "device/light_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Bsdf;
     ShadeHits shading;
+    LightView view;
 
     TR_HD void operator()(uint32_t j) const {
         const ShadeHits &at = shading;
         at.for_hit<1>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i,
                              PathQueue<float> &own, ShadowQueue<float> &connections) {
-            shade_light_path<float>(c, at.stage.light_sensor(), at.kind, at.step, at.in, at.hits, lanes, i, own,
+            shade_light_path<float>(c, view.sensor(at.stage), at.kind, at.step, at.in, at.hits, lanes, i, own,
                                     connections);
         });
     }

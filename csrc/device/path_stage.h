@@ -44,12 +44,21 @@ struct PathStage {
                              bsdfs_alone});
         if (found.non_finite != 0) lost.add(slot, found);
     }
-    TR_HD LightSensor<float> light_sensor() const { return {scene, config.sensor, width, height}; }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
         visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs);
         for_tape_arrays(tape, AllTapeParts, visit);
+    }
+};
+
+// Of kernels of light paths: what the host has found of the sensor, which they all have in common.
+struct LightView {
+    Pinhole<float> camera{0, 0};
+    int32_t meter = -1;
+
+    TR_HD LightSensor<float> sensor(const PathStage &stage) const {
+        return {stage.scene.sensors[stage.config.sensor], camera, meter};
     }
 };
 

@@ -26,6 +26,9 @@ struct LightSensor {
         else
             camera = Pinhole<S>(scene, record, width, height);
     }
+    // What that has found before.
+    TR_HD LightSensor(const Record &record_, const Pinhole<S> &camera_, int32_t meter_)
+        : record(record_), camera(camera_), meter(meter_) {}
 };
 
 // With an interpolated normal n_s, light that arrives along wi and leaves along wo is scattered by f(wi, wo) |wo.n_s|
