@@ -122,4 +122,8 @@ private:
     }
 };
 
+#define TR_ELSEWHERE(S) extern template class Bender<PacketOf<S>>;
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

@@ -458,16 +458,18 @@ void forward_field(const BentRays<S> &rays, const BentTangents<S> &tangents, con
     });
 }
 
-#define TR_INSTANTIATE(S)                                                                                \
-    template FlightEnd<PacketOf<S>> fly(const BendMedium<S> &, const Accel &, const Vec3<PacketOf<S>> &, \
-                                        const Vec3<PacketOf<S>> &, const Vec3<PacketOf<S>> &,            \
-                                        const MaskOf<PacketOf<S>> &, const LightAlong<PacketOf<S>> *);   \
-    template void trace_bent(const BendMedium<S> &, const Accel &, const BentRays<S> &, const S *,       \
-                             const BentHits<S> &);                                                       \
-    template void reverse_bent(const BentRays<S> &, const BentAdjoints<S> &);                            \
-    template void forward_bent(const BentRays<S> &, const BentTangents<S> &);                            \
-    template void evaluate_field(const BentRays<S> &, const FieldValues<S> &);                           \
-    template void reverse_field(const BentRays<S> &, const FieldValues<S> &, S *, S *);                  \
+#define TR_INSTANTIATE(S)                                                                                            \
+    template FlightEnd<PacketOf<S>> fly(const BendMedium<S> &, const Accel &, const Vec3<PacketOf<S>> &,             \
+                                        const Vec3<PacketOf<S>> &, const Vec3<PacketOf<S>> &,                        \
+                                        const MaskOf<PacketOf<S>> &, const LightAlong<PacketOf<S>> *);               \
+    template void LightSum<PacketOf<S>>::add(const LightAlong<PacketOf<S>> &, const Vec3<PacketOf<S>> &,             \
+                                             const PacketOf<S> &, const PacketOf<S> &, const MaskOf<PacketOf<S>> &); \
+    template void trace_bent(const BendMedium<S> &, const Accel &, const BentRays<S> &, const S *,                   \
+                             const BentHits<S> &);                                                                   \
+    template void reverse_bent(const BentRays<S> &, const BentAdjoints<S> &);                                        \
+    template void forward_bent(const BentRays<S> &, const BentTangents<S> &);                                        \
+    template void evaluate_field(const BentRays<S> &, const FieldValues<S> &);                                       \
+    template void reverse_field(const BentRays<S> &, const FieldValues<S> &, S *, S *);                              \
     template void forward_field(const BentRays<S> &, const BentTangents<S> &, const FieldValues<S> &);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

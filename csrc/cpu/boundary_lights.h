@@ -74,8 +74,7 @@ public:
 
     // Samples `first` .. `first` + n of the call. In forward mode each has two places on the film: where the camera
     // sees S, and its path's own.
-    template <class Stop>
-    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, const Stop &stop) {
         if (lights_.empty()) return;
         const int depth = call_.config.max_depth;
         const bool pieces = boundary_.part == BoundaryPart::Pieces,

@@ -24,8 +24,7 @@ public:
         : Base(call, boundary, derivative),
           context_(*call.scene, *boundary.layout, call.config.sensor, S(call.film_width), S(call.film_height)) {}
 
-    template <class Stop>
-    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&) {
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, const Stop &) {
         Base::run(first, n, sink, [&] { look_up(); });
     }
 

@@ -89,8 +89,7 @@ protected:
         std::fill_n(anchors_.level.at, n, NoVertex);
     }
     // Their paths from the camera.
-    template <class Stop>
-    void trace_paths(uint32_t n, Stop &&stop) {
+    void trace_paths(uint32_t n, const Stop &stop) {
         paths_.start(n, false);
         const auto &slots = paths_.slots;
         for (uint32_t k = 0; k < n; ++k) {  // a place that was rounded up is in another pixel

@@ -51,8 +51,7 @@ public:
     using Base::Base;
 
     // Samples `first` .. `first` + n of the call.
-    template <class Stop>
-    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, const Stop &stop) {
         trace(first, n, stop);
         if (boundary_.weighs)
             return this->tell_weights(first, sights_, [](const Sight &x, int part, int c) {
@@ -71,8 +70,7 @@ public:
     }
 
 private:
-    template <class Stop>
-    void trace(uint64_t first, uint32_t n, Stop &&stop) {
+    void trace(uint64_t first, uint32_t n, const Stop &stop) {
         this->identify(first, n);
         this->trace_paths(n, stop);
         u_.resize(n), inverse_.resize(n);
@@ -253,8 +251,7 @@ private:
     }
 
     // What is seen on both sides, vertices of one depth at a time.
-    template <class Stop>
-    void look_up(Stop &&stop) {
+    void look_up(const Stop &stop) {
         std::vector<OutlineRay> rays;
         std::vector<S> pdf, length;
         std::vector<uint32_t> key, which, seen;

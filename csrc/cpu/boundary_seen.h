@@ -260,14 +260,12 @@ class SilhouetteTile : public SightTile<F> {
 public:
     using Base::Base;
 
-    template <class Stop>
-    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, Stop &&stop) {
+    void run(uint64_t first, uint32_t n, GradientSink<F> &sink, const Stop &stop) {
         Base::run(first, n, sink, [&] { look_up(stop); });
     }
 
 private:
-    template <class Stop>
-    void look_up(Stop &&stop) {
+    void look_up(const Stop &stop) {
         using S = ScalarOf<F>;
         std::vector<S> pdf(rays_.size(), S(0));
         std::vector<uint32_t> key(rays_.size()), seen(rays_.size(), 0u);

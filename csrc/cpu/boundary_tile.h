@@ -124,10 +124,9 @@ protected:
     // Radiance, at the wavelengths of their samples, along rays behind `depth` vertices, into the slots of `light_`, of
     // polarised light on axes that are the film's; `traced`: their hits are known; pdf: with which density their
     // directions are sampled beside lights, 0 where they alone find the light; `seen`: see PathQueue.
-    template <class Stop>
     void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
                  const std::vector<uint32_t> &key, const std::vector<uint32_t> &seen, int depth, bool traced,
-                 Stop &&stop) {
+                 const Stop &stop) {
         const uint32_t n = uint32_t(rays.size());
         light_.begin(n);
         auto &slots = light_.slots;

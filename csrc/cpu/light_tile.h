@@ -30,8 +30,8 @@ public:
           sensor_(*call.scene, call.config.sensor, S(call.film_width), S(call.film_height)) {}
 
     // Traces the paths of the first n slots, whose pixels are strata of the emitters.
-    template <class Stop, class Visit>
-    void run(size_t n, bool recording, Stop &&stop, Visit &&visit) {
+    template <class Visit>
+    void run(size_t n, bool recording, const Stop &stop, Visit &&visit) {
         const int32_t max_depth = config_.max_depth;
         wavefront.tape.begin_block(0);
         if (max_depth == 0 || wavefront.scene().n_emitters == 0) return;

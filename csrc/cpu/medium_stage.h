@@ -179,4 +179,8 @@ private:
     uint32_t *pending_, *queue_, *met_;
 };
 
+#define TR_ELSEWHERE(S) extern template class MediumStage<PacketOf<S>>;
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

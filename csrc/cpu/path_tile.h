@@ -58,8 +58,7 @@ public:
     // Traces the paths to their ends. Without a limit of depth a path may go on for ever: `stop` is asked at every
     // vertex, and ends the paths. `first` vertices are behind the rays already. `traced`: what the rays meet is known.
     // `scattered`: after the first vertex paths go on in directions of smooth BSDFs alone.
-    template <class Stop>
-    void run(bool recording, Stop &&stop, int first = 0, bool traced = false, bool scattered = false) {
+    void run(bool recording, const Stop &stop, int first = 0, bool traced = false, bool scattered = false) {
         wavefront.tape.begin_block(0);
         wavefront.tape.checkpoints.clear();
         PathQueue<S> *queues = wavefront.queues;
@@ -157,8 +156,7 @@ private:
     }
 
     // ------------------------------------------------------------------------------------------------------- tracing
-    template <class Stop>
-    void run_volumetric(bool recording, Stop &stop) {
+    void run_volumetric(bool recording, const Stop &stop) {
         PathQueue<S> &first = wavefront.queues[0];
         media_->begin(first, n_slots_);
         run_levels(recording, 0, stop);
@@ -170,8 +168,7 @@ private:
     }
 
     // They are recorded for their columns alone.
-    template <class Stop>
-    void run_polarized_branches(Stop &stop) {
+    void run_polarized_branches(const Stop &stop) {
         GradientNeeds needs{};
         wavefront.exchange(*branch_tape_, needs);
         media_->media.differential = false;
@@ -186,8 +183,7 @@ private:
     }
 
     // A level a segment: scatterings and index-matched boundaries alike. `first` numbers the random numbers.
-    template <class Stop>
-    void run_levels(bool recording, uint32_t first, Stop &stop) {
+    void run_levels(bool recording, uint32_t first, const Stop &stop) {
         Tape<S> &tape = wavefront.tape;
         PathQueue<S> *current = &wavefront.queues[0], *next = &wavefront.queues[1];
         for (uint32_t level = first; current->n > 0 && !stop(); ++level) {
@@ -446,5 +442,9 @@ private:
     uint32_t n_slots_ = 0;
     std::vector<KindRange> ranges_;
 };
+
+#define TR_ELSEWHERE(S) extern template class PathTile<PacketOf<S>>;
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
 
 }  // namespace tr

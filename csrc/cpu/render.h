@@ -18,6 +18,9 @@
 
 namespace tr {
 
+// Whether to stop, asked between batches and between vertices of paths.
+using Stop = std::function<bool()>;
+
 template <class S>
 struct RenderCall {
     const SceneView<S> *scene;

@@ -27,24 +27,25 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const TileSchedule &s
         const PathConfig config = config_of_pass(call, seed);
         OrderedMerge merge(schedule, film, call.threads);
         auto make = [&](int) { return std::make_unique<Tile>(call, layout, capacity); };
-        run_tiles(
-            schedule.n_items(), call, Assignment::Dynamic, stats, make, [&](Tile &hits, size_t item, int, auto &&stop) {
-                const auto &at = hits.samples;
-                std::vector<FilmBlock> blocks = blocks_of(schedule, item, values);
-                for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                    hits.trace(config, n, false);
-                    fill(hits, n);
-                    for (const Span &span : spans)
-                        for (size_t k = span.begin; k < span.end; ++k) {
-                            double v[MaxAovChannels + 1];
-                            for (int c = 0; c < layout.n; ++c) v[c] = double(hits.value[c][k]);
-                            v[layout.n] = hits.is_hit(k) ? 1 : 0;
-                            blocks[span.unit].splat(filter, int32_t(at.row[k]), int32_t(at.column[k]),
-                                                    double(at.film_y[k]), double(at.film_x[k]), v);
-                        }
-                });
-                merge.push(item, std::move(blocks), stop);
-            });
+        run_tiles(schedule.n_items(), call, Assignment::Dynamic, stats, make,
+                  [&](Tile &hits, size_t item, int, const Stop &stop) {
+                      const auto &at = hits.samples;
+                      std::vector<FilmBlock> blocks = blocks_of(schedule, item, values);
+                      for_batches(at, call, schedule, item, capacity, stop,
+                                  [&](size_t n, const std::vector<Span> &spans) {
+                                      hits.trace(config, n, false);
+                                      fill(hits, n);
+                                      for (const Span &span : spans)
+                                          for (size_t k = span.begin; k < span.end; ++k) {
+                                              double v[MaxAovChannels + 1];
+                                              for (int c = 0; c < layout.n; ++c) v[c] = double(hits.value[c][k]);
+                                              v[layout.n] = hits.is_hit(k) ? 1 : 0;
+                                              blocks[span.unit].splat(filter, int32_t(at.row[k]), int32_t(at.column[k]),
+                                                                      double(at.film_y[k]), double(at.film_x[k]), v);
+                                          }
+                                  });
+                      merge.push(item, std::move(blocks), stop);
+                  });
         if (stats.interrupted) return;
     }
 }
@@ -58,7 +59,7 @@ void identify(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
     const AovLayout none = no_outputs(call);
     auto make = [&](int) { return std::make_unique<Tile>(call, none, capacity); };
     run_tiles((schedule.n_results() + capacity - 1) / capacity, call, Assignment::Dynamic, stats, make,
-              [&](Tile &hits, size_t item, int, auto &&stop) {
+              [&](Tile &hits, size_t item, int, const Stop &stop) {
                   if (stop()) return;
                   size_t first = item * capacity, n = std::min(capacity, schedule.n_results() - first);
                   for (size_t k = 0; k < n; ++k) {
@@ -152,7 +153,7 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
                 return std::make_unique<Tile>(call, layout, capacity);
             };
             run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
-                      [&](Tile &hits, size_t item, int thread, auto &&stop) {
+                      [&](Tile &hits, size_t item, int thread, const Stop &stop) {
                           const auto &at = hits.samples;
                           std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, layout.n);
                           for_batches(

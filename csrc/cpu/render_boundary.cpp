@@ -22,11 +22,12 @@ RenderStats run_boundary(const RenderCall<S> &call, const BoundaryCall<S> &bound
     const bool looks = boundary.weighs || boundary.part == BoundaryPart::Pilot;
     const uint64_t size = looks ? SamplesPerLook : SamplesPerItem;
     const size_t items = size_t((boundary.count + size - 1) / size);
-    run_tiles(items, call, Assignment::Interleaved, stats, make, [&](Tile &tile, size_t item, int thread, auto &&stop) {
-        const uint64_t end = std::min(boundary.count, uint64_t(item + 1) * size);
-        for (uint64_t first = item * size; first < end && !stop(); first += Tile::Capacity)
-            work(tile, first, uint32_t(std::min<uint64_t>(Tile::Capacity, end - first)), thread, stop);
-    });
+    run_tiles(items, call, Assignment::Interleaved, stats, make,
+              [&](Tile &tile, size_t item, int thread, const Stop &stop) {
+                  const uint64_t end = std::min(boundary.count, uint64_t(item + 1) * size);
+                  for (uint64_t first = item * size; first < end && !stop(); first += Tile::Capacity)
+                      work(tile, first, uint32_t(std::min<uint64_t>(Tile::Capacity, end - first)), thread, stop);
+              });
     return stats;
 }
 
@@ -46,7 +47,7 @@ RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, con
         return std::make_unique<Tile>(call, boundary, derivative);
     };
     return run_boundary<Tile>(call, boundary, make,
-                              [&](Tile &tile, uint64_t first, uint32_t n, int thread, auto &&stop) {
+                              [&](Tile &tile, uint64_t first, uint32_t n, int thread, const Stop &stop) {
                                   GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
                                   tile.run(first, n, sink, stop);
                               });
@@ -55,7 +56,7 @@ RenderStats reverse(const RenderCall<S> &call, const BoundaryCall<S> &given, con
 template <class Tile, class F, class S = ScalarOf<F>>
 RenderStats forward(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative) {
     auto make = [&](int) { return std::make_unique<Tile>(call, boundary, derivative); };
-    return run_boundary<Tile>(call, boundary, make, [&](Tile &tile, uint64_t first, uint32_t n, int, auto &&stop) {
+    return run_boundary<Tile>(call, boundary, make, [&](Tile &tile, uint64_t first, uint32_t n, int, const Stop &stop) {
         GradientSink<F> sink = derivative.template forward_sink<F>();
         tile.run(first, n, sink, stop);
     });
@@ -112,7 +113,7 @@ ShadowPieces find_shadows(const RenderCall<S> &given, const BoundaryCall<S> &bou
         looking.first = 0, looking.count = each.size(), looking.samples = looking.total = 1, looking.in_view = 1;
         looking.value = each.data();
         auto make = [&](int) { return std::make_unique<Tile>(call, looking, derivative); };
-        run_boundary<Tile>(call, looking, make, [&](Tile &tile, uint64_t first, uint32_t count, int, auto &&stop) {
+        run_boundary<Tile>(call, looking, make, [&](Tile &tile, uint64_t first, uint32_t count, int, const Stop &stop) {
             GradientSink<F> nothing;
             tile.run(first, count, nothing, stop);
         });

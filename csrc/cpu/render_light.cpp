@@ -71,7 +71,7 @@ RenderStats splat_light(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
         OrderedFilms<S> films(call);
         const bool recording = derivative || call.config.stokes;
         auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
-        run_tiles(groups, call, Assignment::Dynamic, stats, make, [&](Tile &tile, size_t group, int, auto &&stop) {
+        run_tiles(groups, call, Assignment::Dynamic, stats, make, [&](Tile &tile, size_t group, int, const Stop &stop) {
             std::vector<SplatFilm<S>> own = empty_films<S>(call);
             const size_t end = schedule.n_items() * (group + 1) / groups;
             auto visit = [&](int level, const ShadowQueue<S> &free) {
@@ -114,7 +114,7 @@ RenderStats reverse_light(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
             return std::make_unique<Tile>(call, capacity, &derivative);
         };
         run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
-                  [&](Tile &tile, size_t item, int thread, auto &&stop) {
+                  [&](Tile &tile, size_t item, int thread, const Stop &stop) {
                       SplatAxes<F> &axes = tile.axes;
                       auto collect = [&](int number, const ShadowQueue<S> &free) {
                           const TapeColumns<S> &level = tile.paths.wavefront.tape[number].columns;
@@ -166,7 +166,7 @@ RenderStats light_responses(const RenderCall<ScalarOf<F>> &call, const ScalarOf<
     auto make = [&](int) { return std::make_unique<Tile>(call, capacity, nullptr); };
     run_tiles(
         schedule.n_items(), call, Assignment::Interleaved, stats, make,
-        [&](Tile &tile, size_t item, int thread, auto &&stop) {
+        [&](Tile &tile, size_t item, int thread, const Stop &stop) {
             const SlotColumns<S> &slots = tile.paths.slots;
             auto visit = [&](int level, const ShadowQueue<S> &free) {
                 const bool recorded = call.config.stokes;

@@ -27,7 +27,8 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
         if (record) record->prepare(schedule.n_items(), capacity);
         auto make = [&](int) { return std::make_unique<Tile>(call, capacity, derivative); };
         run_tiles(
-            schedule.n_items(), call, Assignment::Dynamic, stats, make, [&](Tile &tile, size_t item, int, auto &&stop) {
+            schedule.n_items(), call, Assignment::Dynamic, stats, make,
+            [&](Tile &tile, size_t item, int, const Stop &stop) {
                 const auto &slots = tile.slots;
                 std::vector<FilmBlock> blocks = blocks_of(schedule, item, values, moments);
                 for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -78,7 +79,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<Sc
         };
         run_tiles(
             schedule.n_items(), call, Assignment::Interleaved, stats, make,
-            [&](Tile &tile, size_t item, int thread, auto &&stop) {
+            [&](Tile &tile, size_t item, int thread, const Stop &stop) {
                 const auto &slots = tile.slots;
                 std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, *adjoint, values);
                 size_t done = 0;  // paths of the item

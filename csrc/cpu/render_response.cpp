@@ -36,7 +36,7 @@ RenderStats response_reverse(const RenderCall<S> &call, const S *given, double *
     std::vector<ResponseSums> sums{size_t(call.threads)};
     auto make = [&](int) { return std::make_unique<Tile>(call, capacity, nullptr); };
     run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
-              [&](Tile &tile, size_t item, int thread, auto &&stop) {
+              [&](Tile &tile, size_t item, int thread, const Stop &stop) {
                   const auto &slots = tile.slots;
                   const std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, *adjoint, values);
                   for_batches(slots, call, schedule, item, capacity, stop,

@@ -201,4 +201,8 @@ private:
     int n_ = 0;
 };
 
+#define TR_ELSEWHERE(S) extern template struct TapeLevel<S>;
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

@@ -265,4 +265,8 @@ private:
     int32_t *kind_;
 };
 
+#define TR_ELSEWHERE(S) extern template class Wavefront<PacketOf<S>>;
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

@@ -2,18 +2,13 @@
 #pragma once
 
 #include <algorithm>
-#include <atomic>
-#include <chrono>
 #include <condition_variable>
-#include <exception>
 #include <map>
 #include <memory>
 #include <mutex>
-#include <stdexcept>
 
 #include "arena.h"
 #include "core/integrator/camera.h"
-#include "host/team.h"
 #include "render.h"
 #include "zeros.h"
 
@@ -25,65 +20,9 @@ enum class Assignment { Dynamic, Interleaved };
 // Calls make(thread) on every thread, and what that returns, work(item, stop), for items until none is left. The
 // calling thread, which is one of them, polls for an interruption, telling which share of the items is done: stop()
 // asks for it and is called between batches.
-template <class Make>
+using ItemWork = std::function<void(size_t, const Stop &)>;
 void run_items(size_t n_items, int threads, Assignment assignment, const std::function<bool(double)> &interrupted,
-               bool &was_interrupted, Make &&make) {
-    std::atomic<size_t> next{0}, done{0};
-    std::atomic<bool> stop{false};
-    std::exception_ptr error;
-    std::mutex mutex;
-    std::condition_variable finished;
-    auto fail = [&](std::exception_ptr why) {
-        std::lock_guard<std::mutex> lock(mutex);
-        if (!error) error = std::move(why);
-        stop = true;
-    };
-    auto poll = [&] {
-        if (!stop && interrupted && interrupted(double(done) / double(n_items))) {
-            was_interrupted = true;
-            stop = true;
-        }
-    };
-    auto body = [&](int thread) {
-        try {
-            auto work = make(thread);
-            bool fixed = assignment == Assignment::Interleaved;
-            for (size_t item = fixed ? size_t(thread) : next++; item < n_items && !stop;
-                 item = fixed ? item + size_t(threads) : next++) {
-                work(item, [&] {
-                    if (thread == 0) poll();
-                    return stop.load();
-                });
-                ++done;
-            }
-        } catch (...) {
-            fail(std::current_exception());
-        }
-    };
-    const int n = int(std::clamp<size_t>(n_items, 1, size_t(std::max(1, threads))));
-    int running = n - 1;
-    auto leave = [&] {
-        std::lock_guard<std::mutex> lock(mutex);
-        --running;
-        finished.notify_one();
-    };
-    auto part = [&](int thread) {
-        body(thread);
-        if (thread > 0) return leave();
-        std::unique_lock<std::mutex> lock(mutex);
-        while (running > 0) {
-            finished.wait_for(lock, std::chrono::milliseconds(20));
-            lock.unlock();
-            poll();
-            lock.lock();
-        }
-    };
-    run_team(n, part, [&](int) {
-        fail(std::make_exception_ptr(std::runtime_error("there are no more threads to be had")));
-        leave();
-    });
-    if (error) std::rethrow_exception(error);
-}
+               bool &was_interrupted, const std::function<ItemWork(int)> &make);
 
 // Adds the blocks of items to the film in the order of the items, whoever finishes first.
 class OrderedMerge {
@@ -92,25 +31,7 @@ public:
         : schedule_(schedule), film_(film), limit_(64 + 4 * size_t(threads)) {}
 
     // Blocks by unit. Waits while too much is waiting, so that memory stays constant.
-    template <class Stop>
-    void push(size_t item, std::vector<FilmBlock> &&blocks, Stop &&stop) {
-        std::unique_lock<std::mutex> lock(mutex_);
-        while (item != next_ && waiting_.size() >= limit_) {
-            merged_.wait_for(lock, std::chrono::milliseconds(5));
-            lock.unlock();
-            bool stopped = stop();
-            lock.lock();
-            if (stopped) return;
-        }
-        waiting_.emplace(item, std::move(blocks));
-        for (auto it = waiting_.find(next_); it != waiting_.end(); it = waiting_.find(next_)) {
-            WorkItem work = schedule_.work_item(next_);
-            for (size_t u = 0; u < work.size(); ++u) film_.add(schedule_.tile(work.tile_of(u)), it->second[u]);
-            waiting_.erase(it);
-            ++next_;
-            merged_.notify_all();
-        }
-    }
+    void push(size_t item, std::vector<FilmBlock> &&blocks, const Stop &stop);
 
 private:
     const TileSchedule &schedule_;
@@ -156,7 +77,7 @@ void run_tiles(size_t n_items, const RenderCall<S> &call, Assignment assignment,
     std::mutex mutex;
     run_items(n_items, call.threads, assignment, call.interrupted, stats.interrupted, [&](int thread) {
         auto tile = make_tile(thread);
-        return [&, thread, tile = std::shared_ptr(std::move(tile))](size_t item, auto &&stop) {
+        return [&, thread, tile = std::shared_ptr(std::move(tile))](size_t item, const Stop &stop) {
             work(*tile, item, thread, stop);
             RenderStats found = tile->take_stats();
             std::lock_guard<std::mutex> lock(mutex);
@@ -174,9 +95,9 @@ struct Span {
 };
 
 // Calls body(n, spans) for batches of an item's paths, whose identities are set.
-template <class S, class Columns, class Stop, class Body>
+template <class S, class Columns, class Body>
 void for_batches(const Columns &to, const RenderCall<S> &call, const TileSchedule &schedule, size_t item,
-                 size_t capacity, Stop &&stop, Body &&body) {
+                 size_t capacity, const Stop &stop, Body &&body) {
     WorkItem work = schedule.work_item(item);
     std::vector<Span> spans;
     size_t n = 0;
@@ -252,7 +173,7 @@ std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Til
     RenderCall<ScalarOf<F>> silent = call;  // these are no share of what somebody waits for
     if (call.interrupted) silent.interrupted = [&](double) { return call.interrupted(0); };
     run_tiles(schedule.n_items(), silent, Assignment::Dynamic, stats, make,
-              [&](Batch &batch, size_t item, int, auto &&stop) {
+              [&](Batch &batch, size_t item, int, const Stop &stop) {
                   const auto &at = batch.columns;
                   std::vector<FilmBlock> blocks = blocks_of(schedule, item, 0);
                   for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -341,7 +262,7 @@ void add_buffers(std::vector<GradientBuffers<S>> &buffers, DerivativeCall<S> &de
     // few parts are not worth a thread
     int threads = parts.size() < 8 ? 1 : int(buffers.size());
     run_items(parts.size(), threads, Assignment::Dynamic, nullptr, interrupted, [&](int) {
-        return [&](size_t item, auto &&) {
+        return [&](size_t item, const Stop &) {
             const Part &part = parts[item];
             for (size_t b = 1; b < buffers.size(); ++b) {
                 if (buffers[b].pointers.empty()) continue;

@@ -257,7 +257,7 @@ TR_TEST(an_exception_on_any_thread_is_the_callers) {
             run_items(
                 1 << 20, 4, Assignment::Interleaved, [](double) { return false; }, interrupted,
                 [&](int thread) {
-                    return [&, thread](size_t, auto &&) {
+                    return [&, thread](size_t, const Stop &) {
                         if (thread == thrower) throw std::runtime_error("of a thread");
                         ++done;
                     };
@@ -276,7 +276,7 @@ TR_TEST(an_idle_caller_polls) {
     run_items(
         2, 2, Assignment::Interleaved, [&](double) { return asked = true; }, interrupted,
         [&](int thread) {
-            return [&, thread](size_t, auto &&stop) {
+            return [&, thread](size_t, const Stop &stop) {
                 if (thread == 1)
                     while (!stop() && std::chrono::steady_clock::now() - begin < std::chrono::seconds(20))
                         std::this_thread::sleep_for(std::chrono::milliseconds(1));

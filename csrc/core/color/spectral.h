@@ -194,4 +194,15 @@ TR_INLINE Wavelengths<F> luminance_wavelengths(int third) {
     return r;
 }
 
+#define TR_ELSEWHERE(S)                                                                                             \
+    extern template ChosenWavelengths<PacketOf<S>> choose_wavelengths<PacketOf<S>>(                                 \
+        const SpectralConfig &, uint64_t, uint32_t, const UIntOf<PacketOf<S>> &, const UIntOf<PacketOf<S>> &);      \
+    extern template Spectrum<PacketOf<S>> table_spectrum(const S *, const Wavelengths<PacketOf<S>> &,               \
+                                                         const UIntOf<PacketOf<S>> &, const MaskOf<PacketOf<S>> &); \
+    extern template Spectrum<PacketOf<S>> sigmoid_texels(const S *, const S *, const Wavelengths<PacketOf<S>> &,    \
+                                                         const UIntOf<PacketOf<S>> *, const PacketOf<S> *, int,     \
+                                                         const MaskOf<PacketOf<S>> &);
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

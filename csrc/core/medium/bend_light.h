@@ -91,4 +91,11 @@ struct LightSum {
     }
 };
 
+#define TR_ELSEWHERE(S)                                                                                         \
+    extern template void LightSum<PacketOf<S>>::add(const LightAlong<PacketOf<S>> &, const Vec3<PacketOf<S>> &, \
+                                                    const PacketOf<S> &, const PacketOf<S> &,                   \
+                                                    const MaskOf<PacketOf<S>> &);
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

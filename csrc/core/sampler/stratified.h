@@ -32,4 +32,11 @@ TR_NOINLINE Random4<F> stratified4(const SamplerConfig &sampler, uint64_t seed, 
     return r;
 }
 
+#define TR_ELSEWHERE(S)                                                                                      \
+    extern template Random4<PacketOf<S>> stratified4<PacketOf<S>>(const SamplerConfig &, uint64_t, uint32_t, \
+                                                                  const UIntOf<PacketOf<S>> &,               \
+                                                                  const UIntOf<PacketOf<S>> &, uint32_t, int);
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

@@ -196,4 +196,10 @@ TR_NOINLINE void meet_curves(const SceneView<S> &scene, const Vec3<F> &o, const 
     at.b2 = select(active, select(sphere, f + beyond, f), at.b2);
 }
 
+#define TR_ELSEWHERE(S)                                                                                          \
+    extern template CurvePoint<PacketOf<S>>::CurvePoint(const SceneView<S> &, const SurfacePoint<PacketOf<S>> &, \
+                                                        const ShapeLanes<PacketOf<S>> &, const MaskOf<PacketOf<S>> &);
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr

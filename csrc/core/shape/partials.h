@@ -143,4 +143,11 @@ TR_INLINE Frame<F> tangent_frame(const Vec3<F> &n, const Vec3<F> &u) {
     return frame;
 }
 
+#define TR_ELSEWHERE(S)                                                                           \
+    extern template PositionPartials<PacketOf<S>> position_partials(                              \
+        const SceneView<S> &, const SurfacePoint<PacketOf<S>> &, const ShapeLanes<PacketOf<S>> &, \
+        const MaskOf<PacketOf<S>> &);
+TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
+#undef TR_ELSEWHERE
+
 }  // namespace tr
