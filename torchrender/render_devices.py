@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-import torch
-
 from .devices import device, everything_on_the_cpu, named
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS
 from .scene.packing import Layout
@@ -25,8 +23,6 @@ def _missing(scene: Scene, packed: Layout, names: Sequence[str]) -> Iterator[str
     for name in names:
         if name in STOKES_OUTPUTS:
             yield f"the output {name!r} yet, but {', '.join(PATH_OUTPUTS)}, features and those of first hits"
-    if scene.dtype != torch.float32:
-        yield f"{str(scene.dtype).removeprefix('torch.')} yet, but float32"
     if packed.spectral:
         yield "spectral scenes yet, but those in rgb and mono"
     if scene.polarized:

@@ -364,9 +364,10 @@ private:
     template <class Do>
     RenderStats there([[maybe_unused]] SceneRays &rays, [[maybe_unused]] Do &&f) {
 #if !TR_HAS_PACKETS
-        if constexpr (sizeof(S) == sizeof(float)) return f(rays.resident<DevicePaths>(), rays.device_tree());
+        return f(rays.resident<DevicePaths<S>>(), rays.device_tree());
+#else
+        throw std::invalid_argument("device: images are not rendered in packets");
 #endif
-        throw std::invalid_argument("device: images are rendered in single precision, and not in packets");
     }
 
     // Rays of another device than the CPU, null for this one, where the scene is what `values` say. On `tree` it is the

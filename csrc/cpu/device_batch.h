@@ -27,17 +27,18 @@ struct BatchParts {
 };
 
 // By sample or by entry of a queue: an array of device memory each.
+template <class S>
 struct BatchColumns {
-    SlotColumns<float> slots{};
+    SlotColumns<S> slots{};
     LostColumns lost{};
-    PathQueue<float> queues[3]{};  // the first has the camera's rays
-    HitColumns<float> hits{};
-    ShadowQueue<float> shadows{};
+    PathQueue<S> queues[3]{};  // the first has the camera's rays
+    HitColumns<S> hits{};
+    ShadowQueue<S> shadows{};
     int32_t *key, *out_key, *shadow_key;                       // of hits, and of what goes on from them
     uint32_t *camera_rays, *live_rays, *sorted, *shadow_rays;  // lists of entries
-    FlightColumns<float> flight{};
-    BranchColumns<float> branch{};
-    TransmittanceColumns<float> transmittance{};
+    FlightColumns<S> flight{};
+    BranchColumns<S> branch{};
+    TransmittanceColumns<S> transmittance{};
 
     // visit(array, how many numbers it has for a path)
     template <class Each>

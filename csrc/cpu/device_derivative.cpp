@@ -19,14 +19,16 @@ T *zeros(Launcher &launcher, DeviceArray<T> &array, size_t n) {
     return array.get();
 }
 
-std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<float> &call) {
+template <class S>
+std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<S> &call) {
     const GeometrySizes &sizes = call.geometry_sizes;
     return {sizes.positions, sizes.normals, sizes.texcoords};
 }
 
 }  // namespace
 
-GradientNeeds DeviceDerivative::needs(Launcher &launcher, const DerivativeCall<float> &call) {
+template <class S>
+GradientNeeds DeviceDerivative<S>::needs(Launcher &launcher, const DerivativeCall<S> &call) {
     GradientNeeds r = call.gradient_needs();
     if (!r.bsdfs) return r;
     bsdfs_.upload(launcher, call.bsdfs.data(), call.bsdfs.size());
@@ -34,7 +36,8 @@ GradientNeeds DeviceDerivative::needs(Launcher &launcher, const DerivativeCall<f
     return r;
 }
 
-WantedPixels DeviceDerivative::wanted(Launcher &launcher, const TileSchedule &schedule, bool list) {
+template <class S>
+WantedPixels DeviceDerivative<S>::wanted(Launcher &launcher, const TileSchedule &schedule, bool list) {
     if (!list) return {schedule.rect(), nullptr};
     Rect around{INT32_MAX, INT32_MAX, INT32_MIN, INT32_MIN};
     for (size_t i = 0; i < schedule.n_targets(); ++i) {
@@ -52,11 +55,12 @@ WantedPixels DeviceDerivative::wanted(Launcher &launcher, const TileSchedule &sc
     return {around, numbers_.get()};
 }
 
-void DeviceDerivative::begin_adjoint(Launcher &launcher, const RenderCall<float> &call, const TileSchedule &schedule,
-                                     const Adjoint &adjoint, const Weights &weights) {
+template <class S>
+void DeviceDerivative<S>::begin_adjoint(Launcher &launcher, const RenderCall<S> &call, const TileSchedule &schedule,
+                                        const Adjoint &adjoint, const Weights &weights) {
     const auto channels = size_t(adjoint.channels);
-    const float *image = adjoint.image;
-    std::vector<float> by_target;
+    const S *image = adjoint.image;
+    std::vector<S> by_target;
     if (call.pixels) {  // one that was asked for twice has two results
         by_target.assign(schedule.n_targets() * channels, 0.f);
         for (size_t i = 0; i < schedule.n_results(); ++i)
@@ -67,48 +71,52 @@ void DeviceDerivative::begin_adjoint(Launcher &launcher, const RenderCall<float>
     image_.upload(launcher, image, schedule.n_targets() * channels);
     adjoint_.reserve(launcher, schedule.n_targets() * channels);
     wanted_ = wanted(launcher, schedule, call.pixels != nullptr), channels_ = adjoint.channels;
-    launcher.run(DivideAdjoint{image_.get(), int32_t(channels), weights.sums, weights.of, double(schedule.spp()),
-                               adjoint_.get()},
+    launcher.run(DivideAdjoint<S>{image_.get(), int32_t(channels), weights.sums, weights.of, double(schedule.spp()),
+                                  adjoint_.get()},
                  uint32_t(schedule.n_targets()));
 }
 
-AdjointGather DeviceDerivative::gather(const Filter &filter, const SlotColumns<float> &slots) const {
-    const SampleColumns<float> samples{slots.pixel, slots.row, slots.column, slots.sample, slots.film_x, slots.film_y};
+template <class S>
+AdjointGather<S> DeviceDerivative<S>::gather(const Filter &filter, const SlotColumns<S> &slots) const {
+    const SampleColumns<S> samples{slots.pixel, slots.row, slots.column, slots.sample, slots.film_x, slots.film_y};
     return {filter, std::min(filter.reach(), MaxReach), channels_, wanted_, adjoint_.get(), samples};
 }
 
 // Sums that are settled with those at `to` or `to_texels`.
-FixedSum *DeviceDerivative::fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, float *to_texels) {
+template <class S>
+FixedSum<S> *DeviceDerivative<S>::fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, S *to_texels) {
     const size_t number = settled_.size();
     if (fixed_.size() <= number) fixed_.resize(number + 1);
-    FixedSum *from = zeros(launcher, fixed_[number], n * copies);
+    FixedSum<S> *from = zeros(launcher, fixed_[number], n * copies);
     settled_.push_back({{from, copies, to, to_texels}, uint32_t(n)});
     return from;
 }
 
-void DeviceDerivative::settle(Launcher &launcher) {
+template <class S>
+void DeviceDerivative<S>::settle(Launcher &launcher) {
     for (const Settled &each : settled_) launcher.run(each.sums, each.n);
 }
 
-DerivativePlaces DeviceDerivative::begin_gradients(Launcher &launcher, const DerivativeCall<float> &call,
-                                                   uint64_t *non_finite) {
+template <class S>
+DerivativePlaces<S> DeviceDerivative<S>::begin_gradients(Launcher &launcher, const DerivativeCall<S> &call,
+                                                         uint64_t *non_finite) {
     settled_.clear();
     if (!call.fixed_sums) fixed_.clear();  // they are large
-    const size_t size = call.fixed_sums ? sizeof(FixedSum) : sizeof(double), n = call.n_constants;
+    const size_t size = call.fixed_sums ? sizeof(FixedSum<S>) : sizeof(double), n = call.n_constants;
     const size_t room = MostOfCopies / (size * std::max<size_t>(1, n));
     for (copies_ = launcher.gradient_copies(); copies_ > 1 && copies_ > room;) copies_ /= 2;
-    DerivativePlaces r = places(launcher, call, non_finite);
+    DerivativePlaces<S> r = places(launcher, call, non_finite);
     r.fixed = call.fixed_sums, r.copies = copies_;
     double *const sums = zeros(launcher, sums_, n);
     r.constants = r.fixed ? reinterpret_cast<double *>(fixed(launcher, n, copies_, sums, nullptr))
                           : zeros(launcher, constants_, n * copies_);
-    std::vector<float *> pointers(call.gradients.size(), nullptr);
+    std::vector<S *> pointers(call.gradients.size(), nullptr);
     if (tensors_.size() < pointers.size()) tensors_.resize(pointers.size());
     for (size_t i = 0; i < pointers.size(); ++i) {
         const auto texels = size_t(call.sizes[i]);
         if (!call.gradients[i] || texels == 0) continue;
         pointers[i] = zeros(launcher, tensors_[i], texels);
-        if (r.fixed) pointers[i] = reinterpret_cast<float *>(fixed(launcher, texels, 1, nullptr, pointers[i]));
+        if (r.fixed) pointers[i] = reinterpret_cast<S *>(fixed(launcher, texels, 1, nullptr, pointers[i]));
     }
     pointers_.upload(launcher, pointers.data(), pointers.size());
     r.tensors = pointers_.get();
@@ -123,18 +131,21 @@ DerivativePlaces DeviceDerivative::begin_gradients(Launcher &launcher, const Der
 }
 
 // What both modes have.
-DerivativePlaces DeviceDerivative::places(Launcher &launcher, const DerivativeCall<float> &call, uint64_t *non_finite) {
-    DerivativePlaces r{};
+template <class S>
+DerivativePlaces<S> DeviceDerivative<S>::places(Launcher &launcher, const DerivativeCall<S> &call,
+                                                uint64_t *non_finite) {
+    DerivativePlaces<S> r{};
     shapes_.upload(launcher, call.shapes.data(), call.shapes.size());
     r.copies = 1, r.matrices = call.matrices, r.shape_wanted = shapes_.get(), r.non_finite = non_finite;
     return r;
 }
 
-void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float> &call, int threads) {
+template <class S>
+void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S> &call, int threads) {
     size_t most = 1;
     for (size_t i = 0; i < call.gradients.size(); ++i)
         if (call.gradients[i]) most = std::max(most, size_t(call.sizes[i]));
-    auto *found = static_cast<float *>(found_.reserve(launcher, most * sizeof(float)));
+    auto *found = static_cast<S *>(found_.reserve(launcher, most * sizeof(S)));
     call.sums.reset(call.n_constants, call.geometry_sizes);
     // nothing that can fail for lack of memory is behind this
     if (!call.fixed_sums) launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
@@ -143,7 +154,7 @@ void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float
     for (int k = 0; k < VertexArrays; ++k) vertices_[k].download(to_vertices[k]->data(), to_vertices[k]->size());
     for (size_t i = 0; i < call.gradients.size(); ++i) {
         const auto n = size_t(call.sizes[i]);
-        float *to = call.gradients[i];
+        S *to = call.gradients[i];
         if (!to || n == 0) continue;
         tensors_[i].download(found, n);
         for_ranges(n, threads, [&](size_t begin, size_t end, int) {
@@ -152,11 +163,12 @@ void DeviceDerivative::finish_gradients(Launcher &launcher, DerivativeCall<float
     }
 }
 
-DerivativePlaces DeviceDerivative::tangents(Launcher &launcher, const DerivativeCall<float> &call,
-                                            uint64_t *non_finite) {
+template <class S>
+DerivativePlaces<S> DeviceDerivative<S>::tangents(Launcher &launcher, const DerivativeCall<S> &call,
+                                                  uint64_t *non_finite) {
     // (those of the matrices of shapes are there where something moves)
     tangents_.upload(launcher, call.tangent.constants, call.needs.geometry ? call.n_constants : call.matrices);
-    std::vector<TensorView<float>> views(call.tangent.tensors, call.tangent.tensors + call.sizes.size());
+    std::vector<TensorView<S>> views(call.tangent.tensors, call.tangent.tensors + call.sizes.size());
     if (tensors_.size() < views.size()) tensors_.resize(views.size());
     for (size_t i = 0; i < views.size(); ++i) {
         views[i].base = nullptr;
@@ -165,7 +177,7 @@ DerivativePlaces DeviceDerivative::tangents(Launcher &launcher, const Derivative
         views[i].data = tensors_[i].get();
     }
     views_.upload(launcher, views.data(), views.size());
-    DerivativePlaces r = places(launcher, call, non_finite);
+    DerivativePlaces<S> r = places(launcher, call, non_finite);
     r.forward = true, r.tangent = {tangents_.get(), views_.get()};
     const auto of_vertices = numbers_of_vertices(call);
     for (size_t k = 0; k < VertexArrays; ++k) {
@@ -175,5 +187,8 @@ DerivativePlaces DeviceDerivative::tangents(Launcher &launcher, const Derivative
     }
     return r;
 }
+
+template class DeviceDerivative<float>;
+template class DeviceDerivative<double>;
 
 }  // namespace tr

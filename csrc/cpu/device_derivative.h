@@ -11,15 +11,16 @@
 
 namespace tr {
 
+template <class S>
 class DeviceDerivative {
 public:
     // With tables on the device.
-    GradientNeeds needs(Launcher &launcher, const DerivativeCall<float> &call);
+    GradientNeeds needs(Launcher &launcher, const DerivativeCall<S> &call);
 
     // The adjoint of an image, (results, channels); of two sums by wanted pixel number `of`, that of the weights, null
     // where all samples have the weight 1 in their own pixel.
     struct Adjoint {
-        const float *image;
+        const S *image;
         int channels;
     };
     struct Weights {
@@ -27,39 +28,39 @@ public:
         int of;
     };
     // The adjoint of the film's sums from that of the image.
-    void begin_adjoint(Launcher &launcher, const RenderCall<float> &call, const TileSchedule &schedule,
+    void begin_adjoint(Launcher &launcher, const RenderCall<S> &call, const TileSchedule &schedule,
                        const Adjoint &adjoint, const Weights &weights);
     // What samples get of it.
-    AdjointGather gather(const Filter &filter, const SlotColumns<float> &slots) const;
+    AdjointGather<S> gather(const Filter &filter, const SlotColumns<S> &slots) const;
 
     // Gradients, zero so far; `non_finite` counts values that are left out. With `fixed_sums` every batch has a sweep
     // that measures, one that adds, and is settled then.
-    DerivativePlaces begin_gradients(Launcher &launcher, const DerivativeCall<float> &call, uint64_t *non_finite);
+    DerivativePlaces<S> begin_gradients(Launcher &launcher, const DerivativeCall<S> &call, uint64_t *non_finite);
     void settle(Launcher &launcher);
     // Adds them to those of the call.
-    void finish_gradients(Launcher &launcher, DerivativeCall<float> &call, int threads);
-    DerivativePlaces tangents(Launcher &launcher, const DerivativeCall<float> &call, uint64_t *non_finite);
+    void finish_gradients(Launcher &launcher, DerivativeCall<S> &call, int threads);
+    DerivativePlaces<S> tangents(Launcher &launcher, const DerivativeCall<S> &call, uint64_t *non_finite);
 
 private:
     DeviceArray<int32_t> bsdfs_, shapes_, numbers_;
-    DeviceArray<float> image_, tangents_, vertex_tangents_[VertexArrays];
+    DeviceArray<S> image_, tangents_, vertex_tangents_[VertexArrays];
     DeviceArray<double> adjoint_, constants_, sums_, vertices_[VertexArrays];
-    std::vector<DeviceArray<float>> tensors_;  // by slot
+    std::vector<DeviceArray<S>> tensors_;  // by slot
     struct Settled {
-        SettleSums sums;
+        SettleSums<S> sums;
         uint32_t n;
     };
-    std::vector<DeviceArray<FixedSum>> fixed_;
+    std::vector<DeviceArray<FixedSum<S>>> fixed_;
     std::vector<Settled> settled_;
-    DeviceArray<float *> pointers_;
-    DeviceArray<TensorView<float>> views_;
+    DeviceArray<S *> pointers_;
+    DeviceArray<TensorView<S>> views_;
     HostBuffer found_;  // on its way back
     WantedPixels wanted_{};
     int channels_ = 0;  // of the adjoint
     uint32_t copies_ = 1;
 
-    FixedSum *fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, float *to_texels);
-    DerivativePlaces places(Launcher &launcher, const DerivativeCall<float> &call, uint64_t *non_finite);
+    FixedSum<S> *fixed(Launcher &launcher, size_t n, uint32_t copies, double *to, S *to_texels);
+    DerivativePlaces<S> places(Launcher &launcher, const DerivativeCall<S> &call, uint64_t *non_finite);
     WantedPixels wanted(Launcher &launcher, const TileSchedule &schedule, bool list);
 };
 

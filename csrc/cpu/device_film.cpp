@@ -3,7 +3,8 @@
 
 namespace tr {
 
-ListedPixels DevicePaths::list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists) {
+template <class S>
+ListedPixels DevicePaths<S>::list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists) {
     std::vector<int32_t> pixels, places;
     lists.resize(schedule.n_tiles());
     for (size_t i = 0; i < schedule.n_tiles(); ++i) {
@@ -23,7 +24,8 @@ ListedPixels DevicePaths::list_pixels(const TileSchedule &schedule, std::vector<
     return {pixels_.get(), places_.get()};
 }
 
-void DevicePaths::begin_film(const Work &work, int channels) {
+template <class S>
+void DevicePaths<S>::begin_film(const Work &work, int channels) {
     const TileSchedule &schedule = work.schedule;
     const size_t n = schedule.n_targets() * size_t(channels);
     if (schedule.n_targets() > UINT32_MAX / (2 * size_t(channels)))
@@ -40,15 +42,17 @@ void DevicePaths::begin_film(const Work &work, int channels) {
     clear(launcher_, sums_.get(), n), clear(launcher_, open_.get(), n);
 }
 
-void DevicePaths::number_samples(Work &work, const SampleNumbers &batch) {
+template <class S>
+void DevicePaths<S>::number_samples(Work &work, const SampleNumbers &batch) {
     units_.upload(launcher_, batch.units.data(), batch.units.size());
     own_.upload(launcher_, batch.own.data(), batch.own.size());
     work.list.own = batch.own.empty() ? nullptr : own_.get();
-    launcher_.run(NumberSamples{units_.get(), uint32_t(batch.units.size()), work.list, at_.slots}, batch.size);
+    launcher_.run(NumberSamples<S>{units_.get(), uint32_t(batch.units.size()), work.list, at_.slots}, batch.size);
 }
 
-FilmGather DevicePaths::gather(const Work &work, const SampleNumbers &batch, const Filter &filter,
-                               uint32_t first) const {
+template <class S>
+FilmGather<S> DevicePaths<S>::gather(const Work &work, const SampleNumbers &batch, const Filter &filter,
+                                     uint32_t first) const {
     return {filter,
             int32_t(std::min(filter.reach(), MaxReach)),
             units_.get(),
@@ -64,14 +68,16 @@ FilmGather DevicePaths::gather(const Work &work, const SampleNumbers &batch, con
             at_.slots.film_y.at};
 }
 
-void DevicePaths::add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments) {
+template <class S>
+void DevicePaths<S>::add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments) {
     const auto [first, n_targets] = work.targets(batch.units);
-    launcher_.run(AddToFilm{gather(work, batch, work.call.filter, first), int32_t(colors), int32_t(moments),
-                            at_.slots.radiance, at_.slots.alpha.at},
+    launcher_.run(AddToFilm<S>{gather(work, batch, work.call.filter, first), int32_t(colors), int32_t(moments),
+                               at_.slots.radiance, at_.slots.alpha.at},
                   n_targets);
 }
 
-const double *DevicePaths::download_film(const Work &work, int channels) {
+template <class S>
+const double *DevicePaths<S>::download_film(const Work &work, int channels) {
     const size_t n = work.schedule.n_targets() * size_t(channels);
     auto *to = static_cast<double *>(film_.reserve(launcher_, n * sizeof(double)));
     sums_.download(to, n);
@@ -79,18 +85,22 @@ const double *DevicePaths::download_film(const Work &work, int channels) {
 }
 
 // As adjoint_film.
-void DevicePaths::begin_adjoint(Work &work, const float *image, RenderStats &stats) {
+template <class S>
+void DevicePaths<S>::begin_adjoint(Work &work, const S *image, RenderStats &stats) {
     const bool box = work.call.filter.reach() == 0;
     if (!box) {
         begin_film(work, FilmBlock::channels(1, 0));
         for_batches(work, stats, true, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
-            launcher_.run(PlaceSamples{work.call.config, at_.slots}, batch.size);
+            launcher_.run(PlaceSamples<S>{work.call.config, at_.slots}, batch.size);
             add_to_film(work, batch, 0, 0);
         });
     }
     derivative_.begin_adjoint(launcher_, work.call, work.schedule, {image, work.call.values},
                               {box ? nullptr : sums_.get(), 0});  // which samples count for as often as they do
 }
+
+template class DevicePaths<float>;
+template class DevicePaths<double>;
 
 }  // namespace tr

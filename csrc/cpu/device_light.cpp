@@ -9,48 +9,54 @@ namespace tr {
 namespace {
 
 // All of the film is strata of the emitters, whatever is wanted of it.
-RenderCall<float> call_of_paths(const RenderCall<float> &call) {
-    RenderCall<float> r = call;
+template <class S>
+RenderCall<S> call_of_paths(const RenderCall<S> &call) {
+    RenderCall<S> r = call;
     r.crop = r.samples = Rect{0, 0, call.film_height, call.film_width};
     r.pixels = nullptr;
     r.filter = Filter();
     return r;
 }
 
-SplatPlace place_of(const RenderCall<float> &call) {
+template <class S>
+SplatPlace place_of(const RenderCall<S> &call) {
     return {call.filter, std::min(call.filter.reach(), MaxReach), call.crop, call.values};
 }
 
-ConnectionAdjoints adjoints_of(const TapeColumns<float> &tape) {
+template <class S>
+ConnectionAdjoints<S> adjoints_of(const TapeColumns<S> &tape) {
     return {tape.outgoing.emitted, tape.connection.x_bar, tape.connection.y_bar};
 }
 
-size_t n_sums(const RenderCall<float> &call) {
+template <class S>
+size_t n_sums(const RenderCall<S> &call) {
     return size_t(call.crop.height()) * size_t(call.crop.width()) * size_t(call.values);
 }
 
 }  // namespace
 
+template <class S>
 template <class Do>
-RenderStats DevicePaths::run_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                   const DerivativeCall<float> *derivative, Do &&f) {
+RenderStats DevicePaths<S>::run_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                      const DerivativeCall<S> *derivative, Do &&f) {
     if (n_sums(call) > UINT32_MAX / 4) throw std::invalid_argument("device: the image has too many pixels");
-    const RenderCall<float> paths = call_of_paths(call);
+    const RenderCall<S> paths = call_of_paths(call);
     return run(paths, data, tree, derivative, Light, [&](Work &work, RenderStats &stats) {
-        const LightSensor<float> sensor(*call.scene, call.config.sensor, work.stage.width, work.stage.height);
+        const LightSensor<S> sensor(*call.scene, call.config.sensor, work.stage.width, work.stage.height);
         work.light = {sensor.camera, sensor.meter};
         f(work, stats);
     });
 }
 
-RenderStats DevicePaths::light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                               float *image, FilmSums *sums) {
+template <class S>
+RenderStats DevicePaths<S>::light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree, S *image,
+                                  FilmSums *sums) {
     return run_light(call, data, tree, nullptr, [&](Work &work, RenderStats &stats) {
         begin_splats(call);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             trace_light(work, batch.size, [&](uint32_t n) {
-                add_splats(call, SplatConnections{place_of(call), free_connections(), {}}, n);
+                add_splats(call, SplatConnections<S>{place_of(call), free_connections(), {}}, n);
             });
         });
         if (stats.interrupted) return;
@@ -59,18 +65,19 @@ RenderStats DevicePaths::light(const RenderCall<float> &call, const SceneData<fl
     });
 }
 
-RenderStats DevicePaths::reverse_light(const RenderCall<float> &call, const SceneData<float> &data,
-                                       const TreeView &tree, DerivativeCall<float> &derivative) {
-    static_assert(CollectConnections::Stride == SplatFilm<float>::Stride);
-    const std::vector<SplatFilm<float>> adjoint = adjoint_films(call, derivative.adjoint);
+template <class S>
+RenderStats DevicePaths<S>::reverse_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                          DerivativeCall<S> &derivative) {
+    static_assert(CollectConnections<S>::Stride == SplatFilm<S>::Stride);
+    const std::vector<SplatFilm<S>> adjoint = adjoint_films(call, derivative.adjoint);
     return run_light(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
-        splat_adjoint_.upload(launcher_, adjoint[0].data(), adjoint[0].size() * CollectConnections::Stride);
-        const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        splat_adjoint_.upload(launcher_, adjoint[0].data(), adjoint[0].size() * CollectConnections<S>::Stride);
+        const DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             trace_light(work, batch.size, [&](uint32_t n) {
-                launcher_.run(CollectConnections{place_of(call), free_connections(), splat_adjoint_.get(),
-                                                 adjoints_of(levels_[levels_.size() - 1].tape)},
+                launcher_.run(CollectConnections<S>{place_of(call), free_connections(), splat_adjoint_.get(),
+                                                    adjoints_of(levels_[levels_.size() - 1].tape)},
                               n);
             });
             sweep_gradients(work, to);
@@ -81,17 +88,18 @@ RenderStats DevicePaths::reverse_light(const RenderCall<float> &call, const Scen
     });
 }
 
-RenderStats DevicePaths::forward_light(const RenderCall<float> &call, const SceneData<float> &data,
-                                       const TreeView &tree, const DerivativeCall<float> &derivative, float *image) {
+template <class S>
+RenderStats DevicePaths<S>::forward_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                          const DerivativeCall<S> &derivative, S *image) {
     return run_light(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
-        const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
         begin_splats(call);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             trace_light(work, batch.size, [&](uint32_t n) {
-                const DeviceTapeLevels::Level &level = levels_[levels_.size() - 1];
+                const TapeLevel &level = levels_[levels_.size() - 1];
                 clear(launcher_, level.kept.free.at, level.room);
-                launcher_.run(KeepConnections{free_connections(), level.kept, adjoints_of(level.tape)}, n);
+                launcher_.run(KeepConnections<S>{free_connections(), level.kept, adjoints_of(level.tape)}, n);
             });
             splat_tangents(work, call, to);
         });
@@ -102,19 +110,20 @@ RenderStats DevicePaths::forward_light(const RenderCall<float> &call, const Scen
 }
 
 // As LightTile::run. Calls visit(n) once the connections of a vertex are traced, n of them at most.
+template <class S>
 template <class Visit>
-void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
+void DevicePaths<S>::trace_light(const Work &work, uint32_t n, Visit &&visit) {
     const int depth = work.call.config.max_depth;
     levels_.begin(work.parts);
     if (depth == 0 || work.call.scene->n_emitters == 0) return;
-    PathQueue<float> *current = &at_.queues[0], *next = &at_.queues[1];
+    PathQueue<S> *current = &at_.queues[0], *next = &at_.queues[1];
     Sorted ranges;
-    const PathStage first = begin_step(work, DeviceTapeLevels::Level::NoParents, true, n, ranges);
+    const PathStage<S> first = begin_step(work, TapeLevel::NoParents, true, n, ranges);
     if (first.records) {
         launcher_.run(FillWords{ranges.begin + EmissionKind, 0}, 1);
         launcher_.run(FillWords{ranges.total + EmissionKind, n}, 1);
     }
-    launcher_.run(StartLightPaths{first, work.light, *current, at_.shadows, at_.out_key, at_.shadow_key, n}, n);
+    launcher_.run(StartLightPaths<S>{first, work.light, *current, at_.shadows, at_.out_key, at_.shadow_key, n}, n);
     list_started(n, camera_);
     trace_connections(work, first, n);
     visit(n);
@@ -122,12 +131,12 @@ void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
     for (int level = 0; most > 0 && (depth < 0 || level + 2 <= depth); ++level) {
         const EntryList &rays = level == 0 ? camera_ : live_;
         trace_hits(work, *current, rays, false, most);
-        const PathStage stage = begin_step(work, levels_.size() - 1, true, most, ranges);
+        const PathStage<S> stage = begin_step(work, levels_.size() - 1, true, most, ranges);
         current->n = uint32_t(capacity_);  // any entry of it may be asked for
         // the last vertex, too, is connected and therefore sorted by its BSDF
         sort_hits(stage, {level, 0, true}, *current, rays, most, ranges);
-        ShadeLightPaths paths{shading(stage, {level, 0, depth < 0 || level + 3 <= depth}, *current, *next, ranges),
-                              work.light};
+        ShadeLightPaths<S> paths{shading(stage, {level, 0, depth < 0 || level + 3 <= depth}, *current, *next, ranges),
+                                 work.light};
         for (const int32_t kind : work.kinds) {
             paths.shading.kind = kind;
             launcher_.run(paths, most, kind);
@@ -141,32 +150,36 @@ void DevicePaths::trace_light(const Work &work, uint32_t n, Visit &&visit) {
 }
 
 // Those of a launch of n items, of which free_connections() are left.
-void DevicePaths::trace_connections(const Work &work, const PathStage &stage, uint32_t n) {
+template <class S>
+void DevicePaths<S>::trace_connections(const Work &work, const PathStage<S> &stage, uint32_t n) {
     keep(at_.shadow_key, sorted_.n, lit_, n);
     if (work.light.meter >= 0) return;  // nothing is in the way
-    launcher_.run(TraceConnections{stage.scene, work.tree, at_.shadows, lit_, at_.shadow_key,
-                                   stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1,
-                                   work.call.config.hide_emitters},
+    launcher_.run(TraceConnections<S>{stage.scene, work.tree, at_.shadows, lit_, at_.shadow_key,
+                                      stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1,
+                                      work.call.config.hide_emitters},
                   n);
 }
 
-void DevicePaths::begin_splats(const RenderCall<float> &call) {
+template <class S>
+void DevicePaths<S>::begin_splats(const RenderCall<S> &call) {
     const size_t n = n_sums(call);
     splats_.reserve(launcher_, n), sums_.reserve(launcher_, n);
     clear(launcher_, splats_.get(), n), clear(launcher_, sums_.get(), n);
 }
 
 // Launches a kernel that splats, and adds what it has found to the sums.
+template <class S>
 template <class Splat>
-void DevicePaths::add_splats(const RenderCall<float> &call, Splat splat, uint32_t n) {
+void DevicePaths<S>::add_splats(const RenderCall<S> &call, Splat splat, uint32_t n) {
     for (const bool measures : {true, false}) {
         splat.film = {splats_.get(), measures};
         launcher_.run(splat, n);
     }
-    launcher_.run(SettleSums{splats_.get(), 1, sums_.get(), nullptr}, uint32_t(n_sums(call)));
+    launcher_.run(SettleSums<S>{splats_.get(), 1, sums_.get(), nullptr}, uint32_t(n_sums(call)));
 }
 
-void DevicePaths::write_splats(const RenderCall<float> &call, float *image, FilmSums *sums) {
+template <class S>
+void DevicePaths<S>::write_splats(const RenderCall<S> &call, S *image, FilmSums *sums) {
     const size_t n = n_sums(call);
     auto *film = static_cast<double *>(film_.reserve(launcher_, n * sizeof(double)));
     sums_.download(film, n);
@@ -179,28 +192,32 @@ void DevicePaths::write_splats(const RenderCall<float> &call, float *image, Film
 
 // As LightTangents::sweep. Those of a level come before the sweeps of the levels behind, so that nothing is handed to
 // it.
-void DevicePaths::splat_tangents(const Work &work, const RenderCall<float> &call, DerivativePlaces to) {
+template <class S>
+void DevicePaths<S>::splat_tangents(const Work &work, const RenderCall<S> &call, DerivativePlaces<S> to) {
     const bool moves = work.stage.needs.geometry;
     std::vector<int32_t> parts;
     if (!moves) parts.push_back(SplatPart::All);
     for (int c = 0; moves && c < call.values; ++c) parts.push_back(c);
     if (moves) parts.insert(parts.end(), {SplatPart::PlaceX, SplatPart::PlaceY});
     for (int l = 0; l < levels_.size(); ++l) {
-        const DeviceTapeLevels::Level &level = levels_[l];
-        const ConnectionAdjoints adjoints = adjoints_of(level.tape);
+        const TapeLevel &level = levels_[l];
+        const ConnectionAdjoints<S> adjoints = adjoints_of(level.tape);
         for (const int32_t which : parts) {
             const SplatPart part{which};
-            launcher_.run(SetAdjoints{part, level.kept, adjoints}, level.room);
+            launcher_.run(SetAdjoints<S>{part, level.kept, adjoints}, level.room);
             for (int c = 0; c < SpectrumSize; ++c) clear(launcher_, at_.slots.radiance[c], capacity_);
             to.component = which >= 0 && !part.moves() ? which : 0;
             sweep(work, to, false, l);
             add_splats(
                 call,
-                SplatTangents{part, place_of(call), level.kept, level.tape.vertex.slot.at, at_.slots.radiance, {}},
+                SplatTangents<S>{part, place_of(call), level.kept, level.tape.vertex.slot.at, at_.slots.radiance, {}},
                 level.room);
         }
-        launcher_.run(SetAdjoints{{SplatPart::Nothing}, level.kept, adjoints}, level.room);
+        launcher_.run(SetAdjoints<S>{{SplatPart::Nothing}, level.kept, adjoints}, level.room);
     }
 }
+
+template class DevicePaths<float>;
+template class DevicePaths<double>;
 
 }  // namespace tr

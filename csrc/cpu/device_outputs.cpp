@@ -3,16 +3,17 @@
 
 namespace tr {
 
-struct DevicePaths::Outputs {
-    const AovOutput<float> &out;
+template <class S>
+struct DevicePaths<S>::Outputs {
+    const AovOutput<S> &out;
     AovLayout layout;
     Filter filter;
-    OutputValues value{};
+    OutputValues<S> value{};
 
-    Outputs(const RenderCall<float> &call, const AovOutput<float> &out_, const AovLayout &layout_)
+    Outputs(const RenderCall<S> &call, const AovOutput<S> &out_, const AovLayout &layout_)
         : out(out_), layout(layout_), filter(filter_of(out, call.filter)) {}
 
-    FirstHitStage first_hits(const Work &work, const BatchColumns &at) const {
+    FirstHitStage<S> first_hits(const Work &work, const BatchColumns<S> &at) const {
         return {work.stage, layout, at.queues[0], at.hits, at.out_key};
     }
 };
@@ -20,27 +21,30 @@ struct DevicePaths::Outputs {
 namespace {
 
 // (results, channels): numbers of all outputs, one result after the other.
-std::vector<float> interleave(const AovLayout &layout, const AovOutput<float> &out, size_t n) {
-    std::vector<float> r(n * size_t(layout.n));
+template <class S>
+std::vector<S> interleave(const AovLayout &layout, const AovOutput<S> &out, size_t n) {
+    std::vector<S> r(n * size_t(layout.n));
     for (int kind = 0; kind < AovCount; ++kind) {
         if (!layout.wants(kind)) continue;
         const auto channels = size_t(layout.count(kind));
-        const float *from = out.data[size_t(kind)];
+        const S *from = out.data[size_t(kind)];
         for (size_t i = 0; i < n; ++i)
             std::copy_n(from + i * channels, channels, &r[i * size_t(layout.n) + size_t(layout.offset[kind])]);
     }
     return r;
 }
 
-size_t n_results(const RenderCall<float> &call) {
+template <class S>
+size_t n_results(const RenderCall<S> &call) {
     return call.pixels ? call.pixels->size() : size_t(call.crop.height()) * size_t(call.crop.width());
 }
 
 }  // namespace
 
 // Calls body(batch) for the batches of all passes, whose camera rays were traced.
+template <class S>
 template <class Body>
-void DevicePaths::for_first_hits(Work &work, RenderStats &stats, const Outputs &outputs, bool silent, Body &&body) {
+void DevicePaths<S>::for_first_hits(Work &work, RenderStats &stats, const Outputs &outputs, bool silent, Body &&body) {
     for (const uint64_t seed : outputs.out.seeds) {
         work.stage.config.seed = seed;
         for_batches(work, stats, silent, [&](const SampleNumbers &batch) {
@@ -53,15 +57,17 @@ void DevicePaths::for_first_hits(Work &work, RenderStats &stats, const Outputs &
     }
 }
 
-void DevicePaths::add_outputs(const Work &work, const SampleNumbers &batch, const Outputs &outputs) {
+template <class S>
+void DevicePaths<S>::add_outputs(const Work &work, const SampleNumbers &batch, const Outputs &outputs) {
     const auto [first, n_targets] = work.targets(batch.units);
-    launcher_.run(AddOutputsToFilm{gather(work, batch, outputs.filter, first), int32_t(outputs.layout.n), outputs.value,
-                                   at_.slots.alpha.at},
+    launcher_.run(AddOutputsToFilm<S>{gather(work, batch, outputs.filter, first), int32_t(outputs.layout.n),
+                                      outputs.value, at_.slots.alpha.at},
                   n_targets);
 }
 
-RenderStats DevicePaths::outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                 const AovOutput<float> &out) {
+template <class S>
+RenderStats DevicePaths<S>::outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                    const AovOutput<S> &out) {
     Outputs outputs(call, out, layout_of(out, call.values));
     const int n = outputs.layout.n;
     return run(call, data, tree, nullptr, n, [&](Work &work, RenderStats &stats) {
@@ -69,7 +75,7 @@ RenderStats DevicePaths::outputs(const RenderCall<float> &call, const SceneData<
             outputs.value = values(work, n);
             begin_film(work, n + 2);
             for_first_hits(work, stats, outputs, false, [&](const SampleNumbers &batch) {
-                launcher_.run(EvaluateOutputs{outputs.first_hits(work, at_), outputs.value}, batch.size);
+                launcher_.run(EvaluateOutputs<S>{outputs.first_hits(work, at_), outputs.value}, batch.size);
                 add_outputs(work, batch, outputs);
             });
         }
@@ -80,28 +86,28 @@ RenderStats DevicePaths::outputs(const RenderCall<float> &call, const SceneData<
     });
 }
 
-RenderStats DevicePaths::reverse_outputs(const RenderCall<float> &call, const SceneData<float> &data,
-                                         const TreeView &tree, const AovOutput<float> &out,
-                                         DerivativeCall<float> &derivative) {
+template <class S>
+RenderStats DevicePaths<S>::reverse_outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                            const AovOutput<S> &out, DerivativeCall<S> &derivative) {
     Outputs outputs(call, out, layout_of(out, call.values)), none(call, out, no_outputs(call));
-    const std::vector<float> adjoint = interleave(outputs.layout, out, n_results(call));
+    const std::vector<S> adjoint = interleave(outputs.layout, out, n_results(call));
     derivative.adjoint = adjoint.data();
     return run(call, data, tree, &derivative, outputs.layout.n, [&](Work &work, RenderStats &stats) {
         begin_film(work, 2);
         for_first_hits(work, stats, none, true, [&](const SampleNumbers &batch) {
-            launcher_.run(EvaluateOutputs{none.first_hits(work, at_), none.value}, batch.size);
+            launcher_.run(EvaluateOutputs<S>{none.first_hits(work, at_), none.value}, batch.size);
             add_outputs(work, batch, none);
         });
         if (stats.interrupted) return;
         derivative_.begin_adjoint(launcher_, call, work.schedule, {adjoint.data(), outputs.layout.n},
                                   {sums_.get(), out.zero_at_misses ? 1 : 0});
         outputs.value = values(work, outputs.layout.n);
-        DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
         for_first_hits(work, stats, outputs, false, [&](const SampleNumbers &batch) {
-            launcher_.run(CollectOutputs{derivative_.gather(outputs.filter, at_.slots), outputs.value}, batch.size);
+            launcher_.run(CollectOutputs<S>{derivative_.gather(outputs.filter, at_.slots), outputs.value}, batch.size);
             for (int sweep = to.fixed ? 0 : 1; sweep < 2; ++sweep) {  // the first of two measures
                 to.measures = sweep == 0;
-                launcher_.run(SweepOutputs{outputs.first_hits(work, at_), outputs.value, to}, batch.size);
+                launcher_.run(SweepOutputs<S>{outputs.first_hits(work, at_), outputs.value, to}, batch.size);
             }
             derivative_.settle(launcher_);
         });
@@ -111,17 +117,17 @@ RenderStats DevicePaths::reverse_outputs(const RenderCall<float> &call, const Sc
     });
 }
 
-RenderStats DevicePaths::forward_outputs(const RenderCall<float> &call, const SceneData<float> &data,
-                                         const TreeView &tree, const AovOutput<float> &out,
-                                         const DerivativeCall<float> &derivative) {
+template <class S>
+RenderStats DevicePaths<S>::forward_outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                            const AovOutput<S> &out, const DerivativeCall<S> &derivative) {
     Outputs outputs(call, out, layout_of(out, call.values));
     const int n = outputs.layout.n;
     return run(call, data, tree, &derivative, n, [&](Work &work, RenderStats &stats) {
         outputs.value = values(work, n);
-        const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
         begin_film(work, n + 2);
         for_first_hits(work, stats, outputs, false, [&](const SampleNumbers &batch) {
-            launcher_.run(SweepOutputs{outputs.first_hits(work, at_), outputs.value, to}, batch.size);
+            launcher_.run(SweepOutputs<S>{outputs.first_hits(work, at_), outputs.value, to}, batch.size);
             add_outputs(work, batch, outputs);
         });
         if (stats.interrupted) return;
@@ -130,13 +136,15 @@ RenderStats DevicePaths::forward_outputs(const RenderCall<float> &call, const Sc
     });
 }
 
-OutputValues DevicePaths::values(const Work &work, int n) {
+template <class S>
+OutputValues<S> DevicePaths<S>::values(const Work &work, int n) {
     values_.reserve(launcher_, size_t(n) * work.batch);
     return {values_.get(), uint32_t(work.batch)};
 }
 
 // What the rays through the centres of the wanted pixels hit.
-void DevicePaths::identify(const Work &work, const AovOutput<float> &out, RenderStats &stats) {
+template <class S>
+void DevicePaths<S>::identify(const Work &work, const AovOutput<S> &out, RenderStats &stats) {
     const TileSchedule &schedule = work.schedule;
     const size_t n_all = schedule.n_results();
     std::vector<uint32_t> row, column, shape, primitive;
@@ -149,7 +157,7 @@ void DevicePaths::identify(const Work &work, const AovOutput<float> &out, Render
         }
         launcher_.upload(at_.slots.row.at, row.data(), n * sizeof(uint32_t));
         launcher_.upload(at_.slots.column.at, column.data(), n * sizeof(uint32_t));
-        launcher_.run(StartCentres{work.stage, at_.queues[0], at_.hits, at_.out_key}, uint32_t(n));
+        launcher_.run(StartCentres<S>{work.stage, at_.queues[0], at_.hits, at_.out_key}, uint32_t(n));
         list_started(uint32_t(n), camera_);
         trace_hits(work, at_.queues[0], camera_, work.stage.config.hide_emitters, uint32_t(n));
         launcher_.download(shape.data(), at_.hits.at.shape, n * sizeof(uint32_t));
@@ -158,5 +166,8 @@ void DevicePaths::identify(const Work &work, const AovOutput<float> &out, Render
         stats.interrupted = work.call.interrupted && work.call.interrupted(double(first + n) / double(n_all));
     }
 }
+
+template class DevicePaths<float>;
+template class DevicePaths<double>;
 
 }  // namespace tr

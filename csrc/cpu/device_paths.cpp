@@ -1,5 +1,4 @@
 #include <algorithm>
-#include <cstring>
 #include <set>
 #include <stdexcept>
 #include <string>
@@ -18,7 +17,8 @@ constexpr int MostLevels = 16;  // of a tape that batches are sized for; deeper 
 uint32_t chunks_of(size_t n) { return uint32_t((n + SortTable::Chunk - 1) / SortTable::Chunk); }
 
 // The kinds that hits of a scene can have.
-std::vector<int32_t> kinds_in(const SceneView<float> &scene, const PathConfig &config, bool records, bool light) {
+template <class S>
+std::vector<int32_t> kinds_in(const SceneView<S> &scene, const PathConfig &config, bool records, bool light) {
     std::set<int32_t> found;
     if (config.volumetric) {
         found.insert(CollisionKind);
@@ -36,7 +36,8 @@ std::vector<int32_t> kinds_in(const SceneView<float> &scene, const PathConfig &c
 
 }  // namespace
 
-void DevicePaths::check(const RenderCall<float> &call) {
+template <class S>
+void DevicePaths<S>::check(const RenderCall<S> &call) {
     const char *missing = call.config.stokes               ? "polarised light"
                           : call.config.spectral.positions ? "wavelengths"
                           : call.scene->bends              ? "media that light bends in"
@@ -46,21 +47,22 @@ void DevicePaths::check(const RenderCall<float> &call) {
     if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
 }
 
-size_t DevicePaths::bytes_per_path(const BatchParts &parts) {
+template <class S>
+size_t DevicePaths<S>::bytes_per_path(const BatchParts &parts) {
     size_t bytes = 0;
-    BatchColumns().for_arrays(parts, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
+    BatchColumns<S>().for_arrays(parts, [&](auto *&array, size_t each) { bytes += each * sizeof(*array); });
     return bytes;
 }
 
-void DevicePaths::reserve(size_t n, const BatchParts &parts) {
+template <class S>
+void DevicePaths<S>::reserve(size_t n, const BatchParts &parts) {
     if (n <= capacity_ && parts == parts_) return;
     launcher_.synchronize();
     capacity_ = 0, parts_ = parts;
     arrays_.clear();
     at_ = {};
     at_.for_arrays(parts, [&](auto *&array, size_t each) {
-        static_assert(sizeof(*array) == sizeof(uint32_t));
-        arrays_.emplace_back(launcher_, each * n);
+        arrays_.emplace_back(launcher_, each * n * sizeof(*array) / sizeof(uint32_t));
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(arrays_.back().get());
     });
     lengths_.reserve(launcher_, 4);
@@ -75,23 +77,24 @@ void DevicePaths::reserve(size_t n, const BatchParts &parts) {
 }
 
 // ---------------------------------------------------------------------------------------------------------- a call
-DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                     const TileSchedule &schedule, const DerivativeCall<float> *derivative,
-                                     int channels) {
-    const SceneView<float> &host = *call.scene;
+template <class S>
+typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, const SceneData<S> &data,
+                                                    const TreeView &tree, const TileSchedule &schedule,
+                                                    const DerivativeCall<S> *derivative, int channels) {
+    const SceneView<S> &host = *call.scene;
     const bool media = call.config.volumetric, light = channels == Light, paths = channels < 0;
     Work work{call, {}, tree, kinds_in(host, call.config, derivative && paths, light), schedule};
     for (size_t i = 0; i < schedule.n_tiles(); ++i) work.n_paths += schedule.n_paths(i);
     if (call.pixels) work.list = list_pixels(schedule, work.lists);
     size_t memory = memory_, bytes = bytes_per_path({media, light});
-    if (!paths) bytes += size_t(channels) * sizeof(float);
+    if (!paths) bytes += size_t(channels) * sizeof(S);
     if (derivative) work.parts.motion = derivative->needs.numbers();
     if (derivative && paths) {
         const int depth = call.config.max_depth, levels = depth < 0 || media ? MostLevels : std::min(depth, MostLevels);
         memory *= TapeShare;
         work.parts = {host.has_stacks, host.follows_tangent,         derivative->needs.numbers(), media,
                       light,           light && !derivative->adjoint};
-        bytes += size_t(levels + work.splits()) * DeviceTapeLevels::bytes_per_entry(work.parts);
+        bytes += size_t(levels + work.splits()) * DeviceTapeLevels<S>::bytes_per_entry(work.parts);
     }
     work.batch = std::max<size_t>(1, std::min(std::max<size_t>(memory / bytes, 1), size_t(work.n_paths)));
     reserve(work.batch, {media, light});
@@ -113,8 +116,8 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
                   call.config,
                   at_.slots,
                   at_.lost,
-                  float(call.film_width),
-                  float(call.film_height)};
+                  S(call.film_width),
+                  S(call.film_height)};
     if (derivative) {
         const GradientNeeds needs = work.stage.needs = derivative_.needs(launcher_, *derivative);
         work.stage.records = paths;
@@ -128,16 +131,18 @@ DevicePaths::Work DevicePaths::begin(const RenderCall<float> &call, const SceneD
 }
 
 // What the paths of batches take.
-void DevicePaths::release() {
+template <class S>
+void DevicePaths<S>::release() {
     launcher_.synchronize();
     capacity_ = 0;
     arrays_.clear();
-    values_ = DeviceArray<float>();
-    levels_ = DeviceTapeLevels();
+    values_ = DeviceArray<S>();
+    levels_ = DeviceTapeLevels<S>();
 }
 
-RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                const RenderOutput<float> &out) {
+template <class S>
+RenderStats DevicePaths<S>::render(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                   const RenderOutput<S> &out) {
     return run(call, data, tree, nullptr, Radiance, [&](Work &work, RenderStats &stats) {
         const int colors = call.values, moments = out.variance || out.second_moment ? colors : 0;
         const int channels = FilmBlock::channels(colors + 1, moments);
@@ -153,18 +158,19 @@ RenderStats DevicePaths::render(const RenderCall<float> &call, const SceneData<f
     });
 }
 
-RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                 DerivativeCall<float> &derivative) {
+template <class S>
+RenderStats DevicePaths<S>::reverse(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                    DerivativeCall<S> &derivative) {
     return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
         work.reverse = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
-        const DerivativePlaces to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
-            if (call.filter.reach() > 0) launcher_.run(PlaceSamples{call.config, at_.slots}, batch.size);
+            if (call.filter.reach() > 0) launcher_.run(PlaceSamples<S>{call.config, at_.slots}, batch.size);
             launcher_.run(
-                CollectAdjoints{derivative_.gather(call.filter, at_.slots), at_.slots.alpha.at, at_.slots.delta},
+                CollectAdjoints<S>{derivative_.gather(call.filter, at_.slots), at_.slots.alpha.at, at_.slots.delta},
                 batch.size);
             trace_paths(work, batch.size);
             sweep_gradients(work, to);
@@ -175,10 +181,11 @@ RenderStats DevicePaths::reverse(const RenderCall<float> &call, const SceneData<
     });
 }
 
-RenderStats DevicePaths::forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                 const DerivativeCall<float> &derivative, float *image) {
+template <class S>
+RenderStats DevicePaths<S>::forward(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                    const DerivativeCall<S> &derivative, S *image) {
     return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
-        const DerivativePlaces to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
         const int channels = FilmBlock::channels(call.values + 1, 0);
         begin_film(work, channels);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
@@ -189,11 +196,12 @@ RenderStats DevicePaths::forward(const RenderCall<float> &call, const SceneData<
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        write_results(call, work.schedule, download_film(work, channels), 0, RenderOutput<float>{image});
+        write_results(call, work.schedule, download_film(work, channels), 0, RenderOutput<S>{image});
     });
 }
 
-void DevicePaths::finish(const Work &work, RenderStats &stats) const {
+template <class S>
+void DevicePaths<S>::finish(const Work &work, RenderStats &stats) const {
     uint64_t totals[Totals];
     totals_.download(totals, Totals);
     stats.closest_rays = totals[0], stats.shadow_rays = totals[1];
@@ -208,7 +216,8 @@ void DevicePaths::finish(const Work &work, RenderStats &stats) const {
     stats.seconds = work.seconds();
 }
 
-void DevicePaths::count_lost(RenderStats &stats) const {
+template <class S>
+void DevicePaths<S>::count_lost(RenderStats &stats) const {
     std::vector<uint32_t> found[3];
     const uint32_t *columns[] = {at_.lost.count, at_.lost.culprit, at_.lost.index};
     for (int k = 0; k < 3; ++k) {
@@ -223,8 +232,9 @@ void DevicePaths::count_lost(RenderStats &stats) const {
 
 // --------------------------------------------------------------------------------------------------------- a batch
 // Lists entries 0 .. each * *n - 1, or those of `from`, those of every key one after the other.
-void DevicePaths::sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to,
-                       const Sorted &ranges, uint32_t launched, uint32_t each) {
+template <class S>
+void DevicePaths<S>::sort(const int32_t *key, const EntryList *from, const uint32_t *n, const EntryList &to,
+                          const Sorted &ranges, uint32_t launched, uint32_t each) {
     const uint32_t chunks = chunks_of(size_t(each) * launched);
     const SortTable table{key,
                           from ? from->entry : nullptr,
@@ -243,27 +253,32 @@ void DevicePaths::sort(const int32_t *key, const EntryList *from, const uint32_t
 }
 
 // ... those that are kept.
-void DevicePaths::keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched, uint32_t each) {
+template <class S>
+void DevicePaths<S>::keep(const int32_t *key, const uint32_t *n, const EntryList &to, uint32_t launched,
+                          uint32_t each) {
     sort(key, nullptr, n, to, {range_of_one_.get(), range_of_one_.get() + 1, 1}, launched, each);
 }
 
 // Camera rays, and the list of those that there are.
-void DevicePaths::start(const Work &work, uint32_t n) {
-    launcher_.run(StartPaths{work.stage, at_.queues[0], at_.out_key, n, work.reverse}, n);
+template <class S>
+void DevicePaths<S>::start(const Work &work, uint32_t n) {
+    launcher_.run(StartPaths<S>{work.stage, at_.queues[0], at_.out_key, n, work.reverse}, n);
     list_started(n, camera_);
 }
 
 // Those that a launch for all samples has started.
-void DevicePaths::list_started(uint32_t n, const EntryList &to) {
+template <class S>
+void DevicePaths<S>::list_started(uint32_t n, const EntryList &to) {
     launcher_.run(FillWords{sorted_.n, n}, 1);  // in place of hits: all samples
     keep(at_.out_key, sorted_.n, to, n);
 }
 
 // As PathTile::run.
-void DevicePaths::trace_paths(Work &work, uint32_t n) {
+template <class S>
+void DevicePaths<S>::trace_paths(Work &work, uint32_t n) {
     const PathConfig &config = work.call.config;
     const int depth = config.max_depth;
-    PathQueue<float> *queues = at_.queues;
+    PathQueue<S> *queues = at_.queues;
     levels_.begin(work.parts);
     start(work, n);
     if (depth == 0) return;
@@ -272,8 +287,8 @@ void DevicePaths::trace_paths(Work &work, uint32_t n) {
     const bool scatters = depth < 0 || depth > 1;
     for (int split = 0; split < work.splits(); ++split) {
         if (split > 0) trace_hits(work, queues[0], camera_, false, n);
-        step(work, {0, split, scatters}, queues[0], camera_, queues[1], n, DeviceTapeLevels::Level::NoParents);
-        PathQueue<float> *current = &queues[1], *next = &queues[2];
+        step(work, {0, split, scatters}, queues[0], camera_, queues[1], n, TapeLevel::NoParents);
+        PathQueue<S> *current = &queues[1], *next = &queues[2];
         uint32_t most = n;  // that may be left
         for (int level = 1; depth < 0 || level < depth; ++level) {
             if (level % LevelsBetweenLooks == 0) most = live();
@@ -286,28 +301,30 @@ void DevicePaths::trace_paths(Work &work, uint32_t n) {
 }
 
 // As PathTile::run_volumetric.
-void DevicePaths::trace_volumetric(Work &work, uint32_t n) {
-    launcher_.run(BeginMedia{work.stage, work.media, at_.queues[0]}, n);
+template <class S>
+void DevicePaths<S>::trace_volumetric(Work &work, uint32_t n) {
+    launcher_.run(BeginMedia<S>{work.stage, work.media, at_.queues[0]}, n);
     trace_levels(work, 0, camera_, n);
     if (!work.stage.records || !work.media.differential) return;
     // what is not recorded has other kernels
     SceneFacts facts = work.facts;
     facts.records = work.stage.records = false;
     launcher_.know(facts);
-    launcher_.run(StartBranches{work.stage, work.media, at_.queues[0], at_.out_key, n}, n);
+    launcher_.run(StartBranches<S>{work.stage, work.media, at_.queues[0], at_.out_key, n}, n);
     list_started(n, live_);
     trace_levels(work, BranchLevel, live_, n);
-    launcher_.run(FinishBranches{at_.slots.radiance, at_.branch.radiance}, n);
+    launcher_.run(FinishBranches<S>{at_.slots.radiance, at_.branch.radiance}, n);
     work.stage.records = true;
     launcher_.know(work.facts);
 }
 
 // As PathTile::run_levels, of `rays` of the first queue.
-void DevicePaths::trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n) {
-    PathQueue<float> *current = &at_.queues[0], *next = &at_.queues[1];
+template <class S>
+void DevicePaths<S>::trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n) {
+    PathQueue<S> *current = &at_.queues[0], *next = &at_.queues[1];
     for (uint32_t level = 0, most = n; most > 0; ++level) {
         const EntryList &list = level == 0 ? rays : live_;
-        const int parents = level == 0 ? DeviceTapeLevels::Level::NoParents : levels_.size() - 1;
+        const int parents = level == 0 ? TapeLevel::NoParents : levels_.size() - 1;
         trace_hits(work, *current, list, false, most);
         step(work, {int(first + level), 0, true}, *current, list, *next, most, parents);
         std::swap(current, next);
@@ -315,18 +332,20 @@ void DevicePaths::trace_levels(const Work &work, uint32_t first, const EntryList
     }
 }
 
-void DevicePaths::trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes,
-                             uint32_t n) {
-    launcher_.run(TracePaths{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
+template <class S>
+void DevicePaths<S>::trace_hits(const Work &work, const PathQueue<S> &queue, const EntryList &rays, bool passes,
+                                uint32_t n) {
+    launcher_.run(TracePaths<S>{work.stage.scene, work.tree, queue, at_.hits, rays, totals_.get(), passes}, n);
 }
 
 // The stage of a step, with a level of the tape if there is one, and where its hits of each kind are. `parents`: the
 // level that they come from.
-PathStage DevicePaths::begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges) {
+template <class S>
+PathStage<S> DevicePaths<S>::begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges) {
     ranges = {ranges_.get(), ranges_.get() + Kinds, Kinds};
-    PathStage stage = work.stage;
+    PathStage<S> stage = work.stage;
     if (stage.records) {
-        const DeviceTapeLevels::Level &level = levels_.add(launcher_, parents, scatters, n, Kinds);
+        const TapeLevel &level = levels_.add(launcher_, parents, scatters, n, Kinds);
         stage.tape = level.tape;
         ranges = {level.begin, level.total, Kinds};
     }
@@ -334,74 +353,79 @@ PathStage DevicePaths::begin_step(const Work &work, int parents, bool scatters, 
 }
 
 // Lists the hits of the rays, n at most, by kind.
-void DevicePaths::sort_hits(const PathStage &stage, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
-                            uint32_t n, const Sorted &ranges) {
+template <class S>
+void DevicePaths<S>::sort_hits(const PathStage<S> &stage, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
+                               uint32_t n, const Sorted &ranges) {
     const bool viewed = !parts_.light;
-    launcher_.run(ClassifyHits{stage, at, viewed, in, at_.hits, kinds_.get(), rays, at_.key}, n);
+    launcher_.run(ClassifyHits<S>{stage, at, viewed, in, at_.hits, kinds_.get(), rays, at_.key}, n);
     sort(at_.key, &rays, rays.n, sorted_, ranges, n);
 }
 
 // ... which are to be shaded so.
-ShadeHits DevicePaths::shading(const PathStage &stage, const PathStep &at, const PathQueue<float> &in,
-                               const PathQueue<float> &out, const Sorted &ranges) const {
+template <class S>
+ShadeHits<S> DevicePaths<S>::shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in,
+                                     const PathQueue<S> &out, const Sorted &ranges) const {
     return {stage,        at,           MissKind, false,       in,          at_.hits,      sorted_.entry,
             ranges.begin, ranges.total, out,      at_.shadows, at_.out_key, at_.shadow_key};
 }
 
 // Shades what the rays have hit, n at most; those that go on are in `out`, and listed in live_.
-void DevicePaths::step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
-                       const PathQueue<float> &out, uint32_t n, int parents) {
+template <class S>
+void DevicePaths<S>::step(const Work &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays,
+                          const PathQueue<S> &out, uint32_t n, int parents) {
     const int depth = work.call.config.max_depth;
     const bool volumetric = work.call.config.volumetric;
     Sorted ranges;
-    const PathStage stage = begin_step(work, parents, at.scatters, n, ranges);
+    const PathStage<S> stage = begin_step(work, parents, at.scatters, n, ranges);
     in.n = uint32_t(capacity_);  // any entry of it may be asked for
-    MediumContext<float> media = work.media;
+    MediumContext<S> media = work.media;
     media.level = uint32_t(at.depth);
-    if (volumetric) launcher_.run(FlyRays{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
+    if (volumetric) launcher_.run(FlyRays<S>{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
     sort_hits(stage, at, in, rays, n, ranges);
-    ShadeHits hits = shading(stage, at, in, out, ranges);
+    ShadeHits<S> hits = shading(stage, at, in, out, ranges);
     hits.last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
     for (const int32_t kind : work.kinds) {
         hits.kind = kind;
         if (volumetric)
-            launcher_.run(ShadeInMedia{hits, media}, n, kind);
+            launcher_.run(ShadeInMedia<S>{hits, media}, n, kind);
         else
             launcher_.run(hits, n, kind);
     }
     if (!at.scatters) return;
     keep(at_.shadow_key, sorted_.n, lit_, n, volumetric ? MostShadows : 1);
     if (volumetric) {
-        launcher_.run(TransmitShadows{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, {tracking_.get()}},
-                      MostShadows * n);
+        launcher_.run(
+            TransmitShadows<S>{stage, media, work.tree, at_.shadows, at_.transmittance, lit_, {tracking_.get()}},
+            MostShadows * n);
     } else {
-        launcher_.run(TraceShadows{work.tree, at_.shadows, lit_, at_.slots.radiance,
-                                   stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
+        launcher_.run(TraceShadows<S>{work.tree, at_.shadows, lit_, at_.slots.radiance,
+                                      stage.records ? stage.tape.outgoing.light_weight.at : nullptr, totals_.get() + 1},
                       n);
     }
     keep(at_.out_key, sorted_.n, live_, n);
 }
 
 // As PathTile::sweep_levels, or LightTile::sweep, from level `last` on.
-void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint, int last) {
+template <class S>
+void DevicePaths<S>::sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint, int last) {
     static const std::vector<int32_t> beginning{EmissionKind};
     const bool light = parts_.light;
-    BranchEnds branches;
+    BranchEnds<S> branches;
     if (work.media.differential) branches = {at_.branch.level, at_.branch.entry, at_.branch.radiance};
     for (int l = last; l >= 0; --l) {
-        const DeviceTapeLevels::Level &level = levels_[l];
-        PathStage stage = work.stage;
+        const TapeLevel &level = levels_[l];
+        PathStage<S> stage = work.stage;
         stage.tape = level.tape;
-        TapeBefore before;
+        TapeBefore<S> before;
         if (level.parents >= 0) {
-            const TapeColumns<float> &parents = levels_[level.parents].tape;
+            const TapeColumns<S> &parents = levels_[level.parents].tape;
             before = {parents.vertex.suffix, parents.next, parents.motion.rest_bar, parents.motion.from_bar};
         }
         for (const int32_t kind : light &&l == 0 ? beginning : work.kinds) {
-            const SweepVertices vertices{stage,  kind,     uint32_t(l), level.scatters, level.begin, level.total,
-                                         before, branches, to,          unit_adjoint};
+            const SweepVertices<S> vertices{stage,  kind,     uint32_t(l), level.scatters, level.begin, level.total,
+                                            before, branches, to,          unit_adjoint};
             if (light)
-                launcher_.run(SweepLightVertices{vertices, work.light}, level.room, kind);
+                launcher_.run(SweepLightVertices<S>{vertices, work.light}, level.room, kind);
             else
                 launcher_.run(vertices, level.room, kind);
         }
@@ -409,7 +433,8 @@ void DevicePaths::sweep(const Work &work, const DerivativePlaces &to, bool unit_
 }
 
 // In reverse mode, the gradients of a batch.
-void DevicePaths::sweep_gradients(const Work &work, DerivativePlaces to) {
+template <class S>
+void DevicePaths<S>::sweep_gradients(const Work &work, DerivativePlaces<S> to) {
     to.measures = to.fixed;
     sweep(work, to, false);
     if (to.fixed) {
@@ -420,23 +445,25 @@ void DevicePaths::sweep_gradients(const Work &work, DerivativePlaces to) {
 }
 
 // In forward mode, as PathTile::sweep_tape: numbers need a sweep a component.
-void DevicePaths::sweep_components(const Work &work, DerivativePlaces to, uint32_t n) {
+template <class S>
+void DevicePaths<S>::sweep_components(const Work &work, DerivativePlaces<S> to, uint32_t n) {
     if (!work.stage.needs.numbers()) return sweep(work, to, true);
     for (to.component = 0; to.component < work.call.values; ++to.component) {
         for (int c = 0; c < SpectrumSize; ++c) {
-            const float adjoint = c == to.component ? 1.f : 0.f;
-            uint32_t bits;
-            std::memcpy(&bits, &adjoint, sizeof bits);
-            launcher_.run(FillWords{reinterpret_cast<uint32_t *>(at_.slots.delta[c]), bits}, n);
+            launcher_.run(FillNumbers<S>{at_.slots.delta[c], S(c == to.component ? 1 : 0)}, n);
         }
         sweep(work, to, false);
     }
 }
 
-uint32_t DevicePaths::live() const {
+template <class S>
+uint32_t DevicePaths<S>::live() const {
     uint32_t n = 0;
     launcher_.download(&n, live_.n, sizeof n);
     return n;
 }
+
+template class DevicePaths<float>;
+template class DevicePaths<double>;
 
 }  // namespace tr

@@ -1,5 +1,5 @@
 // The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there, and
-// outputs of first hits (device/output_kernels.h). In single precision and rgb; light goes straight. Of a derivative
+// outputs of first hits (device/output_kernels.h). In rgb; light goes straight. Of a derivative
 // paths are on a tape, over which device/derivative_kernels.h then runs backwards.
 #pragma once
 
@@ -14,46 +14,48 @@
 
 namespace tr {
 
+template <class S>
 class DevicePaths {
 public:
     // The launcher has to live longer. `memory`: bytes for the paths of a batch, and `TapeShare` times as many for
     // those of a derivative, less where there is not that much; scene and film have theirs besides.
     DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
-    explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
-    DevicePaths(const DevicePaths &) = delete;
-    DevicePaths &operator=(const DevicePaths &) = delete;
+    explicit DevicePaths(Launcher &launcher) : DevicePaths<S>(launcher, launcher.batch_memory()) {}
+    DevicePaths(const DevicePaths<S> &) = delete;
+    DevicePaths<S> &operator=(const DevicePaths<S> &) = delete;
 
     // As render_primal, render_reverse and render_forward: the same samples; images are summed in the same order,
     // gradients in any. `call.scene` is that of `data`, and `tree` its tree on the device. std::invalid_argument for
     // what is not there, see the beginning. A call that is interrupted changes nothing.
-    RenderStats render(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                       const RenderOutput<float> &out);
-    RenderStats reverse(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                        DerivativeCall<float> &derivative);
-    RenderStats forward(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                        const DerivativeCall<float> &derivative, float *image);
+    RenderStats render(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                       const RenderOutput<S> &out);
+    RenderStats reverse(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                        DerivativeCall<S> &derivative);
+    RenderStats forward(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                        const DerivativeCall<S> &derivative, S *image);
     // As render_aov, reverse_aov and forward_aov.
-    RenderStats outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                        const AovOutput<float> &out);
-    RenderStats reverse_outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                const AovOutput<float> &out, DerivativeCall<float> &derivative);
-    RenderStats forward_outputs(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                                const AovOutput<float> &out, const DerivativeCall<float> &derivative);
+    RenderStats outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                        const AovOutput<S> &out);
+    RenderStats reverse_outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                const AovOutput<S> &out, DerivativeCall<S> &derivative);
+    RenderStats forward_outputs(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                const AovOutput<S> &out, const DerivativeCall<S> &derivative);
 
     // As trace_light, trace_light_reverse and trace_light_forward, the sums of images being whole multiples of units
     // (FixedSum), in any order.
-    RenderStats light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree, float *image,
+    RenderStats light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree, S *image,
                       FilmSums *sums);
-    RenderStats reverse_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                              DerivativeCall<float> &derivative);
-    RenderStats forward_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                              const DerivativeCall<float> &derivative, float *image);
+    RenderStats reverse_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                              DerivativeCall<S> &derivative);
+    RenderStats forward_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                              const DerivativeCall<S> &derivative, S *image);
 
     // Of `memory` a path takes, without the tape.
     static size_t bytes_per_path(const BatchParts &parts = {});
     static constexpr size_t TapeShare = 4;
 
 private:
+    using TapeLevel = typename DeviceTapeLevels<S>::Level;
     static constexpr size_t LeastMemory = size_t(1) << 20;  // below which batches do not get smaller
     static constexpr int LevelsBetweenLooks = 8;            // at how many paths are left
     static constexpr int Radiance = -1, Light = -2;         // in place of a number of channels: of paths, of light's
@@ -66,10 +68,10 @@ private:
 
     Launcher &launcher_;
     size_t memory_;
-    DeviceScene scene_;
+    DeviceScene<S> scene_;
     size_t capacity_ = 0;  // paths of a batch
     BatchParts parts_;     // of these
-    BatchColumns at_{};
+    BatchColumns<S> at_{};
     std::vector<DeviceArray<uint32_t>> arrays_;  // of it
     EntryList camera_{}, live_{}, sorted_{}, lit_{};
     DeviceArray<uint32_t> lengths_;  // of these lists
@@ -78,25 +80,25 @@ private:
     DeviceArray<uint64_t> totals_;    // closest hits, shadow rays, values that are not finite: of paths, of derivatives
     DeviceArray<uint64_t> tracking_;  // TrackingTotals
     DeviceArray<double> sums_, open_;
-    DeviceArray<FixedSum> splats_;      // on their way to the former
-    DeviceArray<float> splat_adjoint_;  // of these
-    HostBuffer film_;                   // the sums on their way back
+    DeviceArray<FixedSum<S>> splats_;  // on their way to the former
+    DeviceArray<S> splat_adjoint_;     // of these
+    HostBuffer film_;                  // the sums on their way back
     DeviceArray<int32_t> pixels_, places_;
     DeviceArray<FilmUnit> units_;
     DeviceArray<OwnSamples> own_;
-    DeviceArray<float> values_;  // of outputs, by channel and sample
-    DeviceTapeLevels levels_;
-    DeviceDerivative derivative_;
+    DeviceArray<S> values_;  // of outputs, by channel and sample
+    DeviceTapeLevels<S> levels_;
+    DeviceDerivative<S> derivative_;
 
-    static void check(const RenderCall<float> &call);
+    static void check(const RenderCall<S> &call);
     static std::vector<OwnSamples> own_samples(const Work &work, const WorkItem &units, size_t unit, const Tile &tile);
     // `channels` of outputs besides radiance, or Radiance.
     template <class Do>
-    RenderStats run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                    const DerivativeCall<float> *derivative, int channels, Do &&f);
+    RenderStats run(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                    const DerivativeCall<S> *derivative, int channels, Do &&f);
     void release();
-    Work begin(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-               const TileSchedule &schedule, const DerivativeCall<float> *derivative, int channels);
+    Work begin(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree, const TileSchedule &schedule,
+               const DerivativeCall<S> *derivative, int channels);
     void reserve(size_t n, const BatchParts &parts);
     template <class Body>
     void for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body);
@@ -107,10 +109,10 @@ private:
     ListedPixels list_pixels(const TileSchedule &schedule, std::vector<TileList> &lists);
     void begin_film(const Work &work, int channels);
     void number_samples(Work &work, const SampleNumbers &batch);
-    FilmGather gather(const Work &work, const SampleNumbers &batch, const Filter &filter, uint32_t first) const;
+    FilmGather<S> gather(const Work &work, const SampleNumbers &batch, const Filter &filter, uint32_t first) const;
     void add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments);
     const double *download_film(const Work &work, int channels);
-    void begin_adjoint(Work &work, const float *image, RenderStats &stats);
+    void begin_adjoint(Work &work, const S *image, RenderStats &stats);
 
     // a batch of n paths
     struct Sorted;
@@ -122,43 +124,43 @@ private:
     void trace_paths(Work &work, uint32_t n);
     void trace_volumetric(Work &work, uint32_t n);
     void trace_levels(const Work &work, uint32_t first, const EntryList &rays, uint32_t n);
-    void trace_hits(const Work &work, const PathQueue<float> &queue, const EntryList &rays, bool passes, uint32_t n);
-    PathStage begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges);
-    void sort_hits(const PathStage &stage, const PathStep &at, PathQueue<float> &in, const EntryList &rays, uint32_t n,
+    void trace_hits(const Work &work, const PathQueue<S> &queue, const EntryList &rays, bool passes, uint32_t n);
+    PathStage<S> begin_step(const Work &work, int parents, bool scatters, uint32_t n, Sorted &ranges);
+    void sort_hits(const PathStage<S> &stage, const PathStep &at, PathQueue<S> &in, const EntryList &rays, uint32_t n,
                    const Sorted &ranges);
-    ShadeHits shading(const PathStage &stage, const PathStep &at, const PathQueue<float> &in,
-                      const PathQueue<float> &out, const Sorted &ranges) const;
-    void step(const Work &work, const PathStep &at, PathQueue<float> &in, const EntryList &rays,
-              const PathQueue<float> &out, uint32_t n, int parents);
-    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint, int last);
-    void sweep(const Work &work, const DerivativePlaces &to, bool unit_adjoint) {
+    ShadeHits<S> shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in, const PathQueue<S> &out,
+                         const Sorted &ranges) const;
+    void step(const Work &work, const PathStep &at, PathQueue<S> &in, const EntryList &rays, const PathQueue<S> &out,
+              uint32_t n, int parents);
+    void sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint, int last);
+    void sweep(const Work &work, const DerivativePlaces<S> &to, bool unit_adjoint) {
         sweep(work, to, unit_adjoint, levels_.size() - 1);
     }
-    void sweep_gradients(const Work &work, DerivativePlaces to);
-    void sweep_components(const Work &work, DerivativePlaces to, uint32_t n);
+    void sweep_gradients(const Work &work, DerivativePlaces<S> to);
+    void sweep_components(const Work &work, DerivativePlaces<S> to, uint32_t n);
     uint32_t live() const;
 
     // light paths
     template <class Do>
-    RenderStats run_light(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                          const DerivativeCall<float> *derivative, Do &&f);
+    RenderStats run_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                          const DerivativeCall<S> *derivative, Do &&f);
     template <class Visit>
     void trace_light(const Work &work, uint32_t n, Visit &&visit);
-    void trace_connections(const Work &work, const PathStage &stage, uint32_t n);
-    FreeConnections free_connections() const { return {at_.shadows, lit_, at_.shadow_key}; }
-    void begin_splats(const RenderCall<float> &call);
+    void trace_connections(const Work &work, const PathStage<S> &stage, uint32_t n);
+    FreeConnections<S> free_connections() const { return {at_.shadows, lit_, at_.shadow_key}; }
+    void begin_splats(const RenderCall<S> &call);
     template <class Splat>
-    void add_splats(const RenderCall<float> &call, Splat splat, uint32_t n);
-    void write_splats(const RenderCall<float> &call, float *image, FilmSums *sums);
-    void splat_tangents(const Work &work, const RenderCall<float> &call, DerivativePlaces to);
+    void add_splats(const RenderCall<S> &call, Splat splat, uint32_t n);
+    void write_splats(const RenderCall<S> &call, S *image, FilmSums *sums);
+    void splat_tangents(const Work &work, const RenderCall<S> &call, DerivativePlaces<S> to);
 
     // outputs besides radiance
     struct Outputs;
     template <class Body>
     void for_first_hits(Work &work, RenderStats &stats, const Outputs &outputs, bool silent, Body &&body);
-    OutputValues values(const Work &work, int n);
+    OutputValues<S> values(const Work &work, int n);
     void add_outputs(const Work &work, const SampleNumbers &batch, const Outputs &outputs);
-    void identify(const Work &work, const AovOutput<float> &out, RenderStats &stats);
+    void identify(const Work &work, const AovOutput<S> &out, RenderStats &stats);
 };
 
 }  // namespace tr

@@ -9,19 +9,20 @@
 
 namespace tr {
 
+template <class S>
 class DeviceTapeLevels {
 public:
     struct Level {
         static constexpr int NoParents = -1;
-        TapeColumns<float> tape{};
-        KeptConnections kept{};
+        TapeColumns<S> tape{};
+        KeptConnections<S> kept{};
         uint32_t *begin = nullptr, *total = nullptr;  // by kind: where its entries begin, and how many they are
         int parents = NoParents;                      // the level of the vertices before
         bool scatters = false;
         uint32_t room = 0;  // entries there may be
 
     private:
-        friend class DeviceTapeLevels;
+        friend class DeviceTapeLevels<S>;
         DeviceArray<uint32_t> memory_, ranges_;
     };
 

@@ -12,9 +12,10 @@
 
 namespace tr {
 
-struct DevicePaths::Work {
-    const RenderCall<float> &call;
-    PathStage stage;
+template <class S>
+struct DevicePaths<S>::Work {
+    const RenderCall<S> &call;
+    PathStage<S> stage;
     TreeView tree;
     std::vector<int32_t> kinds;  // that are launched
     const TileSchedule &schedule;
@@ -22,8 +23,8 @@ struct DevicePaths::Work {
     std::vector<TileList> lists{1};  // by tile; one for all where there is no list
     TapeParts parts{};
     SceneFacts facts{};
-    MediumContext<float> media{};
-    LightView light{};  // of light paths
+    MediumContext<S> media{};
+    LightView<S> light{};  // of light paths
     int64_t n_paths = 0;
     size_t batch = 0;      // paths of one at most
     bool reverse = false;  // paths that nothing is asked of are left out
@@ -50,7 +51,8 @@ struct DevicePaths::Work {
 };
 
 // Where entries of each key of a sort begin, and how many they are.
-struct DevicePaths::Sorted {
+template <class S>
+struct DevicePaths<S>::Sorted {
     uint32_t *begin, *total;
     uint32_t kinds;
 };
@@ -74,14 +76,15 @@ private:
 };
 
 // Of a unit's pixels, if they have numbers of samples of their own, and behind them.
-inline std::vector<OwnSamples> DevicePaths::own_samples(const Work &work, const WorkItem &units, size_t unit,
-                                                        const Tile &tile) {
+template <class S>
+std::vector<OwnSamples> DevicePaths<S>::own_samples(const Work &work, const WorkItem &units, size_t unit,
+                                                    const Tile &tile) {
     std::vector<OwnSamples> r;
     if (!tile.counts) return r;
     uint32_t n = 0;
     for (size_t p = 0; p < tile.n; ++p) {
         const auto [first, last] = work.schedule.samples(units, unit, tile, p);
-        const float weight = float(double(work.schedule.spp()) / double(std::max(1u, tile.counts[p])));
+        const double weight = double(work.schedule.spp()) / double(std::max(1u, tile.counts[p]));
         r.push_back({n, uint32_t(work.call.sample_offset + first), weight});
         n += uint32_t(last - first);
     }
@@ -91,9 +94,10 @@ inline std::vector<OwnSamples> DevicePaths::own_samples(const Work &work, const 
 
 // Calls body(batch) for batches of samples, in the schedule's order, until it is interrupted. `silent`: they are no
 // share of what somebody waits for.
+template <class S>
 template <class Body>
-void DevicePaths::for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body) {
-    const RenderCall<float> &call = work.call;
+void DevicePaths<S>::for_batches(const Work &work, RenderStats &stats, bool silent, Body &&body) {
+    const RenderCall<S> &call = work.call;
     SampleNumbers batch;
     int64_t done = 0;
     const auto finish = [&] {
@@ -132,9 +136,10 @@ void DevicePaths::for_batches(const Work &work, RenderStats &stats, bool silent,
 }
 
 // Calls f(work, stats); where memory is short again, with smaller batches. Nothing is written before all is computed.
+template <class S>
 template <class Do>
-RenderStats DevicePaths::run(const RenderCall<float> &call, const SceneData<float> &data, const TreeView &tree,
-                             const DerivativeCall<float> *derivative, int channels, Do &&f) {
+RenderStats DevicePaths<S>::run(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
+                                const DerivativeCall<S> *derivative, int channels, Do &&f) {
     check(call);
     TileSchedule schedule = make_schedule(call);
     if (derivative && derivative->adaptive && channels == Radiance)

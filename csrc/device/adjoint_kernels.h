@@ -20,9 +20,10 @@ struct WantedPixels {
 };
 
 // The adjoint of the image becomes that of the film's sums; see adjoint_film. An item is a wanted pixel.
+template <class S>
 struct DivideAdjoint {
-    static constexpr const char *Name = "tr::DivideAdjoint", *Header = "device/adjoint_kernels.h";
-    const float *image;  // (n, channels)
+    static constexpr const char *Name = TR_KERNEL_NAME(DivideAdjoint), *Header = "device/adjoint_kernels.h";
+    const S *image;  // (n, channels)
     int32_t channels;
     const double *sums;  // (n, 2), of which number `of` is the sum of weights; null: that is `weight` everywhere
     int32_t of;
@@ -43,12 +44,13 @@ struct DivideAdjoint {
 };
 
 // What samples get of it; see FilmBlock::collect.
+template <class S>
 struct AdjointGather {
     Filter filter;
     int32_t reach, channels;
     WantedPixels wanted;
     const double *adjoint;
-    SampleColumns<float> samples;
+    SampleColumns<S> samples;
 
     // Adds to `to`, a number a channel.
     TR_HD void gather(uint32_t i, double *to) const {
@@ -77,16 +79,17 @@ private:
 };
 
 // Of radiance, see collect_adjoints.
+template <class S>
 struct CollectAdjoints {
-    static constexpr const char *Name = "tr::CollectAdjoints", *Header = "device/adjoint_kernels.h";
-    AdjointGather from;
-    const float *weight;  // how often a sample counts
-    SpectrumColumn<float> delta;
+    static constexpr const char *Name = TR_KERNEL_NAME(CollectAdjoints), *Header = "device/adjoint_kernels.h";
+    AdjointGather<S> from;
+    const S *weight;  // how often a sample counts
+    SpectrumColumn<S> delta;
 
     TR_HD void operator()(uint32_t i) const {
         double d[SpectrumSize] = {};
         from.gather(i, d);
-        for (int c = 0; c < SpectrumSize; ++c) delta[c][i] = c < from.channels ? float(d[c] * double(weight[i])) : 0.f;
+        for (int c = 0; c < SpectrumSize; ++c) delta[c][i] = c < from.channels ? S(d[c] * double(weight[i])) : S(0);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -95,15 +98,16 @@ struct CollectAdjoints {
 };
 
 // Of other outputs.
+template <class S>
 struct CollectOutputs {
-    static constexpr const char *Name = "tr::CollectOutputs", *Header = "device/adjoint_kernels.h";
-    AdjointGather from;
-    OutputValues value;
+    static constexpr const char *Name = TR_KERNEL_NAME(CollectOutputs), *Header = "device/adjoint_kernels.h";
+    AdjointGather<S> from;
+    OutputValues<S> value;
 
     TR_HD void operator()(uint32_t i) const {
-        double d[OutputValues::Most] = {};
+        double d[OutputValues<S>::Most] = {};
         from.gather(i, d);
-        for (int c = 0; c < from.channels; ++c) value(c, i) = float(d[c]);
+        for (int c = 0; c < from.channels; ++c) value(c, i) = S(d[c]);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -130,25 +134,26 @@ struct SumCopies {
 
 // Sums of a batch are added to those of all, and are zero again: of constants, of which there are copies, and vertices,
 // in double precision; of texels as they are. One of both is null.
+template <class S>
 struct SettleSums {
-    static constexpr const char *Name = "tr::SettleSums", *Header = "device/adjoint_kernels.h";
-    FixedSum *from;  // (n, copies)
+    static constexpr const char *Name = TR_KERNEL_NAME(SettleSums), *Header = "device/adjoint_kernels.h";
+    FixedSum<S> *from;  // (n, copies)
     uint32_t copies;
     double *to;
-    float *to_texels;
+    S *to_texels;
 
     TR_HD void operator()(uint32_t i) const {
         double sum = 0;
         for (uint32_t k = 0; k < copies; ++k) {
-            FixedSum &each = from[size_t(i) * size_t(copies) + k];
+            FixedSum<S> &each = from[size_t(i) * size_t(copies) + k];
             if (each.largest == 0) continue;
             sum += each.value();
-            each = {0, 0, 0};
+            each = {};
         }
         if (to)
             to[i] += sum;
         else
-            to_texels[i] += float(sum);
+            to_texels[i] += S(sum);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

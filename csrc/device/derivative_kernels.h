@@ -14,13 +14,14 @@ namespace tr {
 
 // Where derivatives go, see GradientSink: gradients, or in forward mode tangents that the samples' radiance gets the
 // derivatives by.
+template <class S>
 struct DerivativePlaces {
     double *constants;  // (n, copies)
     uint32_t copies;
-    float *const *tensors;  // by slot, null where it is not wanted
+    S *const *tensors;  // by slot, null where it is not wanted
     double *vertices[VertexArrays];
-    Values<float> tangent;
-    const float *vertex_tangent[VertexArrays];
+    Values<S> tangent;
+    const S *vertex_tangent[VertexArrays];
     TR_FACT(bool, forward, TR_FORWARD);
     int32_t component;  // in forward mode, where something moves
     uint32_t matrices;
@@ -29,12 +30,12 @@ struct DerivativePlaces {
     TR_FACT(bool, fixed, TR_FIXED_SUMS);  // all gradients are FixedSums, see GradientSink
     bool measures;
 
-    TR_HD GradientSink<float> sink(uint32_t item) const {
-        GradientSink<float> r;
+    TR_HD GradientSink<S> sink(uint32_t item) const {
+        GradientSink<S> r;
 #if !defined(TR_ONE_SCENE)
         r.forward = forward, r.fixed = fixed;
 #endif
-        const size_t own = (fixed ? sizeof(FixedSum) / sizeof(double) : 1) * (item % copies);
+        const size_t own = (fixed ? sizeof(FixedSum<S>) / sizeof(double) : 1) * (item % copies);
         r.copies = copies, r.constants = constants ? constants + own : nullptr, r.measures = measures;
         r.tensors = tensors, r.tangent = tangent;
         for (int k = 0; k < VertexArrays; ++k) r.vertices[k] = vertices[k], r.vertex_tangent[k] = vertex_tangent[k];
@@ -51,10 +52,11 @@ struct DerivativePlaces {
 };
 
 // What vertices hand to those before them; null: there are none.
+template <class S>
 struct TapeBefore {
-    SpectrumColumn<float> suffix{};
-    NextColumns<float> next{};
-    VectorColumn<float> rest{}, from{};  // through media
+    SpectrumColumn<S> suffix{};
+    NextColumns<S> next{};
+    VectorColumn<S> rest{}, from{};  // through media
 
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -64,9 +66,10 @@ struct TapeBefore {
 
 // Of paths that have gone on from differential samples of segments (BranchColumns): where they began, and what they
 // have brought; null: there are none.
+template <class S>
 struct BranchEnds {
-    IndexColumn<float> level{}, entry{};
-    SpectrumColumn<float> radiance{};
+    IndexColumn<S> level{}, entry{};
+    SpectrumColumn<S> radiance{};
 
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -76,24 +79,24 @@ struct BranchEnds {
 
 // Vertices of one kind on a level of the tape: those of the kind from `begin` on, `total` of them. `unit_adjoint`: see
 // SweepContext.
+template <class S>
 struct SweepVertices {
-    static constexpr const char *Name = "tr::SweepVertices", *Header = "device/derivative_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(SweepVertices), *Header = "device/derivative_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Derivative;
     bool adds() const { return !to.fixed; }
-    PathStage stage;  // with the level
+    PathStage<S> stage;  // with the level
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
     uint32_t level;
     bool scatters;
     const uint32_t *begin, *total;  // by kind
-    TapeBefore before;
-    BranchEnds branches;
-    DerivativePlaces to;
+    TapeBefore<S> before;
+    BranchEnds<S> branches;
+    DerivativePlaces<S> to;
     bool unit_adjoint;
 
     TR_HD void operator()(uint32_t j) const {
-        for_vertex(j, [&](const SweepContext<float> &c, const TapeColumns<float> &parents, uint32_t i,
-                          GradientSink<float> &sink) {
-            sweep_vertex<float>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
+        for_vertex(j, [&](const SweepContext<S> &c, const TapeColumns<S> &parents, uint32_t i, GradientSink<S> &sink) {
+            sweep_vertex<S>(c, stage.tape, &parents, level, kind, scatters, i, true, sink);
         });
     }
     // Calls sweep(context, parents, i, sink) for vertex j of the kind.
@@ -101,23 +104,23 @@ struct SweepVertices {
     TR_HD void for_vertex(uint32_t j, Sweep &&sweep) const {
         if (j >= total[kind]) return;
         const uint32_t i = begin[kind] + j;
-        TapeColumns<float> parents{};
+        TapeColumns<S> parents{};
         parents.vertex.suffix = before.suffix, parents.next = before.next;
-        BranchColumns<float> ends{};
+        BranchColumns<S> ends{};
         const bool volumetric = stage.config.volumetric;
         if (volumetric) {
             parents.motion.rest_bar = before.rest, parents.motion.from_bar = before.from;
             ends.level = branches.level, ends.entry = branches.entry, ends.radiance = branches.radiance;
         }
-        const SweepContext<float> c{stage.scene,
-                                    stage.config,
-                                    stage.slots,
-                                    stage.needs,
-                                    stage.width,
-                                    stage.height,
-                                    volumetric && branches.level.at ? &ends : nullptr,
-                                    unit_adjoint};
-        GradientSink<float> sink = to.sink(i);
+        const SweepContext<S> c{stage.scene,
+                                stage.config,
+                                stage.slots,
+                                stage.needs,
+                                stage.width,
+                                stage.height,
+                                volumetric && branches.level.at ? &ends : nullptr,
+                                unit_adjoint};
+        GradientSink<S> sink = to.sink(i);
         sweep(c, parents, i, sink);
         if (sink.non_finite != 0 && !to.measures) accumulate(to.non_finite, uint64_t(sink.non_finite));
     }
@@ -129,18 +132,19 @@ struct SweepVertices {
 };
 
 // ... of light paths.
+template <class S>
 struct SweepLightVertices {
-    static constexpr const char *Name = "tr::SweepLightVertices", *Header = "device/derivative_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(SweepLightVertices), *Header = "device/derivative_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Derivative;
-    SweepVertices of;
-    LightView view;
+    SweepVertices<S> of;
+    LightView<S> view;
     bool adds() const { return of.adds(); }
 
     TR_HD void operator()(uint32_t j) const {
-        of.for_vertex(j, [&](const SweepContext<float> &c, const TapeColumns<float> &parents, uint32_t i,
-                             GradientSink<float> &sink) {
-            sweep_light_vertex<float>(c, view.sensor(of.stage), of.stage.tape, &parents, of.kind, i, true, sink);
-        });
+        of.for_vertex(
+            j, [&](const SweepContext<S> &c, const TapeColumns<S> &parents, uint32_t i, GradientSink<S> &sink) {
+                sweep_light_vertex<S>(c, view.sensor(of.stage), of.stage.tape, &parents, of.kind, i, true, sink);
+            });
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {

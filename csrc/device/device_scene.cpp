@@ -27,8 +27,9 @@ bool equal(const char *a, const char *b, size_t bytes, int threads) {
 
 }  // namespace
 
+template <class S>
 template <class T>
-T *DeviceScene::put(Launcher &launcher, const T *from, size_t n, int threads) {
+T *DeviceScene<S>::put(Launcher &launcher, const T *from, size_t n, int threads) {
     if (n == 0) return nullptr;
     if (n_used_ == tables_.size()) tables_.emplace_back();
     Table &table = tables_[n_used_++];
@@ -49,19 +50,23 @@ T *DeviceScene::put(Launcher &launcher, const T *from, size_t n, int threads) {
 
 static_assert(sizeof(SceneView<float>) == 328, "a table more? SceneView and SceneData list them all");
 
-const SceneView<float> &DeviceScene::upload(Launcher &launcher, const SceneData<float> &data, int threads) {
-    const SceneView<float> &host = data.view();
+template <class S>
+const SceneView<S> &DeviceScene<S>::upload(Launcher &launcher, const SceneData<S> &data, int threads) {
+    const SceneView<S> &host = data.view();
     n_used_ = 0;
     view_ = host;
     view_.bends = nullptr;
     data.for_tables([&](auto member, auto *table, size_t n) { view_.*member = put(launcher, table, n, threads); });
     const std::vector<int64_t> &sizes = data.layout().slot_sizes;
-    std::vector<TensorView<float>> tensors(host.values.tensors, host.values.tensors + sizes.size());
+    std::vector<TensorView<S>> tensors(host.values.tensors, host.values.tensors + sizes.size());
     for (size_t i = 0; i < tensors.size(); ++i)
         tensors[i].data = put(launcher, tensors[i].data, size_t(sizes[i]), threads);
     view_.values.tensors = put(launcher, tensors.data(), tensors.size(), threads);
     view_.values.constants = put(launcher, host.values.constants, data.n_constants(), threads);
     return view_;
 }
+
+template class DeviceScene<float>;
+template class DeviceScene<double>;
 
 }  // namespace tr

@@ -8,15 +8,16 @@
 
 namespace tr {
 
+template <class S>
 class DeviceScene {
 public:
     // Tables and parameters as they are now, of which those are copied that have changed since the last time, also
     // without a word; the view is of the device. Nothing of light that bends is copied. The device is done with what
     // was launched before.
-    const SceneView<float> &upload(Launcher &launcher, const SceneData<float> &data, int threads);
+    const SceneView<S> &upload(Launcher &launcher, const SceneData<S> &data, int threads);
 
 private:
-    SceneView<float> view_{};
+    SceneView<S> view_{};
     struct Table {
         DeviceArray<uint8_t> there;
         HostBuffer here;  // the same

@@ -5,6 +5,7 @@
 #include "core/film/filter.h"
 #include "core/film/sums.h"
 #include "core/state/queues.h"
+#include "kernel_name.h"
 
 namespace tr {
 
@@ -17,6 +18,20 @@ struct FillWords {
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         visit(word);
+    }
+};
+
+// As many numbers of type S.
+template <class S>
+struct FillNumbers {
+    static constexpr const char *Name = TR_KERNEL_NAME(FillNumbers), *Header = "device/film_kernels.h";
+    S *number;
+    S value;
+
+    TR_HD void operator()(uint32_t i) const { number[i] = value; }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(number);
     }
 };
 
@@ -36,7 +51,7 @@ struct FilmUnit {
 // behind the last one; the first of them; and how often each counts.
 struct OwnSamples {
     uint32_t offset, first;
-    float weight;
+    double weight;
 };
 
 // The pixels that units have where they are not all of their rectangles; null: they are. And their samples where these
@@ -71,23 +86,24 @@ TR_HD uint32_t last_that(uint32_t n, Begins &&begins) {
 }
 
 // Which sample every slot has, and as alpha how often it counts. Units are in the order of their slots.
+template <class S>
 struct NumberSamples {
-    static constexpr const char *Name = "tr::NumberSamples", *Header = "device/film_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(NumberSamples), *Header = "device/film_kernels.h";
     const FilmUnit *units;
     uint32_t n_units;
     ListedPixels list;
-    SlotColumns<float> slots;
+    SlotColumns<S> slots;
 
     TR_HD void operator()(uint32_t i) const {
         const auto slot = int32_t(i);
         const FilmUnit &unit = units[last_that(n_units, [&](uint32_t u) { return units[u].begin <= slot; })];
         const uint32_t k = uint32_t(slot - unit.begin);
         uint32_t pixel = 0, sample = 0;
-        float weight = 1;
+        S weight = 1;
         if (list.own) {
             const OwnSamples *own = list.own + unit.first_own;
             pixel = last_that(unit.n_pixels, [&](uint32_t p) { return own[p].offset <= k; });
-            sample = own[pixel].first + (k - own[pixel].offset), weight = own[pixel].weight;
+            sample = own[pixel].first + (k - own[pixel].offset), weight = S(own[pixel].weight);
         } else {
             pixel = k / unit.samples, sample = unit.first_sample + (k - pixel * unit.samples);
         }
@@ -109,6 +125,7 @@ struct NumberSamples {
 };
 
 // Which samples of a batch reach a wanted pixel, the item of a launch.
+template <class S>
 struct FilmGather {
     Filter filter;
     int32_t reach;
@@ -119,7 +136,7 @@ struct FilmGather {
     Rect wanted;
     uint32_t first;       // of those of this launch
     double *sums, *open;  // by wanted pixel: of the film, and of the unit that is open, see FilmBlock
-    const float *film_x, *film_y;
+    const S *film_x, *film_y;
 
     // Calls add(slot, weight, sums of the unit) for those of item i, of so many sums each.
     template <class Add>
@@ -166,12 +183,13 @@ private:
 };
 
 // Radiance and alpha, and `moments` of radiance.
+template <class S>
 struct AddToFilm {
-    static constexpr const char *Name = "tr::AddToFilm", *Header = "device/film_kernels.h";
-    FilmGather film;
+    static constexpr const char *Name = TR_KERNEL_NAME(AddToFilm), *Header = "device/film_kernels.h";
+    FilmGather<S> film;
     int32_t colors, moments;
-    SpectrumColumn<float> radiance;
-    const float *alpha;
+    SpectrumColumn<S> radiance;
+    const S *alpha;
 
     TR_HD void operator()(uint32_t i) const {
         const int channels = colors + 2 + (moments ? 3 * moments + 1 : 0);
@@ -189,21 +207,23 @@ struct AddToFilm {
 };
 
 // Outputs besides radiance: channel c of sample i is at[c * stride + i].
+template <class S>
 struct OutputValues {
     static constexpr int Most = 64;
-    float *at;
+    S *at;
     uint32_t stride;
 
-    TR_HD float &operator()(int c, uint32_t i) const { return at[size_t(c) * size_t(stride) + i]; }
+    TR_HD S &operator()(int c, uint32_t i) const { return at[size_t(c) * size_t(stride) + i]; }
 };
 
 // Of a pixel the sums of n channels, then of the weights of samples that hit something, then of all weights.
+template <class S>
 struct AddOutputsToFilm {
-    static constexpr const char *Name = "tr::AddOutputsToFilm", *Header = "device/film_kernels.h";
-    FilmGather film;
+    static constexpr const char *Name = TR_KERNEL_NAME(AddOutputsToFilm), *Header = "device/film_kernels.h";
+    FilmGather<S> film;
     int32_t n;
-    OutputValues value;
-    const float *hit;
+    OutputValues<S> value;
+    const S *hit;
 
     TR_HD void operator()(uint32_t i) const {
         film.gather(i, n + 2, [&](uint32_t k, double weight, double *block) {

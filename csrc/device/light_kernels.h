@@ -8,22 +8,23 @@
 namespace tr {
 
 // Paths of the samples, which begin at emitters, and the connections of these to the camera.
+template <class S>
 struct StartLightPaths {
-    static constexpr const char *Name = "tr::StartLightPaths", *Header = "device/light_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(StartLightPaths), *Header = "device/light_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    LightView view;
-    PathQueue<float> out;
-    ShadowQueue<float> connections;
+    PathStage<S> stage;
+    LightView<S> view;
+    PathQueue<S> out;
+    ShadowQueue<S> connections;
     int32_t *key, *connection_key;
     uint32_t n;
 
     TR_HD void operator()(uint32_t i) const {
-        PathQueue<float> own = out;
-        ShadowQueue<float> own_connections = connections;
+        PathQueue<S> own = out;
+        ShadowQueue<S> own_connections = connections;
         own.n = own_connections.n = i;
-        stage.with_context(i, [&](const PathContext<float> &c) {
-            start_light_paths<float>(c, view.sensor(stage), i, n, own, own_connections);
+        stage.with_context(i, [&](const PathContext<S> &c) {
+            start_light_paths<S>(c, view.sensor(stage), i, n, own, own_connections);
         });
         key[i] = own.n != i ? Kept : Gone;
         connection_key[i] = own_connections.n != i ? Kept : Gone;
@@ -35,18 +36,18 @@ struct StartLightPaths {
     }
 };
 
+template <class S>
 struct ShadeLightPaths {
-    static constexpr const char *Name = "tr::ShadeLightPaths", *Header = "device/light_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(ShadeLightPaths), *Header = "device/light_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Bsdf;
-    ShadeHits shading;
-    LightView view;
+    ShadeHits<S> shading;
+    LightView<S> view;
 
     TR_HD void operator()(uint32_t j) const {
-        const ShadeHits &at = shading;
-        at.for_hit<1>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i,
-                             PathQueue<float> &own, ShadowQueue<float> &connections) {
-            shade_light_path<float>(c, view.sensor(at.stage), at.kind, at.step, at.in, at.hits, lanes, i, own,
-                                    connections);
+        const ShadeHits<S> &at = shading;
+        at.template for_hit<1>(j, [&](const PathContext<S> &c, const LaneSet<S> &lanes, uint32_t i, PathQueue<S> &own,
+                                      ShadowQueue<S> &connections) {
+            shade_light_path<S>(c, view.sensor(at.stage), at.kind, at.step, at.in, at.hits, lanes, i, own, connections);
         });
     }
     template <class Visit>
@@ -57,15 +58,16 @@ struct ShadeLightPaths {
 
 // Connections that meet something: their key is Gone, and on a tape they have no weight. `passes`: what emits is not in
 // the way.
+template <class S>
 struct TraceConnections {
-    static constexpr const char *Name = "tr::TraceConnections", *Header = "device/light_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(TraceConnections), *Header = "device/light_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Shapes;
-    SceneView<float> scene;
+    SceneView<S> scene;
     TreeView tree;
-    ShadowQueue<float> connections;
+    ShadowQueue<S> connections;
     EntryList rays;
     int32_t *key;
-    float *weight;  // of the tape; null: there is none
+    S *weight;  // of the tape; null: there is none
     uint64_t *traced;
     bool passes;
 

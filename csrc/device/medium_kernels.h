@@ -25,24 +25,25 @@ struct TrackingTotals {
     }
 };
 
-template <class Visit>
-void visit_media(const MediumContext<float> &media, Visit &&visit) {
+template <class S, class Visit>
+void visit_media(const MediumContext<S> &media, Visit &&visit) {
     media.flight.for_arrays(visit), media.branch.for_arrays(visit);
 }
 
 // Of camera rays, one a slot.
+template <class S>
 struct BeginMedia {
-    static constexpr const char *Name = "tr::BeginMedia", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(BeginMedia), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    MediumContext<float> media;
-    PathQueue<float> queue;
+    PathStage<S> stage;
+    MediumContext<S> media;
+    PathQueue<S> queue;
 
     TR_HD void operator()(uint32_t i) const {
-        PathQueue<float> own = queue;
-        stage.with_context(i, [&](const PathContext<float> &c) {
-            begin_media<float>(c, own, i);
-            begin_media_slots<float>(c, media, i);
+        PathQueue<S> own = queue;
+        stage.with_context(i, [&](const PathContext<S> &c) {
+            begin_media<S>(c, own, i);
+            begin_media_slots<S>(c, media, i);
         });
     }
     template <class Visit>
@@ -52,13 +53,14 @@ struct BeginMedia {
 };
 
 // Rays that were traced: where they collide, that is what they hit.
+template <class S>
 struct FlyRays {
-    static constexpr const char *Name = "tr::FlyRays", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(FlyRays), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    MediumContext<float> media;
-    PathQueue<float> queue;
-    HitColumns<float> hits;
+    PathStage<S> stage;
+    MediumContext<S> media;
+    PathQueue<S> queue;
+    HitColumns<S> hits;
     EntryList rays;
     TrackingTotals totals;
 
@@ -66,15 +68,15 @@ struct FlyRays {
         if (k >= *rays.n) return;
         const uint32_t i = rays.entry[k];
         const int32_t medium = queue.medium[i];
-        PathQueue<float> own = queue;
-        stage.with_context(queue.slot[i], [&](const PathContext<float> &c) {
-            begin_flight<float>(c, media, queue, hits, i);
+        PathQueue<S> own = queue;
+        stage.with_context(queue.slot[i], [&](const PathContext<S> &c) {
+            begin_flight<S>(c, media, queue, hits, i);
             if (medium >= 0) {
                 TrackingCounts counts;
-                fly_ray<float>(stage.scene, media, medium, {queue.o, queue.d, queue.ray_offset, queue.slot}, i, counts);
+                fly_ray<S>(stage.scene, media, medium, {queue.o, queue.d, queue.ray_offset, queue.slot}, i, counts);
                 totals.add(k, counts);
             }
-            finish_flight<float>(c, media, own, hits, !stage.records, i);
+            finish_flight<S>(c, media, own, hits, !stage.records, i);
         });
     }
     template <class Visit>
@@ -87,17 +89,18 @@ struct FlyRays {
 // Shadow rays that a hit has at most: its own, and that of the segment's differential sample, which is on the tape.
 constexpr uint32_t MostShadows = 2;
 
+template <class S>
 struct ShadeInMedia {
-    static constexpr const char *Name = "tr::ShadeInMedia", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(ShadeInMedia), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Bsdf;
-    ShadeHits shading;
-    MediumContext<float> media;
+    ShadeHits<S> shading;
+    MediumContext<S> media;
 
     TR_HD void operator()(uint32_t j) const {
-        shading.for_hit<MostShadows>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i,
-                                            PathQueue<float> &own, ShadowQueue<float> &shadows) {
+        shading.template for_hit<MostShadows>(j, [&](const PathContext<S> &c, const LaneSet<S> &lanes, uint32_t i,
+                                                     PathQueue<S> &own, ShadowQueue<S> &shadows) {
             if (shading.stage.records)
-                record_segment<float>(c, media, shading.step, shading.in, shading.hits, lanes, i, shadows);
+                record_segment<S>(c, media, shading.step, shading.in, shading.hits, lanes, i, shadows);
             shading.shade(c, lanes, i, own, shadows);
         });
     }
@@ -108,21 +111,22 @@ struct ShadeInMedia {
 };
 
 // What is left of shadow rays at their ends: added up or, with a tape, written onto it.
+template <class S>
 struct TransmitShadows {
-    static constexpr const char *Name = "tr::TransmitShadows", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(TransmitShadows), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Tracing;
-    PathStage stage;
-    MediumContext<float> media;
+    PathStage<S> stage;
+    MediumContext<S> media;
     TreeView tree;
-    ShadowQueue<float> shadows;
-    TransmittanceColumns<float> transmittance;
+    ShadowQueue<S> shadows;
+    TransmittanceColumns<S> transmittance;
     EntryList rays;
     TrackingTotals totals;
 
     TR_HD void operator()(uint32_t q) const {
         if (q >= *rays.n) return;
         const uint32_t k = rays.entry[q];
-        stage.with_context(shadows.slot[k], [&](const PathContext<float> &c) {
+        stage.with_context(shadows.slot[k], [&](const PathContext<S> &c) {
             begin_shadow(transmittance, k, stage.records, moves());
             TrackingCounts counts;
             uint32_t parts = 0;
@@ -143,44 +147,43 @@ struct TransmitShadows {
 private:
     TR_HD bool moves() const { return stage.records && stage.needs.geometry; }
     // The part of a ray in front of what it meets next; whether it goes on behind that. As MediumStage of the CPU.
-    TR_HD bool pass(const PathContext<float> &c, uint32_t k, uint32_t round, TrackingCounts &counts) const {
-        const Vec3<float> from = shadows.o.get(k), along = shadows.d.get(k);
-        const float o[] = {from.x, from.y, from.z}, d[] = {along.x, along.y, along.z};
-        const TreeHit hit = trace<false>(tree, o, d, shadows.length[k]);
+    TR_HD bool pass(const PathContext<S> &c, uint32_t k, uint32_t round, TrackingCounts &counts) const {
+        const TreeHit hit = trace_entry<false>(tree, shadows, k);
         const bool met = hit.shape != TreeHit::Miss;
-        const SurfacePoint<float> place{hit.shape, hit.primitive, hit.b1, hit.b2};
-        seed_shadow_rays<float>(c, shadows, transmittance, media.level, round, k, true);
-        transmittance.end[k] = met ? hit.t : shadows.length[k];
+        const SurfacePoint<S> place{hit.shape, hit.primitive, S(hit.b1), S(hit.b2)};
+        seed_shadow_rays<S>(c, shadows, transmittance, media.level, round, k, true);
+        transmittance.end[k] = met ? S(hit.t) : shadows.length[k];
         if (met && !passes_shadow_rays(stage.scene, hit.shape)) {
             for (int i = 0; i < SpectrumSize; ++i) transmittance.transmittance[i][k] = 0;
             return false;
         }
         const int32_t medium = shadows.medium[k];
         if (medium >= 0) {
-            transmit_ray<float>(stage.scene, media, medium, {shadows.o, shadows.d, shadows.ray_offset, shadows.slot},
-                                transmittance, k, counts);
+            transmit_ray<S>(stage.scene, media, medium, {shadows.o, shadows.d, shadows.ray_offset, shadows.slot},
+                            transmittance, k, counts);
             if (stage.records && media.differential) choose_point(shadows, transmittance, k, medium, place, moves());
         }
         if (!met) return false;
-        if (moves()) keep_boundary(shadows, transmittance, k, place, hit.t);
-        return cross_boundary<float>(c, shadows, transmittance, place, hit.t, k, true);
+        if (moves()) keep_boundary(shadows, transmittance, k, place, S(hit.t));
+        return cross_boundary<S>(c, shadows, transmittance, place, S(hit.t), k, true);
     }
 };
 
 // The paths that go on from differential samples, one a slot at most; `key` says which there are.
+template <class S>
 struct StartBranches {
-    static constexpr const char *Name = "tr::StartBranches", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(StartBranches), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    MediumContext<float> media;
-    PathQueue<float> out;
+    PathStage<S> stage;
+    MediumContext<S> media;
+    PathQueue<S> out;
     int32_t *key;
     uint32_t n;
 
     TR_HD void operator()(uint32_t i) const {
-        PathQueue<float> own = out;
+        PathQueue<S> own = out;
         own.n = i;
-        stage.with_context(i, [&](const PathContext<float> &c) { start_branches<float>(c, media, i, n, own); });
+        stage.with_context(i, [&](const PathContext<S> &c) { start_branches<S>(c, media, i, n, own); });
         key[i] = own.n != i ? Kept : Gone;
     }
     template <class Visit>
@@ -190,10 +193,11 @@ struct StartBranches {
 };
 
 // Keeps what these have brought, and makes room for the rest.
+template <class S>
 struct FinishBranches {
-    static constexpr const char *Name = "tr::FinishBranches", *Header = "device/medium_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(FinishBranches), *Header = "device/medium_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;  // as all that are compiled from this header
-    SpectrumColumn<float> radiance, branch;
+    SpectrumColumn<S> radiance, branch;
 
     TR_HD void operator()(uint32_t i) const {
         for (int c = 0; c < SpectrumSize; ++c) branch[c][i] = radiance[c][i], radiance[c][i] = 0;

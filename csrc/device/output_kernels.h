@@ -12,28 +12,29 @@
 
 namespace tr {
 
-static_assert(MaxAovChannels <= OutputValues::Most, "kernels have room for all");
+static_assert(MaxAovChannels <= OutputValues<float>::Most, "kernels have room for all");
 
 // First hits of camera rays, of those samples whose `key` is Kept.
+template <class S>
 struct FirstHitStage {
-    PathStage stage;
+    PathStage<S> stage;
     AovLayout layout;
-    PathQueue<float> rays;
-    HitColumns<float> hits;
+    PathQueue<S> rays;
+    HitColumns<S> hits;
     const int32_t *key;
 
     TR_HD bool is_hit(uint32_t i) const { return key[i] == Kept && hits.at.shape[i] != NoHit; }
     // As FirstHits::for_hits.
     template <class Do>
     TR_HD void with_hit(uint32_t i, Do &&f) const {
-        const AovContext<float> c(stage.scene, layout, stage.config.sensor, stage.width, stage.height);
-        const Entries<float> from(i);
-        const CameraSample<float> sample = camera_sample<float>(stage.config, c.sensor, stage.slots, from);
-        const CameraRay<float> ray = camera_ray(stage.scene, c.sensor, sample, stage.width, stage.height);
-        FirstHit<float> hit{sample,    {rays.o.get(i), rays.d.get(i)},  // which may have gone on behind emitters
-                            ray.ray.o, ray.center,
-                            {},        {stage.config, stage.slots.pixel[i], stage.slots.sample[i]}};
-        hit.si = make_interaction<float>(stage.scene, hit.ray, SurfacePoint<float>(from(hits.at)), hits.t[i], true);
+        const AovContext<S> c(stage.scene, layout, stage.config.sensor, stage.width, stage.height);
+        const Entries<S> from(i);
+        const CameraSample<S> sample = camera_sample<S>(stage.config, c.sensor, stage.slots, from);
+        const CameraRay<S> ray = camera_ray(stage.scene, c.sensor, sample, stage.width, stage.height);
+        FirstHit<S> hit{sample,    {rays.o.get(i), rays.d.get(i)},  // which may have gone on behind emitters
+                        ray.ray.o, ray.center,
+                        {},        {stage.config, stage.slots.pixel[i], stage.slots.sample[i]}};
+        hit.si = make_interaction<S>(stage.scene, hit.ray, SurfacePoint<S>(from(hits.at)), hits.t[i], true);
         f(c, hit);
     }
     template <class Visit>
@@ -43,20 +44,20 @@ struct FirstHitStage {
 };
 
 // The values of the layout's channels, zero at misses, and as alpha whether something was hit.
+template <class S>
 struct EvaluateOutputs {
-    static constexpr const char *Name = "tr::EvaluateOutputs", *Header = "device/output_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(EvaluateOutputs), *Header = "device/output_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    FirstHitStage first;
-    OutputValues value;
+    FirstHitStage<S> first;
+    OutputValues<S> value;
 
     TR_HD void operator()(uint32_t i) const {
         const bool is_hit = first.is_hit(i);
-        float v[MaxAovChannels] = {};
+        S v[MaxAovChannels] = {};
         if (is_hit && first.layout.n > 0)
-            first.with_hit(
-                i, [&](const AovContext<float> &c, const FirstHit<float> &hit) { eval_aovs<float>(c, hit, true, v); });
+            first.with_hit(i, [&](const AovContext<S> &c, const FirstHit<S> &hit) { eval_aovs<S>(c, hit, true, v); });
         for (int c = 0; c < first.layout.n; ++c) value(c, i) = v[c];
-        first.stage.slots.alpha[i] = is_hit ? 1.f : 0.f;
+        first.stage.slots.alpha[i] = is_hit ? S(1) : S(0);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -65,19 +66,19 @@ struct EvaluateOutputs {
 };
 
 // Rays through the centres of the samples' pixels, which have met nothing so far.
+template <class S>
 struct StartCentres {
-    static constexpr const char *Name = "tr::StartCentres", *Header = "device/output_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(StartCentres), *Header = "device/output_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    PathQueue<float> out;
-    HitColumns<float> hits;
+    PathStage<S> stage;
+    PathQueue<S> out;
+    HitColumns<S> hits;
     int32_t *key;
 
     TR_HD void operator()(uint32_t i) const {
-        const CameraSample<float> at{float(int32_t(stage.slots.column[i])) + 0.5f,
-                                     float(int32_t(stage.slots.row[i])) + 0.5f};
+        const CameraSample<S> at{S(int32_t(stage.slots.column[i])) + S(0.5), S(int32_t(stage.slots.row[i])) + S(0.5)};
         const Record &sensor = stage.scene.sensors[stage.config.sensor];
-        const CameraRay<float> ray = camera_ray(stage.scene, sensor, at, stage.width, stage.height);
+        const CameraRay<S> ray = camera_ray(stage.scene, sensor, at, stage.width, stage.height);
         out.o.set(i, ray.ray.o), out.d.set(i, ray.ray.d), out.length[i] = ray.length;
         key[i] = ray.exists ? Kept : Gone;
         hits.at.shape[i] = NoHit;

@@ -21,20 +21,21 @@
 namespace tr {
 
 // Camera rays of the samples; `skip_zero_adjoint`: see start_paths.
+template <class S>
 struct StartPaths {
-    static constexpr const char *Name = "tr::StartPaths", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(StartPaths), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
-    PathQueue<float> out;
+    PathStage<S> stage;
+    PathQueue<S> out;
     int32_t *key;
     uint32_t n;
     bool skip_zero_adjoint;
 
     TR_HD void operator()(uint32_t i) const {
-        PathQueue<float> own = out;
+        PathQueue<S> own = out;
         own.n = i;
-        stage.with_context(i, [&](const PathContext<float> &c) {
-            start_paths<float>(c, stage.width, stage.height, skip_zero_adjoint, i, n, own);
+        stage.with_context(i, [&](const PathContext<S> &c) {
+            start_paths<S>(c, stage.width, stage.height, skip_zero_adjoint, i, n, own);
         });
         key[i] = own.n != i ? Kept : Gone;
     }
@@ -45,34 +46,36 @@ struct StartPaths {
 };
 
 // Where the samples are on the film, which AddToFilm then weights.
+template <class S>
 struct PlaceSamples {
-    static constexpr const char *Name = "tr::PlaceSamples", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(PlaceSamples), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
     PathConfig config;
-    SlotColumns<float> slots;
+    SlotColumns<S> slots;
 
-    TR_HD void operator()(uint32_t i) const { choose_position<float>(config, slots, false, i); }
+    TR_HD void operator()(uint32_t i) const { choose_position<S>(config, slots, false, i); }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         slots.for_arrays(visit);
     }
 };
 
-// Of ray i of a queue. `Any`: whatever it meets.
+// Of ray i of a queue, in single precision as in all trees. `Any`: whatever it meets.
 template <bool Any, class Queue>
 TR_HD inline TreeHit trace_entry(const TreeView &tree, const Queue &rays, uint32_t i) {
-    const float o[] = {rays.o.x[i], rays.o.y[i], rays.o.z[i]}, d[] = {rays.d.x[i], rays.d.y[i], rays.d.z[i]};
-    return trace<Any>(tree, o, d, rays.length[i]);
+    const float o[] = {float(rays.o.x[i]), float(rays.o.y[i]), float(rays.o.z[i])},
+                d[] = {float(rays.d.x[i]), float(rays.d.y[i]), float(rays.d.z[i])};
+    return trace<Any>(tree, o, d, float(rays.length[i]));
 }
 
 // ... the closest; `passes`: it goes on behind what emits.
-template <class Queue>
-TR_HD inline TreeHit trace_past(const TreeView &tree, const SceneView<float> &scene, const Queue &rays, uint32_t i,
+template <class S, class Queue>
+TR_HD inline TreeHit trace_past(const TreeView &tree, const SceneView<S> &scene, const Queue &rays, uint32_t i,
                                 bool passes) {
     TreeHit hit = trace_entry<false>(tree, rays, i);
     for (int pass = 0; passes && pass < MostPasses && passes_emitter(scene, hit.shape); ++pass) {
-        Vec3<float> o = rays.o.get(i);
-        pass_behind(o, rays.d.get(i), hit.t, rays.length[i]);
+        Vec3<S> o = rays.o.get(i);
+        pass_behind(o, rays.d.get(i), S(hit.t), rays.length[i]);
         rays.o.set(i, o);
         hit = trace_entry<false>(tree, rays, i);
     }
@@ -80,13 +83,14 @@ TR_HD inline TreeHit trace_past(const TreeView &tree, const SceneView<float> &sc
 }
 
 // Closest hits. `passes`: rays go on behind what emits.
+template <class S>
 struct TracePaths {
-    static constexpr const char *Name = "tr::TracePaths", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(TracePaths), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Shapes;
-    SceneView<float> scene;
+    SceneView<S> scene;
     TreeView tree;
-    PathQueue<float> queue;
-    HitColumns<float> hits;
+    PathQueue<S> queue;
+    HitColumns<S> hits;
     EntryList rays;
     uint64_t *traced;
     bool passes;
@@ -107,14 +111,15 @@ struct TracePaths {
 };
 
 // Which model shades them.
+template <class S>
 struct ClassifyHits {
-    static constexpr const char *Name = "tr::ClassifyHits", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(ClassifyHits), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Scene;
-    PathStage stage;
+    PathStage<S> stage;
     PathStep step;
     TR_FACT(bool, viewed, !TR_LIGHT_PATHS);  // from the camera's side
-    PathQueue<float> queue;
-    HitColumns<float> hits;
+    PathQueue<S> queue;
+    HitColumns<S> hits;
     const int32_t *kinds;  // by bsdf
     EntryList rays;
     int32_t *key;
@@ -122,8 +127,8 @@ struct ClassifyHits {
     TR_HD void operator()(uint32_t k) const {
         if (k >= *rays.n) return;
         const uint32_t i = rays.entry[k];
-        stage.with_context(queue.slot[i], [&](const PathContext<float> &c) {
-            key[k] = classify_hits<float>(c, step, queue, hits, kinds, viewed, i);
+        stage.with_context(queue.slot[i], [&](const PathContext<S> &c) {
+            key[k] = classify_hits<S>(c, step, queue, hits, kinds, viewed, i);
         });
     }
     template <class Visit>
@@ -135,23 +140,24 @@ struct ClassifyHits {
 
 // Shades the hits of one kind. `sorted` lists hits by kind, those of each from `begin` on, `total` of them; what goes
 // on from a hit has its place in that list.
+template <class S>
 struct ShadeHits {
-    static constexpr const char *Name = "tr::ShadeHits", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(ShadeHits), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Bsdf;
-    PathStage stage;
+    PathStage<S> stage;
     PathStep step;
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
     bool last;  // rays that go on are the last ones of their paths
-    PathQueue<float> in;
-    HitColumns<float> hits;
+    PathQueue<S> in;
+    HitColumns<S> hits;
     const uint32_t *sorted, *begin, *total;  // the last two by kind
-    PathQueue<float> out;
-    ShadowQueue<float> shadows;
+    PathQueue<S> out;
+    ShadowQueue<S> shadows;
     int32_t *out_key, *shadow_key;
 
     TR_HD void operator()(uint32_t j) const {
-        for_hit<1>(j, [&](const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, PathQueue<float> &own,
-                          ShadowQueue<float> &own_shadows) { shade(c, lanes, i, own, own_shadows); });
+        for_hit<1>(j, [&](const PathContext<S> &c, const LaneSet<S> &lanes, uint32_t i, PathQueue<S> &own,
+                          ShadowQueue<S> &own_shadows) { shade(c, lanes, i, own, own_shadows); });
     }
     // Calls do_shade(context, hit, i, what goes on from it, its shadow rays) for hit j of the kind, which has up to
     // `Most` of the last.
@@ -159,25 +165,25 @@ struct ShadeHits {
     TR_HD void for_hit(uint32_t j, Shade &&do_shade) const {
         if (j >= total[kind]) return;
         const uint32_t i = begin[kind] + j, first_shadow = Most * i;
-        PathQueue<float> own = out;
-        ShadowQueue<float> own_shadows = shadows;
+        PathQueue<S> own = out;
+        ShadowQueue<S> own_shadows = shadows;
         own.n = i, own_shadows.n = first_shadow;
-        const LaneSet<float> lanes(sorted + i, 1);
+        const LaneSet<S> lanes(sorted + i, 1);
         stage.with_context(in.slot[sorted[i]],
-                           [&](const PathContext<float> &c) { do_shade(c, lanes, i, own, own_shadows); });
+                           [&](const PathContext<S> &c) { do_shade(c, lanes, i, own, own_shadows); });
         out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
         for (uint32_t k = first_shadow; k < first_shadow + Most; ++k) shadow_key[k] = k < own_shadows.n ? Kept : Gone;
     }
-    TR_HD void shade(const PathContext<float> &c, const LaneSet<float> &lanes, uint32_t i, PathQueue<float> &own,
-                     ShadowQueue<float> &own_shadows) const {
-        if (kind == MissKind) shade_environment<float>(c, step, in, lanes, i);
+    TR_HD void shade(const PathContext<S> &c, const LaneSet<S> &lanes, uint32_t i, PathQueue<S> &own,
+                     ShadowQueue<S> &own_shadows) const {
+        if (kind == MissKind) shade_environment<S>(c, step, in, lanes, i);
 #if !defined(TR_BSDF_KIND) || (TR_VOLUMETRIC && !defined(TR_ONE_BSDF))
         else if (kind == CollisionKind)
-            shade_medium<float>(c, step, in, hits, lanes, i, own, own_shadows);
+            shade_medium<S>(c, step, in, hits, lanes, i, own, own_shadows);
 #endif
 #if !defined(TR_BSDF_KIND) || defined(TR_ONE_BSDF)
         else
-            shade_surface<float>(c, kind, step, in, hits, lanes, i, own, own_shadows);
+            shade_surface<S>(c, kind, step, in, hits, lanes, i, own, own_shadows);
 #endif
     }
     template <class Visit>
@@ -189,22 +195,23 @@ struct ShadeHits {
 
 private:
     // As PathTile::keep_rays_to_lights.
-    TR_HD bool last_counts(const PathQueue<float> &own, uint32_t i) const {
-        if (stage.bsdfs_alone && !has_differentiated<float>(own.seen[i])) return false;
-        return stage.scene.n_light_boxes < 0 || last_ray_counts<float>(stage.scene, own, i);
+    TR_HD bool last_counts(const PathQueue<S> &own, uint32_t i) const {
+        if (stage.bsdfs_alone && !has_differentiated<S>(own.seen[i])) return false;
+        return stage.scene.n_light_boxes < 0 || last_ray_counts<S>(stage.scene, own, i);
     }
 };
 
 // Adds what shadow rays bring where nothing is in the way; a path has one of them. On a tape, whose vertices have them,
 // those that meet something lose their weight instead.
+template <class S>
 struct TraceShadows {
-    static constexpr const char *Name = "tr::TraceShadows", *Header = "device/path_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(TraceShadows), *Header = "device/path_kernels.h";
     static constexpr Knowledge Knows = Knowledge::Shapes;
     TreeView tree;
-    ShadowQueue<float> shadows;
+    ShadowQueue<S> shadows;
     EntryList rays;
-    SpectrumColumn<float> radiance;
-    float *light_weight;  // of the tape; null: there is none
+    SpectrumColumn<S> radiance;
+    S *light_weight;  // of the tape; null: there is none
     uint64_t *traced;
 
     TR_HD void operator()(uint32_t k) const {

@@ -2,6 +2,7 @@
 #pragma once
 
 #include "core/integrator/light.h"
+#include "kernel_name.h"
 #include "knowledge.h"
 #include "tape.h"
 
@@ -24,15 +25,16 @@ struct LostColumns {
 };
 
 // What all kernels of a rendering have: the scene, the settings, the samples. Tables lie in the device's memory.
+template <class S>
 struct PathStage {
-    SceneView<float> scene;
+    SceneView<S> scene;
     PathConfig config;
-    SlotColumns<float> slots;
+    SlotColumns<S> slots;
     LostColumns lost;
-    float width, height;  // of the film
+    S width, height;  // of the film
     // of a derivative: what it asks for, the level of the tape that vertices are on, see PathContext
     GradientNeeds needs{};
-    TapeColumns<float> tape{};
+    TapeColumns<S> tape{};
     TR_FACT(bool, records, TR_RECORDS) = false;
     bool bsdfs_alone = false;
 
@@ -40,8 +42,7 @@ struct PathStage {
     template <class Do>
     TR_HD void with_context(uint32_t slot, Do &&f) const {
         Diagnostics found;
-        f(PathContext<float>{scene, config, slots, found, &needs, records ? &tape : nullptr, false, nullptr,
-                             bsdfs_alone});
+        f(PathContext<S>{scene, config, slots, found, &needs, records ? &tape : nullptr, false, nullptr, bsdfs_alone});
         if (found.non_finite != 0) lost.add(slot, found);
     }
     template <class Visit>
@@ -53,11 +54,12 @@ struct PathStage {
 };
 
 // Of kernels of light paths: what the host has found of the sensor, which they all have in common.
+template <class S>
 struct LightView {
-    Pinhole<float> camera{0, 0};
+    Pinhole<S> camera{0, 0};
     int32_t meter = -1;
 
-    TR_HD LightSensor<float> sensor(const PathStage &stage) const {
+    TR_HD LightSensor<S> sensor(const PathStage<S> &stage) const {
         return {stage.scene.sensors[stage.config.sensor], camera, meter};
     }
 };

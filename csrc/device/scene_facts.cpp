@@ -58,7 +58,8 @@ uint32_t kinds_of(const Record *records, int n) {
 
 }  // namespace
 
-SceneFacts::SceneFacts(const SceneView<float> &scene, const PathConfig &config) {
+template <class S>
+SceneFacts::SceneFacts(const SceneView<S> &scene, const PathConfig &config) {
     for (int i = 0; i < scene.n_shapes; ++i) shape_flags |= scene.shapes[i].flags;
     textures = kinds_of(scene.textures, scene.n_textures), emitters = kinds_of(scene.emitters, scene.n_emitters);
     const Record &sensor = scene.sensors[config.sensor];
@@ -71,10 +72,12 @@ SceneFacts::SceneFacts(const SceneView<float> &scene, const PathConfig &config) 
             for (const int part : {BlendPhase::First, BlendPhase::Second})
                 phases |= 1u << scene.phases[phase.field[part]].kind;
     }
-    chromatic = MediumContext<float>(scene, nullptr).chromatic;
+    chromatic = MediumContext<S>(scene, nullptr).chromatic;
     textured = scene.textured, stacks = scene.has_stacks, tangents = scene.follows_tangent;
     sampler = int32_t(config.sampler.kind);
 }
+template SceneFacts::SceneFacts(const SceneView<float> &, const PathConfig &);
+template SceneFacts::SceneFacts(const SceneView<double> &, const PathConfig &);
 
 std::vector<std::string> SceneFacts::options(Knowledge knowledge, int bsdf) const {
     if (knowledge == Knowledge::Nothing) return {};

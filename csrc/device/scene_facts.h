@@ -22,7 +22,8 @@ struct SceneFacts {
     int32_t sampler = 0;
 
     SceneFacts() = default;
-    SceneFacts(const SceneView<float> &scene, const PathConfig &config);
+    template <class S>
+    SceneFacts(const SceneView<S> &scene, const PathConfig &config);
 
     // Definitions for the compiler, of what such a kernel has to know. `bsdf`: the kind that it shades.
     std::vector<std::string> options(Knowledge knowledge, int bsdf) const;

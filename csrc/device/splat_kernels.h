@@ -7,6 +7,7 @@
 #include "core/film/sums.h"
 #include "core/state/queues.h"
 #include "entries.h"
+#include "kernel_name.h"
 
 namespace tr {
 
@@ -19,20 +20,20 @@ struct SplatPlace {
 
     // Along an axis: visit(pixel, weight, slope) for those of low <= pixel < high; the slope is the weight's derivative
     // by the place.
-    template <class Visit>
-    TR_HD void along(float at, int32_t low, int32_t high, Visit &&visit) const {
-        const float base = floor(at), from = base + (0.5f - float(reach)) - at;
-        const int32_t first = int32_t(min(max(base, -1e9f), 1e9f)) - reach;  // places far away stay far away
+    template <class S, class Visit>
+    TR_HD void along(S at, int32_t low, int32_t high, Visit &&visit) const {
+        const S base = floor(at), from = base + (S(0.5) - S(reach)) - at;
+        const int32_t first = int32_t(min(max(base, S(-1e9)), S(1e9))) - reach;  // places far away stay far away
         for (int32_t k = max(0, low - first), end = min(2 * reach + 1, high - first); k < end; ++k) {
-            const float offset = from + float(k);
+            const S offset = from + S(k);
             visit(first + k, filter.weight(offset), -filter.slope(offset));
         }
     }
     // visit(number of the pixel, weight, slope along x, along y)
-    template <class Visit>
-    TR_HD void for_pixels(float x, float y, Visit &&visit) const {
-        along(y, film.y0, film.y1, [&](int32_t row, float wy, float sy) {
-            along(x, film.x0, film.x1, [&](int32_t column, float wx, float sx) {
+    template <class S, class Visit>
+    TR_HD void for_pixels(S x, S y, Visit &&visit) const {
+        along(y, film.y0, film.y1, [&](int32_t row, S wy, S sy) {
+            along(x, film.x0, film.x1, [&](int32_t column, S wx, S sx) {
                 visit(size_t(row - film.y0) * size_t(film.width()) + size_t(column - film.x0), wy * wx, wy * sx,
                       sy * wx);
             });
@@ -41,11 +42,12 @@ struct SplatPlace {
 };
 
 // Sums of the film, (pixels, values).
+template <class S>
 struct SplatSums {
-    FixedSum *at;
+    FixedSum<S> *at;
     bool measures;
 
-    TR_HD void add(size_t i, float x) const {
+    TR_HD void add(size_t i, S x) const {
         if (x == 0) return;
         measures ? at[i].measure(x) : at[i].add(x);
     }
@@ -56,8 +58,9 @@ struct SplatSums {
 };
 
 // Connections of a launch, those that are free being Kept.
+template <class S>
 struct FreeConnections {
-    ShadowQueue<float> of;
+    ShadowQueue<S> of;
     EntryList rays;
     const int32_t *key;
 
@@ -74,16 +77,17 @@ struct FreeConnections {
     }
 };
 
+template <class S>
 struct SplatConnections {
-    static constexpr const char *Name = "tr::SplatConnections", *Header = "device/splat_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(SplatConnections), *Header = "device/splat_kernels.h";
     SplatPlace place;
-    FreeConnections connections;
-    SplatSums film;
+    FreeConnections<S> connections;
+    SplatSums<S> film;
 
     TR_HD void operator()(uint32_t k) const {
         connections.at(k, [&](uint32_t i) {
-            const ShadowQueue<float> &of = connections.of;
-            place.for_pixels(of.film_x[i], of.film_y[i], [&](size_t pixel, float weight, float, float) {
+            const ShadowQueue<S> &of = connections.of;
+            place.for_pixels(of.film_x[i], of.film_y[i], [&](size_t pixel, S weight, S, S) {
                 for (int c = 0; c < place.values; ++c)
                     film.add(pixel * size_t(place.values) + size_t(c), of.contribution[c][i] * weight);
             });
@@ -97,9 +101,10 @@ struct SplatConnections {
 
 // What connections on the tape have for the sweep: the adjoint of what they bring, in each component, and of their
 // places.
+template <class S>
 struct ConnectionAdjoints {
-    SpectrumColumn<float> value;
-    NumberColumn<float> x, y;
+    SpectrumColumn<S> value;
+    NumberColumn<S> x, y;
 
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -108,26 +113,27 @@ struct ConnectionAdjoints {
 };
 
 // ... in reverse mode.
+template <class S>
 struct CollectConnections {
-    static constexpr const char *Name = "tr::CollectConnections", *Header = "device/splat_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(CollectConnections), *Header = "device/splat_kernels.h";
     static constexpr int Stride = 4;
     SplatPlace place;
-    FreeConnections connections;
-    const float *film;  // adjoints of its sums, (pixels, Stride)
-    ConnectionAdjoints to;
+    FreeConnections<S> connections;
+    const S *film;  // adjoints of its sums, (pixels, Stride)
+    ConnectionAdjoints<S> to;
 
     TR_HD void operator()(uint32_t k) const {
         connections.at(k, [&](uint32_t i) {
-            const ShadowQueue<float> &of = connections.of;
-            float sum[SpectrumSize] = {}, by_x[SpectrumSize] = {}, by_y[SpectrumSize] = {};
-            place.for_pixels(of.film_x[i], of.film_y[i], [&](size_t pixel, float weight, float slope_x, float slope_y) {
+            const ShadowQueue<S> &of = connections.of;
+            S sum[SpectrumSize] = {}, by_x[SpectrumSize] = {}, by_y[SpectrumSize] = {};
+            place.for_pixels(of.film_x[i], of.film_y[i], [&](size_t pixel, S weight, S slope_x, S slope_y) {
                 for (int c = 0; c < place.values; ++c) {
-                    const float adjoint = film[Stride * pixel + size_t(c)];
+                    const S adjoint = film[Stride * pixel + size_t(c)];
                     sum[c] += weight * adjoint, by_x[c] += slope_x * adjoint, by_y[c] += slope_y * adjoint;
                 }
             });
             const uint32_t at = of.position[i];
-            float x_bar = 0, y_bar = 0;
+            S x_bar = 0, y_bar = 0;
             for (int c = 0; c < SpectrumSize; ++c) {
                 to.value[c][at] = sum[c];
                 x_bar += by_x[c] * of.contribution[c][i], y_bar += by_y[c] * of.contribution[c][i];
@@ -144,21 +150,22 @@ struct CollectConnections {
 // By entry of the tape in forward mode: the place of a connection and what it brings, which count where `free` is not
 // 0.
 #define TR_SPLAT_COLUMNS(X) X(Number, x) X(Number, y) X(Spectrum, value) X(Index, free)
+template <class S>
 struct KeptConnections {
-    using S = float;
     TR_COLUMNS(TR_SPLAT_COLUMNS)
 };
 
 // Before the sweeps for them they hand on nothing.
+template <class S>
 struct KeepConnections {
-    static constexpr const char *Name = "tr::KeepConnections", *Header = "device/splat_kernels.h";
-    FreeConnections connections;
-    KeptConnections kept;
-    ConnectionAdjoints to;
+    static constexpr const char *Name = TR_KERNEL_NAME(KeepConnections), *Header = "device/splat_kernels.h";
+    FreeConnections<S> connections;
+    KeptConnections<S> kept;
+    ConnectionAdjoints<S> to;
 
     TR_HD void operator()(uint32_t k) const {
         connections.at(k, [&](uint32_t i) {
-            const ShadowQueue<float> &of = connections.of;
+            const ShadowQueue<S> &of = connections.of;
             const uint32_t at = of.position[i];
             kept.x[at] = of.film_x[i], kept.y[at] = of.film_y[i], kept.free[at] = 1;
             for (int c = 0; c < SpectrumSize; ++c) kept.value[c][at] = of.contribution[c][i], to.value[c][at] = 0;
@@ -180,16 +187,18 @@ struct SplatPart {
 };
 
 // The adjoints of a level's entries in such a sweep.
+template <class S>
 struct SetAdjoints {
-    static constexpr const char *Name = "tr::SetAdjoints", *Header = "device/splat_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(SetAdjoints), *Header = "device/splat_kernels.h";
     SplatPart part;
-    KeptConnections kept;
-    ConnectionAdjoints to;
+    KeptConnections<S> kept;
+    ConnectionAdjoints<S> to;
 
     TR_HD void operator()(uint32_t i) const {
         if (kept.free[i] == 0) return;
-        for (int c = 0; c < SpectrumSize; ++c) to.value[c][i] = part.has(c) ? 1.f : 0.f;
-        to.x[i] = part.which == SplatPart::PlaceX ? 1.f : 0.f, to.y[i] = part.which == SplatPart::PlaceY ? 1.f : 0.f;
+        for (int c = 0; c < SpectrumSize; ++c) to.value[c][i] = part.has(c) ? S(1) : S(0);
+        to.x[i] = part.which == SplatPart::PlaceX ? S(1) : S(0),
+        to.y[i] = part.which == SplatPart::PlaceY ? S(1) : S(0);
     }
     template <class Visit>
     void for_pointers(Visit &&visit) const {
@@ -198,20 +207,21 @@ struct SetAdjoints {
 };
 
 // What it has found, by slot: changes of values, or in the first component that of a place.
+template <class S>
 struct SplatTangents {
-    static constexpr const char *Name = "tr::SplatTangents", *Header = "device/splat_kernels.h";
+    static constexpr const char *Name = TR_KERNEL_NAME(SplatTangents), *Header = "device/splat_kernels.h";
     SplatPart part;
     SplatPlace place;
-    KeptConnections kept;
+    KeptConnections<S> kept;
     const uint32_t *slot;  // by entry
-    SpectrumColumn<float> change;
-    SplatSums film;
+    SpectrumColumn<S> change;
+    SplatSums<S> film;
 
     TR_HD void operator()(uint32_t i) const {
         if (kept.free[i] == 0) return;
         const uint32_t s = slot[i];
-        place.for_pixels(kept.x[i], kept.y[i], [&](size_t pixel, float weight, float slope_x, float slope_y) {
-            const float moved = (part.which == SplatPart::PlaceX ? slope_x : slope_y) * change[0][s];
+        place.for_pixels(kept.x[i], kept.y[i], [&](size_t pixel, S weight, S slope_x, S slope_y) {
+            const S moved = (part.which == SplatPart::PlaceX ? slope_x : slope_y) * change[0][s];
             for (int c = 0; c < place.values; ++c) {
                 const size_t at = pixel * size_t(place.values) + size_t(c);
                 if (part.moves())

@@ -142,21 +142,22 @@ struct OnDevice {
         const auto device = make_emulated(options);
         DeviceTree copied(*device);
         copied.set(rays.tree());
-        DevicePaths paths(*device, batch * DevicePaths::bytes_per_path({false, true}));
+        DevicePaths<float> paths(*device, batch * DevicePaths<float>::bytes_per_path({false, true}));
         f(paths, copied.view());
     }
     std::vector<float> image(size_t batch, const EmulatedOptions &options = {}) const {
         std::vector<float> found(n_values(data, settings));
         const RenderCall<float> call = make_call(data, settings);
-        run(batch, options,
-            [&](DevicePaths &paths, const TreeView &tree) { paths.light(call, data, tree, found.data(), nullptr); });
+        run(batch, options, [&](DevicePaths<float> &paths, const TreeView &tree) {
+            paths.light(call, data, tree, found.data(), nullptr);
+        });
         return found;
     }
     std::vector<float> tangent(size_t batch, const std::vector<std::vector<float>> &tangents) const {
         std::vector<float> found(n_values(data, settings));
         const RenderCall<float> call = make_call(data, settings);
         const ForwardCall<float> d(data, call.config, true, addresses_of(tangents));
-        run(batch, {}, [&](DevicePaths &paths, const TreeView &tree) {
+        run(batch, {}, [&](DevicePaths<float> &paths, const TreeView &tree) {
             paths.forward_light(call, data, tree, d.call, found.data());
         });
         return found;
@@ -168,7 +169,7 @@ struct OnDevice {
         const RenderCall<float> call = make_call(data, settings);
         DerivativeCall<float> d = reverse_call(data, call.config, true, addresses_of(found));
         d.adjoint = adjoint.data(), d.fixed_sums = fixed;
-        run(batch, options, [&](DevicePaths &paths, const TreeView &tree) {
+        run(batch, options, [&](DevicePaths<float> &paths, const TreeView &tree) {
             CHECK(paths.reverse_light(call, data, tree, d).non_finite == 0);
         });
         add_gradients(data, d, addresses_of(found), 2);

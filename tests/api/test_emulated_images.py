@@ -115,13 +115,11 @@ def test_images_are_those_of_embree(device):
     torch.testing.assert_close(found.mean(), expected.mean(), rtol=2e-3, atol=0)
 
 
-def ball(variant: str = "rgb", dtype: torch.dtype = torch.float32, **objects) -> tr.Scene:
-    scene = small_scene.ball_and_wall(**objects)
-    return tr.load_dict(scene, variant=variant, dtype=dtype)
+def ball(variant: str = "rgb", **objects) -> tr.Scene:
+    return tr.load_dict(small_scene.ball_and_wall(**objects), variant=variant)
 
 
 REFUSED = {
-    "float64 yet, but float32": {"dtype": torch.float64},
     "spectral scenes yet, but those in rgb and mono": {"variant": "spectral"},
     "polarised light yet": {"variant": "rgb_polarized"},
 }
@@ -130,7 +128,7 @@ REFUSED = {
 @pytest.mark.parametrize("words", REFUSED)
 def test_what_is_not_there_is_refused_by_name(device, words):
     settings = dict(REFUSED[words])
-    scene = ball(**{name: settings.pop(name) for name in ("variant", "dtype") if name in settings})
+    scene = ball(settings.pop("variant"))
     expected = f"^render: TORCHRENDER_BACKEND=emulated does not have .*{re.escape(words)}.*; with TORCHRENDER_BACKEND="
     for call in (lambda: tr.render(scene, **settings), lambda: tr.Renderer(scene)(**settings)):
         with pytest.raises(RuntimeError, match=expected):

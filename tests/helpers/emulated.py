@@ -12,8 +12,8 @@ import torch
 import torchrender as tr
 
 PATH = tr.PathTracer(max_depth=5)
-CLOSE = 2e-5
-"""Of the largest number of a gradient: both add the same numbers of single precision, in another order."""
+CLOSE = {torch.float32: 2e-5, torch.float64: 1e-12}
+"""Of the largest number of a gradient: both add the same numbers, in another order."""
 
 
 def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
@@ -27,21 +27,21 @@ def differentiable(scene: tr.Scene) -> dict[str, torch.nn.Parameter]:
 
 
 def check_close(found: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
-    """Numbers by name differ by `CLOSE` of the largest one at most; some are not zero."""
+    """Numbers by name differ by `CLOSE` of the largest one at most, in their precision; some are not zero."""
     assert any(float(g.abs().max()) > 0 for g in expected.values())
     for name, g in expected.items():
-        most = CLOSE * float(g.abs().max())
+        most = CLOSE[g.dtype] * float(g.abs().max())
         torch.testing.assert_close(found[name], g, rtol=0, atol=most, msg=lambda m, n=name: f"{n}: {m}")
 
 
 def check_transposed(function, values: tuple[torch.Tensor, ...], tangents, tangent: torch.Tensor, generator) -> None:
     """<J t, w> = <t, J^T w>: `tangent`, that of `function` at `values` along `tangents`, and its reverse mode."""
-    weights = torch.randn(tangent.shape, generator=generator)
+    weights = torch.randn(tangent.shape, generator=generator, dtype=tangent.dtype)
     back = torch.func.vjp(function, *values)[1](weights)
     one = (tangent * weights).sum(dtype=torch.float64)
     other = sum((t * g).sum(dtype=torch.float64) for t, g in zip(tangents, back, strict=True))
     scale = (tangent * weights).abs().sum(dtype=torch.float64)
-    assert abs(float(one - other)) < 1e-5 * float(scale)
+    assert abs(float(one - other)) < CLOSE[tangent.dtype] / 2 * float(scale)
 
 
 RAYS = ("closest_rays", "shadow_rays")
@@ -75,7 +75,7 @@ def check_image(
 def gradients(scene: tr.Scene, parameters: dict[str, torch.nn.Parameter], **settings) -> dict[str, torch.Tensor]:
     """Of a weighted sum of the image's numbers."""
     image = tr.render(scene, **{"integrator": PATH, "spp": 2, "seed": 3, **settings})
-    weights = torch.linspace(0.5, 1.5, image.numel()).reshape(image.shape)
+    weights = torch.linspace(0.5, 1.5, image.numel(), dtype=image.dtype).reshape(image.shape)
     found = torch.autograd.grad((image * weights).sum(), list(parameters.values()))
     return dict(zip(parameters, found, strict=True))
 
@@ -113,7 +113,7 @@ def check_forward_mode(
     scene.train_only()
     generator = torch.Generator().manual_seed(1)
     values = tuple(p.detach() for p in chosen.values())
-    tangents = tuple(torch.randn(v.shape, generator=generator) for v in values)
+    tangents = tuple(torch.randn(v.shape, generator=generator, dtype=v.dtype) for v in values)
     settings = {"spp": 4, "seed": 3, "seed_grad": 5, **settings}
 
     def image(*given: torch.Tensor) -> torch.Tensor:
@@ -143,7 +143,9 @@ def materials() -> dict[str, dict[str, Any]]:
     }
 
 
-def scene_of_materials(bsdfs: dict[str, dict[str, Any]], size: int, rfilter: str = "box") -> tr.Scene:
+def scene_of_materials(
+    bsdfs: dict[str, dict[str, Any]], size: int, rfilter: str = "box", dtype: torch.dtype = torch.float32
+) -> tr.Scene:
     """A ball of each in rows, under a lamp and a sky."""
     columns = math.ceil(math.sqrt(len(bsdfs)))
     objects = {
@@ -158,10 +160,11 @@ def scene_of_materials(bsdfs: dict[str, dict[str, Any]], size: int, rfilter: str
         "film": {"type": "hdrfilm", "width": size, "height": size, "rfilter": {"type": rfilter}},
     }
     lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
-    return tr.load_dict({"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp})
+    given = {"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp}
+    return tr.load_dict(given, dtype=dtype)
 
 
-def hills(interpolation: str) -> tr.Scene:
+def hills(interpolation: str, dtype: torch.dtype = torch.float32) -> tr.Scene:
     """A field of glass above a floor, with a texture, beneath a smaller one that hides and lights it by its metal."""
     x, y = torch.meshgrid(torch.linspace(-1, 1, 40), torch.linspace(-1, 1, 70), indexing="ij")
     waves = 0.15 * torch.sin(6 * x) * torch.cos(5 * y + x)
@@ -180,5 +183,6 @@ def hills(interpolation: str) -> tr.Scene:
             "metal": {**field, "heights": waves[::4, ::6], "to_world": above, "bsdf": {"type": "roughconductor"}},
             "sky": light_scenes.envmap(),
             "lamp": {"type": "point", "position": [0.5, -0.5, 3.0], "intensity": 10.0},
-        }
+        },
+        dtype=dtype,
     )

@@ -41,7 +41,11 @@ MOST_OFF = 0.03
 With the principled BSDF the CPU's packets and single numbers differ by 0.018.
 """
 
-STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "moved", "rates", "kernels", "sanitizers")
+MOST_OFF_IN_DOUBLE = 1e-6
+"""... in double precision, in which rounding sends no path another way."""
+
+STEPS = ("versions", "rays", "repeats", "images", "outputs", "gradients", "double", "moved", "rates", "kernels")
+STEPS += ("sanitizers",)
 OUTPUTS = ("depth", "position", "shading_normal", "uv", "dp_du", "albedo", "roughness", "shape_id")
 
 ROWS = {
@@ -261,6 +265,21 @@ class Check:
             passed = passed and off[worst] < MOST_OFF
         return {"passed": passed, "gradients": found}
 
+    def double(self) -> dict[str, Any]:
+        """Images and their gradients by all parameters in double precision, without edges, as those of `gradients`."""
+        off, described = {}, rooms()
+        for kind in ("principled", "light", "cloud"):
+            scene = load_dict(described[kind], dtype=torch.float64)
+            parameters = [scene.get_parameter(name) for name in train_all(scene)]
+
+            def values(scene: Scene = scene, parameters: list[torch.nn.Parameter] = parameters) -> list[torch.Tensor]:
+                image = render(scene, spp=8, seed=3, visibility=False)
+                return [image.detach(), *torch.autograd.grad(image.square().sum(), parameters)]
+
+            pairs = zip(*self.both(values), strict=True)
+            off[kind] = max(((b - a).abs().max() / a.abs().max().clamp(min=1e-6)).item() for a, b in pairs)
+        return {"passed": max(off.values()) < MOST_OFF_IN_DOUBLE, "off by": off}
+
     def moved(self, place: str | None = None, size: int = 64) -> dict[str, Any]:
         """A scene that lies on the card (or at `place`): image, gradients and a step of an optimiser, bit for bit.
 
@@ -385,6 +404,7 @@ def check(card: str, out: Path, scenes: Path, commit: str, only: Sequence[str] =
         run.step("images", run.images)
         run.step("outputs", run.outputs)
         run.step("gradients", run.gradients)
+        run.step("double", run.double)
         run.step("moved", run.moved)
         if scenes.is_dir():
             run.step("rates", lambda: run.rates(scenes))

@@ -25,8 +25,8 @@ template <class T>
 TR_INLINE void GradientSink<F>::put(T *to, size_t index, T value) const {
     if constexpr (Lanes<F>::Width == 1) {
         if (fixed) {
-            FixedSum &sum = reinterpret_cast<FixedSum *>(to)[index];
-            return measures ? sum.measure(float(value)) : sum.add(float(value));
+            FixedSum<S> &sum = reinterpret_cast<FixedSum<S> *>(to)[index];
+            return measures ? sum.measure(S(value)) : sum.add(S(value));
         }
     }
     accumulate(&to[index], value);
