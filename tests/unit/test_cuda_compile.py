@@ -73,7 +73,8 @@ def kernels(folder) -> dict[str, set[str]]:
     for path in folder.glob("*.cubin"):
         lines = path.read_bytes()[64:].decode().splitlines()  # a hash is in front
         name = next(line.split("sizeof(")[1].split(")")[0] for line in lines if line.startswith("static_assert"))
-        found.setdefault(name.removeprefix("tr::"), set()).update(x for x in lines if x.startswith(("-DTR", "-arch")))
+        name = name.removeprefix("tr::").removesuffix("<float>")
+        found.setdefault(name, set()).update(x for x in lines if x.startswith(("-DTR", "-arch")))
     return found
 
 
@@ -94,6 +95,9 @@ def test_everything_that_a_scene_launches_is_compiled(nvrtc, tmp_path):
     assert compile_kernels(scene, 90, tmp_path, outputs=True) > 0
     more = {"EvaluateOutputs", "SweepOutputs", "AddOutputsToFilm", "CollectOutputs", "StartCentres"}
     assert more <= set(kernels(tmp_path))
+    double = tr.load_dict(small_scene.ball_and_wall(), dtype=torch.float64)
+    compile_kernels(double, 90, tmp_path / "double")
+    assert {"ShadeHits<double>", "TracePaths<double>", "AddToFilm<double>"} <= set(kernels(tmp_path / "double"))
     assert compile_kernels(scene, 80, tmp_path / "others") == first
     assert compile_kernels(scene, 90, tmp_path / "again") == first  # another folder has its own
     assert [name for name, p in scene.named_parameters() if p.requires_grad] == trained
@@ -109,7 +113,7 @@ def test_kernels_that_are_there_need_no_compiler(nvrtc, tmp_path):
     with devices.chosen("sm_90"):
         tr.render(scene, spp=1)
     nvrtc.setenv("TORCHRENDER_CACHE", str(tmp_path / "cache"))
-    with devices.chosen("sm_80"), pytest.raises(RuntimeError, match=r"no NVRTC to compile tr::\w+ with, for sm_80"):
+    with devices.chosen("sm_80"), pytest.raises(RuntimeError, match=r"no NVRTC to compile tr::\S+ with, for sm_80"):
         tr.render(scene, spp=1)
     nvrtc.setenv("TORCHRENDER_KERNELS", f"{tmp_path}:/nowhere")
     nvrtc.setattr(devices, "_with_compiler", set())
@@ -127,7 +131,7 @@ def test_cards_without_kernels_of_their_own_take_ptx_of_older_ones(nvrtc, tmp_pa
     for place in ("sm_80", "sm_120"):
         with devices.chosen(place):
             tr.render(scene, spp=1)
-    with devices.chosen("sm_75"), pytest.raises(RuntimeError, match=r"no NVRTC to compile tr::\w+ with, for sm_75"):
+    with devices.chosen("sm_75"), pytest.raises(RuntimeError, match=r"no NVRTC to compile tr::\S+ with, for sm_75"):
         tr.render(scene, spp=1)
 
 
