@@ -62,7 +62,7 @@ void DevicePaths<S>::reserve(size_t n, const BatchParts &parts) {
     arrays_.clear();
     at_ = {};
     at_.for_arrays(parts, [&](auto *&array, size_t each) {
-        arrays_.emplace_back(launcher_, each * n * sizeof(*array) / sizeof(uint32_t));
+        arrays_.emplace_back(launcher_, each * n * sizeof(*array));
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(arrays_.back().get());
     });
     lengths_.reserve(launcher_, 4);

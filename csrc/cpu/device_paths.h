@@ -72,7 +72,7 @@ private:
     size_t capacity_ = 0;  // paths of a batch
     BatchParts parts_;     // of these
     BatchColumns<S> at_{};
-    std::vector<DeviceArray<uint32_t>> arrays_;  // of it
+    std::vector<DeviceArray<uint8_t>> arrays_;  // of it
     EntryList camera_{}, live_{}, sorted_{}, lit_{};
     DeviceArray<uint32_t> lengths_;  // of these lists
     DeviceArray<uint32_t> counts_, ranges_, range_of_one_;

@@ -27,12 +27,12 @@ typename DeviceTapeLevels<S>::Level &DeviceTapeLevels<S>::add(Launcher &launcher
     Level &level = levels_[size_t(n_++)];
     level.parents = parents, level.scatters = scatters, level.room = room;
     const size_t aligned = (size_t(room) + 63) / 64 * 64;  // arrays begin at lines of the memory
-    level.memory_.reserve(launcher, aligned * bytes_per_entry(parts_) / sizeof(uint32_t));
+    level.memory_.reserve(launcher, aligned * bytes_per_entry(parts_));
     level.tape = {}, level.kept = {};
-    uint32_t *at = level.memory_.get();
+    uint8_t *at = level.memory_.get();
     for_arrays(level, parts_, [&](auto *&array) {
         array = reinterpret_cast<std::remove_reference_t<decltype(array)>>(at);
-        at += aligned * sizeof(*array) / sizeof(uint32_t);
+        at += aligned * sizeof(*array);
     });
     level.ranges_.reserve(launcher, 2 * size_t(kinds));
     level.begin = level.ranges_.get(), level.total = level.begin + kinds;

@@ -23,7 +23,8 @@ public:
 
     private:
         friend class DeviceTapeLevels<S>;
-        DeviceArray<uint32_t> memory_, ranges_;
+        DeviceArray<uint8_t> memory_;
+        DeviceArray<uint32_t> ranges_;
     };
 
     // The launcher has to live longer.
