@@ -192,6 +192,8 @@ def test_the_command(nvrtc, tmp_path, capsys):
     code, out, _ = run(str(scene), "--for", "80", "90", "--into", str(into))
     lines = out.splitlines()
     assert code == 0 and len(lines) == 2 and lines[1].startswith(f"{scene}, sm_90: {lines[0].split()[2]} new kernels, ")
+    assert run(str(scene), "--for", "90", "--double", "--into", str(tmp_path / "double"))[0] == 0
+    assert "ShadeHits<double>" in kernels(tmp_path / "double")
     code, _, error = run(str(scene), "--for", "7", "--into", str(into))
     assert code == 1 and error.startswith(f"{scene}, sm_7: NVRTC 12.8 cannot compile a kernel")
     code, _, error = run(str(tmp_path / "none.xml"), "--for", "90", "--into", str(into))

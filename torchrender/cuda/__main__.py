@@ -10,6 +10,8 @@ import sys
 import time
 from pathlib import Path
 
+import torch
+
 from ..loaders.dict import load_file
 from .check import STEPS, check
 from .compile import compile_kernels
@@ -48,6 +50,7 @@ def main() -> int:
     made.add_argument("--outputs", action="store_true", help="other outputs than images, such as depth, too")
     made.add_argument("--forward", action="store_true", help="forward-mode derivatives, too")
     made.add_argument("--deterministic", action="store_true", help="deterministic gradients, too")
+    made.add_argument("--double", action="store_true", help="in double precision, in place of single")
     options = parser.parse_args()
     if options.command == "compile":
         return compile_all(options)
@@ -61,7 +64,8 @@ def compile_all(options: argparse.Namespace) -> int:
             begin, told = time.perf_counter(), f"{path}, {'compute' if ptx else 'sm'}_{capability}"
             settings = {name: getattr(options, name) for name in ("outputs", "forward", "deterministic")}
             try:
-                new = compile_kernels(load_file(path), capability, options.into, ptx=ptx, **settings)
+                scene = load_file(path, dtype=torch.float64 if options.double else torch.float32)
+                new = compile_kernels(scene, capability, options.into, ptx=ptx, **settings)
             except (OSError, RuntimeError, ValueError) as error:
                 print(f"{told}: {error}", file=sys.stderr)
                 return 1
