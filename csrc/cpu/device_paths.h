@@ -1,6 +1,6 @@
 // The path tracer on a device: batches of samples as wavefronts (device/path_kernels.h), which add to a film there, and
-// outputs of first hits (device/output_kernels.h). In rgb; light goes straight. Of a derivative
-// paths are on a tape, over which device/derivative_kernels.h then runs backwards.
+// outputs of first hits (device/output_kernels.h). In rgb; light goes straight. Of a derivative paths are on a tape,
+// over which device/derivative_kernels.h then runs backwards.
 #pragma once
 
 #include "aovs.h"
@@ -20,9 +20,9 @@ public:
     // The launcher has to live longer. `memory`: bytes for the paths of a batch, and `TapeShare` times as many for
     // those of a derivative, less where there is not that much; scene and film have theirs besides.
     DevicePaths(Launcher &launcher, size_t memory) : launcher_(launcher), memory_(memory) {}
-    explicit DevicePaths(Launcher &launcher) : DevicePaths<S>(launcher, launcher.batch_memory()) {}
-    DevicePaths(const DevicePaths<S> &) = delete;
-    DevicePaths<S> &operator=(const DevicePaths<S> &) = delete;
+    explicit DevicePaths(Launcher &launcher) : DevicePaths(launcher, launcher.batch_memory()) {}
+    DevicePaths(const DevicePaths &) = delete;
+    DevicePaths &operator=(const DevicePaths &) = delete;
 
     // As render_primal, render_reverse and render_forward: the same samples; images are summed in the same order,
     // gradients in any. `call.scene` is that of `data`, and `tree` its tree on the device. std::invalid_argument for

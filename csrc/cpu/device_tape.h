@@ -22,7 +22,7 @@ public:
         uint32_t room = 0;  // entries there may be
 
     private:
-        friend class DeviceTapeLevels<S>;
+        friend class DeviceTapeLevels;
         DeviceArray<uint8_t> memory_;
         DeviceArray<uint32_t> ranges_;
     };
