@@ -28,8 +28,8 @@ def compile_kernels(
 ) -> int:
     """Compile what `tr.render`, its derivatives and ray queries launch for a scene on a card; returns how many are new.
 
-    Kernels depend on the kinds of a scene's models and on its sampler, not on its numbers, resolutions or samples. Set
-    ``TORCHRENDER_KERNELS`` to the folder (several with ``:`` between them) where they are to be used.
+    Kernels depend on the kinds of a scene's models, its sampler and its precision, not on its numbers, resolutions or
+    samples. Set ``TORCHRENDER_KERNELS`` to the folder (several with ``:`` between them) where they are to be used.
 
     Args:
         scene: with the integrator and the sampler that it will be rendered with.
