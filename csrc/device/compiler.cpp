@@ -125,8 +125,8 @@ std::string KernelCompiler::code(const Kernel &kernel, const std::string &archit
         throw std::runtime_error(std::string("there is no NVRTC to compile ") + kernel.name + " with, for " +
                                  architecture +
                                  ", and it was not compiled before: pip install nvidia-cuda-nvrtc-cu12, or name a "
-                                 "folder that `python -m torchrender.cuda compile` has made for this scene in "
-                                 "TORCHRENDER_KERNELS");
+                                 "folder that `python -m torchrender.cuda compile` (--double for float64) has made for "
+                                 "this scene in TORCHRENDER_KERNELS");
     add_folders(sources_, all_options);
     std::string made = nvrtc_->compile(unit(kernel), all_options);
     cache_.put(own, made);

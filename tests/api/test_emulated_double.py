@@ -1,4 +1,7 @@
-"""The emulated device in double precision: images are the CPU's bit for bit, sums of gradients to its rounding."""
+"""The emulated device in double precision: images are the CPU's bit for bit, sums of gradients to its rounding.
+
+Outputs of first hits and deterministic gradients are tested in both precisions in their own files.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,10 @@ import small_scene
 import torch
 from emulated import (
     PATH,
-    check_close,
     check_forward_mode,
     check_gradients,
     check_image,
     differentiable,
-    gradients,
     hills,
     materials,
     scene_of_materials,
@@ -83,34 +84,6 @@ def test_light_tracing(device):
     check_image(device, scene, ("rgb",), close=True, **LIGHT)
     check_gradients(device, scene, **LIGHT)
     check_forward_mode(device, scene, close=True, **LIGHT)
-
-
-def test_outputs(device):
-    names = ("position", "albedo", "roughness", "dp_du")
-    scene = reference("bitmaps")
-    check_image(device, scene, ("rgb", *names), spp=3)
-    chosen = differentiable(scene)
-    found = {}
-    for where in ("tree", "emulated"):
-        device(where)
-        outputs = tr.render(scene, outputs=names, integrator=PATH, spp=2, seed=3, visibility=False)
-        loss = sum((o * torch.linspace(0.5, 1.5, o.numel(), dtype=DOUBLE).reshape(o.shape)).sum() for o in outputs)
-        grads = torch.autograd.grad(loss, list(chosen.values()), allow_unused=True)
-        found[where] = {name: g for name, g in zip(chosen, grads, strict=True) if g is not None}
-    check_close(found["emulated"], found["tree"])
-
-
-def test_deterministic_algorithms(device, request):
-    """Bits do not depend on orders nor on threads, and sums of whole numbers are as good as those of doubles."""
-    scene = reference("bitmaps")
-    chosen = differentiable(scene)
-    plain = gradients(scene, chosen)
-    request.addfinalizer(lambda: torch.use_deterministic_algorithms(False))
-    torch.use_deterministic_algorithms(True)
-    first = gradients(scene, chosen)
-    check_close(first, plain)
-    again = gradients(scene, chosen)
-    assert all(torch.equal(again[name], g) for name, g in first.items())
 
 
 def test_gradcheck(device):

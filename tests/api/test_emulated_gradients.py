@@ -106,10 +106,13 @@ def test_gradients_repeat(device):
     check_close(gradients(scene, chosen), first)
 
 
-@pytest.mark.parametrize("name", ["bitmaps", "mesh", "volume_texture"])
-def test_deterministic_algorithms(device, name, request):
+@pytest.mark.parametrize(
+    ("name", "dtype"),
+    [*((name, torch.float32) for name in ("bitmaps", "mesh", "volume_texture")), ("bitmaps", torch.float64)],
+)
+def test_deterministic_algorithms(device, name, dtype, request):
     """Bits do not depend on orders, of which every launch has another one, nor on threads, which add at once then."""
-    scene = tr.load_dict(REFERENCES[name]().scene)
+    scene = tr.load_dict(REFERENCES[name]().scene, dtype=dtype)
     chosen = differentiable(scene)
     plain = gradients(scene, chosen)
     request.addfinalizer(lambda: torch.use_deterministic_algorithms(False))

@@ -49,9 +49,12 @@ def check_same_gradients(device, scene: tr.Scene, **settings) -> None:
     check_close(gradients(scene, chosen, **settings), expected)
 
 
-@pytest.mark.parametrize("name", ["bitmaps", "mesh", "cylinders", "film", *sorted(reference_scenes.CAMERAS)])
-def test_outputs_and_gradients_are_those_of_the_cpu(device, name):
-    scene = tr.load_dict({**reference_scenes.SCENES, **reference_scenes.CAMERAS}[name]().scene)
+SINGLE = ("bitmaps", "mesh", "cylinders", "film", *sorted(reference_scenes.CAMERAS))
+
+
+@pytest.mark.parametrize(("name", "dtype"), [*((name, torch.float32) for name in SINGLE), ("bitmaps", torch.float64)])
+def test_outputs_and_gradients_are_those_of_the_cpu(device, name, dtype):
+    scene = tr.load_dict({**reference_scenes.SCENES, **reference_scenes.CAMERAS}[name]().scene, dtype=dtype)
     found = dict(zip(NAMES, check_same(device, scene, spp=2), strict=True))
     assert float(found["depth"].isfinite().double().mean()) > 0 and int(found["shape_id"].max()) >= 0
     check_same_gradients(device, scene, spp=2)
