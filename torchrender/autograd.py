@@ -14,9 +14,11 @@ import torch
 from torch.autograd import Function
 
 from . import backends
+from .devices import address
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from .progress import tracked
 from .render_call import Part, RenderCall
+from .scene.native import NativeScene
 
 STORED_HITS_LIMIT = 1 << 30
 """Bytes that the hits kept for backward passes may take, of all graphs together; rays beyond are traced again.
@@ -30,7 +32,7 @@ class RenderFunction(UnbatchedFunction):
 
     @staticmethod
     def forward(call: RenderCall, *params: torch.Tensor) -> Any:
-        real = {"dtype": call.native.dtype, "device": "cpu"}
+        real = {"dtype": call.native.dtype, "device": call.place}
         shapes = {"image": call.shape()}
         for name in call.extra:
             shapes[name] = call.size if name == "alpha" else call.shape()
@@ -45,8 +47,9 @@ class RenderFunction(UnbatchedFunction):
             for part, config in zip(parts, configs, strict=True):
                 if part.number == 1:
                     out = {name: torch.empty(shape, **real) for name, shape in shapes.items()}
-                addresses = {name: tensor.data_ptr() for name, tensor in out.items()}
-                all_stats.append(call.native.call("render", list(params), config, addresses))
+                addresses = {name: address(tensor) for name, tensor in out.items()}
+                given = {**config, **_on_device(call.place)}
+                all_stats.append(call.native.call("render", list(params), given, addresses))
                 found = _with_part(found, part, out)
                 part.config = {}  # its sums would take memory
                 if call.interruption.happened:  # in an earlier view
@@ -118,14 +121,16 @@ class RenderJvpFunction(DerivativeFunction):
         dtype = call.native.dtype
         count = len(tensors) // 2
         params, tangents = [t for t in tensors[:count] if t is not None], tensors[count:]
-        dense = dense_tangents(params, tangents, dtype)
-        addresses = [0 if t is None else t.data_ptr() for t in dense]
-        total = out = torch.empty(call.shape(), dtype=dtype, device="cpu")
+        dense = [None if t is None else call.native.reached(t) for t in dense_tangents(params, tangents, dtype)]
+        addresses = [0 if t is None else address(t) for t in dense]
+        place = call.place
+        total = out = torch.empty(call.shape(), dtype=dtype, device=place)
         all_stats = []
         for i, config in enumerate(tracked(call.configs(derivative=True), "derivative", call.progress)):
             if i == 1:
                 out = torch.empty_like(out)
-            all_stats.append(call.native.call("render_jvp", params, config, addresses, out.data_ptr()))
+            given = {**config, **_on_device(place)}
+            all_stats.append(call.native.call("render_jvp", params, given, addresses, address(out)))
             if i:
                 total += out
         if call.passes > 1:
@@ -141,19 +146,21 @@ class RenderVjpFunction(DerivativeFunction):
     def forward(call: RenderCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *params: torch.Tensor) -> Any:
         refuse_batches(adjoint)
         call.check_indices()
-        adjoint = adjoint.detach().to(dtype=call.native.dtype).contiguous()
+        # who shares samples out reads the adjoint on the CPU
+        place = torch.device("cpu") if call.adaptive_grad else call.place
+        adjoint = adjoint.detach().to(dtype=call.native.dtype, device=place).contiguous()
         if call.passes > 1:
             adjoint = adjoint / call.passes
-        grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
-        addresses = [0 if g is None else g.data_ptr() for g in grads]
+        grads = gradients_of(call.native, params, needed)
+        addresses = [0 if g is None else address(g) for g in grads]
         all_stats = []
         for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
             if call.adaptive_grad:
                 config |= {"adaptive": True, "sample_offset": call.share.adaptive_offset()}
-            config |= {"fixed_sums": torch.are_deterministic_algorithms_enabled()}
-            all_stats.append(call.native.call("render_vjp", list(params), config, adjoint.data_ptr(), addresses))
+            config |= {"fixed_sums": torch.are_deterministic_algorithms_enabled(), **_on_device(place)}
+            all_stats.append(call.native.call("render_vjp", list(params), config, address(adjoint), addresses))
         call.finish("vjp", all_stats)
-        return tuple(grads)
+        return with_parameters(grads, params)
 
 
 def dense_tangents(
@@ -166,12 +173,33 @@ def dense_tangents(
     ]
 
 
+def _on_device(place: torch.device) -> dict[str, bool]:
+    """What the core's settings say of an image, or its adjoint, that lies there."""
+    return {} if place.type == "cpu" else {"on_device": True}
+
+
+def gradients_of(
+    native: NativeScene, params: Sequence[torch.Tensor], needed: Sequence[bool]
+) -> list[torch.Tensor | None]:
+    """Zeros for the gradients that are needed, where the core can add to them."""
+    return [zero_gradient(native.reached(p)) if n else None for p, n in zip(params, needed, strict=True)]
+
+
+def with_parameters(
+    grads: Sequence[torch.Tensor | None], params: Sequence[torch.Tensor]
+) -> tuple[torch.Tensor | None, ...]:
+    """Gradients where their parameters lie."""
+    return tuple(g if g is None else g.to(p.device) for g, p in zip(grads, params, strict=True))
+
+
 def zero_gradient(parameter: torch.Tensor) -> torch.Tensor:
     """Zeros like `parameter`, of a large texture in large pages where the system has them.
 
     These are asked for before the first touch: page by page that takes longer than clearing them.
     """
     gradient = torch.empty_like(parameter)
+    if not gradient.is_cpu:
+        return gradient.zero_()
     backends.core().use_large_pages(gradient.data_ptr(), gradient.nbytes)
     return gradient.zero_()
 

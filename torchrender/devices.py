@@ -14,7 +14,7 @@ import contextlib
 import importlib.util
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -37,6 +37,7 @@ _NO_NVRTC = "there is no NVRTC: pip install nvidia-cuda-nvrtc-cu12, or set TORCH
 
 _chosen: str | None = None
 _with_compiler: set[str] = set()  # cores that know one
+_with_memory: set[str] = set()  # ... that have PyTorch's
 
 
 def device(home: torch.device | None = None) -> str:
@@ -53,6 +54,21 @@ def device(home: torch.device | None = None) -> str:
             raise ValueError(f"TORCHRENDER_BACKEND: expected cpu, emulated, cuda or cuda:NUMBER, got {given!r}")
         _chosen = given
     return _chosen or (str(home) if home is not None and home.type == "cuda" else "cpu")
+
+
+EMULATED: dict[str, Callable[[torch.Tensor], int]] = {}
+"""Types of PyTorch's devices whose memory the emulated device has, in tests, with the addresses of their tensors."""
+
+
+def address(tensor: torch.Tensor) -> int:
+    """Where its numbers begin, in the memory in which it lies."""
+    emulated = EMULATED.get(tensor.device.type)
+    return tensor.data_ptr() if emulated is None else emulated(tensor)
+
+
+def holds(computing: str, place: torch.device) -> bool:
+    """Whether tensors that lie there are in the memory of what computes, see `device`; of the CPU that is not asked."""
+    return computing == str(place) or (computing == "emulated" and place.type in EMULATED)
 
 
 @contextlib.contextmanager
@@ -83,6 +99,15 @@ def use_compiler(core: Library) -> None:
         packs = compiled_before()
         _name_compiler(core, "", packs, needed=not packs)
         _with_compiler.add(core.isa)
+
+
+def share_memory(core: Library) -> None:
+    """A scene lies on a card: what else it takes there is PyTorch's memory, too."""
+    if core.isa not in _with_memory:
+        from .cuda.memory import use_memory  # when it is needed
+
+        use_memory(core)
+        _with_memory.add(core.isa)
 
 
 @contextlib.contextmanager

@@ -31,7 +31,8 @@ from typing import Any
 
 import torch
 
-from .autograd import dense_tangents, zero_gradient
+from .autograd import dense_tangents, gradients_of, with_parameters
+from .devices import address
 from .errors import describe, nearest
 from .first_hit_call import (
     ATTRIBUTES,
@@ -45,6 +46,7 @@ from .first_hit_call import (
 )
 from .functions import DerivativeFunction, UnbatchedFunction, refuse_batches
 from .render_call import RenderCall
+from .scene.host_memory import on_host
 from .scene.packing import Layout
 from .scene.scene import Scene
 
@@ -136,7 +138,8 @@ class FirstHitJvpFunction(DerivativeFunction):
         dense = dense_tangents(params, tangents, call.render.native.dtype)
         out = {name: call.empty(name) for name in call.names if name not in IDENTIFIERS}
         if out:
-            given = [0 if t is None else t.data_ptr() for t in dense]
+            dense = [None if t is None else call.render.native.reached(t) for t in dense]
+            given = [0 if t is None else address(t) for t in dense]
             stats = call.render.native.call("aov_jvp", params, call.config(True), given, call.addresses(out))
             call.render.finish("outputs_jvp", [stats])
         return tuple(out.values())
@@ -159,14 +162,14 @@ class FirstHitVjpFunction(DerivativeFunction):
             for name, g in zip(call.names, adjoints, strict=True)
             if g is not None and name not in IDENTIFIERS
         }
-        grads = [zero_gradient(p) if n else None for p, n in zip(params, needed, strict=True)]
+        grads = gradients_of(call.render.native, params, needed)
         if dense:
             addresses = call.addresses(dense)
-            to = [0 if g is None else g.data_ptr() for g in grads]
+            to = [0 if g is None else address(g) for g in grads]
             config = call.config(True) | {"fixed_sums": torch.are_deterministic_algorithms_enabled()}
             stats = call.render.native.call("aov_vjp", params, config, addresses, to)
             call.render.finish("outputs_vjp", [stats])
-        return tuple(grads)
+        return with_parameters(grads, params)
 
 
 def first_hits(
@@ -195,6 +198,8 @@ def first_hits(
             if terms is not None:
                 terms = call.share.summed(terms)
                 found.update({name: found[name] + term for name, term in zip(moved, terms, strict=True)})
+    if not all(t.is_cpu for t in params):
+        params = [on_host(t) for t in params]  # what follows is computed by PyTorch, on the CPU
     if any(n in FOOTPRINTS for n in names):
         from .footprints import footprints
 

@@ -12,6 +12,7 @@ import torch
 
 from .autograd import RenderFunction
 from .compiling import opaque
+from .devices import device, holds
 from .errors import describe
 from .first_hit_call import PATH_OUTPUTS, STOKES_OUTPUTS, channels_of
 from .functions import refuse_batches
@@ -63,11 +64,13 @@ from .scene.gradient_requirements import GradientRequirements
 from .scene.host_memory import results_at_the_scene
 from .scene.packing import Layout
 from .scene.ranges import check_ranges
+from .scene.residence import staying
 from .scene.scene import Scene, operation
 from .scene.sensor import IrradianceMeter, Sensor, default_sampler
 from .scene.spectral.core_values import for_core
 from .scene.spectral.wavelengths import sensor_weights, wavelength_config
 from .seeds import seeds
+from .shares import ALONE
 from .shares import current as current_share
 
 if TYPE_CHECKING:
@@ -250,7 +253,9 @@ def render(
         pixels=pixels,
         boxes=all(camera.film.filter.type == "box" for _, camera in cameras),
     )
-    tensors = share.replicated(gather(scene, packed, cast("Mapping[str, torch.Tensor] | None", params)))
+    stay = staying(packed) if share is ALONE and not wavefront and holds(device(scene.device), scene.device) else ()
+    given = cast("Mapping[str, torch.Tensor] | None", params)
+    tensors = share.replicated(gather(scene, packed, given, staying=stay))
     shown = dict(zip(shown, share.replicated(list(shown.values())), strict=True))
     check_ranges(scene, packed, tensors, range)
     if packed.spectral:
@@ -446,7 +451,7 @@ def _view(
     others = [n for n in names if n not in PATH_OUTPUTS]
     if others:
         found.update(first_hits(scene, call, others, tensors))
-    return found
+    return {name: value.to(call.place) for name, value in found.items()}
 
 
 def _native(call: RenderCall, tensors: list[torch.Tensor]) -> Any:
@@ -501,7 +506,8 @@ def _with_outlines(
         return result
     terms = call.share.summed(terms)
     if not isinstance(result, tuple):
-        return result + terms[0]
+        return result + terms[0].to(result.device)
+    terms = [term.to(value.device) for value, term in zip(result, terms)]
     count = len(terms)  # the image, and alpha where that is wanted
     return *(value + term for value, term in zip(result[:count], terms, strict=True)), *result[count:]
 

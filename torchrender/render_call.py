@@ -161,6 +161,15 @@ class RenderCall:
         store = self.hits() if self.hits is not None else None
         return configs if store is None else [{**c, "hits": (store, i)} for i, c in enumerate(configs)]
 
+    @property
+    def place(self) -> torch.device:
+        """Where the image is made, and its adjoint is read: with the scene, if what renders has that memory."""
+        home = self.native.home
+        alone = self.share is ALONE and self.pixels is None and not self.interruption.returns and not self.stokes
+        if home is None or not alone or self.config["integrator"] == "ptracer" or not self.native.holds(home):
+            return torch.device("cpu")
+        return home
+
     def shape(self) -> tuple[int, ...]:
         return (*self.size, self.numbers)
 

@@ -17,7 +17,9 @@ struct Config {
     int64_t spp, sample_offset;
     bool light;          // paths begin at emitters
     std::string device;  // where radiance is rendered: cpu, emulated or tree
-    bool glued;          // of outlines: samples for such paths
+    OnDevice on_device;
+    std::uintptr_t stream;  // of a card, see Launcher
+    bool glued;             // of outlines: samples for such paths
     std::optional<std::vector<Pixel>> pixels;
     std::vector<int32_t> attributes;  // numbers of the names of meshes' colours that are put out
     std::vector<uint64_t> seeds;      // of the passes of other outputs than radiance

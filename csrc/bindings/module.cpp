@@ -181,6 +181,12 @@ Functions all_functions() {
     f.add("nvrtc", [](const std::string &path) { return cuda::Nvrtc(path).version(); });
 #if !TR_HAS_PACKETS
     f.add("use_cuda_compiler", &cuda::use_compiler);
+    f.add("use_cuda_memory", [](uintptr_t take, uintptr_t give_back) {  // the addresses of functions, see CardMemory
+        cuda::CardMemory from;
+        from.take = reinterpret_cast<decltype(from.take)>(take);
+        from.give_back = reinterpret_cast<decltype(from.give_back)>(give_back);
+        cuda::use_memory(from);
+    });
     f.add("cuda_kernel_times", [] {
         std::map<std::string, std::array<double, 2>> r;  // launches, seconds
         for (const auto &[name, time] : cuda::take_kernel_times()) r[name] = {double(time.launches), time.seconds};

@@ -70,7 +70,7 @@ public:
 
     RenderStats render(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         auto at = [&](const char *name) { return reinterpret_cast<S *>(out.count(name) ? out.at(name) : 0); };
         RenderCall<S> primal = call(c);
         if (c.light) {
@@ -80,7 +80,7 @@ public:
             });
         }
         if (c.hits) primal.keep_hits = c.hits->add_pass();
-        const RenderOutput<S> to{at("image"), at("alpha"), at("variance"), at("second_moment"), c.sums};
+        const RenderOutput<S> to{{at("image"), at("alpha"), at("variance"), at("second_moment")}, c.sums};
         if (!rays) return render_primal<S>(primal, to);
         return there(*rays, [&](auto &paths, const auto &tree) { return paths.render(primal, data_, tree, to); });
     }
@@ -88,7 +88,7 @@ public:
     RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
                         const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
         d.adjoint = reinterpret_cast<const S *>(adjoint);
         d.adaptive = c.adaptive, d.fixed_sums = c.fixed_sums;
@@ -108,7 +108,7 @@ public:
     RenderStats forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
                         uintptr_t image) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
         S *to = reinterpret_cast<S *>(image);
         if (rays)
@@ -137,7 +137,7 @@ public:
 
     RenderStats aov(const Config &c, const ParameterValues &values, const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         const AovOutput<S> to = outputs(c, out);
         if (!rays) return render_aov<S>(call(c), to);
         return there(*rays, [&](auto &paths, const auto &tree) { return paths.outputs(call(c), data_, tree, to); });
@@ -146,7 +146,7 @@ public:
     RenderStats aov_reverse(const Config &c, const ParameterValues &values, const Arrays &adjoints,
                             const Addresses &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
         d.fixed_sums = c.fixed_sums;
         const AovOutput<S> from = outputs(c, adjoints);
@@ -161,7 +161,7 @@ public:
     RenderStats aov_forward(const Config &c, const ParameterValues &values, const Addresses &tangents,
                             const Arrays &out) override {
         std::lock_guard<std::mutex> lock(mutex_);
-        SceneRays *rays = updated(c.device, values);
+        SceneRays *rays = updated(c, values);
         const ForwardCall<S> d(data_, c.path, c.light, tangents);
         const AovOutput<S> to = outputs(c, out);
         if (!rays) return forward_aov<S>(call(c), to, d.call);
@@ -342,8 +342,8 @@ private:
     std::map<std::string, std::unique_ptr<SceneRays>> devices_;  // that were asked for
     TreeWalk walk_;
 
-    void update(const ParameterValues &values) {
-        data_.update(read_only<S>(values.addresses), values.dirty);
+    void update(const ParameterValues &values, const OnDevice &there = {}) {
+        data_.update(read_only<S>(values.addresses), values.dirty, true, there.values);
         data_.walk(nullptr);
     }
 
@@ -372,7 +372,10 @@ private:
 
     // Rays of another device than the CPU, null for this one, where the scene is what `values` say. On `tree` it is the
     // CPU that walks the tree of devices, for comparisons.
-    SceneRays *updated(const std::string &device, const ParameterValues &values) {
+    SceneRays *updated(const std::string &device, const ParameterValues &values, const OnDevice &there = {},
+                       uintptr_t stream = 0) {
+        if ((device == "cpu" || device == "tree") && (there.image || !there.slots.empty()))
+            throw std::invalid_argument("device: the CPU does not reach tensors elsewhere");
         if (device == "cpu") {
             update(values);
             return nullptr;
@@ -384,14 +387,21 @@ private:
                     data_.path("shape", int(i)) +
                     ": devices have meshes, rectangles, spheres, disks, cylinders and height fields so far, got " +
                     missing + "; with TORCHRENDER_BACKEND=cpu rays meet everything");
-        update(values);
+        update(values, there);
         std::unique_ptr<SceneRays> &rays = devices_[device == "tree" ? "emulated" : device];
         if (!rays) rays = make_rays(device);
+        rays->use_stream(stream);
         rays->update(data_.view(), data_.geometry_version());
         if (device != "tree") return rays.get();
         walk_.tree = rays->tree().view();
         data_.walk(&walk_);
         return nullptr;
+    }
+
+    SceneRays *updated(const Config &c, const ParameterValues &values) {
+        if (c.light && c.on_device.image)
+            throw std::invalid_argument("device: images of light paths are in the host's memory");
+        return updated(c.device, values, c.on_device, c.stream);
     }
 
     RenderCall<S> call(const Config &c) {
@@ -421,6 +431,7 @@ private:
         call.threads = c.threads;
         call.ray_record = ray_record_.get();
         call.interrupted = c.interrupted;
+        call.on_device = c.on_device;
         return call;
     }
 

@@ -87,6 +87,11 @@ inline Config read_config(const Value &d, Progress progress) {
     }
     c.path.stokes = flag(d, "stokes");
     c.device = d.find("device") ? d["device"].as<std::string>() : "cpu";
+    if (d.find("on_device")) {  // gradients and values by slot, and the image
+        auto [slots, values, image] = d["on_device"].as<std::tuple<std::vector<bool>, std::vector<bool>, bool>>();
+        c.on_device = {{slots.begin(), slots.end()}, {values.begin(), values.end()}, image};
+    }
+    c.stream = d.find("stream") ? d["stream"].as<uintptr_t>() : 0;
     c.light = d["integrator"].as<std::string>() == "ptracer";
     c.glued = flag(d, "glued");
     if (d.find("attributes")) c.attributes = d["attributes"].as<std::vector<int32_t>>();

@@ -68,7 +68,12 @@ void DeviceDerivative<S>::begin_adjoint(Launcher &launcher, const RenderCall<S> 
                 by_target[schedule.target_of(i) * channels + c] += image[i * channels + c];
         image = by_target.data();
     }
-    image_.upload(launcher, image, schedule.n_targets() * channels);
+    if (adjoint.there) {
+        image_.reserve(launcher, schedule.n_targets() * channels);
+        launcher.copy(image_.get(), image, schedule.n_targets() * channels * sizeof(S));
+    } else {
+        image_.upload(launcher, image, schedule.n_targets() * channels);
+    }
     adjoint_.reserve(launcher, schedule.n_targets() * channels);
     wanted_ = wanted(launcher, schedule, call.pixels != nullptr), channels_ = adjoint.channels;
     launcher.run(DivideAdjoint<S>{image_.get(), int32_t(channels), weights.sums, weights.of, double(schedule.spp()),
@@ -99,7 +104,7 @@ void DeviceDerivative<S>::settle(Launcher &launcher) {
 
 template <class S>
 DerivativePlaces<S> DeviceDerivative<S>::begin_gradients(Launcher &launcher, const DerivativeCall<S> &call,
-                                                         uint64_t *non_finite) {
+                                                         const OnDevice &there, uint64_t *non_finite) {
     settled_.clear();
     if (!call.fixed_sums) fixed_.clear();  // they are large
     const size_t size = call.fixed_sums ? sizeof(FixedSum<S>) : sizeof(double), n = call.n_constants;
@@ -115,7 +120,12 @@ DerivativePlaces<S> DeviceDerivative<S>::begin_gradients(Launcher &launcher, con
     for (size_t i = 0; i < pointers.size(); ++i) {
         const auto texels = size_t(call.sizes[i]);
         if (!call.gradients[i] || texels == 0) continue;
-        pointers[i] = zeros(launcher, tensors_[i], texels);
+        tensors_[i].reserve(launcher, texels);
+        pointers[i] = tensors_[i].get();
+        if (there.slot(i))
+            launcher.copy(pointers[i], call.gradients[i], texels * sizeof(S));
+        else
+            clear(launcher, pointers[i], texels);
         if (r.fixed) pointers[i] = reinterpret_cast<S *>(fixed(launcher, texels, 1, nullptr, pointers[i]));
     }
     pointers_.upload(launcher, pointers.data(), pointers.size());
@@ -141,10 +151,11 @@ DerivativePlaces<S> DeviceDerivative<S>::places(Launcher &launcher, const Deriva
 }
 
 template <class S>
-void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S> &call, int threads) {
+void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S> &call, const OnDevice &there,
+                                           int threads) {
     size_t most = 1;
     for (size_t i = 0; i < call.gradients.size(); ++i)
-        if (call.gradients[i]) most = std::max(most, size_t(call.sizes[i]));
+        if (call.gradients[i] && !there.slot(i)) most = std::max(most, size_t(call.sizes[i]));
     auto *found = static_cast<S *>(found_.reserve(launcher, most * sizeof(S)));
     call.sums.reset(call.n_constants, call.geometry_sizes);
     // nothing that can fail for lack of memory is behind this
@@ -156,6 +167,10 @@ void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S>
         const auto n = size_t(call.sizes[i]);
         S *to = call.gradients[i];
         if (!to || n == 0) continue;
+        if (there.slot(i)) {
+            launcher.copy(to, tensors_[i].get(), n * sizeof(S));
+            continue;
+        }
         tensors_[i].download(found, n);
         for_ranges(n, threads, [&](size_t begin, size_t end, int) {
             for (size_t k = begin; k < end; ++k) to[k] += found[k];
@@ -165,7 +180,7 @@ void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S>
 
 template <class S>
 DerivativePlaces<S> DeviceDerivative<S>::tangents(Launcher &launcher, const DerivativeCall<S> &call,
-                                                  uint64_t *non_finite) {
+                                                  const OnDevice &there, uint64_t *non_finite) {
     // (those of the matrices of shapes are there where something moves)
     tangents_.upload(launcher, call.tangent.constants, call.needs.geometry ? call.n_constants : call.matrices);
     std::vector<TensorView<S>> views(call.tangent.tensors, call.tangent.tensors + call.sizes.size());
@@ -173,7 +188,13 @@ DerivativePlaces<S> DeviceDerivative<S>::tangents(Launcher &launcher, const Deri
     for (size_t i = 0; i < views.size(); ++i) {
         views[i].base = nullptr;
         if (!views[i].data) continue;
-        tensors_[i].upload(launcher, views[i].data, size_t(call.sizes[i]));
+        const auto n = size_t(call.sizes[i]);
+        if (there.slot(i)) {
+            tensors_[i].reserve(launcher, n);
+            launcher.copy(tensors_[i].get(), views[i].data, n * sizeof(S));
+        } else {
+            tensors_[i].upload(launcher, views[i].data, n);
+        }
         views[i].data = tensors_[i].get();
     }
     views_.upload(launcher, views.data(), views.size());

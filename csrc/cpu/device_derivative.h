@@ -17,11 +17,12 @@ public:
     // With tables on the device.
     GradientNeeds needs(Launcher &launcher, const DerivativeCall<S> &call);
 
-    // The adjoint of an image, (results, channels); of two sums by wanted pixel number `of`, that of the weights, null
-    // where all samples have the weight 1 in their own pixel.
+    // The adjoint of an image, (results, channels), on the device where it is said to be; of two sums by wanted pixel
+    // number `of`, that of the weights, null where all samples have the weight 1 in their own pixel.
     struct Adjoint {
         const S *image;
         int channels;
+        bool there = false;
     };
     struct Weights {
         const double *sums;
@@ -35,11 +36,14 @@ public:
 
     // Gradients, zero so far; `non_finite` counts values that are left out. With `fixed_sums` every batch has a sweep
     // that measures, one that adds, and is settled then.
-    DerivativePlaces<S> begin_gradients(Launcher &launcher, const DerivativeCall<S> &call, uint64_t *non_finite);
+    // `there`: which of the call's lie on the device.
+    DerivativePlaces<S> begin_gradients(Launcher &launcher, const DerivativeCall<S> &call, const OnDevice &there,
+                                        uint64_t *non_finite);
     void settle(Launcher &launcher);
     // Adds them to those of the call.
-    void finish_gradients(Launcher &launcher, DerivativeCall<S> &call, int threads);
-    DerivativePlaces<S> tangents(Launcher &launcher, const DerivativeCall<S> &call, uint64_t *non_finite);
+    void finish_gradients(Launcher &launcher, DerivativeCall<S> &call, const OnDevice &there, int threads);
+    DerivativePlaces<S> tangents(Launcher &launcher, const DerivativeCall<S> &call, const OnDevice &there,
+                                 uint64_t *non_finite);
 
 private:
     DeviceArray<int32_t> bsdfs_, shapes_, numbers_;

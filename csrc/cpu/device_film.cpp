@@ -84,6 +84,37 @@ const double *DevicePaths<S>::download_film(const Work &work, int channels) {
     return to;
 }
 
+// Results of radiance and alpha, in the host's memory or where they are said to be on the device.
+template <class S>
+void DevicePaths<S>::write_image(const Work &work, int moments, const RenderOutput<S> &out) {
+    const RenderCall<S> &call = work.call;
+    const int channels = FilmBlock::channels(call.values + 1, moments);
+    if (call.pixels || out.sums) return write_results(call, work.schedule, download_film(work, channels), moments, out);
+    const size_t n = work.schedule.n_results(), colors = size_t(call.values);
+    results_.reserve(launcher_, n * (3 * colors + 1));
+    struct Part {
+        S *to, *from;
+        size_t n;
+    };
+    std::vector<Part> parts;
+    S *next = results_.get();
+    const auto place = [&](S *to, size_t each) {
+        if (to) parts.push_back({to, std::exchange(next, next + n * each), n * each});
+        return to ? parts.back().from : nullptr;
+    };
+    const ImagePlaces<S> there{place(out.to.image, colors), place(out.to.alpha, 1), place(out.to.variance, colors),
+                               place(out.to.second_moment, colors)};
+    launcher_.run(WriteImage<S>{sums_.get(), channels, call.values, moments, there}, uint32_t(n));
+    if (call.on_device.image) {
+        for (const Part &part : parts) launcher_.copy(part.to, part.from, part.n * sizeof(S));
+        return;
+    }
+    const auto all = size_t(next - results_.get());
+    auto *here = static_cast<S *>(film_.reserve(launcher_, all * sizeof(S)));
+    results_.download(here, all);
+    for (const Part &part : parts) std::copy_n(here + (part.from - results_.get()), part.n, part.to);
+}
+
 // As adjoint_film.
 template <class S>
 void DevicePaths<S>::begin_adjoint(Work &work, const S *image, RenderStats &stats) {
@@ -96,7 +127,7 @@ void DevicePaths<S>::begin_adjoint(Work &work, const S *image, RenderStats &stat
             add_to_film(work, batch, 0, 0);
         });
     }
-    derivative_.begin_adjoint(launcher_, work.call, work.schedule, {image, work.call.values},
+    derivative_.begin_adjoint(launcher_, work.call, work.schedule, {image, work.call.values, work.call.on_device.image},
                               {box ? nullptr : sums_.get(), 0});  // which samples count for as often as they do
 }
 

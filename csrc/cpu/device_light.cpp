@@ -72,7 +72,8 @@ RenderStats DevicePaths<S>::reverse_light(const RenderCall<S> &call, const Scene
     const std::vector<SplatFilm<S>> adjoint = adjoint_films(call, derivative.adjoint);
     return run_light(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
         splat_adjoint_.upload(launcher_, adjoint[0].data(), adjoint[0].size() * CollectConnections<S>::Stride);
-        const DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to =
+            derivative_.begin_gradients(launcher_, derivative, call.on_device, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             trace_light(work, batch.size, [&](uint32_t n) {
@@ -84,7 +85,7 @@ RenderStats DevicePaths<S>::reverse_light(const RenderCall<S> &call, const Scene
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        derivative_.finish_gradients(launcher_, derivative, call.threads);
+        derivative_.finish_gradients(launcher_, derivative, call.on_device, call.threads);
     });
 }
 
@@ -92,7 +93,7 @@ template <class S>
 RenderStats DevicePaths<S>::forward_light(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                                           const DerivativeCall<S> &derivative, S *image) {
     return run_light(call, data, tree, &derivative, [&](Work &work, RenderStats &stats) {
-        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, call.on_device, totals_.get() + 3);
         begin_splats(call);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);

@@ -102,7 +102,7 @@ RenderStats DevicePaths<S>::reverse_outputs(const RenderCall<S> &call, const Sce
         derivative_.begin_adjoint(launcher_, call, work.schedule, {adjoint.data(), outputs.layout.n},
                                   {sums_.get(), out.zero_at_misses ? 1 : 0});
         outputs.value = values(work, outputs.layout.n);
-        DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, call.on_device, totals_.get() + 3);
         for_first_hits(work, stats, outputs, false, [&](const SampleNumbers &batch) {
             launcher_.run(CollectOutputs<S>{derivative_.gather(outputs.filter, at_.slots), outputs.value}, batch.size);
             for (int sweep = to.fixed ? 0 : 1; sweep < 2; ++sweep) {  // the first of two measures
@@ -113,7 +113,7 @@ RenderStats DevicePaths<S>::reverse_outputs(const RenderCall<S> &call, const Sce
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        derivative_.finish_gradients(launcher_, derivative, call.threads);
+        derivative_.finish_gradients(launcher_, derivative, call.on_device, call.threads);
     });
 }
 
@@ -124,7 +124,7 @@ RenderStats DevicePaths<S>::forward_outputs(const RenderCall<S> &call, const Sce
     const int n = outputs.layout.n;
     return run(call, data, tree, &derivative, n, [&](Work &work, RenderStats &stats) {
         outputs.value = values(work, n);
-        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, call.on_device, totals_.get() + 3);
         begin_film(work, n + 2);
         for_first_hits(work, stats, outputs, false, [&](const SampleNumbers &batch) {
             launcher_.run(SweepOutputs<S>{outputs.first_hits(work, at_), outputs.value, to}, batch.size);

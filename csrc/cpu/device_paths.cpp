@@ -38,12 +38,13 @@ std::vector<int32_t> kinds_in(const SceneView<S> &scene, const PathConfig &confi
 
 template <class S>
 void DevicePaths<S>::check(const RenderCall<S> &call) {
-    const char *missing = call.config.stokes               ? "polarised light"
-                          : call.config.spectral.positions ? "wavelengths"
-                          : call.scene->bends              ? "media that light bends in"
-                          : call.ray_record                ? "records of rays"
-                          : call.keep_hits                 ? "hits that are kept"
-                                                           : nullptr;
+    const char *missing = call.config.stokes                    ? "polarised light"
+                          : call.config.spectral.positions      ? "wavelengths"
+                          : call.scene->bends                   ? "media that light bends in"
+                          : call.ray_record                     ? "records of rays"
+                          : call.keep_hits                      ? "hits that are kept"
+                          : call.pixels && call.on_device.image ? "lists of pixels in images that lie there"
+                                                                : nullptr;
     if (missing) throw std::invalid_argument(std::string("device: there are no ") + missing + " on devices yet");
 }
 
@@ -112,7 +113,7 @@ typename DevicePaths<S>::Work DevicePaths<S>::begin(const RenderCall<S> &call, c
     std::vector<int32_t> kinds(size_t(host.n_bsdfs));
     for (int b = 0; b < host.n_bsdfs; ++b) kinds[size_t(b)] = resolved_kind(host, b);
     kinds_.upload(launcher_, kinds.data(), kinds.size());
-    work.stage = {scene_.upload(launcher_, data, call.threads),
+    work.stage = {scene_.upload(launcher_, data, call.on_device.values, call.threads),
                   call.config,
                   at_.slots,
                   at_.lost,
@@ -144,7 +145,7 @@ template <class S>
 RenderStats DevicePaths<S>::render(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                                    const RenderOutput<S> &out) {
     return run(call, data, tree, nullptr, Radiance, [&](Work &work, RenderStats &stats) {
-        const int colors = call.values, moments = out.variance || out.second_moment ? colors : 0;
+        const int colors = call.values, moments = out.to.variance || out.to.second_moment ? colors : 0;
         const int channels = FilmBlock::channels(colors + 1, moments);
         begin_film(work, channels);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
@@ -154,7 +155,7 @@ RenderStats DevicePaths<S>::render(const RenderCall<S> &call, const SceneData<S>
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        write_results(call, work.schedule, download_film(work, channels), moments, out);
+        write_image(work, moments, out);
     });
 }
 
@@ -165,7 +166,8 @@ RenderStats DevicePaths<S>::reverse(const RenderCall<S> &call, const SceneData<S
         work.reverse = true;
         begin_adjoint(work, derivative.adjoint, stats);
         if (stats.interrupted) return;
-        const DerivativePlaces<S> to = derivative_.begin_gradients(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to =
+            derivative_.begin_gradients(launcher_, derivative, call.on_device, totals_.get() + 3);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
             number_samples(work, batch);
             if (call.filter.reach() > 0) launcher_.run(PlaceSamples<S>{call.config, at_.slots}, batch.size);
@@ -177,7 +179,7 @@ RenderStats DevicePaths<S>::reverse(const RenderCall<S> &call, const SceneData<S
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        derivative_.finish_gradients(launcher_, derivative, call.threads);
+        derivative_.finish_gradients(launcher_, derivative, call.on_device, call.threads);
     });
 }
 
@@ -185,7 +187,7 @@ template <class S>
 RenderStats DevicePaths<S>::forward(const RenderCall<S> &call, const SceneData<S> &data, const TreeView &tree,
                                     const DerivativeCall<S> &derivative, S *image) {
     return run(call, data, tree, &derivative, Radiance, [&](Work &work, RenderStats &stats) {
-        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, totals_.get() + 3);
+        const DerivativePlaces<S> to = derivative_.tangents(launcher_, derivative, call.on_device, totals_.get() + 3);
         const int channels = FilmBlock::channels(call.values + 1, 0);
         begin_film(work, channels);
         for_batches(work, stats, false, [&](const SampleNumbers &batch) {
@@ -196,7 +198,7 @@ RenderStats DevicePaths<S>::forward(const RenderCall<S> &call, const SceneData<S
         });
         if (stats.interrupted) return;
         finish(work, stats);
-        write_results(call, work.schedule, download_film(work, channels), 0, RenderOutput<S>{image});
+        write_image(work, 0, {{image}});
     });
 }
 

@@ -82,7 +82,8 @@ private:
     DeviceArray<double> sums_, open_;
     DeviceArray<FixedSum<S>> splats_;  // on their way to the former
     DeviceArray<S> splat_adjoint_;     // of these
-    HostBuffer film_;                  // the sums on their way back
+    DeviceArray<S> results_;           // of an image
+    HostBuffer film_;                  // they, or the sums, on their way back
     DeviceArray<int32_t> pixels_, places_;
     DeviceArray<FilmUnit> units_;
     DeviceArray<OwnSamples> own_;
@@ -112,6 +113,7 @@ private:
     FilmGather<S> gather(const Work &work, const SampleNumbers &batch, const Filter &filter, uint32_t first) const;
     void add_to_film(const Work &work, const SampleNumbers &batch, int colors, int moments);
     const double *download_film(const Work &work, int channels);
+    void write_image(const Work &work, int moments, const RenderOutput<S> &out);
     void begin_adjoint(Work &work, const S *image, RenderStats &stats);
 
     // a batch of n paths

@@ -112,16 +112,4 @@ private:
     }
 };
 
-// Variance of the weighted mean sum w x / sum w of independent samples, from the sums of w x, w, w^2 x^2, w^2 x and
-// w^2: the linearised ratio estimator sum w^2 (x - mean)^2 / (sum w)^2, times n / (n - 1) with the effective number of
-// samples n = (sum w)^2 / sum w^2. With equal weights that is the sample variance over the number of samples. Infinite
-// where nothing is known of it: with one sample.
-inline double variance_of_mean(double wx, double w, double w2x2, double w2x, double w2) {
-    if (w == 0 || w2 == 0) return INFINITY;
-    double mean = wx / w, n = w * w / w2;
-    if (n < 1 + 1e-9) return INFINITY;
-    double sum = w2x2 - 2 * mean * w2x + mean * mean * w2;
-    return std::max(0.0, sum) / (w * w) * (n / (n - 1));
-}
-
 }  // namespace tr

@@ -21,6 +21,16 @@ namespace tr {
 // Whether to stop, asked between batches and between vertices of paths.
 using Stop = std::function<bool()>;
 
+// What of a call's tensors lies in the memory of the device that computes, where the host does not reach it. By slot,
+// or empty: gradients and tangents, and values. And the image, or the adjoint of it.
+struct OnDevice {
+    std::vector<uint8_t> slots, values;
+    bool image = false;
+
+    bool slot(size_t i) const { return i < slots.size() && slots[i]; }
+    bool value(size_t i) const { return i < values.size() && values[i]; }
+};
+
 template <class S>
 struct RenderCall {
     const SceneView<S> *scene;
@@ -38,6 +48,7 @@ struct RenderCall {
     RayRecord *ray_record = nullptr;          // not null: keeps the rays that are queried
     StoredHits *keep_hits = nullptr;          // primal: what is hit is kept there
     const StoredHits *kept_hits = nullptr;    // reverse: what a primal call of the same samples has kept
+    OnDevice on_device;                       // where another device than the CPU computes
     std::function<bool(double)> interrupted;  // polled by the calling thread with the share that is done; true: stop
 };
 
@@ -106,13 +117,12 @@ struct RenderStats {
     }
 };
 
-// Results for every wanted pixel, in rows or in the order of the list: `image` (n, numbers) and, if not null, `alpha`
-// (n), `variance` (n, values), that of the image's values, and `second_moment` (n, values), the mean of squared
-// samples. `sums`, if not null, are those of earlier samples of the same pixels: the call adds its own, and the results
-// are those of all. A call that is interrupted changes nothing.
+// Results for every wanted pixel, in rows or in the order of the list. `sums`, if not null, are those of earlier
+// samples of the same pixels: the call adds its own, and the results are those of all. A call that is interrupted
+// changes nothing.
 template <class S>
 struct RenderOutput {
-    S *image, *alpha = nullptr, *variance = nullptr, *second_moment = nullptr;
+    ImagePlaces<S> to;
     FilmSums *sums = nullptr;
 };
 
@@ -121,20 +131,12 @@ struct RenderOutput {
 template <class S>
 void write_results(const RenderCall<S> &call, const TileSchedule &schedule, const double *film, int moments,
                    const RenderOutput<S> &out) {
-    const int pixel = call.numbers(), values = pixel + 1, channels = FilmBlock::channels(values, moments);
+    const int channels = FilmBlock::channels(call.numbers() + 1, moments);
     if (out.sums) out.sums->begin(schedule.n_results() * size_t(channels), call.spp);
     auto write = [&](size_t i) {
         const double *p = film + schedule.target_of(i) * size_t(channels);
         if (out.sums) p = out.sums->add(i * size_t(channels), p, channels);
-        const double *q = p + values + 1;
-        double weight = p[values], inverse = weight != 0 ? 1 / weight : 0;
-        for (int c = 0; c < pixel; ++c) out.image[i * size_t(pixel) + size_t(c)] = S(p[c] * inverse);
-        if (out.alpha) out.alpha[i] = S(p[pixel] * inverse);
-        for (int c = 0; c < moments; ++c) {
-            const size_t at = i * size_t(pixel) + size_t(c);
-            if (out.second_moment) out.second_moment[at] = S(q[2 * pixel + c] * inverse);
-            if (out.variance) out.variance[at] = S(variance_of_mean(p[c], weight, q[c], q[pixel + c], q[3 * pixel]));
-        }
+        out.to.write(i, p, call.numbers(), moments);
     };
     for_ranges(schedule.n_results(), call.threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) write(i);

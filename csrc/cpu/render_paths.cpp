@@ -19,7 +19,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
         TileSchedule schedule = make_schedule(call);
         const int pixel = call.numbers(), values = pixel + 1;  // radiance, alpha
         const bool recorded = derivative || call.config.stokes;
-        const int moments = out.variance || out.second_moment ? pixel : 0;
+        const int moments = out.to.variance || out.to.second_moment ? pixel : 0;
         Film film(schedule, FilmBlock::channels(values, moments));
         OrderedMerge merge(schedule, film, call.threads);
         const size_t capacity = recorded ? 512 : 1024;
@@ -109,7 +109,7 @@ RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out)
 }
 template <class S>
 RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image) {
-    return splat_paths<PacketOf<S>>(call, &derivative, {image, nullptr, nullptr});
+    return splat_paths<PacketOf<S>>(call, &derivative, {{image}});
 }
 template <class S>
 RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {

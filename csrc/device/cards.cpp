@@ -7,7 +7,6 @@
 #include <utility>
 
 #include "compiling_launcher.h"
-#include "cuda_launcher.h"
 
 namespace tr::cuda {
 
@@ -25,6 +24,7 @@ struct Made {
 };
 
 std::mutex mutex;
+CardMemory memory;
 const Made *made;  // the last one; none is ever taken down, since launchers may use it when the process ends
 
 const KernelCompiler &compiler() {
@@ -44,10 +44,17 @@ void use_compiler(const std::string &nvrtc, const std::string &sources, const st
     made = found;
 }
 
+void use_memory(const CardMemory &from) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    memory = from;
+}
+
 std::unique_ptr<Launcher> make_card(int ordinal) {
     const Api &api = find_driver();
     start(api);
-    return make_launcher(api, compiler(), ordinal);
+    const KernelCompiler &made_by = compiler();
+    const std::lock_guard<std::mutex> lock(mutex);
+    return make_launcher(api, made_by, ordinal, memory);
 }
 
 std::unique_ptr<Launcher> make_compiling(int capability) {

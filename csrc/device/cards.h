@@ -5,7 +5,7 @@
 #include <string>
 #include <vector>
 
-#include "launcher.h"
+#include "cuda_launcher.h"
 
 namespace tr::cuda {
 
@@ -14,6 +14,9 @@ namespace tr::cuda {
 // that NVRTC cannot be used.
 void use_compiler(const std::string &nvrtc, const std::string &sources, const std::string &into,
                   const std::vector<std::string> &packs);
+
+// Where the memory of cards comes from that are made from now on.
+void use_memory(const CardMemory &memory);
 
 // A card, by its number. std::runtime_error with one sentence if there is none, or nothing to compile kernels with.
 std::unique_ptr<Launcher> make_card(int ordinal);

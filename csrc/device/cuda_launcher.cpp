@@ -29,8 +29,8 @@ void add_time(const char *kernel, double seconds) {
 
 class CardLauncher final : public Launcher {
 public:
-    CardLauncher(const Api &api, const KernelCompiler &compiler, int ordinal, Stream stream)
-        : api_(api), compiler_(compiler), card_(card(api, ordinal)), stream_(stream) {
+    CardLauncher(const Api &api, const KernelCompiler &compiler, int ordinal, const CardMemory &memory)
+        : api_(api), compiler_(compiler), card_(card(api, ordinal)), ordinal_(ordinal), memory_(memory) {
         check(api_, api_.DeviceGet(&device_, ordinal), "looking for a card");
         check(api_, api_.DevicePrimaryCtxRetain(&context_, device_), "starting to use " + card_.name);
     }
@@ -44,12 +44,18 @@ public:
     }
 
     void *allocate(size_t bytes) override {
+        if (memory_.take) {
+            void *memory = memory_.take(bytes, ordinal_);
+            if (!memory) throw std::bad_alloc();
+            return memory;
+        }
         const Current current(*this);
         DevicePointer memory = 0;
         check(api_, api_.MemAlloc(&memory, std::max<size_t>(bytes, 1)), "reserving memory");
         return reinterpret_cast<void *>(memory);
     }
     void release(void *memory) noexcept override {
+        if (memory_.take) return memory_.give_back(memory);
         if (api_.CtxPushCurrent(context_) != Success) return;
         api_.MemFree(address(memory));
         Context before;
@@ -69,13 +75,26 @@ public:
     }
     void upload(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
+        busy_ = true;
         // of pageable memory it was read when this returns
         check(api_, api_.MemcpyHtoDAsync(address(to), from, bytes, stream_), "copying to " + card_.name);
     }
     void download(void *to, const void *from, size_t bytes) override {
         const Current current(*this);
         check(api_, api_.MemcpyDtoHAsync(to, address(from), bytes, stream_), "copying from " + card_.name);
-        check(api_, api_.StreamSynchronize(stream_), after());
+        wait();
+    }
+    void copy(void *to, const void *from, size_t bytes) override {
+        const Current current(*this);
+        busy_ = true;
+        check(api_, api_.MemcpyDtoDAsync(address(to), address(from), bytes, stream_), "copying on " + card_.name);
+    }
+    bool reaches_tensors() const override { return true; }  // PyTorch's are in the same context
+    void use_stream(uintptr_t stream) override {
+        const auto other = reinterpret_cast<Stream>(stream);
+        if (other == stream_) return;
+        if (busy_) synchronize();
+        stream_ = other;
     }
     size_t batch_memory() const override { return size_t(512) << 20; }
     uint32_t gradient_copies() const override { return 1024; }
@@ -85,14 +104,17 @@ public:
     }
     void synchronize() override {
         const Current current(*this);
-        check(api_, api_.StreamSynchronize(stream_), after());
+        wait();
     }
 
 private:
     const Api &api_;
     const KernelCompiler &compiler_;
     const Card card_;
-    const Stream stream_;
+    const int ordinal_;
+    const CardMemory memory_;
+    Stream stream_ = nullptr;
+    bool busy_ = false;  // something that it was given may not be done
     Device device_ = 0;
     Context context_ = nullptr;
     SceneFacts facts_;
@@ -115,7 +137,10 @@ private:
     };
 
     static DevicePointer address(const void *memory) { return reinterpret_cast<DevicePointer>(memory); }
-    std::string after() const { return last_.empty() ? "waiting for the card" : "running " + last_; }
+    void wait() {
+        check(api_, api_.StreamSynchronize(stream_), last_.empty() ? "waiting for the card" : "running " + last_);
+        busy_ = false;
+    }
 
     Function function(const Kernel &kernel, int bsdf) {
         if (!knows_bsdf(kernel.knows)) bsdf = -1;
@@ -145,12 +170,12 @@ private:
                        threads = kernel.blocks ? BlockSize : Threads,
                        blocks = std::min(kernel.blocks ? n : (n - 1) / Threads + 1, most);
         void *parameters[] = {const_cast<void *>(functor), &n};
-        last_ = kernel.name;
+        last_ = kernel.name, busy_ = true;
         const auto begin = std::chrono::steady_clock::now();
         check(api_, api_.LaunchKernel(entry, blocks, 1, 1, threads, 1, 1, 0, stream_, parameters, nullptr),
               "launching " + last_);
         if (!waits_) return;
-        check(api_, api_.StreamSynchronize(stream_), after());
+        wait();
         const double seconds = std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         add_time(kernel.name, seconds);
     }
@@ -163,8 +188,9 @@ std::map<std::string, KernelTime> take_kernel_times() {
     return std::exchange(times, {});
 }
 
-std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal, Stream stream) {
-    return std::make_unique<CardLauncher>(api, compiler, ordinal, stream);
+std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal,
+                                        const CardMemory &memory) {
+    return std::make_unique<CardLauncher>(api, compiler, ordinal, memory);
 }
 
 }  // namespace tr::cuda

@@ -11,11 +11,17 @@
 
 namespace tr::cuda {
 
-// On the primary context of the card, which others (PyTorch) share, and on a stream of it. `api` and `compiler` have to
-// live longer. std::runtime_error, with the kernel's name, for what the driver reports; errors of a launch come from
-// what is called after it.
+// Where memory of cards is taken from and given back to, in place of the driver: `take` returns null if there is none.
+struct CardMemory {
+    void *(*take)(size_t bytes, int ordinal) = nullptr;
+    void (*give_back)(void *memory) = nullptr;
+};
+
+// On the primary context of the card, which others (PyTorch) share, and on its default stream unless told otherwise.
+// `api` and `compiler` have to live longer. std::runtime_error, with the kernel's name, for what the driver reports;
+// errors of a launch come from what is called after it.
 std::unique_ptr<Launcher> make_launcher(const Api &api, const KernelCompiler &compiler, int ordinal,
-                                        Stream stream = nullptr);
+                                        const CardMemory &memory = {});
 
 // Where TORCHRENDER_CUDA_SYNC is set the host waits for every kernel, so that errors are named at their place: how
 // often each was launched since the last call, and how long that took.

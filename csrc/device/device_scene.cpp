@@ -51,7 +51,8 @@ T *DeviceScene<S>::put(Launcher &launcher, const T *from, size_t n, int threads)
 static_assert(sizeof(SceneView<float>) == 328, "a table more? SceneView and SceneData list them all");
 
 template <class S>
-const SceneView<S> &DeviceScene<S>::upload(Launcher &launcher, const SceneData<S> &data, int threads) {
+const SceneView<S> &DeviceScene<S>::upload(Launcher &launcher, const SceneData<S> &data,
+                                           const std::vector<uint8_t> &there, int threads) {
     const SceneView<S> &host = data.view();
     n_used_ = 0;
     view_ = host;
@@ -59,8 +60,17 @@ const SceneView<S> &DeviceScene<S>::upload(Launcher &launcher, const SceneData<S
     data.for_tables([&](auto member, auto *table, size_t n) { view_.*member = put(launcher, table, n, threads); });
     const std::vector<int64_t> &sizes = data.layout().slot_sizes;
     std::vector<TensorView<S>> tensors(host.values.tensors, host.values.tensors + sizes.size());
-    for (size_t i = 0; i < tensors.size(); ++i)
-        tensors[i].data = put(launcher, tensors[i].data, size_t(sizes[i]), threads);
+    copies_.resize(tensors.size());
+    for (size_t i = 0; i < tensors.size(); ++i) {
+        const auto n = size_t(sizes[i]);
+        if (i >= there.size() || !there[i]) {
+            tensors[i].data = put(launcher, tensors[i].data, n, threads);
+        } else if (!launcher.reaches_tensors()) {
+            copies_[i].reserve(launcher, n);
+            launcher.copy(copies_[i].get(), tensors[i].data, n * sizeof(S));
+            tensors[i].data = copies_[i].get();
+        }
+    }
     view_.values.tensors = put(launcher, tensors.data(), tensors.size(), threads);
     view_.values.constants = put(launcher, host.values.constants, data.n_constants(), threads);
     return view_;

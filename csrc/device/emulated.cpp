@@ -154,6 +154,11 @@ public:
         const Open open(*this);
         std::memcpy(to, from, bytes);
     }
+    void copy(void *to, const void *from, size_t bytes) override {
+        char *target = place(to, bytes);
+        const char *source = place(const_cast<void *>(from), bytes);
+        submit([target, source, bytes] { std::memcpy(target, source, bytes); });
+    }
     void synchronize() override {
         std::unique_lock<std::mutex> lock(mutex_);
         changed_.wait(lock, [&] { return waiting_ == 0; });
@@ -219,6 +224,13 @@ private:
             throw std::logic_error(std::string(what) + ": a pointer to memory that is not the device's");
     }
 
+    // Of a tensor, or of the device's own.
+    char *place(void *memory, size_t bytes) {
+        const auto address = reinterpret_cast<uintptr_t>(memory);
+        if (address & EmulatedTensor) return reinterpret_cast<char *>(address & ~EmulatedTensor);
+        require(memory, bytes, "a copy");
+        return static_cast<char *>(memory);
+    }
     void submit(std::function<void()> task) {
         if (!options_.late) return perform(task);
         {

@@ -18,6 +18,10 @@ struct EmulatedOptions {
     size_t capacity = size_t(1) << 34;  // of the memory: address space, pages are taken as they are used
 };
 
+// In addresses of tensors that are said to lie on the device, and lie in the host's memory: nobody else can follow
+// them.
+constexpr uintptr_t EmulatedTensor = uintptr_t(1) << 62;
+
 // Fresh memory is full of signalling NaN, and so is what lies around an allocation. std::logic_error, if need be later
 // (from synchronize, say), for a kernel with a pointer to other memory, for what was written beside an allocation, and
 // for memory that is released while something launched may need it.

@@ -206,6 +206,21 @@ struct AddToFilm {
     }
 };
 
+// Results of an image, see ImagePlaces; an item is a wanted pixel.
+template <class S>
+struct WriteImage {
+    static constexpr const char *Name = TR_KERNEL_NAME(WriteImage), *Header = "device/film_kernels.h";
+    const double *sums;
+    int32_t channels, numbers, moments;
+    ImagePlaces<S> to;
+
+    TR_HD void operator()(uint32_t i) const { to.write(i, sums + size_t(i) * size_t(channels), numbers, moments); }
+    template <class Visit>
+    void for_pointers(Visit &&visit) const {
+        visit(sums), to.for_pointers(visit);
+    }
+};
+
 // Outputs besides radiance: channel c of sample i is at[c * stride + i].
 template <class S>
 struct OutputValues {

@@ -37,7 +37,14 @@ public:
     // is done.
     virtual void upload(void *to, const void *from, size_t bytes) = 0;
     virtual void download(void *to, const void *from, size_t bytes) = 0;
+    // Of the device, of which one may be a tensor of PyTorch's that is said to lie there.
+    virtual void copy(void *to, const void *from, size_t bytes) = 0;
     virtual void synchronize() = 0;
+
+    // Whether kernels may be given the addresses of such tensors.
+    virtual bool reaches_tensors() const { return false; }
+    // In whose order everything happens from now on; 0: the device's own.
+    virtual void use_stream(uintptr_t) {}
 
     // Bytes that the paths of a batch should take.
     virtual size_t batch_memory() const { return size_t(16) << 20; }

@@ -28,6 +28,12 @@ public:
     template <class S>
     void update(const SceneView<S> &scene, uint64_t version);
 
+    // See Launcher.
+    void use_stream(uintptr_t stream) {
+        ensure_process();
+        device_->launcher->use_stream(stream);
+    }
+
     // As Accel's.
     void intersect(const RayBatch &rays, const HitBatch &hits, size_t n) {
         device_->launcher->know(shapes_);

@@ -105,7 +105,8 @@ typename SceneData<S>::Counters SceneData<S>::counters() const {
 }
 
 template <class S>
-void SceneData<S>::update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look) {
+void SceneData<S>::update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look,
+                          const std::vector<uint8_t> &elsewhere) {
     if (!accel_) throw std::invalid_argument("scene: update before build");
     if (params.size() != n_params() || dirty.size() != n_params())
         bad_value("scene: update", std::to_string(n_params()) + " parameters", std::to_string(params.size()));
@@ -121,7 +122,7 @@ void SceneData<S>::update(const std::vector<const S *> &params, const std::vecto
     bool first = all_dirty_ || geometry_dirty_, new_environment = all_dirty_ || environment_dirty_;
     all_dirty_ = true;
     for (const ParameterUse &use : layout_.tensors)
-        if (changed[size_t(use.slot)])
+        if (changed[size_t(use.slot)] && (elsewhere.empty() || !elsewhere[size_t(use.slot)]))
             require_finite(params[size_t(use.slot)], layout_.slot_sizes[size_t(use.slot)], use.where);
     std::vector<S> old = constants_;
     read_constants(params);

@@ -41,8 +41,10 @@ public:
     // Values: `params` has an address for every parameter (they stay in use until the next call), dirty[i] != 0 says
     // that the contents of a tensor have changed since the last call. The first call after build takes all as changed,
     // and so does the first after a call that failed. std::invalid_argument for values that cannot be rendered.
-    // `look`: for what was written without a word, too; without if a call just before has looked.
-    void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look = true);
+    // `look`: for what was written without a word, too; without if a call just before has looked. `elsewhere`, by slot
+    // or empty: numbers that the host does not reach, of textures that BSDFs alone have.
+    void update(const std::vector<const S *> &params, const std::vector<uint8_t> &dirty, bool look = true,
+                const std::vector<uint8_t> &elsewhere = {});
 
     // How emitters are chosen until the next update: by their weights, or by those times their power. An update goes
     // back to weights.

@@ -153,6 +153,29 @@ TR_TEST(emulated_device_refuses_memory_of_the_host) {
     }
 }
 
+// Tensors that are said to lie on the device have addresses that nobody else can follow.
+TR_TEST(emulated_device_copies_tensors) {
+    for (const EmulatedOptions &options : AllModes) {
+        const auto device = make_emulated(options);
+        std::vector<float> from{1, 2, 3, 4}, to(4);
+        const auto there = [](std::vector<float> &host) {
+            return reinterpret_cast<float *>(reinterpret_cast<uintptr_t>(host.data()) | EmulatedTensor);
+        };
+        DeviceArray<float> array(*device, 4), more(*device, 4);
+        device->copy(array.get(), there(from), 4 * sizeof(float));
+        device->run(AddOne{array.get()}, 4);
+        device->copy(more.get(), array.get(), 4 * sizeof(float));
+        device->copy(there(to), more.get(), 4 * sizeof(float));
+        device->synchronize();
+        CHECK((to == std::vector<float>{2, 3, 4, 5}));
+        CHECK(!device->reaches_tensors());
+        CHECK_THROWS(device->run(AddOne{there(from)}, 4), std::logic_error, "not the device's");
+        CHECK_THROWS(device->copy(array.get(), from.data(), 16), std::logic_error, "a copy: a pointer to memory");
+        CHECK_THROWS(device->copy(array.get() + 1, there(from), 16), std::logic_error, "a copy: a pointer to memory");
+        CHECK_THROWS(device->upload(there(to), from.data(), 16), std::logic_error, "an upload");
+    }
+}
+
 TR_TEST(emulated_device_finds_what_is_written_beside) {
     for (const EmulatedOptions &options : AllModes) {
         const auto device = make_emulated(options);
@@ -239,6 +262,7 @@ struct FakeDriver {
     cuda::Result init = 0, launch = 0, wait = 0;
     int contexts = 0, allocations = 0;
     unsigned grid = 0;
+    cuda::Stream stream = nullptr;  // of what was asked last
 } fake;
 
 cuda::Api fake_api() {
@@ -297,7 +321,14 @@ cuda::Api fake_api() {
     api.MemcpyDtoHAsync = [](void *to, DevicePointer from, size_t bytes, Stream) {
         return std::memcpy(to, reinterpret_cast<void *>(from), bytes), 0;
     };
-    api.StreamSynchronize = [](Stream) { return fake.wait; };
+    api.MemcpyDtoDAsync = [](DevicePointer to, DevicePointer from, size_t bytes, Stream stream) {
+        fake.stream = stream;
+        return std::memcpy(reinterpret_cast<void *>(to), reinterpret_cast<void *>(from), bytes), 0;
+    };
+    api.StreamSynchronize = [](Stream stream) {
+        fake.stream = stream;
+        return fake.wait;
+    };
     api.LaunchKernel = [](Function, unsigned grid, unsigned, unsigned, unsigned block, unsigned, unsigned, unsigned,
                           Stream, void **parameters, void **) {
         fake.grid = grid;
@@ -349,6 +380,18 @@ TR_TEST(cards_are_driven) {
         CHECK(fake.grid == 1);
         array.download(found.data(), found.size());
         CHECK(found.front() == 3 && found.back() == 2);
+        std::vector<float> tensor(5000);  // of this driver's memory, as good as any
+        const auto stream = reinterpret_cast<uintptr_t>(&tensor);
+        device->use_stream(stream), fake.stream = nullptr;
+        device->copy(tensor.data(), array.get(), 5000 * sizeof(float));
+        CHECK(tensor == found && device->reaches_tensors());
+        CHECK(fake.stream == reinterpret_cast<cuda::Stream>(stream));
+        device->use_stream(0);  // who changes streams waits for the one before, if need be
+        CHECK(fake.stream == reinterpret_cast<cuda::Stream>(stream));
+        device->synchronize();
+        CHECK(fake.stream == nullptr);
+        device->use_stream(stream), device->use_stream(0);
+        CHECK(fake.stream == nullptr);
         CHECK_THROWS(device->allocate(2000000), std::bad_alloc, "");
         fake.wait = 700;
         CHECK_THROWS(device->synchronize(), std::runtime_error, "while running tr::testing::AddOne: an error of the");
@@ -360,6 +403,33 @@ TR_TEST(cards_are_driven) {
           "retain load:\x7f"
           "ELF\x2\x1\x1\x33\a unload let go ");
     CHECK(folder.files().size() == 1);
+}
+
+TR_TEST(memory_of_cards_may_be_anothers) {
+    fake = {};
+    const cuda::Api api = fake_api();
+    const TemporaryFolder folder;
+    const cuda::KernelCompiler compiler(nullptr, sources(), KernelCache(folder.path));
+    static int taken;
+    taken = 0;
+    cuda::CardMemory memory;
+    memory.take = [](size_t bytes, int ordinal) -> void * {
+        if (bytes > 1000) return nullptr;
+        taken += ordinal + 1;
+        return std::malloc(bytes);
+    };
+    memory.give_back = [](void *given) { --taken, std::free(given); };
+    const auto device = cuda::make_launcher(api, compiler, 0, memory);
+    {
+        const std::vector<float> numbers(10, 2.f);
+        std::vector<float> found(10);
+        DeviceArray<float> array;
+        array.upload(*device, numbers.data(), 10);
+        array.download(found.data(), 10);
+        CHECK(taken == 1 && fake.allocations == 0 && found == numbers);
+        CHECK_THROWS(device->allocate(1001), std::bad_alloc, "");
+    }
+    CHECK(taken == 0);
 }
 
 TR_TEST(kernels_that_know_a_scene_are_compiled_for_each) {

@@ -65,7 +65,7 @@ struct Image {
     RenderStats stats;
 
     explicit Image(size_t n) : image(3 * n), alpha(n), variance(3 * n), second_moment(3 * n) {}
-    RenderOutput<S> out() { return {image.data(), alpha.data(), variance.data(), second_moment.data()}; }
+    RenderOutput<S> out() { return {{image.data(), alpha.data(), variance.data(), second_moment.data()}}; }
     bool operator==(const Image &o) const {
         return image == o.image && alpha == o.alpha && variance == o.variance && second_moment == o.second_moment;
     }
@@ -373,6 +373,11 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<TracePaths<double>>(), room, -1, ""},
                              {kernel_of<ShadeHits<double>>(), room, diffuse, ",diffuse"},
                              {kernel_of<SweepVertices<double>>(), recorded, diffuse, ",diffuse"},
+                             {kernel_of<SweepVertices<double>>(), fixed, diffuse, ",diffuse,fixed"},
+                             {kernel_of<SettleSums<double>>(), room, -1, ""},
+                             {kernel_of<FlyRays<double>>(), cloud, -1, ""},
+                             {kernel_of<SplatConnections<double>>(), light, -1, ""},
+                             {kernel_of<WriteImage<double>>(), room, -1, ""},
                              {kernel_of<ShadeHits<float>>(), more, diffuse, ",diffuse,more"},
                              {kernel_of<ShadeHits<float>>(), more, principled, ",principled,more"},
                              {kernel_of<ShadeHits<float>>(), more, MissKind, ",miss,more"},
@@ -427,6 +432,7 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<FillWords>(), room, -1, ""},
                              {kernel_of<FillNumbers<float>>(), room, -1, ""},
                              {kernel_of<AddToFilm<float>>(), room, -1, ""},
+                             {kernel_of<WriteImage<float>>(), room, -1, ""},
                              {kernel_of<IntersectRays>(), room, -1, ""},
                              {kernel_of<OccludeRays>(), room, -1, ""},
                              {kernel_of<OccludeRays>(), fields, -1, ",fields"}}) {

@@ -241,7 +241,7 @@ TR_TEST(an_interruption_stops) {
     call.interrupted = [](double) { return true; };
     std::vector<float> image(size_t(s.height * s.width * 3), 7.0f);
     FilmSums sums;
-    RenderOutput<float> out{image.data()};
+    RenderOutput<float> out{{image.data()}};
     out.sums = &sums;
     CHECK((render_primal<float>(call, out).interrupted));
     CHECK(sums.spp == 0 && sums.sum.empty() && image == std::vector<float>(image.size(), 7.0f));
@@ -259,7 +259,7 @@ TR_TEST(parts_add_up) {
     std::vector<float> whole(size_t(s.height * s.width * 3)), parts(whole.size());
     render_primal<float>(call, {whole.data()});
     FilmSums sums;
-    RenderOutput<float> out{parts.data()};
+    RenderOutput<float> out{{parts.data()}};
     out.sums = &sums;
     for (int64_t begin : {0, 5, 6}) {
         call.sample_offset = begin;

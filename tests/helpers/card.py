@@ -1,8 +1,9 @@
 """A device of PyTorch's that behaves as a card's tensors do, and is the host: for what tensors elsewhere go through.
 
 PyTorch lets Python be the backend of its device type for private use (``pretended`` here). A tensor of it holds one of
-the host, which nothing but operators of PyTorch reaches: it has no address. Autograd, modules and optimisers take it
-for one of any other accelerator.
+the host, which nothing but operators of PyTorch reaches, and the emulated device: its address is one that nobody else
+can follow (EmulatedTensor in csrc/device/emulated.h). Autograd, modules and optimisers take it for one of any other
+accelerator.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ try:
 except (AttributeError, ImportError):  # older ones
     register = None
 
+from torchrender import devices
+
 NAME = "pretended"
+OUT_OF_REACH = 1 << 62
 
 
 class CardTensor(torch.Tensor):
@@ -66,6 +70,7 @@ def available() -> bool:
         module = backend_registration._DummyBackendModule()
         module.get_amp_supported_dtype = lambda: [torch.float16]  # torch.utils.checkpoint asks for it
         register(NAME, module)
+        devices.EMULATED[NAME] = lambda tensor: tensor.host.data_ptr() + OUT_OF_REACH
         _library = torch.library.Library("_", "IMPL", "PrivateUse1")
         _library.fallback(lambda function, *args, **kwargs: _run(function, args, kwargs))
     return _library is not None

@@ -281,15 +281,21 @@ class Check:
     def moved(self, place: str | None = None, size: int = 64) -> dict[str, Any]:
         """A scene that lies on the card (or at `place`): image, gradients and a step of an optimiser, bit for bit.
 
-        And the seconds that it takes to get an image and gradients, beside a scene on the CPU, by the same card.
+        It has textures and a sky, which stay there. Also on a stream of its own, and the seconds that it takes to get
+        an image and gradients, beside a scene on the CPU, by the same card.
         """
         place = place or self.card
         if place.startswith("cuda") and not torch.cuda.is_available():
             return {"none": "this PyTorch has no CUDA"}
+        generator = torch.Generator().manual_seed(1)
+        texels = [{"type": "bitmap", "raw": True, "data": torch.rand(64, 64, 3, generator=generator)} for _ in "ab"]
+        given = room({"type": "plastic", "diffuse_reflectance": texels[0]}, size=size)
+        given["lamp"]["emitter"]["radiance"] = texels[1]
+        given["sky"] = {"type": "envmap", "bitmap": torch.rand(16, 32, 3, generator=generator)}
         found, seconds = [], {}
         for lies in ("cpu", place):
             with devices.chosen("" if lies == self.card else self.card), deterministic_algorithms(True):
-                scene = load_dict(room({"type": "plastic"}, size=size), device=lies)
+                scene = load_dict(given, device=lies)
                 parameters = [scene.get_parameter(name) for name in train_all(scene, but_what_moves=True)]
                 optimizer = torch.optim.Adam(parameters, lr=0.01)
 
@@ -302,7 +308,13 @@ class Check:
                 seconds[lies] = _median(image, 3)
                 values = [image(3), *(p.grad.clone() for p in parameters if p.grad is not None)]
                 optimizer.step()
-                found.append([*values, image(4)])
+                values.append(image(4))
+                stream = torch.cuda.Stream() if lies.startswith("cuda") else None
+                with torch.cuda.stream(stream):
+                    values.append(image(5) + 0)
+                if stream is not None:
+                    torch.cuda.current_stream().wait_stream(stream)
+                found.append([*values, *(p.grad.clone() for p in parameters if p.grad is not None)])
         same = all(b.device == torch.device(place) and torch.equal(b.to("cpu"), a) for a, b in zip(*found, strict=True))
         return {"passed": same, "of": len(found[0]), "seconds": seconds}
 
@@ -338,6 +350,10 @@ class Check:
             found[name] = {"first": first, "small": small, "large": large, "rays a second, large": count / large}
             train_all(scene, but_what_moves=True)
             found[name]["small with gradient"] = _median(lambda seed, r=renderer: r(seed=seed).sum().backward(), 30)
+            if self.card.startswith("cuda") and torch.cuda.is_available():
+                renderer.to(self.card)
+                there = _median(lambda seed, r=renderer: r(seed=seed).sum().backward(), 30)
+                found[name]["small with gradient, on the card"] = there
         return found
 
     def kernels(self, scenes: Path) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Container, Mapping
 
 import torch
 from torch import nn
@@ -12,16 +12,21 @@ from .bending_field import bending_field
 from .host_memory import on_host
 from .packing import Layout, record
 from .plugin import Plugin
+from .residence import FEW
 from .scene import Scene
 from .values import has_derivative
 
 
 def gather(
-    scene: Scene, layout: Layout, params: Mapping[str, torch.Tensor] | None, function: str = "render"
+    scene: Scene,
+    layout: Layout,
+    params: Mapping[str, torch.Tensor] | None,
+    function: str = "render",
+    staying: Container[int] = (),
 ) -> list[torch.Tensor]:
     """The tensors of all slots in the scene's dtype, dense; `params` replaces some of them by name.
 
-    `function` is who asks, for messages.
+    They are on the CPU, but large ones of the slots `staying`. `function` is who asks, for messages.
     """
     if scene.dtype not in (torch.float32, torch.float64):
         raise TypeError(
@@ -51,7 +56,7 @@ def gather(
             replaced[index] = tensor
     tensors = []
     for i, slot in enumerate(layout.slots):
-        tensors.append(_dense(scene, slot.name, replaced[i] if i in replaced else slot.tensor()))
+        tensors.append(_dense(scene, slot.name, replaced[i] if i in replaced else slot.tensor(), i in staying))
     for mesh in layout.smooth_meshes:
         positions = layout.slot_of[id(mesh), "vertex_positions"]
         normals = layout.slot_of.get((id(mesh), "vertex_normals"))
@@ -103,10 +108,11 @@ def check_place(scene: Scene, name: str, tensor: torch.Tensor) -> None:
         raise ValueError(f"{name}: lies on {place}{where}: use .to({str(better)!r})")
 
 
-def _dense(scene: Scene, name: str, tensor: torch.Tensor) -> torch.Tensor:
+def _dense(scene: Scene, name: str, tensor: torch.Tensor, stays: bool = False) -> torch.Tensor:
     if not tensor.is_cpu:
         check_place(scene, name, tensor)
-        tensor = on_host(tensor)
+        if not stays or tensor.numel() <= FEW:
+            tensor = on_host(tensor)
     if tensor.dtype != scene.dtype:
         tensor = tensor.to(scene.dtype)
     return tensor if tensor.is_contiguous() else tensor.contiguous()

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterable
+from itertools import repeat
+from operator import and_
 from typing import Any
 
 import torch
 
 from .. import backends
-from ..devices import FUNCTIONS, RENDERS, device, require_cpu, use_compiler
+from ..devices import FUNCTIONS, RENDERS, address, device, holds, require_cpu, share_memory, use_compiler
 from ..library import Watch
+from .host_memory import numbers_on_host
 from .packing import Layout
+from .residence import staying
 
 _WITH_CONFIG = (
     *("render", "render_vjp", "render_jvp", "response_vjp", "pixel_weights"),
@@ -71,34 +76,66 @@ class NativeScene:
         """What computes, see `torchrender.devices.device`."""
         return device(self.home)
 
+    def holds(self, place: torch.device) -> bool:
+        """Whether the memory of what computes has what lies there."""
+        return holds(self.device(), place)
+
+    def reached(self, tensor: torch.Tensor) -> torch.Tensor:
+        """`tensor` where the core can read and write it, a copy on the CPU if need be."""
+        return tensor if tensor.is_cpu or self.holds(tensor.device) else tensor.to("cpu")
+
     def call(self, function: str, params: list[torch.Tensor], *args: Any) -> Any:
         """``handle.function(cfg, params, dirty, ...)``: the first of `args` goes in front of the parameters.
 
+        Those of `params` that do not lie on the CPU are read there, by what renders in that memory, or copied. Then
+        their gradients and tangents are there, too, and with ``on_device`` in the settings the image or its adjoint.
         ValueError names a parameter that is not finite; RuntimeError says that the device does not have this.
         """
         if function not in FUNCTIONS:
             require_cpu(function, self.device())
         with self.lock:
+            there, alone = self._there(function, params)
+            if there:
+                params = [t if t.is_cpu or a else numbers_on_host(t) for t, a in zip(params, alone, strict=True)]
             dirty = self._dirty(params)
-            addresses = [t.data_ptr() for t in params]
+            addresses = [address(t) for t in params]
             try:
+                self._check_finite(params, map(and_, alone, dirty))  # the core looks at the others
                 if self.device().startswith(("cuda", "sm_", "compute_")):
                     use_compiler(self.handle.library)
+                    if self.home is not None and self.home.type == "cuda":
+                        share_memory(self.handle.library)
                 if function in _WITH_CONFIG:
                     settings, *rest = args
                     watch = Watch(settings.get("progress") if isinstance(settings, dict) else None)
                     if isinstance(settings, dict):
                         settings = {name: value for name, value in settings.items() if name != "progress"}
                     if function in RENDERS:
-                        settings |= {"device": self.device()}
+                        settings |= {"device": self.device(), **self._placed(there, alone, settings)}
                     return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
                 return getattr(self.handle, function)(*args, addresses, dirty)
             except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
                 self._seen = [None] * len(self._seen)
-                if isinstance(error, ValueError):
-                    self._name_nonfinite(params)
+                if isinstance(error, ValueError):  # perhaps of numbers that are not finite, without a name
+                    self._check_finite(params, repeat(True))
                 raise
+
+    def _there(self, function: str, params: list[torch.Tensor]) -> tuple[list[bool], list[bool]]:
+        """Which of `params` lie in the memory of what renders, and which of them are read there alone; else nothing."""
+        if self.home is None or self.home.type == "cpu":
+            return [], []
+        computing = self.device() if function in RENDERS else "cpu"
+        there = [not t.is_cpu and holds(computing, t.device) for t in params]
+        return there, [t and staying(self.layout).get(i, False) for i, t in enumerate(there)]
+
+    def _placed(self, there: list[bool], alone: list[bool], settings: dict[str, Any]) -> dict[str, Any]:
+        """What a device has to know of the memory that it shares with PyTorch, and in whose order it works there."""
+        image = bool(settings.get("on_device"))
+        found: dict[str, Any] = {"on_device": (there, alone, image)} if image or any(there) else {}
+        if self.home is not None and self.home.type == "cuda" and self.holds(self.home):
+            found["stream"] = torch.cuda.current_stream(self.home).cuda_stream
+        return found
 
     def _dirty(self, params: list[torch.Tensor]) -> list[bool]:
         dirty = []
@@ -106,14 +143,14 @@ class NativeScene:
             version = -1 if tensor.is_inference() else tensor._version
             seen = self._seen[i]
             # The alias that is kept holds the storage, so that an equal address means the same memory.
-            same = seen is not None and version >= 0 and seen[1] == version and seen[0].data_ptr() == tensor.data_ptr()
+            same = seen is not None and version >= 0 and seen[1] == version and address(seen[0]) == address(tensor)
             if not same:
                 self._seen[i] = (tensor.detach(), version)
             dirty.append(not same)
         return dirty
 
-    def _name_nonfinite(self, params: list[torch.Tensor]) -> None:
-        """ValueError if one of `params` is what the core has refused; the core itself looks at what changed only."""
-        for name, tensor in zip(self.names, params, strict=True):
-            if not bool(torch.isfinite(tensor.detach()).all()):
+    def _check_finite(self, params: list[torch.Tensor], which: Iterable[bool]) -> None:
+        """ValueError with the name of one of them that is not finite."""
+        for name, tensor, looked_at in zip(self.names, params, which):
+            if looked_at and not bool(torch.isfinite(tensor.detach()).all()):
                 raise ValueError(f"{name}: has values that are not finite") from None

@@ -102,6 +102,7 @@ class Layout:
     outlines: list[int] | None = None  # slots of what moves them, once that was asked
     spectral: bool = False  # colours are spectra for the core
     roles: list[str | None] | None = None  # of slots, once that was asked, see spectral/roles.py
+    staying: dict[int, bool] | None = None  # see residence.py, once that was asked
     edges: Any = None  # the core's outlines, and the index arrays they were found with, see visibility/outlines.py
 
     @property
