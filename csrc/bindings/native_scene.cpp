@@ -383,10 +383,9 @@ private:
         const std::vector<ShapeInfo> &shapes = data_.layout().shapes;
         for (size_t i = 0; i < shapes.size(); ++i)
             if (const char *missing = SceneRays::missing(shapes[i]))
-                throw std::invalid_argument(
-                    data_.path("shape", int(i)) +
-                    ": devices have meshes, rectangles, spheres, disks, cylinders and height fields so far, got " +
-                    missing + "; with TORCHRENDER_BACKEND=cpu rays meet everything");
+                throw std::invalid_argument(data_.path("shape", int(i)) +
+                                            ": devices have everything but curves so far, got " + missing +
+                                            "; with TORCHRENDER_BACKEND=cpu rays meet everything");
         update(values, there);
         std::unique_ptr<SceneRays> &rays = devices_[device == "tree" ? "emulated" : device];
         if (!rays) rays = make_rays(device);

@@ -10,20 +10,28 @@ void DeviceTree::set(const Tree &tree) {
     nodes_.upload(launcher_, tree.nodes.data(), tree.nodes.size());
     items_.upload(launcher_, tree.items.data(), tree.items.size());
     matrices_.upload(launcher_, tree.matrices.data(), tree.matrices.size());
-    heights_.upload(launcher_, tree.heights.data(), tree.heights.size());
+    values_.upload(launcher_, tree.values.data(), tree.values.size());
     ranges_.upload(launcher_, tree.ranges.data(), tree.ranges.size());
+    empty_.upload(launcher_, tree.empty.data(), tree.empty.size());
     std::vector<HeightTable> fields = tree.fields;
     for (HeightTable &field : fields) {
         if (!field.heights) continue;
-        field.heights = heights_.get() + (field.heights - tree.heights.data());
+        field.heights = values_.get() + (field.heights - tree.values.data());
         field.fine = ranges_.get() + (field.fine - tree.ranges.data());
         field.coarse = ranges_.get() + (field.coarse - tree.ranges.data());
     }
     fields_.upload(launcher_, fields.data(), fields.size());
+    std::vector<SdfTable> grids = tree.grids;
+    for (SdfTable &grid : grids) {
+        if (!grid.values) continue;
+        grid.values = values_.get() + (grid.values - tree.values.data());
+        grid.empty = empty_.get() + (grid.empty - tree.empty.data());
+    }
+    grids_.upload(launcher_, grids.data(), grids.size());
     launcher_.synchronize();
     view_ = tree.view();
     view_.nodes = nodes_.get(), view_.items = items_.get(), view_.matrices = matrices_.get();
-    view_.fields = fields_.get();
+    view_.fields = fields_.get(), view_.grids = grids_.get();
 }
 
 RayTable DeviceTree::upload(const RayBatch &rays, size_t begin, size_t n) {

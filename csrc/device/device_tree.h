@@ -32,8 +32,10 @@ private:
     DeviceArray<TreeItem> items_;
     DeviceArray<TreeMatrix> matrices_;
     DeviceArray<HeightTable> fields_;
-    DeviceArray<float> heights_;
+    DeviceArray<SdfTable> grids_;
+    DeviceArray<float> values_;
     DeviceArray<HeightRange> ranges_;
+    DeviceArray<uint32_t> empty_;
     DeviceArray<float> rays_[7], found_[3];
     DeviceArray<uint32_t> shape_, primitive_;
     DeviceArray<uint8_t> hit_;

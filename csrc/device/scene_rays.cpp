@@ -7,7 +7,9 @@
 #include <thread>
 
 #include "accel/height_ranges.h"
+#include "accel/sdf_blocks.h"
 #include "core/shape/heightfield.h"
+#include "core/shape/sdfgrid.h"
 #include "emulated.h"
 
 namespace tr {
@@ -35,6 +37,7 @@ TreeItem curved_item(const SceneView<S> &scene, const Tree &tree, uint32_t shape
     double to_world[12];
     single_matrix(scene.shape_matrices + 24 * size_t(shape), to_world);
     if (flags & IsHeightField) return field_item(shape, tree.fields[shape].range, to_world);
+    if (flags & IsSdfGrid) return grid_item(shape, tree.grids[shape], to_world);
     return quadric_item(shape,
                         flags & IsSphere     ? TreeKind::Sphere
                         : flags & IsCylinder ? TreeKind::Cylinder
@@ -42,34 +45,52 @@ TreeItem curved_item(const SceneView<S> &scene, const Tree &tree, uint32_t shape
                         to_world);
 }
 
-// Tables of the height fields, in single precision, and all that they refer to.
+// Tables of the height fields and grids of distances, in single precision, and all that they refer to.
 template <class S>
-void set_fields(const SceneView<S> &scene, Tree &tree) {
+void set_tables(const SceneView<S> &scene, Tree &tree) {
     struct Begin {
-        size_t heights, fine, coarse;
+        size_t values, fine, coarse, empty;
     };
-    std::vector<Begin> begin;
-    tree.fields.clear(), tree.heights.clear(), tree.ranges.clear();
+    std::vector<Begin> begin(size_t(scene.n_shapes));
+    tree.fields.clear(), tree.grids.clear(), tree.values.clear(), tree.ranges.clear(), tree.empty.clear();
+    const auto append = [&](const S *values, size_t n) {
+        tree.values.insert(tree.values.end(), values, values + n);
+        return tree.values.data() + (tree.values.size() - n);
+    };
     for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
-        if (!(scene.shapes[shape].flags & IsHeightField)) continue;
-        const HeightView<S> field(scene, shape);
-        const size_t first = tree.heights.size(), n = size_t(field.rows) * size_t(field.columns);
-        tree.heights.insert(tree.heights.end(), field.data, field.data + n);
-        HeightRanges ranges;
-        ranges.set(&tree.heights[first], field.rows, field.columns);
-        begin.push_back({first, tree.ranges.size(), tree.ranges.size() + ranges.fine().size()});
-        tree.ranges.insert(tree.ranges.end(), ranges.fine().begin(), ranges.fine().end());
-        tree.ranges.insert(tree.ranges.end(), ranges.coarse().begin(), ranges.coarse().end());
-        tree.fields.resize(size_t(scene.n_shapes));
-        tree.fields[shape] = ranges.table(nullptr, field.rows, field.columns, field.linear);
+        const int32_t flags = scene.shapes[shape].flags;
+        begin[shape] = {tree.values.size(), tree.ranges.size(), 0, tree.empty.size()};
+        if (flags & IsHeightField) {
+            const HeightView<S> field(scene, shape);
+            const float *heights = append(field.data, size_t(field.rows) * size_t(field.columns));
+            HeightRanges ranges;
+            ranges.set(heights, field.rows, field.columns);
+            tree.ranges.insert(tree.ranges.end(), ranges.fine().begin(), ranges.fine().end());
+            begin[shape].coarse = tree.ranges.size();
+            tree.ranges.insert(tree.ranges.end(), ranges.coarse().begin(), ranges.coarse().end());
+            tree.fields.resize(size_t(scene.n_shapes));
+            tree.fields[shape] = ranges.table(nullptr, field.rows, field.columns, field.linear);
+        } else if (flags & IsSdfGrid) {
+            const SdfGridView<S> grid(scene, shape);
+            const float *values = append(grid.data, size_t(grid.stride[2]) * size_t(grid.cells[2] + 1));
+            SdfBlocks blocks;
+            blocks.set(values, {grid.cells[0] + 1, grid.cells[1] + 1, grid.cells[2] + 1});
+            tree.empty.insert(tree.empty.end(), blocks.empty().begin(), blocks.empty().end());
+            tree.grids.resize(size_t(scene.n_shapes));
+            tree.grids[shape] = blocks.table();
+        }
     }
     // once none of them is moved any more
-    for (size_t shape = 0, k = 0; shape < tree.fields.size(); ++shape) {
-        if (!(scene.shapes[shape].flags & IsHeightField)) continue;
-        HeightTable &field = tree.fields[shape];
-        field.heights = &tree.heights[begin[k].heights];
-        field.fine = &tree.ranges[begin[k].fine], field.coarse = &tree.ranges[begin[k].coarse];
-        ++k;
+    for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
+        const Begin &at = begin[shape];
+        if (scene.shapes[shape].flags & IsHeightField) {
+            HeightTable &field = tree.fields[shape];
+            field.heights = tree.values.data() + at.values;
+            field.fine = tree.ranges.data() + at.fine, field.coarse = tree.ranges.data() + at.coarse;
+        } else if (scene.shapes[shape].flags & IsSdfGrid) {
+            tree.grids[shape].values = tree.values.data() + at.values;
+            tree.grids[shape].empty = tree.empty.data() + at.empty;
+        }
     }
 }
 
@@ -103,7 +124,7 @@ void SceneRays::ensure_process() {
 
 const char *SceneRays::missing(const ShapeInfo &shape) {
     if (shape.flags & IsCurve) return shape.flags & IsStraight ? "a linearcurve" : "a bsplinecurve";
-    return shape.flags & IsSdfGrid ? "an sdfgrid" : nullptr;
+    return nullptr;
 }
 
 template <class S>
@@ -113,7 +134,7 @@ void SceneRays::update(const SceneView<S> &scene, uint64_t version) {
     const bool first = version_ == 0;
     version_ = 0;  // until it is done
     tree_.matrices.resize(size_t(scene.n_shapes));
-    set_fields(scene, tree_);
+    set_tables(scene, tree_);
     if (first) tree_.items.clear();
     for (uint32_t shape = 0; shape < uint32_t(scene.n_shapes); ++shape) {
         const ShapeInfo &info = scene.shapes[shape];

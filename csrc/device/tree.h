@@ -1,8 +1,9 @@
-// A tree of boxes over triangles, spheres, disks, cylinders and height fields, as plain tables that host and device
-// read alike.
+// A tree of boxes over triangles, spheres, disks, cylinders, height fields and grids of distances, as plain tables that
+// host and device read alike.
 #pragma once
 
 #include "core/shape/height_walk.h"
+#include "core/shape/sdf_walk.h"
 
 namespace tr {
 
@@ -14,7 +15,7 @@ struct alignas(64) TreeNode {
 };
 static_assert(sizeof(TreeNode) == 64);
 
-enum class TreeKind : uint32_t { Triangle, Sphere, Disk, Cylinder, HeightField };
+enum class TreeKind : uint32_t { Triangle, Sphere, Disk, Cylinder, HeightField, SdfGrid };
 
 struct alignas(16) TreeItem {
     float p[3][3];  // corners; of the others, the box: lower corner, upper corner
@@ -33,12 +34,13 @@ struct TreeView {
     const TreeItem *items;
     const TreeMatrix *matrices;  // by shape; only read for those that are no meshes
     const HeightTable *fields;   // by shape; only read for height fields
+    const SdfTable *grids;       // ... for grids of distances
     uint32_t n_items;
     float lower[3], upper[3];  // of everything
 
     template <class Visit>
     TR_HD void for_pointers(Visit &&visit) const {
-        visit(nodes), visit(items), visit(matrices), visit(fields);
+        visit(nodes), visit(items), visit(matrices), visit(fields), visit(grids);
     }
 };
 

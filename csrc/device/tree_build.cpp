@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "accel/height_ranges.h"
+#include "accel/sdf_blocks.h"
 #include "core/shape/quadric_hit.h"
 #include "host/parallel.h"
 
@@ -181,7 +182,8 @@ void set_bounds(Tree &tree) {
 }  // namespace
 
 TreeView Tree::view() const {
-    TreeView view{nodes.data(), items.data(), matrices.data(), fields.data(), uint32_t(items.size()), {}, {}};
+    TreeView view{
+        nodes.data(), items.data(), matrices.data(), fields.data(), grids.data(), uint32_t(items.size()), {}, {}};
     std::copy_n(lower, 3, view.lower);
     std::copy_n(upper, 3, view.upper);
     return view;
@@ -240,6 +242,14 @@ TreeItem triangle_item(uint32_t shape, uint32_t primitive, const float *p0, cons
 TreeItem quadric_item(uint32_t shape, TreeKind kind, const double to_world[12]) {
     TreeItem item{{}, shape, 0, kind};
     quadric_box(to_world, kind == TreeKind::Sphere, kind == TreeKind::Cylinder, item.p[0], item.p[1]);
+    return item;
+}
+
+TreeItem grid_item(uint32_t shape, const SdfTable &grid, const double to_world[12]) {
+    TreeItem item{{}, shape, 0, TreeKind::SdfGrid};
+    float single[12];
+    std::copy_n(to_world, 12, single);
+    sdf_box(single, grid, item.p[0], item.p[1]);
     return item;
 }
 

@@ -12,9 +12,12 @@ struct Tree {
     std::vector<TreeNode> nodes;
     std::vector<TreeItem> items;  // sorted as the leaves have them
     std::vector<TreeMatrix> matrices;
-    std::vector<HeightTable> fields;  // by shape, into the two that follow; none, if no shape is a height field
-    std::vector<float> heights;
+    // By shape, into the three that follow; none, if no shape is a height field, or a grid.
+    std::vector<HeightTable> fields;
+    std::vector<SdfTable> grids;
+    std::vector<float> values;  // heights, distances
     std::vector<HeightRange> ranges;
+    std::vector<uint32_t> empty;
     float lower[3], upper[3];
     double cost = 0;  // surface-area heuristic: boxes and items that a random ray through everything is held against
     double built_cost = 0;  // when the tree was built
@@ -30,6 +33,7 @@ struct Tree {
 
 TreeItem triangle_item(uint32_t shape, uint32_t primitive, const float *p0, const float *p1, const float *p2);
 TreeItem quadric_item(uint32_t shape, TreeKind kind, const double to_world[12]);
+TreeItem grid_item(uint32_t shape, const SdfTable &grid, const double to_world[12]);
 TreeItem field_item(uint32_t shape, const HeightRange &range, const double to_world[12]);
 
 }  // namespace tr

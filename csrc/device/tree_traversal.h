@@ -67,8 +67,10 @@ public:
         if (!meets(lower, upper, best.t, enter, leave)) return false;
         TreeHit found{item.shape, item.primitive, 0, 0, 0};
         const bool field = (facts::ShapeFlags & IsHeightField) && item.kind == TreeKind::HeightField;
+        const bool grid = (facts::ShapeFlags & IsSdfGrid) && item.kind == TreeKind::SdfGrid;
         const bool met = triangle ? meet_triangle(item, found)
                          : field  ? meet_field(tree, item, found)
+                         : grid   ? meet_grid(tree, item, found)
                                   : meet_quadric(tree, item, found);
         if (!met) return false;
         found.t = larger(enter, smaller(found.t, leave));
@@ -120,12 +122,28 @@ private:
         return found.t == found.t;  // else numbers were too large
     }
 
-    TR_HD bool meet_field(const TreeView &tree, const TreeItem &item, TreeHit &found) const {
-        const HeightTable &field = tree.fields[item.shape];
+    // The ray in a shape's own frame.
+    struct Local {
+        Vec3<float> o, d;
+    };
+    TR_HD Local local(const TreeView &tree, const TreeItem &item) const {
         float to_object[12];
         for (int k = 0; k < 12; ++k) to_object[k] = float(tree.matrices[item.shape].to_object[k]);
-        const Vec3<float> o = transform_point(to_object, Vec3<float>{o_[0], o_[1], o_[2]}),
-                          d = transform_vector(to_object, Vec3<float>{d_[0], d_[1], d_[2]});
+        return {transform_point(to_object, Vec3<float>{o_[0], o_[1], o_[2]}),
+                transform_vector(to_object, Vec3<float>{d_[0], d_[1], d_[2]})};
+    }
+
+    TR_HD bool meet_grid(const TreeView &tree, const TreeItem &item, TreeHit &found) const {
+        const auto [o, d] = local(tree, item);
+        SdfFound<float> at{tmax_, 0, 0, 0};
+        if (!walk_sdf<false>(tree.grids[item.shape], o, d, tmax_, true, at)) return false;
+        found.t = at.t, found.b1 = at.b1, found.b2 = at.b2, found.primitive = at.primitive;
+        return true;
+    }
+
+    TR_HD bool meet_field(const TreeView &tree, const TreeItem &item, TreeHit &found) const {
+        const HeightTable &field = tree.fields[item.shape];
+        const auto [o, d] = local(tree, item);
         found.t = tmax_;
         return field.linear ? walk_heights<2, false>(field, o, d, tmax_, true, found.t, found.b1, found.b2)
                             : walk_heights<4, false>(field, o, d, tmax_, true, found.t, found.b1, found.b2);

@@ -344,6 +344,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     more.stacks = true;
     SceneFacts fields = room;
     fields.shape_flags |= IsHeightField;
+    SceneFacts grids = room;
+    grids.shape_flags |= IsSdfGrid;
     SceneFacts recorded = room, forward = room;
     recorded.records = forward.records = forward.forward = true;
     // ... and of a cloud in it.
@@ -352,6 +354,8 @@ TR_TEST(kernels_take_no_more_of_a_card) {
     SceneFacts colored = cloud, recorded_cloud = cloud;
     colored.chromatic = recorded_cloud.records = true;
     SceneFacts moved = recorded, fixed = recorded, output_moved = room, moved_cloud = recorded_cloud;
+    SceneFacts moved_grids = moved;
+    moved_grids.motion = true, moved_grids.shape_flags |= IsSdfGrid;
     moved_cloud.motion = true;
     moved.motion = output_moved.motion = fixed.fixed_sums = true;
     SceneFacts light = room, recorded_light = recorded, moved_light = moved;
@@ -368,6 +372,9 @@ TR_TEST(kernels_take_no_more_of_a_card) {
                              {kernel_of<TraceShadows<float>>(), room, -1, ""},
                              {kernel_of<TracePaths<float>>(), more, -1, ",more"},
                              {kernel_of<TracePaths<float>>(), fields, -1, ",fields"},
+                             {kernel_of<TracePaths<float>>(), grids, -1, ",grids"},
+                             {kernel_of<ShadeHits<float>>(), grids, diffuse, ",diffuse,grids"},
+                             {kernel_of<SweepVertices<float>>(), moved_grids, diffuse, ",diffuse,grids,moved"},
                              {kernel_of<ClassifyHits<float>>(), room, -1, ""},
                              {kernel_of<ShadeHits<float>>(), room, diffuse, ",diffuse"},
                              {kernel_of<TracePaths<double>>(), room, -1, ""},

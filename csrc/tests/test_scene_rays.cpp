@@ -15,19 +15,25 @@ namespace tr::testing {
 
 namespace {
 
-// A wavy square of n x n cells, a ball above it, a disk, a cylinder and a height field beside that.
+// A wavy square of n x n cells, a ball above it, a disk, a cylinder, a height field beside that, and a grid of
+// distances.
 template <class S>
 struct SmallScene {
-    static constexpr int N = 24, Rows = 21, Columns = 70;
+    static constexpr int N = 24, Rows = 21, Columns = 70, Shapes = 6;
+    static constexpr int Corners[3] = {9, 7, 8};  // of the grid
     std::vector<VertexRow<S>> vertices;
     std::vector<uint32_t> faces;
     std::vector<ShapeInfo> shapes;
-    std::vector<S> matrices, heights;
-    TensorView<S> tensor{};
+    std::vector<S> matrices, heights, distances;
+    TensorView<S> tensors[2]{};
     SceneView<S> view{};
 
     explicit SmallScene(bool linear = false)
-        : vertices((N + 1) * (N + 1)), shapes(5, ShapeInfo{}), matrices(5 * 24), heights(Rows * Columns) {
+        : vertices((N + 1) * (N + 1)),
+          shapes(Shapes, ShapeInfo{}),
+          matrices(Shapes * 24),
+          heights(Rows * Columns),
+          distances(size_t(Corners[0]) * Corners[1] * Corners[2]) {
         for (uint32_t i = 0; i < N; ++i)
             for (uint32_t j = 0; j < N; ++j) {
                 const uint32_t a = i * (N + 1) + j, b = a + 1, c = a + N + 1, d = c + 1;
@@ -36,11 +42,15 @@ struct SmallScene {
         shapes[0].n_faces = int32_t(faces.size() / 3);
         shapes[1].flags = IsSphere, shapes[2].flags = IsDisk, shapes[3].flags = IsCylinder;
         shapes[4].flags = IsHeightField, shapes[4].heights = 0, shapes[4].interpolation = linear;
-        tensor.data = heights.data(), tensor.shape[0] = Rows, tensor.shape[1] = 1, tensor.shape[2] = Columns;
-        view.values.tensors = &tensor;
+        tensors[0].data = heights.data(), tensors[1].data = distances.data();
+        tensors[0].shape[0] = Rows, tensors[0].shape[1] = 1, tensors[0].shape[2] = Columns;
+        shapes[5].flags = IsSdfGrid, shapes[5].heights = 1;
+        tensors[1].shape[0] = Corners[1], tensors[1].shape[1] = Corners[0];
+        tensors[1].shape[2] = 1, tensors[1].shape[3] = Corners[2];
+        view.values.tensors = tensors;
         place(0, 0.05);
         view.vertices = vertices[0].p, view.faces = faces.data(), view.shapes = shapes.data();
-        view.shape_matrices = matrices.data(), view.n_shapes = 5;
+        view.shape_matrices = matrices.data(), view.n_shapes = Shapes;
     }
     // How far the curved shapes are moved, and how high the waves of the square and the field are.
     void place(double by, double height) {
@@ -50,9 +60,21 @@ struct SmallScene {
                 p[0] = S(2.0 * i / N - 1), p[1] = S(2.0 * j / N - 1), p[2] = S(height * std::sin(i + 3.0 * j));
             }
         for (int i = 0; i < Rows * Columns; ++i) heights[size_t(i)] = S(5 * height * std::sin(0.3 * i));
-        for (size_t shape = 1; shape < 5; ++shape) {
-            const double scale = 0.3, at[] = {(shape < 4 ? double(shape) - 2 : 0.5) + by,
-                                              (shape < 4 ? 0.5 : 0.1) * by + (shape < 4 ? 0 : 0.7), 0.5};
+        for (int z = 0, i = 0; z < Corners[2]; ++z)
+            for (int y = 0; y < Corners[1]; ++y)
+                for (int x = 0; x < Corners[0]; ++x, ++i) {
+                    const double p[] = {x / 8.0 - 0.5, y / 6.0 - 0.5, z / 7.0 - 0.5};
+                    distances[size_t(i)] = S(std::sqrt(p[0] * p[0] + p[1] * p[1] + p[2] * p[2]) - 0.4 + height * p[0]);
+                }
+        for (size_t shape = 1; shape < Shapes; ++shape) {
+            const double scale = shape < 5 ? 0.3 : 0.7, at[] = {(shape < 4   ? double(shape) - 2
+                                                                 : shape < 5 ? 0.5
+                                                                             : -0.9) +
+                                                                    by,
+                                                                (shape < 4 ? 0.5 : 0.1) * by + (shape < 4   ? 0
+                                                                                                : shape < 5 ? 0.7
+                                                                                                            : -1.1),
+                                                                0.5};
             for (size_t k = 0; k < 3; ++k) {
                 S *m = &matrices[shape * 24 + 4 * k];
                 m[k] = S(scale), m[3] = S(at[k]);
@@ -106,7 +128,7 @@ void check_following(bool linear) {
     SceneRays rays;
     rays.update(scene.view, 7);
     const Found before = look(rays);
-    for (uint32_t shape = 0; shape < 5; ++shape)
+    for (uint32_t shape = 0; shape < SmallScene<S>::Shapes; ++shape)
         CHECK(std::count(before.shape.begin(), before.shape.end(), shape) > 20);
     scene.place(0.02, 0.07);
     rays.update(scene.view, 7);  // as if nothing had happened
@@ -181,11 +203,10 @@ TR_TEST(shapes_that_the_device_has_not_are_named) {
         const char *name = SceneRays::missing(shape);
         return std::string(name ? name : "");
     };
-    for (const int32_t flags :
-         {0, int32_t(HasNormals), int32_t(IsSphere), int32_t(IsDisk), int32_t(IsCylinder), int32_t(IsHeightField)})
+    for (const int32_t flags : {0, int32_t(HasNormals), int32_t(IsSphere), int32_t(IsDisk), int32_t(IsCylinder),
+                                int32_t(IsHeightField), int32_t(IsSdfGrid)})
         CHECK(missing(flags).empty());
     CHECK(missing(IsCurve) == "a bsplinecurve" && missing(IsCurve | IsStraight) == "a linearcurve");
-    CHECK(missing(IsSdfGrid) == "an sdfgrid");
 }
 
 }  // namespace tr::testing

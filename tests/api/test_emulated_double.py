@@ -13,6 +13,7 @@ import small_scene
 import torch
 from emulated import (
     PATH,
+    blobs,
     check_forward_mode,
     check_gradients,
     check_image,
@@ -51,6 +52,12 @@ def test_every_bsdf(device):
     scene = scene_of_materials(materials(), 24, "gaussian", dtype=DOUBLE)
     check_image(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2), spp=2)
     check_gradients(device, scene, integrator=tr.PathTracer(max_depth=6, rr_depth=2))
+
+
+def test_grids_of_distances(device):
+    scene = blobs(dtype=DOUBLE)
+    check_image(device, scene, ("rgb", "alpha", "depth"))
+    check_gradients(device, scene, visibility=False)
 
 
 def test_height_fields(device):

@@ -10,6 +10,7 @@ import small_scene
 import torch
 from emulated import (
     PATH,
+    blobs,
     check_close,
     check_forward_mode,
     check_gradients,
@@ -35,6 +36,14 @@ def test_height_fields(device, interpolation):
     scene = hills(interpolation)
     chosen = differentiable(scene)
     assert {"water.heights", "metal.heights", "metal.to_world"} <= set(chosen)
+    check_gradients(device, scene, chosen, visibility=False, spp=8)
+
+
+@pytest.mark.parametrize("normals", ["analytic", "smooth"])
+def test_grids_of_distances(device, normals):
+    scene = blobs(normals)
+    chosen = differentiable(scene)
+    assert {"glass.grid", "metal.grid", "metal.to_world"} <= set(chosen)
     check_gradients(device, scene, chosen, visibility=False, spp=8)
 
 

@@ -10,7 +10,7 @@ import pytest
 import reference_scenes
 import small_scene
 import torch
-from emulated import PATH, check_image, hills, materials, scene_of_materials
+from emulated import PATH, blobs, check_image, hills, materials, scene_of_materials
 
 import torchrender as tr
 
@@ -32,6 +32,11 @@ def test_every_bsdf(device):
 @pytest.mark.parametrize("interpolation", ["bspline", "bilinear"])
 def test_height_fields(device, interpolation):
     check_image(device, hills(interpolation), ("rgb", "alpha", "depth", "shading_normal"))
+
+
+@pytest.mark.parametrize("normals", ["analytic", "smooth"])
+def test_grids_of_distances(device, normals):
+    check_image(device, blobs(normals), ("rgb", "alpha", "depth", "normal", "shading_normal", "prim_id"))
 
 
 PLACE = tr.Transform.look_at([0.3, -0.2, 4.2], [0, 0, 0], [0, 1, 0])
@@ -138,7 +143,7 @@ def test_what_is_not_there_is_refused_by_name(device, words):
 
 def test_shapes_that_are_not_there_are_refused(device):
     curve = {"type": "bsplinecurve", "control_points": torch.arange(12.0).reshape(4, 3), "radii": 0.1}
-    with pytest.raises(ValueError, match=r"odd: devices have meshes, .* so far, got a bsplinecurve; with"):
+    with pytest.raises(ValueError, match=r"odd: devices have everything but curves so far, got a bsplinecurve; with"):
         tr.render(ball(odd=curve), spp=1)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import bsdf_models
 import light_scenes
+import sdf_grids
 import torch
 
 import torchrender as tr
@@ -162,6 +163,33 @@ def scene_of_materials(
     lamp = {"type": "point", "position": [middle, middle, 6.0], "intensity": 20.0}
     given = {"type": "scene", "camera": camera, **objects, "sky": light_scenes.envmap(), "lamp": lamp}
     return tr.load_dict(given, dtype=dtype)
+
+
+def blobs(normals: str = "smooth", dtype: torch.dtype = torch.float32) -> tr.Scene:
+    """Grids of distances: one of glass above a floor, with an uneven surface, and a turned one of metal."""
+    film = {"type": "hdrfilm", "width": 20, "height": 15, "rfilter": {"type": "box"}}
+    camera = {"type": "perspective", "fov": 45, "film": film}
+    camera["to_world"] = tr.Transform.look_at([0.9, -2.2, 2.2], [0.5, 0.5, 0.4], [0, 0, 1])
+    turned = tr.Transform.translate([-0.7, 0.3, 0.1]).rotate([1, 2, 0.5], 40).scale([0.8, 1.1, 0.9])
+    floor = {"type": "rectangle", "to_world": tr.Transform.translate([0.5, 0.5, 0]) @ tr.Transform.scale(2)}
+    return tr.load_dict(
+        {
+            "type": "scene",
+            "camera": camera,
+            "floor": {**floor, "bsdf": {"type": "diffuse", "reflectance": light_scenes.texels(5, 4)}},
+            "glass": {
+                **sdf_grids.shape(sdf_grids.dented((9, 12, 10), 0.01), normals=normals),
+                "bsdf": {"type": "roughdielectric", "alpha": 0.1},
+            },
+            "metal": {
+                **sdf_grids.shape(sdf_grids.dented((6, 5, 17), 0.02, seed=1), normals=normals, to_world=turned),
+                "bsdf": {"type": "roughconductor", "alpha": 0.3},
+            },
+            "sky": light_scenes.envmap(),
+            "lamp": {"type": "point", "position": [0.5, -0.5, 3.0], "intensity": 10.0},
+        },
+        dtype=dtype,
+    )
 
 
 def hills(interpolation: str, dtype: torch.dtype = torch.float32) -> tr.Scene:

@@ -102,14 +102,17 @@ def room(bsdf: dict[str, Any], size: int = 64) -> dict[str, Any]:
 
 
 def rooms() -> dict[str, dict[str, Any]]:
-    """One with each BSDF, one with a height field, one that light paths light, and two with media.
+    """One with each BSDF, one with a height field and a grid of distances, one that light paths light, two with media.
 
     These are a cloud, and a coloured ball that glows.
     """
     found = {kind: room({"type": kind}) for kind in _plain_bsdfs()}
     place = Transform.translate([-2, -0.5, 0]) @ Transform.rotate([1, 0, 0], -70) @ Transform.scale(0.8)
     waves = {"type": "heightfield", "heights": torch.sin(torch.arange(600.0)).reshape(20, 30) * 0.1, "to_world": place}
-    found["heightfield"] = {**room({"type": "diffuse"}), "waves": waves}
+    z, y, x = torch.meshgrid(*(torch.linspace(-1, 1, n) for n in (12, 15, 18)), indexing="ij")
+    distance = (x * x + y * y + z * z).sqrt() - 0.7 + 0.1 * torch.sin(5 * x + 3 * y)
+    blob = {"type": "sdfgrid", "grid": distance[..., None], "to_world": Transform.translate([0.5, -1, 1])}
+    found["heightfield"] = {**room({"type": "diffuse"}), "waves": waves, "blob": blob}
     found["light"] = {**room({"type": "plastic"}), "integrator": {"type": "ptracer", "max_depth": 5}}
     density = {"type": "gridvolume", "data": torch.sin(torch.arange(210.0)).reshape(5, 6, 7).relu(), "raw": True}
     density["to_world"] = Transform.translate([-1, -1, -1]) @ Transform.scale(2)

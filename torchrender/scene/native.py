@@ -52,7 +52,7 @@ class NativeScene:
         self.core = backends.ready(dtype, home)
         self.handle = self.core.Scene(color, str(dtype).removeprefix("torch."))
         self.names = [slot.name for slot in layout.slots]
-        self._seen: list[tuple[torch.Tensor, int] | None] = [None] * len(shapes)
+        self._seen: list[tuple[torch.Tensor, int, int] | None] = [None] * len(shapes)
         indices = [(t.data_ptr(), int(t.shape[0])) for t in layout.index_tensors]
         if previous is None or previous.core is not self.core or previous.channels != self.channels:
             self.builds = 1
@@ -97,8 +97,8 @@ class NativeScene:
             there, alone = self._there(function, params)
             if there:
                 params = [t if t.is_cpu or a else numbers_on_host(t) for t, a in zip(params, alone, strict=True)]
-            dirty = self._dirty(params)
-            addresses = [address(t) for t in params]
+            addresses = [address(t) for t in params] if there else [t.data_ptr() for t in params]
+            dirty = self._dirty(params, addresses)
             try:
                 self._check_finite(params, map(and_, alone, dirty))  # the core looks at the others
                 if self.device().startswith(("cuda", "sm_", "compute_")):
@@ -137,15 +137,15 @@ class NativeScene:
             found["stream"] = torch.cuda.current_stream(self.home).cuda_stream
         return found
 
-    def _dirty(self, params: list[torch.Tensor]) -> list[bool]:
+    def _dirty(self, params: list[torch.Tensor], addresses: list[int]) -> list[bool]:
         dirty = []
-        for i, tensor in enumerate(params):
+        for i, (tensor, place) in enumerate(zip(params, addresses, strict=True)):
             version = -1 if tensor.is_inference() else tensor._version
             seen = self._seen[i]
             # The alias that is kept holds the storage, so that an equal address means the same memory.
-            same = seen is not None and version >= 0 and seen[1] == version and address(seen[0]) == address(tensor)
+            same = seen is not None and version >= 0 and seen[1] == version and seen[2] == place
             if not same:
-                self._seen[i] = (tensor.detach(), version)
+                self._seen[i] = (tensor.detach(), version, place)
             dirty.append(not same)
         return dirty
 
