@@ -182,7 +182,11 @@ def gradients_of(
     native: NativeScene, params: Sequence[torch.Tensor], needed: Sequence[bool]
 ) -> list[torch.Tensor | None]:
     """Zeros for the gradients that are needed, where the core can add to them."""
-    return [zero_gradient(native.reached(p)) if n else None for p, n in zip(params, needed, strict=True)]
+    grads = []
+    for parameter, wanted in zip(params, needed, strict=True):
+        place = parameter.device if native.holds(parameter.device) else "cpu"
+        grads.append(zero_gradient(parameter, place) if wanted else None)
+    return grads
 
 
 def with_parameters(
@@ -192,12 +196,12 @@ def with_parameters(
     return tuple(g if g is None else g.to(p.device) for g, p in zip(grads, params, strict=True))
 
 
-def zero_gradient(parameter: torch.Tensor) -> torch.Tensor:
-    """Zeros like `parameter`, of a large texture in large pages where the system has them.
+def zero_gradient(parameter: torch.Tensor, place: torch.device | str = "cpu") -> torch.Tensor:
+    """Zeros like `parameter` there, of a large texture in large pages where the system has them.
 
     These are asked for before the first touch: page by page that takes longer than clearing them.
     """
-    gradient = torch.empty_like(parameter)
+    gradient = torch.empty(parameter.shape, dtype=parameter.dtype, device=place)
     if not gradient.is_cpu:
         return gradient.zero_()
     backends.core().use_large_pages(gradient.data_ptr(), gradient.nbytes)

@@ -12,6 +12,7 @@ from .errors import depth_outside, warn_once
 from .functions import functorch
 from .queries import Hits, find_hits
 from .scene.container import Container
+from .scene.host_memory import numbers_on_host
 from .scene.media import Medium
 from .scene.native import NativeScene
 from .scene.packing import Layout
@@ -61,17 +62,18 @@ def _reason(
         for first, size in zip(camera.film.window[:2], camera.film.window[2:], strict=True)
     )
     places = torch.stack([g.reshape(-1) for g in torch.meshgrid(columns, rows, indexing="xy")], 1)
-    rays = camera.rays(places)
-    seen = find_hits(native, tensors, rays.origins, rays.directions, rays.tmax)
+    rays = camera.rays(places)  # which lie where the camera does
+    origins, directions, lengths = (numbers_on_host(t) for t in (rays.origins, rays.directions, rays.tmax))
+    seen = find_hits(native, tensors, origins, directions, lengths)
     if not bool(seen.valid.any()):
         return None if any(m.type in ("constant", "envmap") for m in _emitters(scene)) else _NOTHING
-    around = torch.tensor(list(itertools.product((-1.0, 0.3, 1.0), repeat=3))).to(rays.directions)
-    origin = rays.origins[:1].expand(len(around), 3).contiguous()
+    around = torch.tensor(list(itertools.product((-1.0, 0.3, 1.0), repeat=3))).to(directions)
+    origin = origins[:1].expand(len(around), 3).contiguous()
     enclosed = find_hits(native, tensors, origin, around, torch.full_like(around[:, 0], float("inf")))
     first = int(enclosed.shape_id[0])
     if bool(enclosed.valid.all()) and bool((enclosed.shape_id == first).all()) and _blocks(shapes[first]):
         return f"the camera is inside of {packed.objects['shape'][first][2]!r}, where no light arrives"
-    if bool(_from_behind(seen, rays.directions)[seen.valid].all()) and all(
+    if bool(_from_behind(seen, directions)[seen.valid].all()) and all(
         _one_sided(shapes[i]._child("bsdf")) for i in seen.shape_id[seen.valid].unique().tolist()
     ):
         names = ", ".join(packed.objects["shape"][i][2] for i in seen.shape_id[seen.valid].unique().tolist()[:4])

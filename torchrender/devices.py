@@ -110,6 +110,15 @@ def share_memory(core: Library) -> None:
         _with_memory.add(core.isa)
 
 
+def raise_error_of_memory() -> None:
+    """What PyTorch's memory of cards has ended a call of the core for; nothing if it was something else."""
+    if _with_memory:
+        from .cuda.memory import errors
+
+        if errors:
+            raise errors.pop()
+
+
 @contextlib.contextmanager
 def compiling_into(core: Library, folder: Path) -> Iterator[None]:
     """Kernels are compiled into this folder for a while. RuntimeError if there is no compiler."""

@@ -181,10 +181,9 @@ Functions all_functions() {
     f.add("nvrtc", [](const std::string &path) { return cuda::Nvrtc(path).version(); });
 #if !TR_HAS_PACKETS
     f.add("use_cuda_compiler", &cuda::use_compiler);
-    f.add("use_cuda_memory", [](uintptr_t take, uintptr_t give_back) {  // the addresses of functions, see CardMemory
+    f.add("use_cuda_memory", [](uintptr_t serve) {  // the address of a function
         cuda::CardMemory from;
-        from.take = reinterpret_cast<decltype(from.take)>(take);
-        from.give_back = reinterpret_cast<decltype(from.give_back)>(give_back);
+        from.serve = reinterpret_cast<decltype(from.serve)>(serve);
         cuda::use_memory(from);
     });
     f.add("cuda_kernel_times", [] {

@@ -158,7 +158,8 @@ void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S>
         if (call.gradients[i] && !there.slot(i)) most = std::max(most, size_t(call.sizes[i]));
     auto *found = static_cast<S *>(found_.reserve(launcher, most * sizeof(S)));
     call.sums.reset(call.n_constants, call.geometry_sizes);
-    // nothing that can fail for lack of memory is behind this
+    // Nothing that can fail for lack of memory is behind this: tensors of PyTorch's on the device are not added to
+    // before.
     if (!call.fixed_sums) launcher.run(SumCopies{constants_.get(), copies_, sums_.get()}, uint32_t(call.n_constants));
     sums_.download(call.sums.constants.data(), call.n_constants);
     std::vector<double> *const to_vertices[] = {&call.sums.positions, &call.sums.normals, &call.sums.texcoords};
@@ -176,6 +177,7 @@ void DeviceDerivative<S>::finish_gradients(Launcher &launcher, DerivativeCall<S>
             for (size_t k = begin; k < end; ++k) to[k] += found[k];
         });
     }
+    launcher.synchronize();
 }
 
 template <class S>

@@ -91,15 +91,17 @@ void DevicePaths<S>::write_image(const Work &work, int moments, const RenderOutp
     const int channels = FilmBlock::channels(call.values + 1, moments);
     if (call.pixels || out.sums) return write_results(call, work.schedule, download_film(work, channels), moments, out);
     const size_t n = work.schedule.n_results(), colors = size_t(call.values);
-    results_.reserve(launcher_, n * (3 * colors + 1));
+    const size_t each =
+        colors * (1 + (out.to.variance != nullptr) + (out.to.second_moment != nullptr)) + (out.to.alpha != nullptr);
+    results_.reserve(launcher_, n * each);
     struct Part {
         S *to, *from;
         size_t n;
     };
     std::vector<Part> parts;
     S *next = results_.get();
-    const auto place = [&](S *to, size_t each) {
-        if (to) parts.push_back({to, std::exchange(next, next + n * each), n * each});
+    const auto place = [&](S *to, size_t numbers) {
+        if (to) parts.push_back({to, std::exchange(next, next + n * numbers), n * numbers});
         return to ? parts.back().from : nullptr;
     };
     const ImagePlaces<S> there{place(out.to.image, colors), place(out.to.alpha, 1), place(out.to.variance, colors),
@@ -107,7 +109,7 @@ void DevicePaths<S>::write_image(const Work &work, int moments, const RenderOutp
     launcher_.run(WriteImage<S>{sums_.get(), channels, call.values, moments, there}, uint32_t(n));
     if (call.on_device.image) {
         for (const Part &part : parts) launcher_.copy(part.to, part.from, part.n * sizeof(S));
-        return;
+        return launcher_.synchronize();  // what went wrong is said
     }
     const auto all = size_t(next - results_.get());
     auto *here = static_cast<S *>(film_.reserve(launcher_, all * sizeof(S)));

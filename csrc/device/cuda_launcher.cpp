@@ -5,6 +5,7 @@
 #include <cstdlib>
 #include <cstring>
 #include <mutex>
+#include <stdexcept>
 #include <utility>
 
 namespace tr::cuda {
@@ -44,10 +45,14 @@ public:
     }
 
     void *allocate(size_t bytes) override {
-        if (memory_.take) {
-            void *memory = memory_.take(bytes, ordinal_);
-            if (!memory) throw std::bad_alloc();
-            return memory;
+        if (memory_.serve) {
+            CardMemory::Request request{bytes, ordinal_, static_cast<void *>(stream_), nullptr, 0};
+            busy_ = true;  // it may be used by what went before on this stream
+            memory_.serve(&request);
+            if (!request.served)
+                throw std::runtime_error("taking memory of " + card_.name + " from PyTorch was interrupted");
+            if (!request.memory) throw std::bad_alloc();
+            return request.memory;
         }
         const Current current(*this);
         DevicePointer memory = 0;
@@ -55,7 +60,10 @@ public:
         return reinterpret_cast<void *>(memory);
     }
     void release(void *memory) noexcept override {
-        if (memory_.take) return memory_.give_back(memory);
+        if (memory_.serve) {
+            CardMemory::Request request{0, ordinal_, static_cast<void *>(stream_), memory, 0};
+            return memory_.serve(&request);
+        }
         if (api_.CtxPushCurrent(context_) != Success) return;
         api_.MemFree(address(memory));
         Context before;

@@ -11,10 +11,17 @@
 
 namespace tr::cuda {
 
-// Where memory of cards is taken from and given back to, in place of the driver: `take` returns null if there is none.
+// Where memory of cards is taken from and given back to, in place of the driver, by requests that are served or, after
+// an error, not.
 struct CardMemory {
-    void *(*take)(size_t bytes, int ordinal) = nullptr;
-    void (*give_back)(void *memory) = nullptr;
+    struct Request {
+        size_t bytes;
+        int ordinal;
+        void *stream;  // of work that the memory is for
+        void *memory;  // null: it is asked for, and there is none if it stays so. Else it is given back.
+        int served;
+    };
+    void (*serve)(Request *request) = nullptr;
 };
 
 // On the primary context of the card, which others (PyTorch) share, and on its default stream unless told otherwise.

@@ -413,13 +413,17 @@ TR_TEST(memory_of_cards_may_be_anothers) {
     static int taken;
     taken = 0;
     cuda::CardMemory memory;
-    memory.take = [](size_t bytes, int ordinal) -> void * {
-        if (bytes > 1000) return nullptr;
-        taken += ordinal + 1;
-        return std::malloc(bytes);
+    memory.serve = [](cuda::CardMemory::Request *request) {
+        if (request->bytes == 1002) return;  // an error
+        CHECK(request->ordinal == 0 && (request->memory || request->stream == &taken));
+        request->served = 1;
+        if (request->memory)
+            --taken, std::free(request->memory);
+        else if (request->bytes <= 1000)
+            ++taken, request->memory = std::malloc(request->bytes);
     };
-    memory.give_back = [](void *given) { --taken, std::free(given); };
     const auto device = cuda::make_launcher(api, compiler, 0, memory);
+    device->use_stream(reinterpret_cast<uintptr_t>(&taken));
     {
         const std::vector<float> numbers(10, 2.f);
         std::vector<float> found(10);
@@ -428,6 +432,10 @@ TR_TEST(memory_of_cards_may_be_anothers) {
         array.download(found.data(), 10);
         CHECK(taken == 1 && fake.allocations == 0 && found == numbers);
         CHECK_THROWS(device->allocate(1001), std::bad_alloc, "");
+        CHECK_THROWS(device->allocate(1002), std::runtime_error, "from PyTorch was interrupted");
+        fake.stream = nullptr;
+        device->use_stream(0);  // memory may have been in use on the stream that it was taken for
+        CHECK(fake.stream == reinterpret_cast<cuda::Stream>(&taken));
     }
     CHECK(taken == 0);
 }

@@ -353,6 +353,16 @@ def test_moves_copies_and_files(scenes):
     assert torch.load(file, map_location="meta", weights_only=False).device == torch.device("meta")
 
 
+@pytest.mark.parametrize("backend", ["cpu", "emulated"])
+def test_a_black_picture(device, backend):
+    """Why it is, the host looks for, by rays."""
+    device(backend)
+    dark = {**described(), "sky": {"type": "point", "position": [0.0, 0.0, 3.0], "intensity": 1.0}}
+    dark["sensor"]["to_world"] = tr.Transform.look_at([0, 0, 4], [0, 0, 9], [0, 1, 0])
+    with pytest.warns(UserWarning, match="the picture is black"):
+        tr.render(tr.load_dict(dark, device=card.NAME), **SETTINGS)
+
+
 def test_what_is_refused(scenes):
     here, there = scenes
     value = here.get_parameter(COLOUR)

@@ -16,7 +16,6 @@ from light_scenes import texels
 from small_scene import COLOUR
 
 import torchrender as tr
-from torchrender.scene import host_memory
 from torchrender.scene.residence import staying
 
 pytestmark = [
@@ -24,6 +23,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning"),
 ]
 SETTINGS: dict[str, Any] = {"spp": 4, "seed": 3}
+PIXELS = torch.tensor([[r, c] for r in (1, 3, 2, 1) for c in (1, 2, 4)])
 PAPER, LAMP, SKY, PAINT = "paper.reflectance.data", "lamp.emitter.radiance.data", "sky.data", "sheet.vertex_color"
 LARGE = (PAPER, LAMP, SKY, PAINT)
 
@@ -103,20 +103,64 @@ def image_and_gradients(scene: tr.Scene, names: tuple[str, ...] = (*LARGE, COLOU
     return [image, *gradients(image, parameters)]
 
 
+FROM, TO = "cpu", card.NAME  # the card
+TEXELS, LIGHT, STARS, COLOURS, IMAGE = (9, 8, 3), (5, 7, 3), (5, 10, 3), (36, 3), (6, 8, 3)
+
+
 @pytest.fixture
-def copied(monkeypatch):
-    """Shapes of what is copied from the card to the host, by whom it matters for: parameters."""
-    found: list[tuple[int, ...]] = []
-    original = host_memory.numbers_on_host
+def there(device):
+    """A scene on the card, all of whose numbers the host has seen; copies are counted from now on."""
+    scene = scenes()[1]
+    tr.render(scene, **SETTINGS)
+    scene.train_only(*LARGE, COLOUR)
+    card.transfers.clear()
+    return scene
 
-    def counting(tensor):
-        if not tensor.is_cpu:
-            found.append(tuple(tensor.shape))
-        return original(tensor)
 
-    monkeypatch.setattr(host_memory, "numbers_on_host", counting)
-    monkeypatch.setattr("torchrender.scene.native.numbers_on_host", counting)
-    return found
+def change(scene: tr.Scene) -> None:
+    with torch.no_grad():
+        for name in LARGE:
+            scene.get_parameter(name).mul_(0.9)
+
+
+@pytest.mark.parametrize("settings", [{}, {"passes": 2}, {"crop": (0, 0, 6, 8)}, {"outputs": ("rgb", "alpha")}])
+def test_what_is_copied(there, settings):
+    """Of large tensors: what the host makes tables of, from the card, when it has changed. No image, no gradient."""
+    for _ in range(2):
+        change(there)
+        found = tr.render(there, **SETTINGS, **settings)
+        image = found if isinstance(found, torch.Tensor) else found.rgb
+        weights = torch.full(IMAGE, 0.5).to(there.device)
+        card.transfers.pop()
+        torch.autograd.grad((image * weights).sum(), [there.get_parameter(n) for n in LARGE])
+        large = [t for t in card.transfers if torch.Size(t[1]).numel() > 64]
+        assert sorted(large) == sorted([(FROM, LIGHT), (FROM, STARS), (FROM, COLOURS)])
+        card.transfers.clear()
+
+
+def test_what_is_copied_in_forward_mode(there):
+    (texels,) = [there.get_parameter(PAPER).detach()]
+    tangent = texels * 0.5
+    image, along = torch.func.jvp(lambda x: tr.render(there, params={PAPER: x}, **SETTINGS), (texels,), (tangent,))
+    assert image.device == along.device == there.device
+    assert not [t for t in card.transfers if torch.Size(t[1]).numel() > 64]
+
+
+@pytest.mark.parametrize(
+    ("settings", "copied"),
+    [
+        ({"pixels": PIXELS}, [(TO, (12, 3)), (FROM, (12, 3))]),
+        ({"adaptive_grad": True}, [(FROM, IMAGE)]),
+        ({"integrator": tr.ParticleTracer(max_depth=3)}, [(TO, IMAGE), (FROM, IMAGE)]),
+        ({"on_interrupt": "return"}, [(TO, IMAGE), (FROM, IMAGE)]),
+    ],
+    ids=["pixels", "samples", "light paths", "interruptions"],
+)
+def test_what_does_not_stay(there, settings, copied):
+    """Images and adjoints that are made on the CPU in the end; gradients stay."""
+    tr.render(there, **SETTINGS, **settings).square().sum().backward()
+    large = [t for t in card.transfers if t[1] in (IMAGE, (12, 3), TEXELS, LIGHT, STARS, COLOURS)]
+    assert large == copied
 
 
 def test_which_do():
@@ -129,7 +173,7 @@ CASES: dict[str, dict[str, Any]] = {
     "plain": {},
     "passes": {"passes": 3, "spp": 2},
     "a crop": {"crop": (1, 1, 4, 5)},
-    "pixels": {"pixels": torch.tensor([[r, c] for r in (1, 3, 2, 1) for c in (1, 2, 4)])},
+    "pixels": {"pixels": PIXELS},
     "samples": {"adaptive_grad": True, "spp_grad": 6},
     "light paths": {"integrator": tr.ParticleTracer(max_depth=3)},
     "bits": {"integrator": tr.DirectIllumination()},
@@ -228,8 +272,7 @@ def test_forward_mode_and_functions(device):
     check_equal(*found)
 
 
-def test_training(device, copied):
-    """Of a texture nothing is copied to the host, in no step."""
+def test_training(device):
     found = []
     for scene in scenes():
         (paper,) = scene.train_only(PAPER)
@@ -241,8 +284,6 @@ def test_training(device, copied):
         found.append([paper, paper.grad])
         assert scene.updates["scenes"] == 1
     check_equal(*found)
-    assert (9, 8, 3) not in copied
-    assert (5, 10, 3) in copied  # the sky, of which the host makes tables
 
 
 def test_what_has_changed_is_seen(device):

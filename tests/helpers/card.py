@@ -23,6 +23,8 @@ except (AttributeError, ImportError):  # older ones
 from torchrender import devices
 
 NAME = "pretended"
+transfers: list[tuple[str, tuple[int, ...]]] = []
+"""What was copied by PyTorch, to the card or to the CPU, and its shape."""
 OUT_OF_REACH = 1 << 62
 
 
@@ -52,6 +54,10 @@ def _run(function: Any, args: Any, kwargs: dict[str, Any]) -> Any:
         raise RuntimeError(f"{function}: expected all tensors to be on the same device")
     device = kwargs.get("device")
     on_card = bool(given) if device is None else torch.device(device).type == NAME
+    if given and device is not None and not on_card:
+        transfers.append(("cpu", tuple(given[0].shape)))
+    if function is torch.ops.aten.copy_.default and len(given) == 1:
+        transfers.append((NAME if given[0] is args[0] else "cpu", tuple(given[0].shape)))
     args, plain = pytree.tree_map_only(CardTensor, lambda tensor: tensor.host, (args, dict(kwargs)))
     if device is not None:
         plain["device"] = "cpu"

@@ -11,7 +11,17 @@ from typing import Any
 import torch
 
 from .. import backends
-from ..devices import FUNCTIONS, RENDERS, address, device, holds, require_cpu, share_memory, use_compiler
+from ..devices import (
+    FUNCTIONS,
+    RENDERS,
+    address,
+    device,
+    holds,
+    raise_error_of_memory,
+    require_cpu,
+    share_memory,
+    use_compiler,
+)
 from ..library import Watch
 from .host_memory import numbers_on_host
 from .packing import Layout
@@ -117,6 +127,7 @@ class NativeScene:
             except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
                 self._seen = [None] * len(self._seen)
+                raise_error_of_memory()
                 if isinstance(error, ValueError):  # perhaps of numbers that are not finite, without a name
                     self._check_finite(params, repeat(True))
                 raise
