@@ -245,19 +245,24 @@ TreeItem quadric_item(uint32_t shape, TreeKind kind, const double to_world[12]) 
     return item;
 }
 
+namespace {
+
+struct Single {
+    float m[12];
+    explicit Single(const double of[12]) { std::copy_n(of, 12, m); }
+};
+
+}  // namespace
+
 TreeItem grid_item(uint32_t shape, const SdfTable &grid, const double to_world[12]) {
     TreeItem item{{}, shape, 0, TreeKind::SdfGrid};
-    float single[12];
-    std::copy_n(to_world, 12, single);
-    sdf_box(single, grid, item.p[0], item.p[1]);
+    sdf_box(Single(to_world).m, grid, item.p[0], item.p[1]);
     return item;
 }
 
 TreeItem field_item(uint32_t shape, const HeightRange &range, const double to_world[12]) {
     TreeItem item{{}, shape, 0, TreeKind::HeightField};
-    float single[12];
-    std::copy_n(to_world, 12, single);
-    height_box(single, range, item.p[0], item.p[1]);
+    height_box(Single(to_world).m, range, item.p[0], item.p[1]);
     return item;
 }
 
