@@ -175,6 +175,17 @@ def test_rays_follow_grids_of_distances(device, place):
         assert (0 in found.shape_id) == bool((changed < 0).any())
 
 
+@pytest.mark.parametrize("name", ["cpu", "tree", "emulated"])
+def test_rays_through_the_corner_of_an_empty_grid(device, name):
+    """Where its box is a point: there is no cell to begin in."""
+    device(name)
+    scene = tr.load_dict({"type": "scene", "none": sdf_grids.shape(torch.full((200, 200, 200, 1), 0.5))})
+    o = torch.tensor([[0.0, 0, 4], [0, 0, -4], [1, 1, 1], [0, 4, 0], [-4, 0, 0]])
+    d = torch.nn.functional.normalize(-o, dim=1)
+    assert not tr.ray_intersect(scene, o, d).valid.any()
+    assert not tr.ray_occluded(scene, o, d).any()
+
+
 def test_derivatives_are_those_of_the_cpu(device):
     gradients = []
     for name in ("cpu", "emulated"):

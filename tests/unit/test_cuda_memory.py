@@ -79,6 +79,16 @@ def test_errors_are_raised_when_the_core_returns(serve, asked, error):
     assert memory.errors == []
 
 
+def test_a_call_raises_what_it_was_not_ended_for(serve, asked):
+    """Giving memory back ends nothing."""
+    scene = tr.load_dict(small_scene.ball_and_wall())
+    asked.error = KeyboardInterrupt()
+    serve(Request(0, 0, None, PLACE, 0))
+    with pytest.raises(KeyboardInterrupt):
+        tr.render(scene, spp=1)
+    assert tr.render(scene, spp=1).isfinite().all()
+
+
 def test_a_scene_on_a_card_shares_it(monkeypatch):
     """Not one that lies on the CPU, whichever card renders it. (There is none here, nor anything that compiles.)"""
     core, shared = backends.scene_core(torch.float32, torch.device("cuda:0")), []

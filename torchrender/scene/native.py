@@ -122,8 +122,11 @@ class NativeScene:
                         settings = {name: value for name, value in settings.items() if name != "progress"}
                     if function in RENDERS:
                         settings |= {"device": self.device(), **self._placed(there, alone, settings)}
-                    return getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
-                return getattr(self.handle, function)(*args, addresses, dirty)
+                    found = getattr(self.handle, function)(settings, addresses, dirty, *rest, watch=watch)
+                else:
+                    found = getattr(self.handle, function)(*args, addresses, dirty)
+                raise_error_of_memory()
+                return found
             except BaseException as error:
                 # How far the core came is unknown: everything counts as changed next time.
                 self._seen = [None] * len(self._seen)

@@ -87,6 +87,7 @@ TR_INLINE MaskOf<F> walk_sdf(const SdfTable &grid, const Vec3<F> &origin, const 
     using I = IntOf<F>;
     const auto choose = [](const M &m, const I &a, const I &b) { return select(mask<I>(m), a, b); };
     M hit(false);
+    if (grid.last[0] < 0) return hit;  // there is no cell to begin in
     const F os[3] = {origin.x, origin.y, origin.z}, ds[3] = {direction.x, direction.y, direction.z};
     F o[3], d[3], inverse[3], enter(0), leave = tmax;
     M forward[3];
