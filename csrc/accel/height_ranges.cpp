@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 
+#include "mapped_box.h"
+
 namespace tr {
 
 void HeightRanges::set(const float *heights, int rows, int columns) {
@@ -66,15 +68,8 @@ HeightTable HeightRanges::table(const float *heights, int rows, int columns, boo
 }
 
 void height_box(const float to_world[12], const HeightRange &range, float lower[3], float upper[3]) {
-    for (int corner = 0; corner < 8; ++corner) {
-        const float local[3] = {corner & 1 ? 1.f : -1.f, corner & 2 ? 1.f : -1.f, corner & 4 ? range.high : range.low};
-        for (int i = 0; i < 3; ++i) {
-            const float *row = to_world + 4 * i;
-            const float p = row[0] * local[0] + row[1] * local[1] + row[2] * local[2] + row[3];
-            lower[i] = corner == 0 || p < lower[i] ? p : lower[i],
-            upper[i] = corner == 0 || p > upper[i] ? p : upper[i];
-        }
-    }
+    const float low[3] = {-1, -1, range.low}, high[3] = {1, 1, range.high};
+    mapped_box(to_world, low, high, lower, upper);
 }
 
 }  // namespace tr

@@ -4,6 +4,8 @@
 #include <cmath>
 #include <cstring>
 
+#include "mapped_box.h"
+
 namespace tr {
 
 float SdfBlocks::set(const float *values, const std::array<int32_t, 3> &n) {
@@ -86,17 +88,10 @@ float SdfBlocks::set(const float *values, const std::array<int32_t, 3> &n) {
 }
 
 void sdf_box(const float to_world[12], const SdfTable &grid, float lower[3], float upper[3]) {
-    for (int corner = 0; corner < 8; ++corner) {
-        float local[3] = {0, 0, 0};  // no surface: a point in the grid
-        for (int a = 0; a < 3 && grid.last[0] >= 0; ++a)
-            local[a] = float(corner >> a & 1 ? grid.last[a] + 1 : grid.first[a]) / float(grid.cells[a]);
-        for (int i = 0; i < 3; ++i) {
-            const float *row = to_world + 4 * i;
-            const float p = row[0] * local[0] + row[1] * local[1] + row[2] * local[2] + row[3];
-            lower[i] = corner == 0 || p < lower[i] ? p : lower[i];
-            upper[i] = corner == 0 || p > upper[i] ? p : upper[i];
-        }
-    }
+    float low[3] = {0, 0, 0}, high[3] = {0, 0, 0};  // no surface: a point in the grid
+    for (int a = 0; a < 3 && grid.last[0] >= 0; ++a)
+        low[a] = float(grid.first[a]) / float(grid.cells[a]), high[a] = float(grid.last[a] + 1) / float(grid.cells[a]);
+    mapped_box(to_world, low, high, lower, upper);
 }
 
 }  // namespace tr

@@ -68,12 +68,7 @@ void DeviceDerivative<S>::begin_adjoint(Launcher &launcher, const RenderCall<S> 
                 by_target[schedule.target_of(i) * channels + c] += image[i * channels + c];
         image = by_target.data();
     }
-    if (adjoint.there) {
-        image_.reserve(launcher, schedule.n_targets() * channels);
-        launcher.copy(image_.get(), image, schedule.n_targets() * channels * sizeof(S));
-    } else {
-        image_.upload(launcher, image, schedule.n_targets() * channels);
-    }
+    image_.take(launcher, image, schedule.n_targets() * channels, adjoint.there);
     adjoint_.reserve(launcher, schedule.n_targets() * channels);
     wanted_ = wanted(launcher, schedule, call.pixels != nullptr), channels_ = adjoint.channels;
     launcher.run(DivideAdjoint<S>{image_.get(), int32_t(channels), weights.sums, weights.of, double(schedule.spp()),
@@ -190,13 +185,7 @@ DerivativePlaces<S> DeviceDerivative<S>::tangents(Launcher &launcher, const Deri
     for (size_t i = 0; i < views.size(); ++i) {
         views[i].base = nullptr;
         if (!views[i].data) continue;
-        const auto n = size_t(call.sizes[i]);
-        if (there.slot(i)) {
-            tensors_[i].reserve(launcher, n);
-            launcher.copy(tensors_[i].get(), views[i].data, n * sizeof(S));
-        } else {
-            tensors_[i].upload(launcher, views[i].data, n);
-        }
+        tensors_[i].take(launcher, views[i].data, size_t(call.sizes[i]), there.slot(i));
         views[i].data = tensors_[i].get();
     }
     views_.upload(launcher, views.data(), views.size());

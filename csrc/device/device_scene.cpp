@@ -66,8 +66,7 @@ const SceneView<S> &DeviceScene<S>::upload(Launcher &launcher, const SceneData<S
         if (i >= there.size() || !there[i]) {
             tensors[i].data = put(launcher, tensors[i].data, n, threads);
         } else if (!launcher.reaches_tensors()) {
-            copies_[i].reserve(launcher, n);
-            launcher.copy(copies_[i].get(), tensors[i].data, n * sizeof(S));
+            copies_[i].take(launcher, tensors[i].data, n, true);
             tensors[i].data = copies_[i].get();
         }
     }

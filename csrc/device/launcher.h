@@ -125,6 +125,12 @@ public:
         reserve(launcher, n);
         if (n != 0) launcher.upload(static_cast<void *>(at_), static_cast<const void *>(from), n * sizeof(T));
     }
+    // The same of a tensor that is `there`, see Launcher::copy, or of the host.
+    void take(Launcher &launcher, const T *from, size_t n, bool there) {
+        if (!there) return upload(launcher, from, n);
+        reserve(launcher, n);
+        if (n != 0) launcher.copy(static_cast<void *>(at_), static_cast<const void *>(from), n * sizeof(T));
+    }
     void download(T *to, size_t n) const {
         if (n != 0) launcher_->download(static_cast<void *>(to), static_cast<const void *>(at_), n * sizeof(T));
     }
