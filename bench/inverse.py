@@ -1,12 +1,14 @@
 """Inverse problems from start to result: seconds until pictures that were not fitted are right.
 
 Each problem has a scene, pictures of it, and unknowns that Adam finds from these: torch.optim.Adam here, mi.ad.Adam in
-Mitsuba, each in a process of its own with the program's own derivatives. Every few steps, while the clock stands,
-this renderer renders pictures that nobody was given with what was found; the run ends when their error, relative to the
-true pictures, is at the problem's target. Programs make their steps in turn.
+Mitsuba, each in a process of its own with the program's own derivatives. Every second, while the clock stands,
+this renderer renders pictures that nobody was given with what was found after some numbers of steps; the run ends when
+their error, relative to the true pictures, is at the problem's target. Programs make their steps in turn.
 
-Seconds are those of all steps: rendering, derivatives, the optimiser. What starting takes (loading, the first steps, in
-which Mitsuba compiles or loads kernels) has a column of its own.
+Then each that came to the target makes as many steps again, from the start and in one go. Seconds are those of these
+steps: rendering, derivatives, the optimiser. (Those of the race, which the error over time has, are more where steps
+are short: threads sleep while the judge renders, and caches have its data.) What starting takes (loading, the first
+steps, in which Mitsuba compiles or loads kernels) has a column of its own.
 
 Settings come from `inverse_settings.json`, where `--search` puts each program's best at each problem: samples of
 picture and derivative, learning rate and its decay, sampler. Where there is none, both programs have the problem's own.
@@ -116,11 +118,11 @@ def row_of(problem: Problem, goal: float, runs: list[Run], memory: float, differ
     peer = runs[0].peer
     outcomes = [run.outcome(goal) for run in runs]
     row: dict[str, Any] = {"problem": problem.name, "program": peer.title}
-    row["s"] = Measured.of(run.last.seconds for run in runs)
+    row["s"] = Measured.of(run.seconds for run in runs)
     row["target reached"] = next((outcome for outcome in outcomes if outcome != "yes"), "yes")
     row["iterations"] = Measured.of(run.last.iterations for run in runs)
-    row["s an iteration"] = Measured.of(run.last.seconds / max(1, run.last.iterations) for run in runs)
-    row["processor s"] = Measured.of(run.last.cpu for run in runs)
+    row["s an iteration"] = Measured.of(run.seconds / max(1, run.last.iterations) for run in runs)
+    row["processor s"] = Measured.of(run.cpu for run in runs)
     row["first steps s"] = runs[0].first
     row["peak memory MiB"] = memory
     row["error at the start %"] = 100 * runs[0].points[0].error
@@ -178,7 +180,7 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
     rows = [row_of(problem, goal, *each) for each in zip(by_program, memory, differences, strict=True)]
     for row, runs in zip(rows[1:], by_program[1:], strict=True):
         pairs = [(theirs, mine) for theirs, mine in zip(runs, by_program[0], strict=True) if not theirs.failed]
-        seconds = [(theirs.last.seconds, mine.last.seconds) for theirs, mine in pairs if mine.last.seconds]
+        seconds = [(theirs.seconds, mine.seconds) for theirs, mine in pairs if mine.seconds]
         row["seconds / ours"] = Measured.of(theirs / mine for theirs, mine in seconds) if seconds else None
     for row in rows:
         print(f"{row['problem']}, {row['program']}: {row['s']} s, error {row['error %']:.3g} %", file=sys.stderr)

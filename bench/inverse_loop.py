@@ -64,17 +64,20 @@ class Loop:
         self.iteration = 0
         return {"first": first}
 
-    def advance(self, steps: int, file: str) -> dict:
-        """Makes steps, and saves the unknowns (numpy.savez) to a file.
+    def advance(self, steps: list[int], file: str) -> dict:
+        """Makes so many steps, and then so many, ..., and saves the unknowns after each (numpy.savez, file + "0.npz").
 
-        {"seconds": of the steps alone, "cpu": the same of all threads on the processor}.
+        {"seconds": [of the steps alone, each time], "cpu": [the same of all threads on the processor]}.
         """
         import numpy as np
 
-        start, cpu = time.perf_counter(), time.process_time()
-        self._steps(steps)
-        spent = {"seconds": time.perf_counter() - start, "cpu": time.process_time() - cpu}
-        np.savez(file, **self._values())
+        spent: dict = {"seconds": [], "cpu": []}
+        for number, count in enumerate(steps):
+            start, cpu = time.perf_counter(), time.process_time()
+            self._steps(count)
+            spent["seconds"].append(time.perf_counter() - start)
+            spent["cpu"].append(time.process_time() - cpu)
+            np.savez(f"{file}{number}.npz", **self._values())
         return spent
 
     def _steps(self, count: int) -> None:

@@ -5,16 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from .inverse_loop import WARMUP
 from .inverse_task import Task
 from .peers import Peer, PeerError
 
 HALVINGS = 10  # after which steps are too short to come any nearer
 GROWTH = 0.1  # an error is looked at when so many more steps have been made, relative to all before
+# Seconds of steps between two looks. A step after a look is slower: threads sleep, caches have the judge's data.
+UNDISTURBED = 1.0
 
 
 @dataclass(frozen=True)
@@ -40,26 +44,61 @@ class Run:
     points: list[Point] = field(default_factory=list)
     found: dict[str, np.ndarray] = field(default_factory=dict)
     failed: str = ""  # what its program said when it could not go on
+    whole: dict[str, float] = field(default_factory=dict)  # "seconds", "cpu": of all steps in one go
 
     def begin(self) -> None:
         self.found = {u.name: u.start for u in self.task.unknowns}
         self.points = [Point(0, 0.0, 0.0, self.task.error(self.found))]
-        self.first = self.peer.ask("begin_inverse", setting=self.setting, seed=self.seed)["first"]
+        self.first = self._restart()
+
+    def _restart(self) -> float:
+        return self.peer.ask("begin_inverse", setting=self.setting, seed=self.seed)["first"]
+
+    def repeat(self) -> None:
+        """As many steps from the start, without a look: their time is what a user waits."""
+        self._restart()
+        spent = self.peer.ask("advance_inverse", steps=[self.last.iterations], file=str(self._prefix))
+        self.whole = {name: spent[name][0] for name in ("seconds", "cpu")}
+
+    @property
+    def seconds(self) -> float:
+        return self.whole.get("seconds", self.last.seconds)
+
+    @property
+    def cpu(self) -> float:
+        return self.whole.get("cpu", self.last.cpu)
+
+    @property
+    def _prefix(self) -> Path:
+        """Of files with what was found."""
+        return self.folder / f"found_{self.peer.key.replace(' ', '_')}_"
 
     @property
     def last(self) -> Point:
         return self.points[-1]
 
-    def check(self) -> None:
-        """Some steps, and how good they are."""
+    def check(self, target: float) -> None:
+        """Some steps, and how good they are; what comes after the target is forgotten."""
+        steps = self._next_steps()
+        spent = self.peer.ask("advance_inverse", steps=steps, file=str(self._prefix))
+        for number, (count, seconds, cpu) in enumerate(zip(steps, spent["seconds"], spent["cpu"], strict=True)):
+            with np.load(f"{self._prefix}{number}.npz") as found:
+                self.found = {name: found[name] for name in found.files}
+            last = self.last
+            point = (last.iterations + count, last.seconds + seconds, last.cpu + cpu, self.task.error(self.found))
+            self.points.append(Point(*point))
+            if self.reached(target):
+                break
+
+    def _next_steps(self) -> list[int]:
+        """Numbers of steps, after each of which the error is looked at when all of them are made."""
         last = self.last
-        steps = max(1, int(last.iterations * GROWTH))
-        file = self.folder / f"found_{self.peer.key.replace(' ', '_')}.npz"
-        spent = self.peer.ask("advance_inverse", steps=steps, file=str(file))
-        with np.load(file) as found:
-            self.found = {name: found[name] for name in found.files}
-        seconds, cpu = last.seconds + spent["seconds"], last.cpu + spent["cpu"]
-        self.points.append(Point(last.iterations + steps, seconds, cpu, self.task.error(self.found)))
+        # at first by the steps before, which may have been slower
+        each = last.seconds / last.iterations if last.iterations else self.first / WARMUP
+        steps: list[int] = []
+        while not steps or sum(steps) * each < UNDISTURBED:
+            steps.append(max(1, int((last.iterations + sum(steps)) * GROWTH)))
+        return steps
 
     def reached(self, target: float) -> bool:
         return not self.failed and self.last.error <= target
@@ -81,13 +120,17 @@ class Run:
 def race(runs: Sequence[Run], target: float, cap: float) -> None:
     """All runs to the target or to `cap` seconds; whoever has spent least is next, so that all see the same machine.
 
-    A program that fails is out of the race, and its run says why.
+    Then those that have come to the target once more, in one go. A program that fails is out of the race, and its run
+    says why.
     """
     for run in runs:
         attempt(run, run.begin)
     while left := [run for run in runs if not (run.failed or run.over(target, cap))]:
         run = min(left, key=lambda run: run.last.seconds)
-        attempt(run, run.check)
+        attempt(run, partial(run.check, target))
+    for run in runs:
+        if run.reached(target) and run.last.iterations:
+            attempt(run, run.repeat)
 
 
 def attempt(run: Run, action: Callable[[], None]) -> None:

@@ -157,7 +157,7 @@ class Server:
     def begin_inverse(self, setting: dict, seed: int) -> dict:
         return self.inverse.begin(setting, seed)
 
-    def advance_inverse(self, steps: int, file: str) -> dict:
+    def advance_inverse(self, steps: list[int], file: str) -> dict:
         return self.inverse.advance(steps, file)
 
     def load_moved(self, direction: list) -> dict:

@@ -82,14 +82,14 @@ public:
             const Spectrum<F> one = uniform_spectrum(F(1));
             BsdfDerivative<F> d;
             if (by_params) {
-                kernels_.vjp(at, from, to, lobes, Transport::Radiance, one, one, {true, false}, d);
+                kernels_.vjp(at, from, to, lobes, Transport::Radiance, one, one, {BsdfNeeds::All, false}, d);
                 for (size_t i = 0; i < by_variable.size(); ++i)
                     if (by_variable[i]) rows.put(reinterpret_cast<S *>(by_variable[i]), d.by_variable[i], channels_);
             }
             for (int c = 0; by_directions && c < channels_; ++c) {
                 Spectrum<F> a = uniform_spectrum(F(0));
                 a[c] = F(1);
-                kernels_.vjp(at, from, to, lobes, Transport::Radiance, a, one, {false, true}, d);
+                kernels_.vjp(at, from, to, lobes, Transport::Radiance, a, one, {0, true}, d);
                 put_row(rows, out(arrays, "by_wi"), d.wi_bar, channels_, c);
                 put_row(rows, out(arrays, "by_wo"), d.wo_bar, channels_, c);
             }

@@ -55,6 +55,10 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
     for (size_t i = 0; i < count("bsdf"); ++i) {
         d.bsdfs.push_back(requires_.values("bsdf", i));
         needs.bsdf |= d.bsdfs.back() != 0;
+        const int kind = layout.records.at("bsdf")[i].kind;
+        if (kind >= FirstWrapper) continue;
+        d.variables.resize(FirstWrapper);
+        d.variables[size_t(kind)] |= requires_.variables(i, bsdf_kernels<PacketOf<S>>(kind), needs.geometry);
     }
     needs.lookups = requires_.bsdfs_vary();
     for (size_t i = 0; i < count("emitter"); ++i) needs.emitter |= requires_.values("emitter", i);

@@ -30,9 +30,11 @@ std::array<size_t, VertexArrays> numbers_of_vertices(const DerivativeCall<S> &ca
 template <class S>
 GradientNeeds DeviceDerivative<S>::needs(Launcher &launcher, const DerivativeCall<S> &call) {
     GradientNeeds r = call.gradient_needs();
-    if (!r.bsdfs) return r;
-    bsdfs_.upload(launcher, call.bsdfs.data(), call.bsdfs.size());
-    r.bsdfs = bsdfs_.get();
+    if (r.bsdfs) bsdfs_.upload(launcher, call.bsdfs.data(), call.bsdfs.size()), r.bsdfs = bsdfs_.get();
+    if (r.variables) {
+        variables_.upload(launcher, call.variables.data(), call.variables.size());
+        r.variables = variables_.get();
+    }
     return r;
 }
 

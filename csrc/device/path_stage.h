@@ -48,7 +48,7 @@ struct PathStage {
     template <class Visit>
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
-        visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs);
+        visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs), visit(needs.variables);
         for_tape_arrays(tape, AllTapeParts, visit);
     }
 };

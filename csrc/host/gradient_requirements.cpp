@@ -62,6 +62,20 @@ bool GradientRequirements::values(const char *category, size_t index) const {
     return false;
 }
 
+uint32_t GradientRequirements::variables(size_t bsdf, const BsdfInfo &info, bool moves) const {
+    const Record &record = layout_.records.at("bsdf")[bsdf];
+    uint32_t r = 0;
+    for (int i = 0; i < info.n_differentiable; ++i) {
+        const int32_t at = record.field[i];
+        const bool counts = info.use[i] == BsdfInfo::Number
+                                ? number(at)
+                                : values("texture", size_t(at)) || (moves && lookup_varies(size_t(at)));
+        if (counts) r |= 1u << i;
+    }
+    if (info.luminance_of >= 0 && (r >> info.luminance_of & 1)) r |= 1u << info.n_differentiable;
+    return r;
+}
+
 bool GradientRequirements::point_position() const {
     for (size_t i = 0; i < layout_.records.at("emitter").size(); ++i)
         if (any_number("emitter", i, {Kind::Point})) return true;
@@ -124,15 +138,18 @@ bool GradientRequirements::motion(size_t sensor) const {
     return false;
 }
 
+bool GradientRequirements::lookup_varies(size_t texture) const {
+    const Record &record = layout_.records.at("texture")[texture];
+    const bool nearest = record.kind == kind_of_model<Bitmap>(Textures{}) && record.field[Bitmap::Filter] == 1;
+    return record.kind != kind_of_model<ConstantTexture>(Textures{}) && !nearest;
+}
+
 bool GradientRequirements::lookups_vary(const char *category) const {
-    const int32_t constant = kind_of_model<ConstantTexture>(Textures{}), bitmap = kind_of_model<Bitmap>(Textures{});
     for (const Record &record : layout_.records.at(category)) {
         const Model &model = model_of(category, record);
         for (int f = 0; f < model.n_fields; ++f) {
             if (model.fields[f].kind != Kind::Texture && model.fields[f].kind != Kind::Scalar) continue;
-            const Record &texture = layout_.records.at("texture")[size_t(record.field[f])];
-            const bool nearest = texture.kind == bitmap && texture.field[Bitmap::Filter] == 1;
-            if (texture.kind != constant && !nearest) return true;
+            if (lookup_varies(size_t(record.field[f]))) return true;
         }
     }
     return false;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "../core/adjoint/needs.h"
+#include "../core/bsdf/bsdf.h"
 #include "../core/model.h"
 #include "gradient.h"
 #include "layout.h"
@@ -19,6 +20,9 @@ public:
 
     // A value that an object of this category looks up.
     bool values(const char *category, size_t index) const;
+    // Of the variables of a BSDF, whose model this is, those whose derivative counts, a bit each: what they are looked
+    // up in is differentiated, or with `moves` varies from place to place.
+    uint32_t variables(size_t bsdf, const BsdfInfo &info, bool moves) const;
     // The position of a light at a point.
     bool point_position() const;
     // Properties of a medium.
@@ -42,6 +46,7 @@ private:
 
     bool number(int32_t offset) const;
     bool tensor(int32_t slot) const { return slot >= 0 && needs_grad_[size_t(slot)]; }
+    bool lookup_varies(size_t texture) const;
     bool lookups_vary(const char *category) const;
     bool any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const;
 };

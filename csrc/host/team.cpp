@@ -1,6 +1,8 @@
 #include "team.h"
 
 #include <atomic>
+#include <condition_variable>
+#include <mutex>
 #include <system_error>
 #include <thread>
 #include <vector>
@@ -17,15 +19,40 @@ OpenMp openmp;
 // A forked process has the memory of OpenMP's threads, but not the threads: it would wait for them for ever.
 std::atomic<bool> forked{false};
 
+// Where members wait for the last one. OpenMP's own wait spins for milliseconds: where other programs want the
+// processors, the one that is waited for does not get this one.
+class Meeting {
+public:
+    // With so many members, of which this is one.
+    void wait_for(int members) {
+        if (++arrived_ == members) {
+            const std::lock_guard<std::mutex> lock(mutex_);
+            all_.notify_all();
+            return;
+        }
+        for (int i = 0; i < ShortSpin; ++i)
+            if (arrived_ == members) return;
+        std::unique_lock<std::mutex> lock(mutex_);
+        all_.wait(lock, [&] { return arrived_ == members; });
+    }
+
+private:
+    static constexpr int ShortSpin = 20000;  // ten microseconds or so, less than waking up takes
+    std::atomic<int> arrived_{0};
+    std::mutex mutex_;
+    std::condition_variable all_;
+};
+
 struct Team {
     int n;
     const Member &body, &absent;
+    Meeting meeting{};
 
     // As member `number` of those who are there; the first one cares for the others.
-    void take_part(int number, int there) const {
+    void take_part(int number, int there) {
         if (number > 0) {
             if (number < n) body(number);
-            return;
+            return meeting.wait_for(there);
         }
         std::vector<std::thread> others;
         int next = there;
@@ -36,10 +63,11 @@ struct Team {
         }
         body(0);
         for (std::thread &t : others) t.join();
+        meeting.wait_for(there);
     }
 };
 
-void take_part(void *team) { static_cast<const Team *>(team)->take_part(openmp.number(), openmp.size()); }
+void take_part(void *team) { static_cast<Team *>(team)->take_part(openmp.number(), openmp.size()); }
 
 }  // namespace
 

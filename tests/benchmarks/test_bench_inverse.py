@@ -10,6 +10,7 @@ import pytest
 import torch
 
 import torchrender as tr
+from bench import inverse_race
 from bench.__main__ import main
 from bench.inverse_loop import Loop
 from bench.inverse_ours import OurLoop
@@ -93,8 +94,8 @@ def test_every_problem_comes_nearer_to_the_truth(problem, tmp_path):
     loop = OurLoop(str(tmp_path))
     start = task.error({unknown.name: unknown.start for unknown in task.unknowns})
     loop.begin({**problem.setting, "spp": 8, "spp_grad": 8}, seed=0)
-    loop.advance(40, str(tmp_path / "found.npz"))
-    with np.load(tmp_path / "found.npz") as found:
+    loop.advance([40], str(tmp_path / "found"))
+    with np.load(tmp_path / "found0.npz") as found:
         values = {name: found[name] for name in found.files}
     assert task.error(values) < 0.8 * start
     assert task.error({name: value.numpy() for name, value in task.truth.items()}) == 0
@@ -118,12 +119,17 @@ def test_a_race_alternates_and_forgets_the_first_steps(tmp_path):
     assert all(a.seconds < b.seconds for a, b in zip(one.points, one.points[1:], strict=False))
     (found,) = one.found.values()
     assert np.abs(found - [0.2, 0.4, 0.6]).max() < 0.03
+    # Once more in one go: to the same place, and that time counts.
+    with np.load(tmp_path / "found_one_0.npz") as again:
+        np.testing.assert_allclose(again["floor.bsdf.reflectance.value"], found, rtol=1e-5)
+    assert one.seconds == one.whole["seconds"] != one.last.seconds and one.cpu == one.whole["cpu"]
     short = Run(peers[0], task, SETTING, tmp_path)
     race([short], 0.0, 0.0)
     assert short.points == short.points[:1]  # no time, no steps
 
 
-def test_a_program_that_fails_is_out_of_the_race(tmp_path):
+def test_a_program_that_fails_is_out_of_the_race(tmp_path, monkeypatch):
+    monkeypatch.setattr(inverse_race, "UNDISTURBED", 0.0)  # a look after each step
     task = floor()
     task.write(tmp_path)
     well, ill = (InProcess(OurLoop(str(tmp_path)), title) for title in ("well", "ill"))
@@ -140,9 +146,19 @@ def test_a_program_that_fails_is_out_of_the_race(tmp_path):
     assert runs[0].outcome(0.02) == "yes" and runs[0].reached(0.02)
     assert runs[1].outcome(0.02) == "failed: ill: its process ended" and not runs[1].reached(1.0)
     assert len(runs[1].points) > 2
+    assert not runs[1].whole and runs[1].seconds == runs[1].last.seconds
     late = Run(well, task, SETTING, tmp_path, 1)
     race([late], 0.0, 1e-6)
     assert late.outcome(0.0).startswith("not reached in") and late.outcome(0.0).endswith("%")
+
+
+@pytest.mark.parametrize(("first", "expected"), [(3.0, [1]), (0.375, [1] * 8), (0.09375, [1] * 20 + [2] * 5 + [3])])
+def test_looks_are_a_second_apart(first, expected, tmp_path):
+    run = Run(SimpleNamespace(), None, SETTING, tmp_path, first=first)
+    run.points = [inverse_race.Point(0, 0.0, 0.0, 1.0)]
+    assert run._next_steps() == expected
+    run.points = [inverse_race.Point(20, 40.0, 0.0, 1.0)]
+    assert run._next_steps() == [2]
 
 
 def test_rates_are_halved():
@@ -171,7 +187,7 @@ class Counted:
     def begin(self) -> None:
         pass
 
-    def check(self) -> None:
+    def check(self, target: float) -> None:
         self.last.iterations += 1
         self.last.seconds += 0.25
         self.last.error = 0.0 if self.last.seconds >= self.need else 1.0

@@ -34,8 +34,8 @@ def test_every_kind_comes_nearer_to_the_truth(name, tmp_path):
     loop = loop_of(str(tmp_path))
     start = task.error({unknown.name: unknown.start for unknown in task.unknowns})
     loop.begin({**problem.setting, **CHANGES[name]}, seed=0)
-    loop.advance(STEPS[name], str(tmp_path / "found.npz"))
-    with np.load(tmp_path / "found.npz") as found:
+    loop.advance([STEPS[name]], str(tmp_path / "found"))
+    with np.load(tmp_path / "found0.npz") as found:
         values = {key: found[key] for key in found.files}
     (unknown,) = task.unknowns
     assert values[unknown.name].shape == unknown.start.shape

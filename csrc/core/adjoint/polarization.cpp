@@ -193,11 +193,11 @@ TR_LARGE PolarizedVertex<F>::PolarizedVertex(const SceneOf<F> &scene, const Wave
         PolarizedWay<F> &path = lobes[l].path, &light = lobes[l].light;
         BsdfDerivative<F> value;
         const IntOf<F> part(n_lobes == 2 ? l + 1 : 0);
-        bsdf.vjp(params, v.wi, v.wo, n_lobes == 2 ? part : v.lobe, transport, one, one, {false, false}, value);
+        bsdf.vjp(params, v.wi, v.wo, n_lobes == 2 ? part : v.lobe, transport, one, one, {0, false}, value);
         path.factor = select(goes_on, apply(value.f, path_factor), none);
         light.factor = none;
         if (connected) {
-            bsdf.vjp(params, v.wi, v.wo_light, part, transport, one, one, {false, false}, value);
+            bsdf.vjp(params, v.wi, v.wo_light, part, transport, one, one, {0, false}, value);
             light.factor = select(lit, apply(value.f, light_factor), none);
         }
         if (kind == Polarization::None) return;
@@ -415,8 +415,9 @@ TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, con
                 const Spectrum<F> angle = by_angle(gathered(kind, path, a), r) - by_angle(leaving, left);
                 sweep_plate(scene, v, angle, needs, active, hit, bar);
             }
-            if ((needs.bsdf || (needs.geometry && needs.lookups)) && (bsdf.eta >= 0 || bsdf.theta >= 0))
-                sweep_parameters(scene, bsdf, v.bsdf, v.at, bar.by_variable, needs, active, hit.at, sink);
+            const uint32_t variables = needs.variables_of(bsdf_kind);
+            if (variables && (bsdf.eta >= 0 || bsdf.theta >= 0))
+                sweep_parameters(scene, bsdf, v.bsdf, v.at, bar.by_variable, variables, needs, active, hit.at, sink);
             if (needs.numbers()) {
                 hit.n = hit.n + bar.n * v.mirror;
                 next.ray.d = next.ray.d + bar.path;

@@ -32,18 +32,24 @@ TR_LARGE BsdfAdjoint<F>::BsdfAdjoint(const SceneOf<F> &scene, int kind, const Ve
                                      const MaskOf<F> &active, HitAdjoint<F> &hit, GradientSink<F> &sink)
     : bsdf(bsdf_kernels<F>(kind)), connected(bsdf.is(HasSmoothLobes) && any(lit)) {
     load_parameters(scene, sink.waves, bsdf, v.bsdf, v.at, active, params);
-    const BsdfNeeds wanted{needs.bsdf || (needs.geometry && (needs.lookups || bsdf.bent)), needs.numbers()};
-    bsdf.vjp(params, v.wi, v.wo, v.lobe, transport, a, path_factor, wanted, path);
+    const bool bent = bsdf.bent && (needs.bsdf || needs.geometry);  // its number counts, which is not the record's
+    const BsdfNeeds wanted{bent ? BsdfNeeds::All : needs.variables_of(kind), needs.numbers()};
+    // at the end of paths, and where rays leave the scene, nothing is behind
+    if (any(active && mask<F>(component_sum(magnitude(path_factor)) != F(0))))
+        bsdf.vjp(params, v.wi, v.wo, v.lobe, transport, a, path_factor, wanted, path);
+    else
+        path.clear(bsdf.n_variables);
     if (connected)
         bsdf.vjp(params, v.wi, v.wo_light, bsdf.is(HasDeltaLobes) ? IntOf<F>(0) : v.lobe, transport, a, light_factor,
                  wanted, light);
     else
         light.f = uniform_spectrum(F(0));
-    if (!wanted.parameters) return;
+    if (!wanted.variables) return;
     // both evaluations share the look-ups: one scatter for their sum
     if (connected)
-        for (int i = 0; i < bsdf.n_variables; ++i) path.by_variable[i] = path.by_variable[i] + light.by_variable[i];
-    sweep_parameters(scene, bsdf, v.bsdf, v.at, path.by_variable, needs, active, hit.at, sink);
+        for (int i = 0; i < bsdf.n_variables; ++i)
+            if (wanted.variables >> i & 1) path.by_variable[i] = path.by_variable[i] + light.by_variable[i];
+    sweep_parameters(scene, bsdf, v.bsdf, v.at, path.by_variable, wanted.variables, needs, active, hit.at, sink);
     if (facts::Bends && bsdf.bent)
         sweep_boundary(scene, v.at, v.p, component_sum(path.by_variable[0]), active, hit, sink);
 }

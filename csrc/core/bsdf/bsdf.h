@@ -63,18 +63,26 @@ struct BsdfValue {
     F pdf;
 };
 
-// What of a derivative is wanted.
+// What of a derivative is wanted: by which variables, a bit each, and whether by both directions.
 struct BsdfNeeds {
-    bool parameters, directions;
+    static constexpr uint32_t All = 0xffffffffu;
+    uint32_t variables;
+    bool directions;
 };
 
 // The value f and, with a row a and a column R of spectra, the derivatives of the number a f R: by each variable, apart
-// by components of the spectrum, and by both directions. What is not wanted is not written.
+// by components of the spectrum, and by both directions. What is not wanted may not be written.
 template <class F>
 struct BsdfDerivative {
     Spectrum<F> f;
     Spectrum<F> by_variable[BsdfInfo::MaxVariables];
     Vec3<F> wi_bar, wo_bar;
+
+    TR_HD void clear(int n_variables) {
+        const Spectrum<F> black = uniform_spectrum(F(0));
+        f = black, wi_bar = wo_bar = Vec3<F>{F(0), F(0), F(0)};
+        for (int i = 0; i < n_variables; ++i) by_variable[i] = black;
+    }
 };
 
 template <class F>

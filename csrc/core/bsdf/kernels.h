@@ -183,14 +183,31 @@ TR_INLINE ParamsOf<M, F> unpack(const BsdfParameters<F> &from) {
 }
 
 // Derivatives by many variables are taken a block of them at a time: more numbers in flight do not fit into registers.
+// Blocks in which nothing is wanted are left out; a colour's luminance comes behind that colour, for both are wanted then.
 template <class M>
 struct VariableBlocks {
-    static constexpr int N = bsdf_info<M>().n_variables, Count = (N + 5) / 6,
-                         Size = Count ? (N + Count - 1) / Count : 0;
+    static constexpr BsdfInfo Info = bsdf_info<M>();
+    static constexpr int N = Info.n_variables, Count = (N + 5) / 6, Size = Count ? (N + Count - 1) / Count : 0;
+
+    // Places in the order of blocks.
+    TR_HD static constexpr int place_of(int variable) {
+        if (Info.luminance_of < 0 || variable <= Info.luminance_of) return variable;
+        return variable == Info.n_differentiable ? Info.luminance_of + 1 : variable + 1;
+    }
+    TR_HD static constexpr int variable_at(int place) {
+        if (Info.luminance_of < 0 || place <= Info.luminance_of) return place;
+        return place == Info.luminance_of + 1 ? Info.n_differentiable : place - 1;
+    }
+    // The variables of the block that begins at a place, a bit each.
+    TR_HD static constexpr uint32_t bits(int first) {
+        uint32_t r = 0;
+        for (int i = first; i < first + Size && i < N; ++i) r |= 1u << variable_at(i);
+        return r;
+    }
 };
 
-// The same with the variables from `first` on, as many as a block has, as independent ones. Colours need one variable,
-// not one a component: components do not mix.
+// The same with the variables of the block that begins at the place `first` as independent ones. Colours need one
+// variable, not one a component: components do not mix.
 template <class M, class F>
 TR_INLINE auto seed(const BsdfParameters<F> &from, int first) {
     constexpr BsdfInfo info = bsdf_info<M>();
@@ -198,7 +215,7 @@ TR_INLINE auto seed(const BsdfParameters<F> &from, int first) {
     using D = Dual<F, Block>;
     auto dual = [&](const F &value, int variable) {
         D d(value);
-        int i = variable - first;
+        int i = VariableBlocks<M>::place_of(variable) - first;
         if (variable < info.n_variables && i >= 0 && i < Block) d.d[i] = F(1);
         return d;
     };
@@ -273,12 +290,14 @@ struct KernelsOf {
     TR_HD static void vjp(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo, const IntOf<F> &lobe,
                           Transport transport, const Spectrum<F> &a, const Spectrum<F> &R, BsdfNeeds needs,
                           BsdfDerivative<F> &r) {
-        constexpr int N = VariableBlocks<M>::N, Block = VariableBlocks<M>::Size;
-        if (N == 0 || !needs.parameters) r.f = eval_model<M>(unpack<M>(at), wi, wo, lobe, transport);
-        if constexpr (N > 0) {
-            if (needs.parameters)
-                for (int first = 0; first < N; first += Block) by_block(at, first, wi, wo, lobe, transport, a, R, r);
+        using Blocks = VariableBlocks<M>;
+        bool evaluated = false;
+        if constexpr (Blocks::N > 0) {
+            for (int first = 0; first < Blocks::N; first += Blocks::Size)
+                if (needs.variables & Blocks::bits(first))
+                    by_block(at, first, wi, wo, lobe, transport, a, R, r), evaluated = true;
         }
+        if (!evaluated) r.f = eval_model<M>(unpack<M>(at), wi, wo, lobe, transport);
         if (needs.directions) by_directions(at, wi, wo, lobe, transport, a * R, r);
     }
 
@@ -310,7 +329,8 @@ private:
         auto f = eval_model<M>(seed<M>(at, first), wi, wo, lobe, transport);
         for (int c = 0; c < SpectrumSize; ++c) r.f[c] = f[c].v;
         for (int i = 0; i < Block && first + i < N; ++i)
-            for (int c = 0; c < SpectrumSize; ++c) r.by_variable[first + i][c] = f[c].d[i] * R[c] * a[c];
+            for (int c = 0; c < SpectrumSize; ++c)
+                r.by_variable[VariableBlocks<M>::variable_at(first + i)][c] = f[c].d[i] * R[c] * a[c];
     }
 
     TR_INLINE static void by_directions(const Parameters &at, const Vec3<F> &wi, const Vec3<F> &wo,

@@ -99,9 +99,11 @@ TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &wav
 
 template <class F>
 TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf,
-                               const TexturedPoint<F> &at, const Spectrum<F> *g, const GradientNeeds &needs,
-                               const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink) {
+                               const TexturedPoint<F> &at, const Spectrum<F> *g, uint32_t variables,
+                               const GradientNeeds &needs, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                               GradientSink<F> &sink) {
     for (int i = 0; i < model.n_variables; ++i) {
+        if (!(variables >> i & 1)) continue;
         const bool is_field = i < model.n_differentiable;
         const BsdfInfo::Use use = is_field ? BsdfInfo::Use(model.use[i]) : BsdfInfo::Luminance;
         IntOf<F> field = record_field<F>(scene.bsdfs, is_field ? i : model.luminance_of, bsdf, active);
@@ -136,7 +138,7 @@ TR_LARGE void sweep_numbers(const SceneOf<F> &scene, const BsdfInfo &model, cons
     template void load_parameters(const SceneView<S> &, const Wavelengths<F> &, const BsdfInfo &, const IntOf<F> &,    \
                                   const TexturedPoint<F> &, const MaskOf<F> &, BsdfParameters<F> &);                   \
     template void sweep_parameters(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const TexturedPoint<F> &, \
-                                   const Spectrum<F> *, const GradientNeeds &, const MaskOf<F> &,                      \
+                                   const Spectrum<F> *, uint32_t, const GradientNeeds &, const MaskOf<F> &,            \
                                    CoordinateAdjoint<F> &, GradientSink<F> &);                                         \
     template void sweep_numbers(const SceneView<S> &, const BsdfInfo &, const IntOf<F> &, const TexturedPoint<F> &,    \
                                 const F *, const MaskOf<F> &, GradientSink<F> &);

@@ -15,11 +15,13 @@ TR_LARGE void load_parameters(const SceneOf<F> &scene, const Wavelengths<F> &wav
                               BsdfParameters<F> &to);
 
 // Adds the adjoints of the model's variables, one number a component of the spectrum, to the gradients of the
-// parameters, and to `to` what moving look-ups receive. `g[i]` is that of variable i.
+// parameters, and to `to` what moving look-ups receive. `g[i]` is that of variable i, which counts if it has a bit in
+// `variables`.
 template <class F>
 TR_LARGE void sweep_parameters(const SceneOf<F> &scene, const BsdfInfo &model, const IntOf<F> &bsdf,
-                               const TexturedPoint<F> &at, const Spectrum<F> *g, const GradientNeeds &needs,
-                               const MaskOf<F> &active, CoordinateAdjoint<F> &to, GradientSink<F> &sink);
+                               const TexturedPoint<F> &at, const Spectrum<F> *g, uint32_t variables,
+                               const GradientNeeds &needs, const MaskOf<F> &active, CoordinateAdjoint<F> &to,
+                               GradientSink<F> &sink);
 
 // The same of the numbers by which delta lobes are turned: `g[i]` is the adjoint of the i-th number.
 template <class F>
