@@ -182,11 +182,10 @@ def gradients_of(
     native: NativeScene, params: Sequence[torch.Tensor], needed: Sequence[bool]
 ) -> list[torch.Tensor | None]:
     """Zeros for the gradients that are needed, where the core can add to them."""
-    grads = []
-    for parameter, wanted in zip(params, needed, strict=True):
-        place = parameter.device if native.holds(parameter.device) else "cpu"
-        grads.append(zero_gradient(parameter, place) if wanted else None)
-    return grads
+    return [
+        zero_gradient(parameter, parameter.device if native.holds(parameter.device) else "cpu") if wanted else None
+        for parameter, wanted in zip(params, needed, strict=True)
+    ]
 
 
 def with_parameters(

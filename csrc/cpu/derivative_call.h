@@ -2,6 +2,7 @@
 // and these in the layouts that the core uses.
 #pragma once
 
+#include "core/registry.h"
 #include "host/gradient_requirements.h"
 #include "host/scene_data.h"
 #include "render.h"
