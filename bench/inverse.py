@@ -180,7 +180,10 @@ def solve(problem: Problem, settings: dict[str, Any], options: argparse.Namespac
     rows = [row_of(problem, goal, *each) for each in zip(by_program, memory, differences, strict=True)]
     for row, runs in zip(rows[1:], by_program[1:], strict=True):
         pairs = [(theirs, mine) for theirs, mine in zip(runs, by_program[0], strict=True) if not theirs.failed]
-        seconds = [(theirs.seconds, mine.seconds) for theirs, mine in pairs if mine.seconds]
+        # where one did not come to the target, both have the time of the race
+        whole = [bool(theirs.whole and mine.whole) for theirs, mine in pairs]
+        both = [(a, b) if once else (a.last, b.last) for once, (a, b) in zip(whole, pairs, strict=True)]
+        seconds = [(theirs.seconds, mine.seconds) for theirs, mine in both if mine.seconds]
         row["seconds / ours"] = Measured.of(theirs / mine for theirs, mine in seconds) if seconds else None
     for row in rows:
         print(f"{row['problem']}, {row['program']}: {row['s']} s, error {row['error %']:.3g} %", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -77,8 +78,8 @@ class Run:
     def last(self) -> Point:
         return self.points[-1]
 
-    def check(self, target: float) -> None:
-        """Some steps, and how good they are; what comes after the target is forgotten."""
+    def check(self, target: float, cap: float) -> None:
+        """Some steps, and how good they are; what comes when the run is over is forgotten."""
         steps = self._next_steps()
         spent = self.peer.ask("advance_inverse", steps=steps, file=str(self._prefix))
         for number, (count, seconds, cpu) in enumerate(zip(steps, spent["seconds"], spent["cpu"], strict=True)):
@@ -87,7 +88,7 @@ class Run:
             last = self.last
             point = (last.iterations + count, last.seconds + seconds, last.cpu + cpu, self.task.error(self.found))
             self.points.append(Point(*point))
-            if self.reached(target):
+            if self.over(target, cap):
                 break
 
     def _next_steps(self) -> list[int]:
@@ -127,10 +128,11 @@ def race(runs: Sequence[Run], target: float, cap: float) -> None:
         attempt(run, run.begin)
     while left := [run for run in runs if not (run.failed or run.over(target, cap))]:
         run = min(left, key=lambda run: run.last.seconds)
-        attempt(run, partial(run.check, target))
+        attempt(run, partial(run.check, target, cap))
     for run in runs:
         if run.reached(target) and run.last.iterations:
-            attempt(run, run.repeat)
+            with contextlib.suppress(PeerError):  # the time of the race stands
+                run.repeat()
 
 
 def attempt(run: Run, action: Callable[[], None]) -> None:

@@ -82,7 +82,7 @@ class Search:
             try:
                 run.begin()
                 while not run.over(self.target, self.cap) and not self._beaten(spent + self._cost(run)):
-                    run.check(self.target)
+                    run.check(self.target, self.cap)
             except PeerError as error:  # a sampler that does not take such a number of samples, values without bounds
                 print(f"{setting}: {error}", file=sys.stderr, flush=True)
                 return False

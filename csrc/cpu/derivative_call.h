@@ -57,11 +57,10 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
         d.bsdfs.push_back(requires_.values("bsdf", i));
         needs.bsdf |= d.bsdfs.back() != 0;
         const int kind = layout.records.at("bsdf")[i].kind;
-        if (kind >= FirstWrapper) continue;
         d.variables.resize(FirstWrapper);
+        if (kind >= FirstWrapper || !(d.bsdfs.back() || needs.geometry)) continue;
         d.variables[size_t(kind)] |= requires_.variables(i, bsdf_kernels<PacketOf<S>>(kind), needs.geometry);
     }
-    needs.lookups = requires_.bsdfs_vary();
     for (size_t i = 0; i < count("emitter"); ++i) needs.emitter |= requires_.values("emitter", i);
     needs.black_light = needs.emitter || (needs.geometry && requires_.emitters_vary());
     for (size_t i = 0; i < layout.shapes.size(); ++i) d.shapes.push_back(requires_.shape(i));

@@ -144,26 +144,16 @@ bool GradientRequirements::lookup_varies(size_t texture) const {
     return record.kind != kind_of_model<ConstantTexture>(Textures{}) && !nearest;
 }
 
-bool GradientRequirements::lookups_vary(const char *category) const {
-    for (const Record &record : layout_.records.at(category)) {
-        const Model &model = model_of(category, record);
-        for (int f = 0; f < model.n_fields; ++f) {
-            if (model.fields[f].kind != Kind::Texture && model.fields[f].kind != Kind::Scalar) continue;
-            if (lookup_varies(size_t(record.field[f]))) return true;
-        }
-    }
-    return false;
-}
-
-bool GradientRequirements::bsdfs_vary() const { return lookups_vary("bsdf"); }
-
 bool GradientRequirements::emitters_vary() const {
     for (const Record &record : layout_.records.at("emitter")) {
         const Model &model = model_of("emitter", record);
-        for (int f = 0; f < model.n_fields; ++f)
-            if (model.fields[f].kind == Kind::Tensor || model.fields[f].kind == Kind::Transform) return true;
+        for (int f = 0; f < model.n_fields; ++f) {
+            const Kind kind = model.fields[f].kind;
+            if (kind == Kind::Tensor || kind == Kind::Transform) return true;
+            if ((kind == Kind::Texture || kind == Kind::Scalar) && lookup_varies(size_t(record.field[f]))) return true;
+        }
     }
-    return lookups_vary("emitter");
+    return false;
 }
 
 GeometrySizes GradientRequirements::geometry_sizes() const {

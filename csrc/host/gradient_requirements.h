@@ -33,8 +33,7 @@ public:
     bool shape(size_t index) const;
     // Anything that moves a ray, a hit or a look-up.
     bool motion(size_t sensor) const;
-    // Whether what a BSDF, or an emitter, looks up changes when the place of the look-up does.
-    bool bsdfs_vary() const;
+    // Whether what an emitter looks up changes when the place of the look-up does.
     bool emitters_vary() const;
     GeometrySizes geometry_sizes() const;
 
@@ -47,7 +46,6 @@ private:
     bool number(int32_t offset) const;
     bool tensor(int32_t slot) const { return slot >= 0 && needs_grad_[size_t(slot)]; }
     bool lookup_varies(size_t texture) const;
-    bool lookups_vary(const char *category) const;
     bool any_number(const char *category, size_t index, std::initializer_list<Kind> kinds) const;
 };
 

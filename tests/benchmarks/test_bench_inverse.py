@@ -187,7 +187,7 @@ class Counted:
     def begin(self) -> None:
         pass
 
-    def check(self, target: float) -> None:
+    def check(self, target: float, cap: float) -> None:
         self.last.iterations += 1
         self.last.seconds += 0.25
         self.last.error = 0.0 if self.last.seconds >= self.need else 1.0

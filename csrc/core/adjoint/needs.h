@@ -17,7 +17,6 @@ struct GradientNeeds {
     TR_MOVES(geometry);  // anything that moves rays, hits or look-ups
     TR_MOVES(camera);
     MediumNeeds medium{};
-    bool lookups = true;             // with `geometry`: what BSDFs look up varies over surfaces
     bool black_light = true;         // light paths that carry nothing may have a derivative
     const int32_t *bsdfs = nullptr;  // by bsdf, whether a parameter of it is differentiated; null if `bsdf` is not set
     // By a BSDF's kind: its variables whose derivative counts for some record, a bit each; null: all of them.

@@ -183,7 +183,8 @@ TR_INLINE ParamsOf<M, F> unpack(const BsdfParameters<F> &from) {
 }
 
 // Derivatives by many variables are taken a block of them at a time: more numbers in flight do not fit into registers.
-// Blocks in which nothing is wanted are left out; a colour's luminance comes behind that colour, for both are wanted then.
+// Blocks in which nothing is wanted are left out; a colour's luminance comes behind that colour, for both are wanted
+// then.
 template <class M>
 struct VariableBlocks {
     static constexpr BsdfInfo Info = bsdf_info<M>();
