@@ -19,7 +19,8 @@ struct GradientNeeds {
     MediumNeeds medium{};
     bool black_light = true;         // light paths that carry nothing may have a derivative
     const int32_t *bsdfs = nullptr;  // by bsdf, whether a parameter of it is differentiated; null if `bsdf` is not set
-    // By a BSDF's kind: its variables whose derivative counts for some record, a bit each; null: all of them.
+    // By a BSDF's kind: its variables whose derivative counts for some record, a bit each; null: all of them. Of a call
+    // in which nothing moves those are missing that move with a look-up: who sets `geometry` later sweeps no radiance.
     const uint32_t *variables = nullptr;
     TR_HD bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
     TR_HD uint32_t variables_of(int kind) const { return variables ? variables[kind] : 0xffffffffu; }
