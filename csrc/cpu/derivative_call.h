@@ -53,11 +53,11 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
         needs.geometry = requires_.motion(path.sensor) || ((light || path.volumetric) && needs.light_position);
         needs.camera = requires_.camera(path.sensor);
     }
+    d.variables.assign(FirstWrapper, 0);
     for (size_t i = 0; i < count("bsdf"); ++i) {
         d.bsdfs.push_back(requires_.values("bsdf", i));
         needs.bsdf |= d.bsdfs.back() != 0;
         const int kind = layout.records.at("bsdf")[i].kind;
-        d.variables.resize(FirstWrapper);
         if (kind >= FirstWrapper || !(d.bsdfs.back() || needs.geometry)) continue;
         d.variables[size_t(kind)] |= requires_.variables(i, bsdf_kernels<PacketOf<S>>(kind), needs.geometry);
     }

@@ -14,7 +14,6 @@ import torchrender as tr
 SIZE = 12
 PRINCIPLED = {
     "type": "principled",
-    "base_color": [0.6, 0.3, 0.2],
     "roughness": 0.4,
     "metallic": 0.3,
     "specular": 0.6,
@@ -29,14 +28,14 @@ PRINCIPLED = {
 PATTERN = torch.rand(4, 4, 3, generator=torch.Generator().manual_seed(1)) * 0.6 + 0.2
 
 
-def ball(texture: object) -> dict:
-    """A tinted ball of all that `principled` has, whose colour is a texture, under a sky."""
+def ball(color: object) -> dict:
+    """A tinted ball of all that `principled` has, of this colour or texture, under a sky."""
     view = tr.Transform.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])
     film = {"type": "hdrfilm", "width": SIZE, "height": SIZE}
     return {
         "type": "scene",
         "camera": {"type": "perspective", "fov": 40, "to_world": view, "film": film},
-        "ball": {"type": "sphere", "bsdf": {**PRINCIPLED, "base_color": texture}},
+        "ball": {"type": "sphere", "bsdf": {**PRINCIPLED, "base_color": color}},
         "sky": {"type": "constant"},
     }
 
