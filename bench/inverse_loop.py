@@ -20,8 +20,10 @@ Kinds say what the unknowns are, and what else is in `task.json`:
                     there is what `mitsuba_caustics.py` reads, with the matrix `front`
 
 A setting is a dict: "spp" and "spp_grad", samples a pixel of picture and derivative; "rate", Adam's, times the
-unknown's `scale`; "halving", the iterations in which rates become half; "sampler"; where shapes move "spp_seen" and
-"spp_shadows", samples a pixel of the outlines that the camera sees, and of others; others are the programs' own.
+unknown's `scale`; "halving", the iterations in which rates become half; "sampler"; of parameters of the scene "block",
+for steps that look at one pixel of each square of so many pixels along a side, chosen by chance; where shapes move
+"spp_seen" and "spp_shadows", samples a pixel of the outlines that the camera sees, and of others; others are the
+programs' own.
 """
 
 from __future__ import annotations
@@ -97,6 +99,19 @@ class Loop:
         if count > len(self.targets):
             raise ValueError(f"views: expected at most {len(self.targets)}, got {count}")
         return [(self.iteration * count + i) * self.task["stride"] % len(self.targets) for i in range(count)]
+
+    def _pixels(self, seed: int):
+        """Of a picture, (N, 2), rows and columns, by a setting's "block"; None: all of them."""
+        import numpy as np
+
+        block = self.setting.get("block", 1)
+        if block == 1:
+            return None
+        if any(n % block for n in self.targets.shape[1:3]):
+            raise ValueError(f"block: expected a divisor of height and width, got {block}")
+        corners = [np.arange(0, n, block) for n in self.targets.shape[1:3]]
+        inside = np.random.default_rng(seed).integers(block, size=(len(corners[0]), len(corners[1]), 2))
+        return (np.stack(np.meshgrid(*corners, indexing="ij"), axis=-1) + inside).reshape(-1, 2)
 
     def _prepare(self) -> None:
         raise NotImplementedError

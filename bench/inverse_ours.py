@@ -73,8 +73,12 @@ class OurLoop(Loop):
         """What falls, of the picture of a view."""
         place = self.task["views"][view]
         changed: dict[str, Any] = {name: torch.tensor(value) for name, value in place["set"].items()}
-        image = self.renderer(sensor=place["sensor"], view=view, seed=seed, params={**self._params(), **changed})
-        return ((image - self.images[view]) * self.weight[view]).square().mean()
+        pixels = self._pixels(seed)
+        chosen = slice(None) if pixels is None else tuple(torch.from_numpy(pixels).T)
+        image = self.renderer(
+            sensor=place["sensor"], view=view, seed=seed, params={**self._params(), **changed}, pixels=pixels
+        )
+        return ((image - self.images[view][chosen]) * self.weight[view][chosen]).square().mean()
 
     def _constrain(self) -> None:
         for name, value in self.leaves.items():

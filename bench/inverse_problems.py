@@ -244,9 +244,10 @@ def smoke(quick: bool, size: int) -> Task:
     )
 
 
-def setting(spp: int, spp_grad: int, rate: float, halving: int) -> dict[str, Any]:
-    """See `inverse_loop`."""
-    return {"spp": spp, "spp_grad": spp_grad, "rate": rate, "halving": halving, "sampler": "independent"}
+def setting(spp: int, spp_grad: int, rate: float, halving: int, block: int | None = None) -> dict[str, Any]:
+    """See `inverse_loop`; a block of None is for good."""
+    numbers = {"spp": spp, "spp_grad": spp_grad, "rate": rate, "halving": halving, "sampler": "independent"}
+    return numbers if block is None else {**numbers, "block": block}
 
 
 # Samples of outlines. Ours are as many as it finds right, or as a search finds.
@@ -261,23 +262,23 @@ GUIDING = {
 }
 
 PROBLEMS = (
-    Problem("albedos", "15 albedos of the Cornell box", 0.005, albedos, setting(1, 1, 0.05, 32)),
+    Problem("albedos", "15 albedos of the Cornell box", 0.005, albedos, setting(1, 1, 0.05, 32, 1)),
     Problem(
         "texture512",
         "texture of the monkey, 512²",
         0.07,
         lambda quick: texture(quick, 32 if quick else 512),
-        setting(4, 4, 0.05, 10),
+        setting(4, 4, 0.05, 10, 1),
     ),
     Problem(
         "texture2048",
         "texture of the monkey, 2048²",
         0.1,
         lambda quick: texture(quick, 64 if quick else 2048),
-        setting(8, 8, 0.05, 20),
+        setting(8, 8, 0.05, 20, 1),
     ),
-    Problem("environment", "sky and roughness of a metal ball", 0.12, environment, setting(4, 4, 0.05, 60)),
-    Problem("material", "colour, roughness and normals of a sample", 0.15, material, setting(1, 1, 0.05, 64)),
+    Problem("environment", "sky and roughness of a metal ball", 0.12, environment, setting(4, 4, 0.05, 60, 1)),
+    Problem("material", "colour, roughness and normals of a sample", 0.15, material, setting(1, 1, 0.05, 64, 1)),
     Problem(
         "smoke64",
         "densities of smoke, 64³, 9 views",

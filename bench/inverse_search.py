@@ -12,7 +12,7 @@ from .inverse_race import Run
 from .peers import PeerError
 
 # In this order; the rate once more at the end, for others change what is best there.
-NUMBERS = ("rate", "samples", "spp", "spp_grad", "spp_seen", "spp_shadows", "views", "smoothness", "grown")
+NUMBERS = ("rate", "samples", "block", "spp", "spp_grad", "spp_seen", "spp_shadows", "views", "smoothness", "grown")
 NUMBERS += ("halving", "rate")
 REAL = ("rate", "smoothness")  # those that need not be whole
 # Those that programs have besides "independent".

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mitsuba_pixels
 from inverse_loop import BETAS, EPSILON, Loop
 
 
@@ -66,7 +67,13 @@ class MitsubaLoop(Loop):
         self._place()
 
     def _integrator(self):
-        return self.mi.load_dict({**self.task["integrator"], **self.setting.get("integrator", {})})
+        entries = {**self.task["integrator"], **self.setting.get("integrator", {})}
+        if self.setting.get("block", 1) > 1:
+            if entries["type"] != "prb":
+                raise ValueError(f"block: expected prb as the integrator, got {entries['type']}")
+            mitsuba_pixels.register(self.mi, self.dr)
+            entries["type"] = mitsuba_pixels.NAME
+        return self.mi.load_dict(entries)
 
     def _register(self) -> None:
         """The start values as variables of the optimiser."""
@@ -131,8 +138,19 @@ class MitsubaLoop(Loop):
 
     def _loss(self, view: int, seed: int):
         """What falls, of the picture of a view."""
-        image, dr = self._picture(view, seed), self.dr
-        return dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None)
+        mi, dr = self.mi, self.dr
+        pixels = self._pixels(seed)
+        if pixels is None:
+            image = self._picture(view, seed)
+            return dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None)
+        row, column = (mi.UInt32(numbers) for numbers in pixels.T)
+        self.integrator.chosen = row, column
+        at = row * self.targets.shape[2] + column
+        image, target, weight = (
+            dr.gather(mi.Color3f, whole.array, at)
+            for whole in (self._picture(view, seed), self.images[view], self.weight[view])
+        )
+        return dr.mean(dr.mean(dr.square((image - target) * weight)))
 
     def _constrain(self) -> None:
         for unknown in self.task["unknowns"]:

@@ -157,7 +157,8 @@ def pixels_inside(pixels: Any, size: tuple[int, int]) -> np.ndarray:
         raise ValueError(f"render: pixels: expected shape (N, 2), rows and columns, got {pixels.shape}")
     # always a copy: backward() reads it too, whatever the caller does to theirs in the meantime
     pixels = np.array(pixels, dtype=np.int64, order="C")
-    if len(pixels) and (pixels.min() < 0 or np.any(pixels.max(0) >= size)):
+    # numpy's maximum along the first of two axes is slow
+    if len(pixels) and (pixels.min() < 0 or any(pixels[:, k].max() >= size[k] for k in range(2))):
         wrong = pixels[np.any((pixels < 0) | (pixels >= np.asarray(size)), axis=1)][0]
         raise ValueError(
             f"render: pixels: {tuple(wrong.tolist())} is not inside an image of {size[0]} rows and {size[1]} columns"

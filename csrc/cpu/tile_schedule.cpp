@@ -12,22 +12,53 @@ int floor_div(int a, int b) { return (a >= 0 ? a : a - b + 1) / b; }
 
 Rect grown(const Rect &r, int by) { return {r.y0 - by, r.x0 - by, r.y1 + by, r.x1 + by}; }
 
-// Sorts by tile, by row, by column.
-struct Key {
-    int32_t tile_y, tile_x, y, x;
-    uint32_t index;
-    bool operator<(const Key &o) const {
-        if (tile_y != o.tile_y) return tile_y < o.tile_y;
-        if (tile_x != o.tile_x) return tile_x < o.tile_x;
-        if (y != o.y) return y < o.y;
-        return x < o.x;
+// The tiles that hold some pixels, numbered row by row.
+struct TileNumbers {
+    int y0, x0;
+    uint64_t columns, rows;
+
+    explicit TileNumbers(const Rect &r)
+        : y0(floor_div(r.y0, TileSize)),
+          x0(floor_div(r.x0, TileSize)),
+          columns(uint64_t(floor_div(r.x1 - 1, TileSize) - x0 + 1)),
+          rows(uint64_t(floor_div(r.y1 - 1, TileSize) - y0 + 1)) {}
+    uint64_t number(int tile_y, int tile_x) const { return uint64_t(tile_y - y0) * columns + uint64_t(tile_x - x0); }
+    // Pixels have numbers in the order of tiles, of rows in them, of columns in these.
+    uint64_t pixel(Pixel p) const {
+        const int ty = floor_div(p.y, TileSize), tx = floor_div(p.x, TileSize);
+        const int in_tile = (p.y - ty * TileSize) * TileSize + (p.x - tx * TileSize);
+        return number(ty, tx) * (TileSize * TileSize) + uint64_t(in_tile);
     }
-    bool same_tile(const Key &o) const { return tile_y == o.tile_y && tile_x == o.tile_x; }
-    bool same_pixel(const Key &o) const { return y == o.y && x == o.x; }
+    // The pixel in the upper left corner of a tile.
+    Pixel corner(uint64_t tile) const {
+        return {(y0 + int(tile / columns)) * TileSize, (x0 + int(tile % columns)) * TileSize};
+    }
 };
 
-Key key_of(int y, int x, size_t index) {
-    return {floor_div(y, TileSize), floor_div(x, TileSize), y, x, uint32_t(index)};
+// A number that is sorted by, and an index below it.
+using Key = uint64_t;
+Key key_of(uint64_t number, size_t index) { return number << 32 | index; }
+uint64_t number_of(Key key) { return key >> 32; }
+uint32_t index_of(Key key) { return uint32_t(key); }
+
+// Sorts by number, stably, digit by digit from the last one: lists of pixels are as long as images.
+void sort_keys(std::vector<Key> &keys) {
+    if (std::is_sorted(keys.begin(), keys.end())) return;
+    constexpr int Bits = 11;
+    const Key most = *std::max_element(keys.begin(), keys.end());
+    std::vector<Key> other(keys.size());
+    for (int shift = 32; shift < 64 && most >> shift; shift += Bits) {
+        auto digit = [&](Key k) { return size_t(k >> shift) & ((size_t(1) << Bits) - 1); };
+        std::vector<size_t> begin((size_t(1) << Bits) + 1);
+        for (Key k : keys) ++begin[digit(k) + 1];
+        std::partial_sum(begin.begin(), begin.end(), begin.begin());
+        for (Key k : keys) other[begin[digit(k)]++] = k;
+        keys.swap(other);
+    }
+}
+
+Rect united(const Rect &a, const Rect &b) {
+    return {std::min(a.y0, b.y0), std::min(a.x0, b.x0), std::max(a.y1, b.y1), std::max(a.x1, b.x1)};
 }
 
 }  // namespace
@@ -48,39 +79,57 @@ TileSchedule::TileSchedule(const Rect &wanted, const Rect &window, int reach, in
 TileSchedule::TileSchedule(const std::vector<Pixel> &wanted, const Rect &window, int reach, int64_t spp)
     : is_list_(true), spp_(spp), reach_(reach), window_(window) {
     if (wanted.size() >= (size_t(1) << 32)) throw std::invalid_argument("pixels: more than 2**32");
-    std::vector<Key> keys;
-    keys.reserve(wanted.size());
-    for (size_t i = 0; i < wanted.size(); ++i) keys.push_back(key_of(wanted[i].y, wanted[i].x, i));
-    std::sort(keys.begin(), keys.end());
+    auto square = [](Pixel p) { return Rect{p.y, p.x, p.y + 1, p.x + 1}; };
+    Rect bounds = wanted.empty() ? Rect{0, 0, 1, 1} : square(wanted[0]);
+    for (const Pixel &p : wanted) bounds = united(bounds, square(p));
+    const TileNumbers pixels(bounds), tiles(grown(bounds, reach));
+    if (pixels.columns * pixels.rows > uint64_t(1) << 24) throw std::invalid_argument("pixels: too far apart");
+    std::vector<Key> keys(wanted.size());
+    for (size_t i = 0; i < wanted.size(); ++i) keys[i] = key_of(pixels.pixel(wanted[i]), i);
+    sort_keys(keys);
     results_.resize(wanted.size());
+    wanted_.resize(wanted.size());
+    size_t n = 0;  // distinct ones
     for (size_t i = 0; i < keys.size(); ++i) {
-        if (i == 0 || !keys[i].same_pixel(keys[i - 1])) wanted_.push_back({keys[i].y, keys[i].x});
-        results_[keys[i].index] = uint32_t(wanted_.size() - 1);
+        if (i == 0 || number_of(keys[i]) != number_of(keys[i - 1])) wanted_[n++] = wanted[index_of(keys[i])];
+        results_[index_of(keys[i])] = uint32_t(n - 1);
     }
+    wanted_.resize(n);
     // what is sampled: all pixels within reach of a wanted one, tile by tile
-    auto reached = [&](Pixel p) { return intersect(window, grown({p.y, p.x, p.y + 1, p.x + 1}, reach)); };
+    auto reached = [&](Pixel p) { return intersect(window, grown(square(p), reach)); };
     keys.clear();
-    for (size_t i = 0; i < wanted_.size(); ++i) {
-        Rect r = reached(wanted_[i]);
+    for (size_t i = 0; i < n; ++i) {
+        const Rect r = reached(wanted_[i]);
         if (r.height() <= 0 || r.width() <= 0) continue;
         for (int y = floor_div(r.y0, TileSize); y <= floor_div(r.y1 - 1, TileSize); ++y)
             for (int x = floor_div(r.x0, TileSize); x <= floor_div(r.x1 - 1, TileSize); ++x)
-                keys.push_back({y, x, 0, 0, uint32_t(i)});
+                keys.push_back(key_of(tiles.number(y, x), i));
     }
-    std::stable_sort(keys.begin(), keys.end());
+    sort_keys(keys);
+    targets_.resize(keys.size());
+    sampled_.reserve(n);
     for (size_t begin = 0, end = 0; begin < keys.size(); begin = end) {
         sampled_begin_.push_back(sampled_.size());
-        targets_begin_.push_back(targets_.size());
-        int y0 = keys[begin].tile_y * TileSize, x0 = keys[begin].tile_x * TileSize;
-        bool sampled[TileSize][TileSize] = {};
-        for (; end < keys.size() && keys[end].same_tile(keys[begin]); ++end) {
-            targets_.push_back(keys[end].index);
-            Rect r = intersect(reached(wanted_[keys[end].index]), {y0, x0, y0 + TileSize, x0 + TileSize});
-            for (int y = r.y0; y < r.y1; ++y) std::fill_n(&sampled[y - y0][r.x0 - x0], size_t(r.width()), true);
+        targets_begin_.push_back(begin);
+        const auto [y0, x0] = tiles.corner(number_of(keys[begin]));
+        const Rect tile{y0, x0, y0 + TileSize, x0 + TileSize};
+        uint32_t sampled[TileSize] = {};  // of each row, a bit a column
+        Rect inside{tile.y1, tile.x1, y0, x0};
+        Rect around = square(wanted_[index_of(keys[begin])]);
+        for (; end < keys.size() && number_of(keys[end]) == number_of(keys[begin]); ++end) {
+            targets_[end] = index_of(keys[end]);
+            const Pixel p = wanted_[targets_[end]];
+            const Rect r = intersect(reached(p), tile);
+            const uint32_t columns = ((1u << r.width()) - 1) << (r.x0 - x0);
+            for (int y = r.y0; y < r.y1; ++y) sampled[y - y0] |= columns;
+            inside = united(inside, r);
+            around = united(around, square(p));
         }
-        for (int y = 0; y < TileSize; ++y)
-            for (int x = 0; x < TileSize; ++x)
-                if (sampled[y][x]) sampled_.push_back({y0 + y, x0 + x});
+        for (int y = inside.y0; y < inside.y1; ++y)
+            for (uint32_t row = sampled[y - y0], x = 0; row >> x; ++x)
+                if (row >> x & 1) sampled_.push_back({y, x0 + int(x)});
+        sampled_rects_.push_back(inside);
+        reached_rects_.push_back(around);
     }
     sampled_begin_.push_back(sampled_.size());
     targets_begin_.push_back(targets_.size());
@@ -105,12 +154,7 @@ Tile TileSchedule::tile(size_t i) const {
     t.counts = counts(i);
     t.list = sampled_.data() + sampled_begin_[i], t.n = sampled_begin_[i + 1] - sampled_begin_[i];
     t.targets = targets_.data() + targets_begin_[i], t.n_targets = targets_begin_[i + 1] - targets_begin_[i];
-    auto around = [](Rect &r, Pixel p, bool first) {
-        Rect q{p.y, p.x, p.y + 1, p.x + 1};
-        r = first ? q : Rect{std::min(r.y0, q.y0), std::min(r.x0, q.x0), std::max(r.y1, q.y1), std::max(r.x1, q.x1)};
-    };
-    for (size_t k = 0; k < t.n; ++k) around(t.sampled, t.list[k], k == 0);
-    for (size_t k = 0; k < t.n_targets; ++k) around(t.reached, wanted_[t.targets[k]], k == 0);
+    t.sampled = sampled_rects_[i], t.reached = reached_rects_[i];
     return t;
 }
 

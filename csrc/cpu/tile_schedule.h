@@ -123,7 +123,8 @@ private:
     std::vector<Pixel> wanted_, sampled_;
     std::vector<uint32_t> results_, targets_;
     std::vector<size_t> sampled_begin_, targets_begin_;
-    std::vector<uint32_t> counts_;  // empty: all are spp_
+    std::vector<Rect> sampled_rects_, reached_rects_;  // around them
+    std::vector<uint32_t> counts_;                     // empty: all are spp_
     std::vector<size_t> counts_begin_;
     // groups, each a tile or several small ones: its first tile and its first item
     std::vector<size_t> first_item_;

@@ -202,6 +202,52 @@ TR_TEST(a_list_has_what_its_pixels_need) {
     CHECK(drawn.size() == near);
 }
 
+TR_TEST(lists_of_large_films_are_in_the_order_of_their_tiles) {
+    std::mt19937 random(11);
+    const int size = 1 << 16;
+    std::vector<Pixel> list = {{0, 0}, {size - 1, size - 1}};
+    for (int i = 0; i < 3000; ++i) list.push_back({int32_t(random() % size), int32_t(random() % size)});
+    list.insert(list.end(), list.begin(), list.begin() + 500);  // once more
+    const Rect film{0, 0, size, size};
+    using Place = std::array<int, 4>;
+    auto place = [](Pixel p) { return Place{p.y / TileSize, p.x / TileSize, p.y, p.x}; };
+    std::map<Place, int> places;
+    for (Pixel p : list) ++places[place(p)];
+    for (const Rect &window : {film, Rect{-3, -3, size + 3, size + 3}}) {
+        const TileSchedule schedule(list, window, 3, 1);
+        CHECK(schedule.n_targets() == places.size() && schedule.n_results() == list.size());
+        size_t i = 0;
+        for (auto &[key, times] : places) CHECK(place(schedule.target(i++)) == key);
+        for (i = 0; i < list.size(); ++i) CHECK(place(schedule.target(schedule.target_of(i))) == place(list[i]));
+        // the tiles as well, whose rectangles are just around what they have
+        Place last{-9, 0, 0, 0};
+        std::vector<int> reached(schedule.n_targets());
+        for (size_t t = 0; t < schedule.n_tiles(); ++t) {
+            const Tile tile = schedule.tile(t);
+            Rect box{size + 9, size + 9, -9, -9}, around = box;
+            auto grow = [](Rect &r, Pixel p) {
+                r = {std::min(r.y0, p.y), std::min(r.x0, p.x), std::max(r.y1, p.y + 1), std::max(r.x1, p.x + 1)};
+            };
+            for (size_t k = 0; k < tile.n; ++k) {
+                const Pixel p = tile.pixel(k);
+                const Place at{(p.y + TileSize) / TileSize - 1, (p.x + TileSize) / TileSize - 1, p.y, p.x};
+                CHECK(last < at && window.contains(p.y, p.x));
+                last = at;
+                grow(box, p);
+            }
+            for (size_t k = 0; k < tile.n_targets; ++k) {
+                ++reached[tile.targets[k]];
+                grow(around, schedule.target(tile.targets[k]));
+            }
+            auto equal = [](const Rect &a, const Rect &b) {
+                return a.y0 == b.y0 && a.x0 == b.x0 && a.y1 == b.y1 && a.x1 == b.x1;
+            };
+            CHECK(equal(tile.sampled, box) && equal(tile.reached, around));
+        }
+        for (int times : reached) CHECK(times >= 1 && times <= 4);
+    }
+}
+
 TR_TEST(items_are_neither_tiny_nor_many) {
     size_t items = 0;
     // scattered single pixels share items

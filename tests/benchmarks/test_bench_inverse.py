@@ -105,6 +105,26 @@ def test_every_problem_comes_nearer_to_the_truth(problem, tmp_path):
         assert (values[unknown.name] <= np.float32(unknown.high)).all()
 
 
+def test_steps_by_some_pixels_find_the_same(tmp_path):
+    task = floor()
+    task.write(tmp_path)
+    loop = OurLoop(str(tmp_path))
+    loop.begin({**SETTING, "block": 4}, seed=0)
+    drawn = np.stack([loop._pixels(seed) for seed in range(200)])
+    assert drawn.shape == (200, 4, 2) and (loop._pixels(7) == drawn[7]).all()
+    assert (drawn // 4 == [[0, 0], [0, 1], [1, 0], [1, 1]]).all()  # one of each square
+    counts = np.bincount((drawn[..., 0] * 8 + drawn[..., 1]).ravel(), minlength=64)
+    assert counts.min() > 0 and counts.max() < 40  # of 12.5 in the mean: by chance not so in one of 6000 tests
+    loop.advance([60], str(tmp_path / "found"))
+    with np.load(tmp_path / "found0.npz") as found:
+        assert np.abs(found["floor.bsdf.reflectance.value"] - [0.2, 0.4, 0.6]).max() < 0.03
+    assert loop._loss(0, 3).item() == loop._loss(0, 3).item() != loop._loss(0, 4).item()
+    loop.begin({**SETTING, "block": 1}, seed=0)
+    assert loop._pixels(0) is None
+    with pytest.raises(ValueError, match="block: expected a divisor of height and width, got 3"):
+        loop.begin({**SETTING, "block": 3}, seed=0)
+
+
 def test_a_race_alternates_and_forgets_the_first_steps(tmp_path):
     task = floor()
     task.write(tmp_path)
