@@ -53,6 +53,7 @@ class Loop:
         with np.load(self.folder / "start.npz") as start:
             self.start = {name: start[name] for name in start.files}
         self.targets, self.weights = (np.load(self.folder / f"{name}.npy") for name in ("targets", "weights"))
+        self.corners: dict = {}  # of the squares of a setting's "block"
         self.iteration = 0
 
     def begin(self, setting: dict, seed: int) -> dict:
@@ -107,11 +108,14 @@ class Loop:
         block = self.setting.get("block", 1)
         if block == 1:
             return None
-        if any(n % block for n in self.targets.shape[1:3]):
-            raise ValueError(f"block: expected a divisor of height and width, got {block}")
-        corners = [np.arange(0, n, block) for n in self.targets.shape[1:3]]
-        inside = np.random.default_rng(seed).integers(block, size=(len(corners[0]), len(corners[1]), 2))
-        return (np.stack(np.meshgrid(*corners, indexing="ij"), axis=-1) + inside).reshape(-1, 2)
+        if block not in self.corners:
+            sides = self.targets.shape[1:3]
+            if any(n % block for n in sides):
+                raise ValueError(f"block: expected a divisor of height and width, got {block}")
+            rows, columns = np.meshgrid(*(np.arange(0, n, block) for n in sides), indexing="ij")
+            self.corners[block] = np.stack([rows.ravel(), columns.ravel()], axis=-1)
+        corners = self.corners[block]
+        return corners + np.random.default_rng(seed).integers(block, size=corners.shape)
 
     def _prepare(self) -> None:
         raise NotImplementedError

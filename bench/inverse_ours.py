@@ -74,11 +74,14 @@ class OurLoop(Loop):
         place = self.task["views"][view]
         changed: dict[str, Any] = {name: torch.tensor(value) for name, value in place["set"].items()}
         pixels = self._pixels(seed)
-        chosen = slice(None) if pixels is None else tuple(torch.from_numpy(pixels).T)
         image = self.renderer(
             sensor=place["sensor"], view=view, seed=seed, params={**self._params(), **changed}, pixels=pixels
         )
-        return ((image - self.images[view][chosen]) * self.weight[view][chosen]).square().mean()
+        target, weight = self.images[view], self.weight[view]
+        if pixels is not None:
+            chosen = torch.from_numpy(pixels[:, 0] * target.shape[1] + pixels[:, 1])
+            target, weight = (whole.flatten(0, 1)[chosen] for whole in (target, weight))
+        return ((image - target) * weight).square().mean()
 
     def _constrain(self) -> None:
         for name, value in self.leaves.items():

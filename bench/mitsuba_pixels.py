@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 NAME = "prb_pixels"
 
 
+@cache
 def register(mi, dr) -> None:
-    """The integrator `NAME`: `prb` that follows paths from `chosen` pixels, as many as all others have none."""
+    """Once, the integrator `NAME`: `prb` that follows paths from the `chosen` pixels and leaves the others black."""
 
     class PixelsIntegrator(mi.ad.integrators.prb.PRBIntegrator):
         chosen = None  # rows and columns, UInt32

@@ -4,6 +4,7 @@
 #include "accel/accel.h"
 #include "accel/embree_library.h"
 #include "core/math/vector.h"
+#include "core/shape/quadric_hit.h"
 #include "harness.h"
 
 namespace tr::testing {
@@ -105,6 +106,65 @@ TR_TEST(queries_hit_spheres_and_disks) {
     float box[6];
     accel.bounds(box);
     CHECK(box[0] <= -1 && box[3] >= 3 && box[2] <= -5 && box[5] >= 2);
+}
+
+TR_TEST(quadrics_are_hit_alike_in_full_and_in_sparse_packets) {
+    load_embree(embree_path());
+    std::mt19937 generator(3);
+    std::uniform_real_distribution<float> uniform(-1, 1);
+    const size_t n = 2005, shapes = 12;
+    float to_world[shapes][12], to_object[shapes][12];
+    double matrix[shapes][12];
+    for (size_t s = 0; s < shapes; ++s) {
+        const float size = 0.4f + 0.4f * std::abs(uniform(generator));
+        for (int i = 0; i < 3; ++i)
+            for (int k = 0; k < 4; ++k) {
+                const float place = uniform(generator);
+                to_world[s][4 * i + k] = k == 3 ? place : i == k ? size : 0;
+                to_object[s][4 * i + k] = k == 3 ? -place / size : i == k ? 1 / size : 0;
+            }
+        std::copy_n(to_object[s], 12, matrix[s]);
+    }
+    const QuadricKind kinds[] = {QuadricKind::Sphere, QuadricKind::Disk, QuadricKind::Cylinder};
+    std::vector<float> columns[7], t(n), b1(n), b2(n);
+    for (size_t i = 0; i < n; ++i) {
+        for (int k = 0; k < 6; ++k) columns[k].push_back(uniform(generator) * (k < 3 ? 2 : 1));
+        // in one half of the rays there is one in ten that is a ray at all
+        columns[6].push_back(i < n / 2 && i % 10 ? -1.f : i % 3 ? INFINITY : 1.f);
+    }
+    const RayBatch rays{{columns[0].data(), columns[1].data(), columns[2].data()},
+                        {columns[3].data(), columns[4].data(), columns[5].data()},
+                        columns[6].data()};
+    std::vector<uint32_t> shape(n), primitive(n);
+    std::vector<uint8_t> occluded(n);
+    for (int width : {1, 4, 8, 16}) {
+        Accel::set_query_width(width);
+        Accel accel;
+        for (uint32_t s = 0; s < shapes; ++s) accel.set_quadric(s, kinds[s % 3], to_world[s], to_object[s]);
+        accel.commit();
+        accel.intersect(rays, {shape.data(), primitive.data(), t.data(), b1.data(), b2.data()}, n, width == 8);
+        accel.occluded(rays, occluded.data(), n);
+        size_t hits[3] = {};
+        for (size_t i = 0; i < n; ++i) {
+            const float o[3] = {columns[0][i], columns[1][i], columns[2][i]};
+            const float d[3] = {columns[3][i], columns[4][i], columns[5][i]};
+            float nearest = columns[6][i];
+            uint32_t which = Accel::Miss;
+            for (uint32_t s = 0; s < shapes; ++s) {
+                const UnitRay ray(matrix[s], o, d);
+                const float found = s % 3 == 0   ? first_sphere_hit(ray, 0, nearest)
+                                    : s % 3 == 1 ? first_disk_hit(ray, 0, nearest)
+                                                 : first_cylinder_hit(ray, 0, nearest);
+                if (found >= 0) nearest = found, which = s;
+            }
+            CHECK(shape[i] == which && bool(occluded[i]) == (which != Accel::Miss));
+            if (which == Accel::Miss) continue;
+            ++hits[which % 3];
+            CHECK_NEAR(t[i], nearest, 1e-6 * nearest);
+        }
+        for (size_t each : hits) CHECK(each > 20);
+    }
+    Accel::set_query_width(0);
 }
 
 TR_TEST(rays_that_are_none_hit_nothing) {

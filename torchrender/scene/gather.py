@@ -54,9 +54,13 @@ def gather(
             if index in replaced:
                 raise ValueError(f"{function}: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
             replaced[index] = tensor
-    tensors = []
-    for i, slot in enumerate(layout.slots):
-        tensors.append(_dense(scene, slot.name, replaced[i] if i in replaced else slot.tensor(), i in staying))
+    tensors = [slot.tensor() for slot in layout.slots]
+    for i, tensor in replaced.items():
+        tensors[i] = tensor
+    dtype = scene.dtype
+    for i, tensor in enumerate(tensors):
+        if not (tensor.is_cpu and tensor.dtype == dtype and tensor.is_contiguous()):  # most are, and there are many
+            tensors[i] = _dense(scene, layout.slots[i].name, tensor, i in staying)
     for mesh in layout.smooth_meshes:
         positions = layout.slot_of[id(mesh), "vertex_positions"]
         normals = layout.slot_of.get((id(mesh), "vertex_normals"))

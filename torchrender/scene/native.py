@@ -152,15 +152,13 @@ class NativeScene:
         return found
 
     def _dirty(self, params: list[torch.Tensor], addresses: list[int]) -> list[bool]:
-        dirty = []
-        for i, (tensor, place) in enumerate(zip(params, addresses, strict=True)):
+        dirty = [False] * len(params)
+        for i, (tensor, place, seen) in enumerate(zip(params, addresses, self._seen, strict=True)):
             version = -1 if tensor.is_inference() else tensor._version
-            seen = self._seen[i]
             # The alias that is kept holds the storage, so that an equal address means the same memory.
-            same = seen is not None and version >= 0 and seen[1] == version and seen[2] == place
-            if not same:
+            if seen is None or version < 0 or seen[1] != version or seen[2] != place:
                 self._seen[i] = (tensor.detach(), version, place)
-            dirty.append(not same)
+                dirty[i] = True
         return dirty
 
     def _check_finite(self, params: list[torch.Tensor], which: Iterable[bool]) -> None:
