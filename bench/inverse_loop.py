@@ -34,7 +34,7 @@ from pathlib import Path
 
 BETAS = (0.9, 0.99)  # of Adam: all programs'
 EPSILON = 1e-15  # gradients of a mean by texels are tiny; its square must not be zero, which Mitsuba adds
-WARMUP = 3  # steps that are made and forgotten: what is compiled, is compiled then
+WARMUP = 3  # steps at least that are made and forgotten: what is compiled, is compiled then
 
 
 def kind_of(folder: str) -> str:
@@ -56,12 +56,17 @@ class Loop:
         self.corners: dict = {}  # of the squares of a setting's "block"
         self.iteration = 0
 
+    @property
+    def warmup(self) -> int:
+        """Steps that are made and forgotten."""
+        return WARMUP
+
     def begin(self, setting: dict, seed: int) -> dict:
         """Start values and a new optimiser; {"first": seconds that the steps before, which are forgotten, took}."""
         self.setting, self.seed = setting, seed
         start = time.perf_counter()
         self._prepare()
-        self._steps(WARMUP)
+        self._steps(self.warmup)
         first = time.perf_counter() - start
         self._prepare()
         self.iteration = 0

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import mitsuba_pixels
-from inverse_loop import BETAS, EPSILON, Loop
+from inverse_loop import BETAS, EPSILON, WARMUP, Loop
 
 
 class MitsubaLoop(Loop):
     """See `Loop`. A setting's "integrator" has entries of the integrator that differ from the task's.
+
+    With "frozen" kernels of a step are recorded by `dr.freeze`, and what is done in Python for them is not done again.
 
     Of other kinds are its subclasses in `mitsuba_inverse_kinds.py`, which have other variables than the scene's.
     """
@@ -65,6 +67,13 @@ class MitsubaLoop(Loop):
         self.optimiser = self.mi.ad.Adam(lr=1.0, uniform=self.uniform, **rates)
         self._register()
         self._place()
+        if self.setting.get("frozen"):
+            self._freeze()
+
+    @property
+    def warmup(self) -> int:
+        """A function is recorded for every camera."""
+        return WARMUP + (len(self.task["views"]) if self.setting.get("frozen") else 0)
 
     def _integrator(self):
         entries = {**self.task["integrator"], **self.setting.get("integrator", {})}
@@ -114,10 +123,60 @@ class MitsubaLoop(Loop):
 
     def _step(self, view: int, seed: int, rate: float) -> None:
         self._set_rates(rate)
-        self.dr.backward(self._loss(view, seed))
+        if self.setting.get("frozen"):
+            self._differentiate_frozen(view, seed)
+        else:
+            self.dr.backward(self._loss(view, seed))
         self.optimiser.step()
         self._constrain()
-        self._place()
+        if not self.setting.get("frozen"):
+            self._place()
+
+    def _differentiate_frozen(self, view: int, seed: int) -> None:
+        """Gradients of the loss, by kernels that are recorded once and launched again: what is traced costs nothing."""
+        mi, dr = self.mi, self.dr
+        place, pixels = self.task["views"][view], self._pixels(seed)
+        values = {unknown["name"]: dr.detach(self.optimiser[unknown["name"]]) for unknown in self.task["unknowns"]}
+        self._set(self.params, place["set"])
+        chosen = None if pixels is None else tuple(mi.UInt32(numbers) for numbers in pixels.T)
+        given = (values, self.images[view], self.weight[view], chosen, mi.UInt32(2 * seed))
+        dr.make_opaque(given)
+        for name, gradient in self.frozen(self.scene, self.few, place["sensor"], *given).items():
+            dr.set_grad(self.optimiser[name], gradient)
+
+    def _freeze(self) -> None:
+        """Makes `frozen`, a function of scene, its `few` parameters, camera and what a step is given."""
+        dr = self.dr
+        if self.columns:
+            raise ValueError("frozen: tables of an environment map, which choose directions, cannot be recorded")
+        names = [unknown["name"] for unknown in self.task["unknowns"]]
+        self.few = self.mi.traverse(self.scene)
+        for name in names:
+            self.few[name] = dr.detach(self.few[name])
+        self.few.update()
+        self.few.keep(names)
+
+        def gradients(scene, params, sensor, values, target, weight, chosen, seed):
+            dr.enable_grad(values)
+            for name, value in values.items():
+                params[name] = value
+            params.update()
+            self.integrator.chosen = chosen
+            # the seed of the derivative follows from this one
+            image = self.mi.render(
+                scene,
+                params,
+                integrator=self.integrator,
+                sensor=sensor,
+                spp=self.setting["spp"],
+                spp_grad=self.setting["spp_grad"],
+                seed=seed,
+            )
+            dr.backward(self._difference(image, target, weight, chosen))
+            self.integrator.chosen = None  # what a recording has made must not be freed in the next one
+            return {name: dr.grad(value) for name, value in values.items()}
+
+        self.frozen = dr.freeze(gradients)
 
     def _set_rates(self, rate: float) -> None:
         self.optimiser.set_learning_rate({u["name"]: rate * u["scale"] for u in self.task["unknowns"]})
@@ -138,18 +197,19 @@ class MitsubaLoop(Loop):
 
     def _loss(self, view: int, seed: int):
         """What falls, of the picture of a view."""
-        mi, dr = self.mi, self.dr
         pixels = self._pixels(seed)
-        if pixels is None:
-            image = self._picture(view, seed)
-            return dr.mean(dr.square((image - self.images[view]) * self.weight[view]), axis=None)
-        row, column = (mi.UInt32(numbers) for numbers in pixels.T)
-        self.integrator.chosen = row, column
+        chosen = None if pixels is None else tuple(self.mi.UInt32(numbers) for numbers in pixels.T)
+        self.integrator.chosen = chosen
+        return self._difference(self._picture(view, seed), self.images[view], self.weight[view], chosen)
+
+    def _difference(self, image, target, weight, chosen):
+        """The mean square of weighted differences, of all pixels or of the chosen rows and columns."""
+        mi, dr = self.mi, self.dr
+        if chosen is None:
+            return dr.mean(dr.square((image - target) * weight), axis=None)
+        row, column = chosen
         at = row * self.targets.shape[2] + column
-        image, target, weight = (
-            dr.gather(mi.Color3f, whole.array, at)
-            for whole in (self._picture(view, seed), self.images[view], self.weight[view])
-        )
+        image, target, weight = (dr.gather(mi.Color3f, whole.array, at) for whole in (image, target, weight))
         return dr.mean(dr.mean(dr.square((image - target) * weight)))
 
     def _constrain(self) -> None:

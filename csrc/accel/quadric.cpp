@@ -42,14 +42,15 @@ void first_hits(const double *to_object, const float *rays, float *t) {
     for (uint32_t i = 0; i < N; ++i) t[i] = first_hit<Kind>(to_object, rays, N, i);
 }
 
-// ... of those that are valid, of a packet of any width; of others it may be any number. From a quarter of the packet
-// on all together are faster than these one by one.
+// ... of those that are valid, of a packet of any width up to the widest; of others it may be any number. All together
+// are faster than these one by one if there are so many of them, as measured: 4 of 16 or of 8, all of 4, and never
+// where compilers have no vectors.
 template <QuadricKind Kind>
 void first_hits(const double *to_object, const rtc::UserFunctionArguments &arguments, float *t) {
     const uint32_t n = arguments.n;
     uint32_t valid = 0;
     for (uint32_t i = 0; i < n; ++i) valid += arguments.valid[i] != 0;
-    if (4 * valid > n) {
+    if (valid * uint32_t(TR_PACKET_WIDTH) > 3 * n) {
         if (n == 16) return first_hits<Kind, 16>(to_object, arguments.rays, t);
         if (n == 8) return first_hits<Kind, 8>(to_object, arguments.rays, t);
         if (n == 4) return first_hits<Kind, 4>(to_object, arguments.rays, t);

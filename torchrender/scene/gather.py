@@ -54,9 +54,7 @@ def gather(
             if index in replaced:
                 raise ValueError(f"{function}: params: {name}: the parameter {layout.slots[index].name!r}, given twice")
             replaced[index] = tensor
-    tensors = [slot.tensor() for slot in layout.slots]
-    for i, tensor in replaced.items():
-        tensors[i] = tensor
+    tensors = [replaced[i] if i in replaced else slot.tensor() for i, slot in enumerate(layout.slots)]
     dtype = scene.dtype
     for i, tensor in enumerate(tensors):
         if not (tensor.is_cpu and tensor.dtype == dtype and tensor.is_contiguous()):  # most are, and there are many
