@@ -154,8 +154,9 @@ def render(
             view stays.
         crop: (y0, x0, height, width) of the image; equal to that part of the whole, bit for bit.
         pixels: integer tensor (N, 2) of rows and columns of the image, in any order, repetitions allowed; the result is
-            (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N, but light tracing has
-            those of the whole film: its paths belong to no pixel. Not with `crop`.
+            (N, C), equal to these pixels of the whole, bit for bit. Work and memory go with N and, where the filter
+            is no box, all pixels within its reach, but light tracing has those of the whole film: its paths belong to
+            no pixel. Not with `crop`.
         layout: ``"hwc"``, ``"chw"``, ``"bhwc"``, ``"bchw"``; a list of sensors adds the batch to the first two. With
             `pixels` N takes the place of H and W: (N, C), (C, N), (B, N, C), (B, C, N).
         correlated: differentiate the samples of the image, `seed_grad` being `seed`: gradients of nonlinear losses are
