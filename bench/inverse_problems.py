@@ -261,14 +261,17 @@ GUIDING = {
     ],
 }
 
+FROZEN: dict[str, list[dict[str, Any]]] = {"mitsuba": [{"frozen": True}]}  # of parameters that may be recorded
+
 PROBLEMS = (
-    Problem("albedos", "15 albedos of the Cornell box", 0.005, albedos, setting(1, 1, 0.05, 32, 1)),
+    Problem("albedos", "15 albedos of the Cornell box", 0.005, albedos, setting(1, 1, 0.05, 32, 1), others=FROZEN),
     Problem(
         "texture512",
         "texture of the monkey, 512²",
         0.07,
         lambda quick: texture(quick, 32 if quick else 512),
         setting(4, 4, 0.05, 10, 1),
+        others=FROZEN,
     ),
     Problem(
         "texture2048",
@@ -276,9 +279,17 @@ PROBLEMS = (
         0.1,
         lambda quick: texture(quick, 64 if quick else 2048),
         setting(8, 8, 0.05, 20, 1),
+        others=FROZEN,
     ),
     Problem("environment", "sky and roughness of a metal ball", 0.12, environment, setting(4, 4, 0.05, 60, 1)),
-    Problem("material", "colour, roughness and normals of a sample", 0.15, material, setting(1, 1, 0.05, 64, 1)),
+    Problem(
+        "material",
+        "colour, roughness and normals of a sample",
+        0.15,
+        material,
+        setting(1, 1, 0.05, 64, 1),
+        others=FROZEN,
+    ),
     Problem(
         "smoke64",
         "densities of smoke, 64³, 9 views",

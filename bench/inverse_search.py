@@ -18,10 +18,7 @@ REAL = ("rate", "smoothness")  # those that need not be whole
 # Those that programs have besides "independent".
 SAMPLERS = {"torchrender": ("stratified", "sobol"), "mitsuba": ("stratified", "multijitter", "ldsampler")}
 # ... and other settings that are tried, by the name of the program.
-OTHERS: dict[str, list[dict[str, Any]]] = {
-    "torchrender": [{"renderer": {"adaptive_grad": True}}],
-    "mitsuba": [{"frozen": True}],
-}
+OTHERS: dict[str, list[dict[str, Any]]] = {"torchrender": [{"renderer": {"adaptive_grad": True}}]}
 
 Setting = dict[str, Any]
 

@@ -135,10 +135,9 @@ class MitsubaLoop(Loop):
     def _differentiate_frozen(self, view: int, seed: int) -> None:
         """Gradients of the loss, by kernels that are recorded once and launched again: what is traced costs nothing."""
         mi, dr = self.mi, self.dr
-        place, pixels = self.task["views"][view], self._pixels(seed)
+        place, chosen = self.task["views"][view], self._chosen(seed)
         values = {unknown["name"]: dr.detach(self.optimiser[unknown["name"]]) for unknown in self.task["unknowns"]}
         self._set(self.params, place["set"])
-        chosen = None if pixels is None else tuple(mi.UInt32(numbers) for numbers in pixels.T)
         given = (values, self.images[view], self.weight[view], chosen, mi.UInt32(2 * seed))
         dr.make_opaque(given)
         for name, gradient in self.frozen(self.scene, self.few, place["sensor"], *given).items():
@@ -163,15 +162,7 @@ class MitsubaLoop(Loop):
             params.update()
             self.integrator.chosen = chosen
             # the seed of the derivative follows from this one
-            image = self.mi.render(
-                scene,
-                params,
-                integrator=self.integrator,
-                sensor=sensor,
-                spp=self.setting["spp"],
-                spp_grad=self.setting["spp_grad"],
-                seed=seed,
-            )
+            image = self._render(scene, params, sensor, seed=seed)
             dr.backward(self._difference(image, target, weight, chosen))
             self.integrator.chosen = None  # what a recording has made must not be freed in the next one
             return {name: dr.grad(value) for name, value in values.items()}
@@ -184,23 +175,23 @@ class MitsubaLoop(Loop):
     def _picture(self, view: int, seed: int):
         place = self.task["views"][view]
         self._set(self.params, place["set"])
-        return self.mi.render(
-            self.scene,
-            self.params,
-            integrator=self.integrator,
-            sensor=place["sensor"],
-            spp=self.setting["spp"],
-            spp_grad=self.setting["spp_grad"],
-            seed=2 * seed,
-            seed_grad=2 * seed + 1,
-        )
+        return self._render(self.scene, self.params, place["sensor"], seed=2 * seed, seed_grad=2 * seed + 1)
+
+    def _render(self, scene, params, sensor, **seeds):
+        counts = {name: self.setting[name] for name in ("spp", "spp_grad")}
+        return self.mi.render(scene, params, integrator=self.integrator, sensor=sensor, **counts, **seeds)
 
     def _loss(self, view: int, seed: int):
         """What falls, of the picture of a view."""
-        pixels = self._pixels(seed)
-        chosen = None if pixels is None else tuple(self.mi.UInt32(numbers) for numbers in pixels.T)
-        self.integrator.chosen = chosen
+        chosen = self._chosen(seed)
+        if chosen is not None:
+            self.integrator.chosen = chosen
         return self._difference(self._picture(view, seed), self.images[view], self.weight[view], chosen)
+
+    def _chosen(self, seed: int):
+        """Rows and columns of the pixels of a step; None: all of them."""
+        pixels = self._pixels(seed)
+        return None if pixels is None else tuple(self.mi.UInt32(numbers) for numbers in pixels.T)
 
     def _difference(self, image, target, weight, chosen):
         """The mean square of weighted differences, of all pixels or of the chosen rows and columns."""
