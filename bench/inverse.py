@@ -1,9 +1,10 @@
 """Inverse problems from start to result: seconds until pictures that were not fitted are right.
 
-Each problem has a scene, pictures of it, and unknowns that Adam finds from these: torch.optim.Adam here, mi.ad.Adam in
-Mitsuba, each in a process of its own with the program's own derivatives. Every second, while the clock stands,
-this renderer renders pictures that nobody was given with what was found after some numbers of steps; the run ends when
-their error, relative to the true pictures, is at the problem's target. Programs make their steps in turn.
+Each problem has a scene, pictures of it, and unknowns that are found from these, by torch.optim.Adam or (with a
+"damping" in the setting) tr.optim.LeastSquares here and mi.ad.Adam in Mitsuba, each in a process of its own with the
+program's own derivatives. Every second, while the clock stands, this renderer renders pictures that nobody was given
+with what was found after some numbers of steps; the run ends when their error, relative to the true pictures, is at the
+problem's target. Programs make their steps in turn.
 
 Then each that came to the target makes as many steps again, from the start and in one go. Seconds are those of these
 steps: rendering, derivatives, the optimiser. (Those of the race, which the error over time has, are more where steps

@@ -3,8 +3,8 @@
 A task is a folder:
 
     scene.xml       the scene that was photographed, with its cameras; its `$sampler` is free
-    task.json       `unknowns`: list of {"name", "low", "high", "scale"}; `views`: list of {"sensor", "set"}, the places
-                    of lamps among others; `integrator`: the peers'; `kind`, see below
+    task.json       `unknowns`: list of {"name", "low", "high", "scale", "linear"}; `views`: list of {"sensor", "set"},
+                    the places of lamps among others; `integrator`: the peers'; `kind`, see below
     start.npz       where each unknown begins
     targets.npy     the pictures, (views, H, W, 3), and weights.npy, by which differences are multiplied
     reference.npy   the first view's picture of the scene as it is in its file

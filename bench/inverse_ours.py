@@ -1,4 +1,4 @@
-"""This renderer's half of the inverse problems: PyTorch's Adam on parameters of the scene."""
+"""This renderer's half of the inverse problems: Adam or `tr.optim.LeastSquares` on parameters of the scene."""
 
 from __future__ import annotations
 
@@ -17,6 +17,9 @@ from .inverse_loop import BETAS, EPSILON, Loop
 
 class OurLoop(Loop):
     """See `Loop`. A setting's "renderer" has further settings of `torchrender.Renderer`.
+
+    With "damping" in it unknowns that light is linear in are moved by `LeastSquares`, whose damping it is, in place
+    of Adam.
 
     Of other kinds are its subclasses in `inverse_ours_kinds.py`, which have other leaves of the derivative (`_leaves`),
     from which the scene's parameters follow (`_params`).
@@ -53,24 +56,38 @@ class OurLoop(Loop):
     def _prepare(self) -> None:
         setting = self.setting
         self.leaves = self._leaves()
-        groups = [
-            {"params": [self.leaves[unknown["name"]]], "scale": unknown["scale"]} for unknown in self.task["unknowns"]
-        ]
-        self.optimiser = self.adam(groups, lr=1.0, betas=BETAS, eps=EPSILON)
+        groups: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
+        for unknown in self.task["unknowns"]:
+            name = unknown["name"]
+            low, high = self.bounds[name]
+            options = {"scale": unknown["scale"], "low": low, "high": high}
+            groups[unknown["linear"] and "damping" in setting].append({"params": [self.leaves[name]], **options})
+        self.optimiser = self.adam(groups[False], lr=1.0, betas=BETAS, eps=EPSILON) if groups[False] else None
+        self.light = tr.optim.LeastSquares(groups[True], damping=setting["damping"]) if groups[True] else None
         counts = {"spp": setting["spp"], "spp_grad": setting["spp_grad"], "sampler": setting["sampler"]}
         self.renderer = tr.Renderer(self.scene, **counts, **setting.get("renderer", {}))
 
     def _step(self, view: int, seed: int, rate: float) -> None:
-        for group in self.optimiser.param_groups:
-            group["lr"] = rate * group["scale"]
-        self.optimiser.zero_grad()
-        self._loss(view, seed).backward()
-        self.optimiser.step()
+        for leaf in self.leaves.values():
+            leaf.grad = None
+        if self.light:
+            self.light.step(*self._compared(view, seed))
+        else:
+            self._loss(view, seed).backward()
+        if self.optimiser:
+            for group in self.optimiser.param_groups:
+                group["lr"] = rate * group["scale"]
+            self.optimiser.step()
         with torch.no_grad():
             self._constrain()
 
     def _loss(self, view: int, seed: int) -> torch.Tensor:
         """What falls, of the picture of a view."""
+        image, target, weight = self._compared(view, seed)
+        return ((image - target) * weight).square().mean()
+
+    def _compared(self, view: int, seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """The picture of a view, or its chosen pixels; what they should be; by what differences are multiplied."""
         place = self.task["views"][view]
         changed: dict[str, Any] = {name: torch.tensor(value) for name, value in place["set"].items()}
         pixels = self._pixels(seed)
@@ -81,7 +98,7 @@ class OurLoop(Loop):
         if pixels is not None:
             chosen = torch.from_numpy(pixels[:, 0] * target.shape[1] + pixels[:, 1])
             target, weight = (whole.flatten(0, 1)[chosen] for whole in (target, weight))
-        return ((image - target) * weight).square().mean()
+        return image, target, weight
 
     def _constrain(self) -> None:
         for name, value in self.leaves.items():

@@ -64,7 +64,7 @@ def albedos(quick: bool) -> Task:
     names = [f"{name}.reflectance.value" for name in ("floor", "ceil", "red", "green", "box")]
     return Task(
         scene,
-        [Unknown(name, np.full(3, 0.5)) for name in names],
+        [Unknown(name, np.full(3, 0.5), linear=True) for name in names],
         [View(0)],
         [View(camera((0.5, 0.5, 2.6), 60, resolution // 2, (-0.1, -0.2, 0.0)))],
         {**PRB, "max_depth": 5},
@@ -89,7 +89,7 @@ def texture(quick: bool, size: int) -> Task:
     others = [camera(around(azimuth, 20, 4.3), 36, resolution) for azimuth in (18, -54)]
     return Task(
         scene,
-        [Unknown(name, np.full((size, size, 3), 0.5))],
+        [Unknown(name, np.full((size, size, 3), 0.5), linear=True)],
         [View(i) for i in range(count)],
         [View(other) for other in others],
         {**PRB, "max_depth": 5},
@@ -143,7 +143,7 @@ def environment(quick: bool) -> Task:
     return Task(
         scene,
         [
-            Unknown("sky.data", np.full((height, 2 * height, 3), 0.4), low=1e-3, high=100.0),
+            Unknown("sky.data", np.full((height, 2 * height, 3), 0.4), low=1e-3, high=100.0, linear=True),
             Unknown("metal.bsdf.alpha.value", np.array(0.4), low=0.02, high=1.0),
         ],
         [View(i) for i in range(count)],
@@ -216,7 +216,7 @@ def material(quick: bool) -> Task:
     return Task(
         scene,
         [
-            Unknown(f"{layers}.nested_bsdf.base_color.data", np.full((size, size, 3), 0.3)),
+            Unknown(f"{layers}.nested_bsdf.base_color.data", np.full((size, size, 3), 0.3), linear=True),
             Unknown(f"{layers}.nested_bsdf.roughness.data", np.full((size, size, 1), 0.5), low=0.3),
             # Bounds that keep normals on the viewer's side.
             Unknown(f"{layers}.normalmap.data", flat, low=[0.2, 0.2, 0.75], high=[0.8, 0.8, 1.0], scale=0.5),

@@ -25,7 +25,7 @@ Values = dict[str, torch.Tensor]  # of the unknowns, or of parameters of the sce
 class Unknown:
     """A parameter of the scene: where it begins, between which values it is kept, how its step compares to others'.
 
-    Bounds are numbers, or lists of one a channel.
+    Bounds are numbers, or lists of one a channel. The light of pictures is nearly in proportion to what is `linear`.
     """
 
     name: str
@@ -33,6 +33,7 @@ class Unknown:
     low: float | list[float] = 0.0
     high: float | list[float] = 1.0
     scale: float = 1.0
+    linear: bool = False
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,10 @@ class Task:
     def _described(self) -> dict[str, Any]:
         return {
             "kind": self.kind,
-            "unknowns": [{"name": u.name, "low": u.low, "high": u.high, "scale": u.scale} for u in self.unknowns],
+            "unknowns": [
+                {"name": u.name, "low": u.low, "high": u.high, "scale": u.scale, "linear": u.linear}
+                for u in self.unknowns
+            ],
             "views": [{"sensor": v.sensor, "set": v.set} for v in self.views],
             "stride": stride_of(len(self.views)),
             "integrator": self.integrator,

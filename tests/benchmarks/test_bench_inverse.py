@@ -40,7 +40,7 @@ def floor(resolution: int = 8) -> Task:
     )
     views = [View(0, {"lamp.position": [x, 0.0, 2.0]}) for x in (-1.0, 0.0, 1.0)]
     name = "floor.bsdf.reflectance.value"
-    unknown = Unknown(name, np.full(3, 0.5, np.float32))
+    unknown = Unknown(name, np.full(3, 0.5, np.float32), linear=True)
     return Task(scene, [unknown], views[:2], views[2:], {"type": "prb"}, target_spp=64, judge_spp=4)
 
 
@@ -103,6 +103,29 @@ def test_every_problem_comes_nearer_to_the_truth(problem, tmp_path):
         assert values[unknown.name].shape == task.truth[unknown.name].shape == unknown.start.shape
         assert (values[unknown.name] >= np.float32(unknown.low)).all()
         assert (values[unknown.name] <= np.float32(unknown.high)).all()
+
+
+@pytest.mark.parametrize(
+    "problem", [p for p in PROBLEMS if p.name in ("texture512", "environment", "material")], ids=lambda p: p.name
+)
+def test_what_light_is_linear_in_is_found_by_least_squares(problem, tmp_path):
+    task = problem.make(True)
+    task.target_spp = 16
+    task.write(tmp_path)
+    loop = OurLoop(str(tmp_path))
+    loop.begin({**problem.setting, "spp": 8, "spp_grad": 8, "damping": 3.0}, seed=0)
+    moved = {unknown.name: unknown.linear for unknown in task.unknowns}
+    assert sum(moved.values()) == 1
+    by_light = [p for group in loop.light.param_groups for p in group["params"]]
+    by_adam = [p for group in loop.optimiser.param_groups for p in group["params"]] if loop.optimiser else []
+    for name, linear in moved.items():
+        assert any(loop.leaves[name] is p for p in (by_light if linear else by_adam))
+    assert len(by_light) + len(by_adam) == len(moved)
+    start = task.error({unknown.name: unknown.start for unknown in task.unknowns})
+    loop.advance([20], str(tmp_path / "found"))
+    with np.load(tmp_path / "found0.npz") as found:
+        assert task.error(dict(found)) < 0.7 * start
+        assert all((found[u.name] != u.start.astype(np.float32)).any() for u in task.unknowns)
 
 
 def test_steps_by_some_pixels_find_the_same(tmp_path):

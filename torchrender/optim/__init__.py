@@ -1,6 +1,7 @@
-"""What ``torch.optim`` lacks for inverse rendering: uniform Adam, large steps, growing a parameter, noise."""
+"""What ``torch.optim`` lacks for inverse rendering: least squares, uniform Adam, large steps, growth, noise."""
 
 from .adam import MaskedAdam, UniformAdam
+from .least_squares import LeastSquares
 from .noise import NoiseStop
 from .rate import find_rate
 from .resample import resample, upsample, upsample_tensor
@@ -8,6 +9,7 @@ from .smoothing import GridSmoothing, MeshSmoothing
 
 __all__ = [
     "GridSmoothing",
+    "LeastSquares",
     "MaskedAdam",
     "MeshSmoothing",
     "NoiseStop",

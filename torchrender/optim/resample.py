@@ -14,7 +14,7 @@ _WRAP_MODES = ("repeat", "mirror", "clamp", "corners")
 # How an optimiser's state scales when a tensor of n entries becomes one of m: each new entry receives about n / m of
 # the old gradient, so a first moment scales with it, a second moment with its square, a count or a length not at all.
 _POWERS = {
-    **dict.fromkeys(("exp_avg", "momentum_buffer", "grad_avg", "exp_inf", "prev"), 1),
+    **dict.fromkeys(("exp_avg", "momentum_buffer", "grad_avg", "exp_inf", "prev", "light"), 1),
     **dict.fromkeys(("exp_avg_sq", "max_exp_avg_sq", "square_avg", "sum"), 2),
     **dict.fromkeys(("step", "acc_delta", "step_size", "ax"), 0),
 }

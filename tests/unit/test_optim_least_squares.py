@@ -1,0 +1,300 @@
+"""Least squares by the light that parameters have: the formula, the pyramid, convergence, errors; and real pictures."""
+
+import io
+
+import pytest
+import torch
+from torch import nn
+
+import torchrender as tr
+from torchrender.optim import LeastSquares, upsample_tensor
+
+
+def matrix(pixels, entries, seed=0, dtype=torch.float64):
+    """How much of each pixel's light is due to each parameter; no number is negative, one in three is zero."""
+    generator = torch.Generator().manual_seed(seed)
+    weights = torch.rand(pixels, entries, generator=generator, dtype=dtype)
+    return weights * (torch.rand(pixels, entries, generator=generator) > 1 / 3)
+
+
+def parameter(*shape, seed=1, dtype=torch.float64):
+    generator = torch.Generator().manual_seed(seed)
+    return nn.Parameter(torch.rand(shape, generator=generator, dtype=dtype) + 0.1)
+
+
+def test_a_step_is_the_gradient_by_the_bound_of_the_curvature():
+    light, a = matrix(40, 6), parameter(6)
+    target, w = torch.rand(40, dtype=torch.float64), torch.rand(40, dtype=torch.float64)
+    start, picture = a.detach().clone(), light @ a.detach()
+    loss = LeastSquares([a], lr=0.7, damping=2.0).step(light @ a, target, w)
+    assert torch.isclose(loss, (w * (picture - target)).square().mean())
+    gradient = 2 / 40 * light.T @ (w**2 * (picture - target))
+    assert torch.allclose(a.grad, gradient, rtol=1e-12)
+    bound = 2 / 40 * light.T @ (w**2 * picture) / start
+    damping = 2.0 * bound.sum() / 40  # two pixels' worth
+    expected = (start - 0.7 * gradient / (bound + damping)).clamp(min=0)
+    assert torch.allclose(a, expected, rtol=1e-12)
+
+
+def test_the_loss_never_grows_and_the_solution_is_found():
+    light, truth = matrix(200, 8), parameter(8, seed=2).detach()
+    a = nn.Parameter(torch.full((8,), 0.5, dtype=torch.float64))
+    optimizer, losses = LeastSquares([a], damping=1e-6, memory=0.0), []
+    for _ in range(300):
+        optimizer.zero_grad()
+        losses.append(float(optimizer.step(light @ a, light @ truth)))
+    assert losses == sorted(losses, reverse=True)
+    assert torch.allclose(a, truth, rtol=1e-3)
+
+
+@pytest.mark.parametrize("units", [1e-4, 1.0, 1e5])
+def test_steps_do_not_depend_on_units(units):
+    light, target = matrix(40, 6), torch.rand(40, dtype=torch.float64)
+    values = []
+    for scale in (1.0, units):  # of the picture's light; and of the parameter's
+        a = nn.Parameter(parameter(6).detach() * scale)
+        optimizer = LeastSquares([a])
+        for _ in range(5):
+            optimizer.zero_grad()
+            optimizer.step(light @ a * 3.0, target * scale * 3.0)
+        values.append(a.detach() / scale)
+    assert torch.allclose(*values, rtol=1e-9)
+
+
+def test_visits_are_averaged_and_entries_without_light_forget_nothing():
+    # Two entries, one pixel each; the picture shows the second one in every other step alone.
+    a = nn.Parameter(torch.ones(2, dtype=torch.float64))
+    optimizer = LeastSquares([a], damping=1e-9, memory=0.5)
+    shown = [torch.tensor([1.0, float(step % 2 == 0)], dtype=torch.float64) for step in range(4)]
+    for mask in shown:
+        optimizer.zero_grad()
+        optimizer.step(a * mask, a.detach() * mask)  # nothing to move
+    bound = 2 / 2 * 1.0
+    kept = optimizer.state[a]["light"]
+    assert torch.allclose(kept, bound * torch.tensor([1 + 0.5 + 0.25 + 0.125, 1 + 0.5], dtype=torch.float64))
+
+
+@pytest.mark.parametrize("shape", [(8, 8, 3), (7, 5, 2), (6, 3, 9, 1), (5, 4, 1), (17, 2, 1)])
+def test_entries_without_light_move_with_their_neighbours(shape):
+    # One entry in five is seen; all of them have to become three times as bright.
+    a = nn.Parameter(torch.full(shape, 0.2, dtype=torch.float64))
+    seen = (torch.rand(shape[:-1], generator=torch.Generator().manual_seed(0)) < 0.2).double()[..., None]
+    seen.view(-1)[::7] = 1.0
+    optimizer = LeastSquares([a], damping=0.1)
+    for _ in range(30):
+        optimizer.zero_grad()
+        optimizer.step(a * seen, torch.full_like(a, 0.6) * seen)
+    hidden = (seen == 0).expand(shape)
+    assert torch.allclose(a[~hidden], torch.tensor(0.6, dtype=torch.float64), rtol=1e-3)
+    assert 0.5 < a[hidden].mean() < 0.6  # they are left where the neighbours do not move any more
+    alone = nn.Parameter(torch.full(shape, 0.2, dtype=torch.float64))
+    optimizer = LeastSquares([alone], damping=0.1, dims=0)
+    optimizer.step(alone * seen, torch.full_like(a, 0.6) * seen)
+    assert bool((alone[hidden] == 0.2).all()) and bool((alone[~hidden] != 0.2).all())
+
+
+def test_the_pyramid_changes_the_way_and_not_the_result():
+    # noise: neighbours are not alike
+    truth = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(3)) * 0.8 + 0.1
+    a = nn.Parameter(torch.full((16, 16, 3), 0.5))
+    optimizer = LeastSquares([a], damping=10.0)
+    for _ in range(100):
+        optimizer.zero_grad()
+        optimizer.step(a * 2.0, truth * 2.0)
+    assert torch.allclose(a, truth, atol=1e-3)
+
+
+def test_values_stay_between_bounds():
+    a = nn.Parameter(torch.full((2, 3), 0.5))
+    high = torch.tensor([0.6, 0.7, 2.0])
+    optimizer = LeastSquares([a], low=0.1, high=high)
+    for _ in range(40):
+        optimizer.zero_grad()
+        optimizer.step(a * torch.ones(()), torch.tensor([[-1.0, -1.0, 1.0], [9.0, 9.0, 1.0]]))
+    expected = torch.tensor([[0.1, 0.1, 1.0], [0.6, 0.7, 1.0]])
+    assert torch.allclose(a, expected, atol=1e-3)
+
+
+def test_other_parameters_get_the_gradient_of_the_loss():
+    light, a, other = matrix(30, 4), parameter(4), parameter(30, seed=5)
+    target = torch.rand(30, dtype=torch.float64)
+    ((light @ a * other - target).square().mean()).backward()
+    expected, other.grad, a.grad = other.grad.clone(), None, None
+    (0.1 * a.sum()).backward()  # a prior, which is part of the step
+    LeastSquares([a]).step(light @ a * other, target)
+    assert torch.allclose(other.grad, expected, rtol=1e-12)
+    optimizer = LeastSquares([a])
+    before = a.grad.clone()
+    optimizer.step(light @ a * other.detach(), target)
+    assert not torch.equal(a.grad, before)
+
+
+def test_parameters_whose_derivatives_are_one_tensor():
+    a, b = nn.Parameter(torch.full((3,), 0.5)), nn.Parameter(torch.full((3,), 2.0))
+    LeastSquares([a, b], damping=1e-6).step(a + b, torch.full((3,), 2.0))
+    # I = 2.5, T = 2: a step of -g / D = -(0.5 / 2.5) a.
+    assert torch.allclose(a, torch.tensor(0.4), rtol=1e-4) and torch.allclose(b, torch.tensor(1.6), rtol=1e-4)
+
+
+def test_state_goes_on_after_loading():
+    light, target = matrix(60, 12, dtype=torch.float32), torch.rand(60)
+
+    def steps(a, optimizer, count):
+        for _ in range(count):
+            optimizer.zero_grad()
+            optimizer.step(light @ a.flatten(), target)
+
+    a = nn.Parameter(torch.full((2, 2, 3), 0.5))
+    optimizer = LeastSquares([a], memory=0.7)
+    steps(a, optimizer, 3)
+    file = io.BytesIO()
+    torch.save({"a": a.detach().clone(), "optimizer": optimizer.state_dict()}, file)
+    steps(a, optimizer, 3)
+    file.seek(0)
+    saved = torch.load(file, weights_only=True)
+    b = nn.Parameter(saved["a"])
+    other = LeastSquares([b], memory=0.1)
+    other.load_state_dict(saved["optimizer"])
+    steps(b, other, 3)
+    assert torch.equal(a, b)
+
+
+def test_schedulers_and_growing():
+    a = nn.Parameter(torch.full((4, 4, 3), 0.5))
+    optimizer = LeastSquares([a])
+    scheduler = torch.optim.lr_scheduler.ExponentialLR(optimizer, 0.5)
+    optimizer.step(a * 2.0, torch.ones(4, 4, 3))
+    scheduler.step()
+    assert optimizer.param_groups[0]["lr"] == 0.5
+    light = optimizer.state[a]["light"].sum()
+    a = upsample_tensor(a, (8, 8), optimizer)
+    assert torch.isclose(optimizer.state[a]["light"].sum(), light, rtol=1e-5)  # shared out among more texels
+    optimizer.step(a * 2.0, torch.ones(8, 8, 3))
+    assert optimizer.state[a]["steps"] == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"lr": -1.0}, r"lr: .*got -1\.0"),
+        ({"damping": 0.0}, r"damping: .*got 0\.0"),
+        ({"memory": 1.5}, r"memory: .*got 1\.5"),
+        ({"memory": float("nan")}, "memory: .*got nan"),
+        ({"low": -0.1}, r"low: .*got -0\.1"),
+        ({"dims": 4}, "dims: .*got 4"),
+        ({"dims": 3}, r"dims: 3 are more than the axes of \(2, 2\)"),
+    ],
+)
+def test_options_out_of_range(options, message):
+    with pytest.raises(ValueError, match=message):
+        LeastSquares([nn.Parameter(torch.ones(2, 2))], **options)
+
+
+def test_refused_pictures_leave_values_as_they_are():
+    a, b = nn.Parameter(torch.ones(3)), nn.Parameter(torch.ones(3))
+    optimizer = LeastSquares([a, b])
+
+    def refused(error, message, image, *rest):
+        with pytest.raises(error, match=message):
+            optimizer.step(image, *rest)
+        assert torch.equal(a, torch.ones(3)) and torch.equal(b, torch.ones(3))
+        optimizer.zero_grad()
+
+    refused(ValueError, "image: it has no graph", torch.ones(3), torch.ones(3))
+    refused(ValueError, r"target: expected the picture's shape \(3,\), got \(3, 1\)", a * 1, torch.ones(3, 1))
+    refused(ValueError, r"weight: \(2, 3\) does not broadcast", a * 1, torch.ones(3), torch.ones(2, 3))
+    refused(RuntimeError, "not finite", a * 1, torch.tensor([0.0, float("nan"), 0.0]))
+    refused(ValueError, "do not become brighter", a * (1 - 0.5 * b), torch.zeros(3))
+    with torch.no_grad():
+        b[0] = -0.5
+    with pytest.raises(ValueError, match=r"expected values >= 0, and some above, got -0\.5"):
+        optimizer.step(a + b, torch.zeros(3))
+    with torch.no_grad():
+        b.zero_()
+    with pytest.raises(ValueError, match="all are 0 in the parameter of shape"):
+        optimizer.step(a + b, torch.zeros(3))
+    with pytest.raises(ValueError, match="expected real numbers"):
+        LeastSquares([nn.Parameter(torch.ones(3, dtype=torch.complex64))])
+
+
+def test_black_pictures_and_parameters_that_are_not_seen():
+    a, unseen = nn.Parameter(torch.ones(3)), nn.Parameter(torch.ones(3))
+    optimizer = LeastSquares([a, unseen])
+    optimizer.step(a * 0.0, torch.ones(3))
+    assert torch.equal(a, torch.ones(3)) and torch.equal(unseen, torch.ones(3))
+    optimizer.step(a * 1.0, torch.full((3,), 0.5), 0.0)
+    assert torch.equal(a, torch.ones(3))
+    b = nn.Parameter(torch.tensor([0.0, 0.0, 0.1]))  # from nothing
+    optimizer = LeastSquares([b])
+    for _ in range(20):
+        optimizer.zero_grad()
+        optimizer.step(b * 2.0, torch.full((3,), 2.0))
+    assert torch.allclose(b, torch.ones(3), rtol=0.01)
+
+
+@pytest.mark.core
+def test_a_texture_is_found_in_few_steps_without_a_rate():
+    """Adam, whose rate is the best of four, needs more than three times as many."""
+    coarse = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
+    texels = torch.nn.functional.interpolate(coarse, size=(16, 16), mode="bilinear")[0].movedim(0, 2)
+
+    def wall(data):
+        scene = tr.load_dict(
+            {
+                "type": "scene",
+                "integrator": {"type": "path", "max_depth": 3},
+                "sensor": {
+                    "type": "perspective",
+                    "fov": 90,
+                    "to_world": tr.Transform.look_at([0, 0, 1.2], [0, 0, 0], [0, 1, 0]),
+                    "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}},
+                },
+                "wall": {
+                    "type": "rectangle",
+                    "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": data, "raw": True}},
+                },
+                "lamp": {"type": "point", "position": [0.3, 0.2, 2.0], "intensity": 10.0},
+                "sky": {"type": "constant", "radiance": 0.5},
+            }
+        )
+        (found,) = scene.train_only("wall.bsdf.reflectance.data")
+        return scene, found
+
+    with torch.no_grad():
+        target = tr.render(wall(texels)[0], spp=64, seed=1 << 30)
+
+    def steps_until(limit, make, count):
+        scene, found = wall(torch.full((16, 16, 3), 0.5))
+        step = make(scene, found)
+        for it in range(count):
+            step(it)
+            if (found - texels).square().mean().sqrt() < limit:
+                return it + 1
+        return count + 1
+
+    def light(scene, found):
+        optimizer = tr.optim.LeastSquares([found], high=1.0)
+
+        def step(it):
+            optimizer.zero_grad()
+            optimizer.step(tr.render(scene, spp=4, seed=it), target)
+
+        return step
+
+    def adam(rate):
+        def make(scene, found):
+            optimizer = torch.optim.Adam([found], lr=rate)
+
+            def step(it):
+                optimizer.zero_grad()
+                (tr.render(scene, spp=4, seed=it) - target).square().mean().backward()
+                optimizer.step()
+                with torch.no_grad():
+                    found.clamp_(0, 1)
+
+            return step
+
+        return make
+
+    assert steps_until(0.03, light, 40) <= 5
+    assert min(steps_until(0.03, adam(rate), 15) for rate in (0.02, 0.05, 0.1, 0.2)) > 15
