@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import Any
 
 import torch
 
-TINY = 1e-30  # added to what divides, far below any light, for entries that have none
-FLOOR = 0.02  # of a tensor's mean: entries below are divided by no less
+FLOOR = 0.01  # of a tensor's typical value: entries below are divided by no less
 STEP = 4  # between sizes of the pyramid
-BRIGHTER = 0.5  # the least share that light, less what goes out, has of both
+BRIGHTER = 0.5  # the least share that light, less what is lost, has of both
+STRAY = 0.01  # of a visit's mean light: entries that have much less were hardly visited
 
 _LINEAR = {1: "linear", 2: "bilinear", 3: "trilinear"}
 
@@ -28,13 +29,13 @@ class LeastSquares(torch.optim.Optimizer):
     (De Pierro, "On the relation between the ISRA and the EM algorithm for positron emission tomography", IEEE
     Transactions on Medical Imaging 12, 1993). The same paths estimate J in g and in D, as two derivatives of the
     picture that differ in the weights of pixels, and most of their noise goes out of the quotient: a texel moves by
-    the mean of what the pixels that show it say.
+    the mean of what the pixels that show it say. (Entries below a hundredth of a tensor's typical value are divided by
+    that in place of their own, or black ones would stay black; so they may move by as much, to and fro.)
 
     Two more things make steps of few samples useful. D is a sum over visits, in which each is worth `memory` of the
     next one, so that views of the same texel are averaged. And an entry of a texture or grid that has not had `damping`
     pixels' worth of light moves as its neighbourhood of four by four does, which has had that of sixteen, and so on up
-    a pyramid: large features come first, and texels between the paths are not left behind. Both change how fast a
-    result is reached, and not which one.
+    a pyramid: large features come first, and texels between the paths are not left behind.
 
     The steps need the picture, not a loss::
 
@@ -44,21 +45,31 @@ class LeastSquares(torch.optim.Optimizer):
             picture = renderer(sensor=it % 10, spp=4, seed=it)
             loss = optimizer.step(picture, targets[it % 10])
 
-    The gradient is in ``.grad`` afterwards, also of parameters that this optimiser does not have, as if ``loss`` had
-    been passed back; so others may make a step of their own then, such as Adam for a roughness. What ``.grad`` had
-    before, of a prior say, is part of the step.
+    The gradient is in ``.grad`` afterwards as ``loss.backward()`` would leave it, also of parameters that this
+    optimiser does not have, such as a roughness, for an Adam that makes its step then. What ``.grad`` had before is
+    part of the step: the gradient of a prior, which is weighed against a mean over all values; or, where `zero_grad`
+    was forgotten, that of the last step.
 
-    Not for what makes pictures darker or sharper (densities of smoke, roughness, shapes), which is refused where that
-    shows. Light by way of several reflections grows faster than in proportion: where most of it does, `lr` below 1.
-    Other light in the same pixels, which does not depend on the parameters, makes steps shorter than they need be.
-    Processes that share parameters would make different steps: D is not exchanged.
+    What it is not for:
+
+    * What makes pictures darker or sharper (densities of smoke, roughness, shapes). It is refused where that shows.
+    * Light by way of many reflections grows faster than in proportion. In closed bright rooms the loss jumps up and
+      down; ``lr=0.3`` helps.
+    * The last digits by one or two samples a pixel: the noise of a picture is in D, too, which leaves results too
+      bright, by 2 to 3 % on a wall under a lamp and a sky with one sample, by nothing to be seen with four. More
+      samples, or ``memory`` near 1, at the end.
+    * Other light in the same pixels, which does not depend on the parameters, makes steps shorter than they need be.
+    * Processes that share parameters would make different steps: D is not exchanged.
 
     Args:
         params: tensors of values >= 0, and not all of them 0, or parameter groups.
         lr: factor of the steps; 1 is right for light that is linear in the parameters.
-        damping: light, in pixels, that an entry has to have had until it moves rather by itself than with others.
-        memory: weight of an earlier visit beside the next one, from 0 to 1. More averages more noise, of the last
-            1 / (1 - memory) visits; less is sooner there where parameters share their pixels, or other things change.
+        damping: light that an entry has to have had until it moves by itself more than with others, in units of what a
+            pixel of the picture that is not black brings in the mean, whether it shows the parameter or not. More for
+            textures finer than the pixels, noisy pictures, and objects that fill a small part of them (10 to 30); less
+            where every texel fills pixels of its own (1).
+        memory: weight of an earlier visit beside the next one, from 0 to 1. More averages more noise, of about
+            1 / (1 - memory) visits; less takes fewer steps where parameters share their pixels or other things change.
         low: numbers, or tensors that broadcast to the parameters, below which no step goes, at least 0.
         high: the same above.
         dims: number of leading axes along which entries have neighbours; None: all but the last of three or four
@@ -85,22 +96,27 @@ class LeastSquares(torch.optim.Optimizer):
     def add_param_group(self, param_group: dict[str, Any]) -> None:
         """Add parameters with options of their own, checked here."""
         options = {**self.defaults, **{k: v for k, v in param_group.items() if k != "params"}}
-        if not float(options["lr"]) >= 0:
+        if not 0 <= float(options["lr"]) < math.inf:
             raise ValueError(f"lr: expected a number >= 0, got {options['lr']!r}")
-        if not float(options["damping"]) > 0:
+        if not 0 < float(options["damping"]) < math.inf:
             raise ValueError(f"damping: expected a number of pixels > 0, got {options['damping']!r}")
         if not 0 <= float(options["memory"]) <= 1:
             raise ValueError(f"memory: expected a number from 0 to 1, got {options['memory']!r}")
         if not bool(torch.as_tensor(options["low"]).min() >= 0):
             raise ValueError(f"low: expected nothing below 0, got {options['low']!r}")
-        if options["dims"] not in (None, 0, 1, 2, 3):
-            raise ValueError(f"dims: expected 0, 1, 2, 3 or None, got {options['dims']!r}")
+        if not bool((torch.as_tensor(options["high"]) >= torch.as_tensor(options["low"])).all()):
+            raise ValueError(f"high: expected nothing below low, {options['low']!r}, got {options['high']!r}")
+        dims = options["dims"]
+        if dims is not None and not (isinstance(dims, int) and 0 <= dims <= 3):
+            raise ValueError(f"dims: expected 0, 1, 2, 3 or None, got {dims!r}")
         super().add_param_group(param_group)
-        for parameter in self.param_groups[-1]["params"]:
-            if not parameter.is_floating_point():
-                raise ValueError(f"params: expected real numbers, got {parameter.dtype}")
-            if _dims_of(parameter, options["dims"]) > parameter.dim():
-                raise ValueError(f"dims: {options['dims']} are more than the axes of {tuple(parameter.shape)}")
+        group = self.param_groups[-1]
+        try:
+            for parameter in group["params"]:
+                _check_shapes(parameter, group)
+        except ValueError:
+            self.param_groups.pop()
+            raise
 
     def step(  # type: ignore[override]
         self, image: torch.Tensor, target: torch.Tensor, weight: torch.Tensor | float | None = None
@@ -108,8 +124,8 @@ class LeastSquares(torch.optim.Optimizer):
         """One step towards a picture, or several of the same size.
 
         Args:
-            image: a rendering whose graph leads to the parameters, any shape. It is freed: once a step.
-            target: of the same shape.
+            image: a rendering whose graph leads to the parameters, any shape. The graph is freed: a rendering a step.
+            target: of the same shape. What is not finite may have the weight 0.
             weight: by which differences are multiplied, w; broadcasts to the picture. None: 1.
 
         Returns:
@@ -118,80 +134,123 @@ class LeastSquares(torch.optim.Optimizer):
         Raises:
             ValueError: if shapes differ, values are negative or all 0, or pictures do not become brighter with a
                 parameter.
-            RuntimeError: if picture or target are not finite. In both cases all values are as before.
+            RuntimeError: if picture, target, weight or a derivative are not finite. In both cases all values are as
+                before.
         """
-        groups = [(group, p) for group in self.param_groups for p in group["params"] if p.requires_grad]
-        for _, parameter in groups:
-            _check(parameter)
-        picture = image.detach()
+        learned = [(group, p) for group in self.param_groups for p in group["params"] if p.requires_grad and p.numel()]
+        for group, parameter in learned:
+            _check_shapes(parameter, group)
+            _check_values(parameter)
         if not image.requires_grad:
             raise ValueError("image: it has no graph; no parameter of it requires a gradient")
-        if target.shape != picture.shape:
-            raise ValueError(f"target: expected the picture's shape {tuple(picture.shape)}, got {tuple(target.shape)}")
-        w = torch.as_tensor(1.0 if weight is None else weight, dtype=picture.dtype, device=picture.device)
-        if torch.broadcast_shapes(w.shape, picture.shape) != picture.shape:
-            raise ValueError(f"weight: {tuple(w.shape)} does not broadcast to the picture's {tuple(picture.shape)}")
-        difference = picture - target.to(picture)
-        weighted = w * w * difference
-        loss = (weighted * difference).mean()
-        if not bool(loss.isfinite()):
-            raise RuntimeError("image, target or weight is not finite; no step was made")
-        curvature = w * w * picture.abs() * (2 / picture.numel())
-        torch.autograd.backward(image, weighted * (2 / picture.numel()), retain_graph=True)
-        found = torch.autograd.grad(image, [p for _, p in groups], curvature, allow_unused=True)
+        picture = image.detach()
+        weighted, curvature, loss = _compare(picture, target, weight)
+        torch.autograd.backward(image, weighted, retain_graph=bool(learned))
+        if not learned:
+            return loss
+        found = torch.autograd.grad(image, [p for _, p in learned], curvature, allow_unused=True)
         lit = int(curvature.count_nonzero())
         with torch.no_grad():
-            lights = [None if share is None else _bound(p, share) for (_, p), share in zip(groups, found, strict=True)]
-            for (group, parameter), light in zip(groups, lights, strict=True):
-                if light is not None and parameter.grad is not None and lit:
-                    self._update(parameter, parameter.grad, light, lit, group)
+            steps = [
+                (group, parameter, gradient, *_bound(parameter, gradient, share))
+                for (group, parameter), share in zip(learned, found, strict=True)
+                if share is not None and (gradient := parameter.grad) is not None
+            ]
+            for group, parameter, gradient, light, received in steps:
+                if received > 0:
+                    self._update(parameter, gradient, light, received / lit, group)
         return loss
 
     def _update(
-        self, parameter: torch.Tensor, gradient: torch.Tensor, light: torch.Tensor, lit: int, group: dict[str, Any]
+        self,
+        parameter: torch.Tensor,
+        gradient: torch.Tensor,
+        light: torch.Tensor,
+        pixel: float,
+        group: dict[str, Any],
     ) -> None:
-        """A step of one tensor, by the bound of its curvature in a picture of so many values that are not black."""
-        pixel = float(light.sum()) / lit
-        if not pixel > 0:
-            return
+        """A step of one tensor; `light` is this visit's bound of its curvature, of which a pixel brings `pixel`."""
         state = self.state[parameter]
         if not state:
             state["light"] = torch.zeros_like(parameter)
-            state["pixel"], state["steps"] = 0.0, 0
-        # A pixel's worth: the mean over all steps.
-        state["steps"] += 1
-        state["pixel"] += (pixel - state["pixel"]) / state["steps"]
-        # Entries without light were not visited, and forget nothing.
+            state["pixel"], state["visits"] = 0.0, 0.0
+        memory = group["memory"]
+        state["visits"] = memory * state["visits"] + 1
+        state["pixel"] += (pixel - state["pixel"]) / state["visits"]
+        # Entries that get no light, or next to none by stray paths, were not visited, and forget nothing.
+        visited = light + STRAY * float(light.sum()) / int(light.count_nonzero())
+        torch.div(light, visited, out=visited)
         whole = state["light"]
-        whole.addcmul_(whole, light.sign(), value=group["memory"] - 1).add_(light).clamp_(min=0)
-        dims = _dims_of(parameter, group["dims"])
-        change = _shared(gradient, whole, group["damping"] * state["pixel"] + TINY, dims)
-        parameter.sub_(change, alpha=group["lr"])
+        whole.addcmul_(whole, visited, value=memory - 1).add_(light)
+        damping = max(group["damping"] * state["pixel"], torch.finfo(parameter.dtype).tiny)
+        change = _shared(gradient, whole, damping, _dims_of(parameter, group["dims"]))
+        torch.sub(parameter, change, alpha=group["lr"], out=change)
         low, high = (torch.as_tensor(group[name]).to(parameter) for name in ("low", "high"))
-        torch.clamp(parameter, low, high, out=parameter)
+        torch.clamp(change, low, high, out=parameter)
+
+
+def _compare(picture: torch.Tensor, target: Any, weight: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """The loss's derivative by the picture, what D is the derivative of, and the loss."""
+    target = torch.as_tensor(target).detach().to(picture)
+    if target.shape != picture.shape:
+        raise ValueError(f"target: expected the picture's shape {tuple(picture.shape)}, got {tuple(target.shape)}")
+    w = torch.as_tensor(1.0 if weight is None else weight).detach().to(picture)
+    try:
+        w = w.expand(picture.shape)
+    except RuntimeError:
+        raise ValueError(
+            f"weight: {tuple(w.shape)} does not broadcast to the picture's {tuple(picture.shape)}"
+        ) from None
+    zero = picture.new_zeros(())
+    seen = w != 0
+    difference = torch.where(seen, picture - target, zero)
+    weighted = w * w * difference
+    loss = (weighted * difference).mean()
+    if not bool(loss.isfinite()):
+        raise RuntimeError("image, target or weight is not finite; no step was made")
+    scale = 2 / picture.numel()
+    return weighted * scale, torch.where(seen, w * w * picture.abs() * scale, zero), loss
 
 
 def _words(parameter: torch.Tensor) -> str:
     return f"the parameter of shape {tuple(parameter.shape)}"
 
 
-def _check(parameter: torch.Tensor) -> None:
+def _check_shapes(parameter: torch.Tensor, group: dict[str, Any]) -> None:
+    if not parameter.is_floating_point():
+        raise ValueError(f"params: expected real numbers, got {parameter.dtype}")
+    if _dims_of(parameter, group["dims"]) > parameter.dim():
+        raise ValueError(f"dims: {group['dims']} are more than the axes of {tuple(parameter.shape)}")
+    for name in ("low", "high"):
+        shape = torch.as_tensor(group[name]).shape
+        if len(shape) > parameter.dim() or any(
+            n not in (1, m) for n, m in zip(reversed(shape), reversed(parameter.shape), strict=False)
+        ):
+            raise ValueError(f"{name}: {tuple(shape)} does not broadcast to {_words(parameter)}")
+
+
+def _check_values(parameter: torch.Tensor) -> None:
     least, most = (float(value) for value in parameter.detach().aminmax())
     if not (least >= 0 and most > 0):
         words = "all are 0" if least == 0 else f"got {least:g}"
         raise ValueError(f"params: expected values >= 0, and some above, {words} in {_words(parameter)}")
 
 
-def _bound(parameter: torch.Tensor, share: torch.Tensor) -> torch.Tensor:
-    """sum_p w_p^2 J_pt I_p, divided by the values."""
-    scale = parameter.clamp(min=FLOOR * float(parameter.mean()))
-    light = torch.div(share, scale, out=scale)
-    if float(light.sum()) < BRIGHTER * float(torch.linalg.vector_norm(light, 1)):
+def _bound(parameter: torch.Tensor, gradient: torch.Tensor, share: torch.Tensor) -> tuple[torch.Tensor, float]:
+    """sum_p w_p^2 J_pt I_p by the values, at least 0, and the sum of that."""
+    received, both = float(share.sum()), float(torch.linalg.vector_norm(share, 1))
+    if not (math.isfinite(received) and bool(gradient.sum().isfinite())):
+        raise RuntimeError(f"the picture's derivative by {_words(parameter)} is not finite; no step was made")
+    if received < BRIGHTER * both:
         raise ValueError(
             f"params: pictures do not become brighter with {_words(parameter)}; LeastSquares is for colours, textures "
             "and lights"
         )
-    return light
+    # Typical is not the mean of a sky with a sun in it. New memory costs more than the sums: one tensor for all of it.
+    scale = parameter.sqrt()
+    torch.clamp(parameter, min=FLOOR * float(scale.mean()) ** 2, out=scale)
+    light = torch.div(share, scale, out=scale).clamp_(min=0)
+    return light, float(light.sum())
 
 
 def _dims_of(parameter: torch.Tensor, dims: int | None) -> int:
@@ -201,7 +260,7 @@ def _dims_of(parameter: torch.Tensor, dims: int | None) -> int:
 
 
 def _shared(gradient: torch.Tensor, light: torch.Tensor, damping: float, dims: int) -> torch.Tensor:
-    """Gradient / light, where light is more than `damping`, and else that of the neighbourhood.
+    """Gradient / light where light is more than `damping`, and else that of the neighbourhood.
 
     A weighted mean of both, with the same at a quarter of the size for the neighbourhood; at the smallest size with 0.
     """
