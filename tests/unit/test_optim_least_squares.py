@@ -367,6 +367,40 @@ def test_black_pictures_and_parameters_that_are_not_seen():
 
 
 @pytest.mark.core
+def test_the_walls_of_a_bright_room():
+    """Light by way of many reflections: shorter steps find the albedo, where whole ones go to and fro."""
+    scene = tr.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 30, "rr_depth": 100},
+            "sensor": {
+                "type": "perspective",
+                "fov": 60,
+                "to_world": tr.Transform.look_at([0.5, 0.3, -0.8], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+            },
+            "walls": {"type": "cube", "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.85}}},
+            "lamp": {"type": "point", "position": [0.2, 0.4, 0.1], "intensity": 1.0},
+        }
+    )
+    (albedo,) = scene.train_only("walls.*.reflectance.value")
+    with torch.no_grad():
+        target = tr.render(scene, spp=256, seed=1 << 30)
+
+    def last_errors(lr):
+        with torch.no_grad():
+            albedo.fill_(0.5)
+        optimizer, errors = tr.optim.LeastSquares([albedo], lr=lr, high=0.99), []
+        for it in range(30):
+            optimizer.zero_grad()
+            optimizer.step(tr.render(scene, spp=16, seed=it), target)
+            errors.append(float((albedo.detach() - 0.85).abs().max()))
+        return max(errors[-8:])
+
+    assert last_errors(0.3) < 0.02 < last_errors(1.0)
+
+
+@pytest.mark.core
 def test_a_texture_is_found_in_few_steps_without_a_rate():
     """Adam, whose rate is the best of four, needs more than three times as many."""
     coarse = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2

@@ -1,4 +1,4 @@
-"""Least squares for what light is linear in: colours, textures, lamps, skies. No learning rate, few steps."""
+"""Least squares for what light is linear in, colours, textures, lamps, skies: few steps, and seldom a learning rate."""
 
 from __future__ import annotations
 
