@@ -58,10 +58,8 @@ class OurLoop(Loop):
         self.leaves = self._leaves()
         groups: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
         for unknown in self.task["unknowns"]:
-            name = unknown["name"]
-            low, high = self.bounds[name]
-            options = {"scale": unknown["scale"], "low": low, "high": high}
-            groups[unknown["linear"] and "damping" in setting].append({"params": [self.leaves[name]], **options})
+            group = {"params": [self.leaves[unknown["name"]]], "scale": unknown["scale"]}
+            groups[unknown["linear"] and "damping" in setting].append(group)
         self.optimiser = self.adam(groups[False], lr=1.0, betas=BETAS, eps=EPSILON) if groups[False] else None
         self.light = tr.optim.LeastSquares(groups[True], damping=setting["damping"]) if groups[True] else None
         counts = {"spp": setting["spp"], "spp_grad": setting["spp_grad"], "sampler": setting["sampler"]}

@@ -1,4 +1,4 @@
-"""Least squares by the light that parameters have: the formula, the pyramid, convergence, errors; and real pictures."""
+"""Least squares by the light that parameters have: the formula, the pyramid, convergence, errors."""
 
 import io
 
@@ -6,7 +6,6 @@ import pytest
 import torch
 from torch import nn
 
-import torchrender as tr
 from torchrender.optim import LeastSquares, upsample_tensor
 
 
@@ -364,105 +363,3 @@ def test_black_pictures_and_parameters_that_are_not_seen():
         optimizer.zero_grad()
         optimizer.step(b * 2.0, torch.full((3,), 2.0))
     assert torch.allclose(b, torch.ones(3), rtol=0.01)
-
-
-@pytest.mark.core
-def test_the_walls_of_a_bright_room():
-    """Light by way of many reflections: shorter steps find the albedo, where whole ones go to and fro."""
-    scene = tr.load_dict(
-        {
-            "type": "scene",
-            "integrator": {"type": "path", "max_depth": 30, "rr_depth": 100},
-            "sensor": {
-                "type": "perspective",
-                "fov": 60,
-                "to_world": tr.Transform.look_at([0.5, 0.3, -0.8], [0, 0, 0], [0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
-            },
-            "walls": {"type": "cube", "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.85}}},
-            "lamp": {"type": "point", "position": [0.2, 0.4, 0.1], "intensity": 1.0},
-        }
-    )
-    (albedo,) = scene.train_only("walls.*.reflectance.value")
-    with torch.no_grad():
-        target = tr.render(scene, spp=256, seed=1 << 30)
-
-    def last_errors(lr):
-        with torch.no_grad():
-            albedo.fill_(0.5)
-        optimizer, errors = tr.optim.LeastSquares([albedo], lr=lr, high=0.99), []
-        for it in range(30):
-            optimizer.zero_grad()
-            optimizer.step(tr.render(scene, spp=16, seed=it), target)
-            errors.append(float((albedo.detach() - 0.85).abs().max()))
-        return max(errors[-8:])
-
-    assert last_errors(0.3) < 0.02 < last_errors(1.0)
-
-
-@pytest.mark.core
-def test_a_texture_is_found_in_few_steps_without_a_rate():
-    """Adam, whose rate is the best of four, needs more than three times as many."""
-    coarse = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
-    texels = torch.nn.functional.interpolate(coarse, size=(16, 16), mode="bilinear")[0].movedim(0, 2)
-
-    def wall(data):
-        scene = tr.load_dict(
-            {
-                "type": "scene",
-                "integrator": {"type": "path", "max_depth": 3},
-                "sensor": {
-                    "type": "perspective",
-                    "fov": 90,
-                    "to_world": tr.Transform.look_at([0, 0, 1.2], [0, 0, 0], [0, 1, 0]),
-                    "film": {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}},
-                },
-                "wall": {
-                    "type": "rectangle",
-                    "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": data, "raw": True}},
-                },
-                "lamp": {"type": "point", "position": [0.3, 0.2, 2.0], "intensity": 10.0},
-                "sky": {"type": "constant", "radiance": 0.5},
-            }
-        )
-        (found,) = scene.train_only("wall.bsdf.reflectance.data")
-        return scene, found
-
-    with torch.no_grad():
-        target = tr.render(wall(texels)[0], spp=64, seed=1 << 30)
-
-    def steps_until(limit, make, count):
-        scene, found = wall(torch.full((16, 16, 3), 0.5))
-        step = make(scene, found)
-        for it in range(count):
-            step(it)
-            if (found - texels).square().mean().sqrt() < limit:
-                return it + 1
-        return count + 1
-
-    def light(scene, found):
-        optimizer = tr.optim.LeastSquares([found], high=1.0)
-
-        def step(it):
-            optimizer.zero_grad()
-            optimizer.step(tr.render(scene, spp=4, seed=it), target)
-
-        return step
-
-    def adam(rate):
-        def make(scene, found):
-            optimizer = torch.optim.Adam([found], lr=rate)
-
-            def step(it):
-                optimizer.zero_grad()
-                (tr.render(scene, spp=4, seed=it) - target).square().mean().backward()
-                optimizer.step()
-                with torch.no_grad():
-                    found.clamp_(0, 1)
-
-            return step
-
-        return make
-
-    assert steps_until(0.03, light, 40) <= 5
-    assert min(steps_until(0.03, adam(rate), 15) for rate in (0.02, 0.05, 0.1, 0.2)) > 15

@@ -1,4 +1,4 @@
-"""Constraints and upsampling on the parameters of a real scene, and the public test tools on a real renderer."""
+"""Constraints, upsampling and least squares on a real scene, and the public test tools on a real renderer."""
 
 import pytest
 import torch
@@ -12,8 +12,12 @@ NAME = "wall.bsdf.reflectance.data"
 
 
 def textured_wall(size=4):
+    """A wall of random texels."""
+    return wall_of(torch.rand(size, size, 3, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2)
+
+
+def wall_of(texels, resolution=16, **more):
     """A textured square that fills the view, lit by constant light: the pixels are the texture."""
-    texels = torch.rand(size, size, 3, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
     return tr.load_dict(
         {
             "type": "scene",
@@ -22,13 +26,14 @@ def textured_wall(size=4):
                 "type": "perspective",
                 "fov": 90,
                 "to_world": tr.Transform.look_at([0, 0, 1], [0, 0, 0], [0, 1, 0]),
-                "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+                "film": {"type": "hdrfilm", "width": resolution, "height": resolution, "rfilter": {"type": "box"}},
             },
             "wall": {
                 "type": "rectangle",
                 "bsdf": {"type": "diffuse", "reflectance": {"type": "bitmap", "data": texels, "raw": True}},
             },
             "light": {"type": "constant"},
+            **more,
         }
     )
 
@@ -98,3 +103,92 @@ def test_public_tools_on_a_renderer():
     result = tr.testing.z_test(few[0], many[0], **options)
     assert result, result.message
     assert not tr.testing.z_test(few[0] * 1.01, many[0], **options)
+
+
+def test_the_walls_of_a_bright_room():
+    """Light by way of many reflections: shorter steps find the albedo, where whole ones go to and fro."""
+    scene = tr.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 30, "rr_depth": 100},
+            "sensor": {
+                "type": "perspective",
+                "fov": 60,
+                "to_world": tr.Transform.look_at([0.5, 0.3, -0.8], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}},
+            },
+            "walls": {"type": "cube", "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": 0.85}}},
+            "lamp": {"type": "point", "position": [0.2, 0.4, 0.1], "intensity": 1.0},
+        }
+    )
+    (albedo,) = scene.train_only("walls.*.reflectance.value")
+    with torch.no_grad():
+        target = tr.render(scene, spp=256, seed=1 << 30)
+
+    def last_errors(lr):
+        with torch.no_grad():
+            albedo.fill_(0.5)
+        optimizer, errors = tr.optim.LeastSquares([albedo], lr=lr, high=0.99), []
+        for it in range(30):
+            optimizer.zero_grad()
+            optimizer.step(tr.render(scene, spp=16, seed=it), target)
+            errors.append(float((albedo.detach() - 0.85).abs().max()))
+        return max(errors[-8:])
+
+    assert last_errors(0.3) < 0.02 < last_errors(1.0)
+
+
+def test_a_texture_is_found_in_few_steps_without_a_rate():
+    """Adam, whose rate is the best of four, needs more than three times as many."""
+    coarse = torch.rand(1, 3, 4, 4, generator=torch.Generator().manual_seed(0)) * 0.6 + 0.2
+    texels = torch.nn.functional.interpolate(coarse, size=(16, 16), mode="bilinear")[0].movedim(0, 2)
+
+    lights = {
+        "integrator": {"type": "path", "max_depth": 3},
+        "lamp": {"type": "point", "position": [0.3, 0.2, 2.0], "intensity": 10.0},
+        "light": {"type": "constant", "radiance": 0.5},
+    }
+
+    def wall(data):
+        scene = wall_of(data, 48, **lights)
+        (found,) = scene.train_only(NAME)
+        return scene, found
+
+    with torch.no_grad():
+        target = tr.render(wall(texels)[0], spp=64, seed=1 << 30)
+
+    def steps_until(limit, make, count):
+        scene, found = wall(torch.full((16, 16, 3), 0.5))
+        step = make(scene, found)
+        for it in range(count):
+            step(it)
+            if (found - texels).square().mean().sqrt() < limit:
+                return it + 1
+        return count + 1
+
+    def light(scene, found):
+        optimizer = tr.optim.LeastSquares([found], high=1.0)
+
+        def step(it):
+            optimizer.zero_grad()
+            optimizer.step(tr.render(scene, spp=4, seed=it), target)
+
+        return step
+
+    def adam(rate):
+        def make(scene, found):
+            optimizer = torch.optim.Adam([found], lr=rate)
+
+            def step(it):
+                optimizer.zero_grad()
+                (tr.render(scene, spp=4, seed=it) - target).square().mean().backward()
+                optimizer.step()
+                with torch.no_grad():
+                    found.clamp_(0, 1)
+
+            return step
+
+        return make
+
+    assert steps_until(0.03, light, 40) <= 5
+    assert min(steps_until(0.03, adam(rate), 15) for rate in (0.02, 0.05, 0.1, 0.2)) > 15

@@ -158,7 +158,7 @@ class LeastSquares(torch.optim.Optimizer):
             ]
             for group, parameter, gradient, light, received in steps:
                 if received > 0:
-                    self._update(parameter, gradient, light, received / lit, group)
+                    self._update(parameter, gradient, light, received, lit, group)
         return loss
 
     def _update(
@@ -166,19 +166,20 @@ class LeastSquares(torch.optim.Optimizer):
         parameter: torch.Tensor,
         gradient: torch.Tensor,
         light: torch.Tensor,
-        pixel: float,
+        received: float,
+        lit: int,
         group: dict[str, Any],
     ) -> None:
-        """A step of one tensor; `light` is this visit's bound of its curvature, of which a pixel brings `pixel`."""
+        """A step of one tensor; `light` bounds its curvature in this visit, `received` in all, from `lit` values."""
         state = self.state[parameter]
         if not state:
             state["light"] = torch.zeros_like(parameter)
             state["pixel"], state["visits"] = 0.0, 0.0
         memory = group["memory"]
         state["visits"] = memory * state["visits"] + 1
-        state["pixel"] += (pixel - state["pixel"]) / state["visits"]
+        state["pixel"] += (received / lit - state["pixel"]) / state["visits"]
         # Entries that get no light, or next to none by stray paths, were not visited, and forget nothing.
-        visited = light + STRAY * float(light.sum()) / int(light.count_nonzero())
+        visited = light + STRAY * received / int(light.count_nonzero())
         torch.div(light, visited, out=visited)
         whole = state["light"]
         whole.addcmul_(whole, visited, value=memory - 1).add_(light)
