@@ -219,7 +219,8 @@ def run(options: argparse.Namespace) -> Result:
         "Error: root mean square difference of held-out pictures, relative to them; of a pose that of the places of "
         "vertices, relative to the body's diagonal; of a mesh 1 - intersection / union of held-out masks. Ratios: "
         "where one program did not reach the target in its time they are bounds. Settings with a damping are those of "
-        "tr.optim.LeastSquares, which then moves what light is linear in; everything else is moved by Adam.",
+        "tr.optim.LeastSquares, which then moves what light is linear in, and with signs everything else, too; what "
+        "it does not move is moved by Adam.",
     ]
     tables = [Table(title, ["problem", "program"], [{c: row.get(c) for c in columns} for row in rows], notes)]
     if tried:

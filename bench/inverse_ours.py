@@ -19,7 +19,7 @@ class OurLoop(Loop):
     """See `Loop`. A setting's "renderer" has further settings of `torchrender.Renderer`.
 
     With "damping" in it unknowns that light is linear in are moved by `LeastSquares`, whose damping it is, in place
-    of Adam.
+    of Adam; with "signs" so are the others, by random signs with that damping and so many "probes".
 
     Of other kinds are its subclasses in `inverse_ours_kinds.py`, which have other leaves of the derivative (`_leaves`),
     from which the scene's parameters follow (`_params`).
@@ -56,20 +56,28 @@ class OurLoop(Loop):
     def _prepare(self) -> None:
         setting = self.setting
         self.leaves = self._leaves()
-        groups: dict[bool, list[dict[str, Any]]] = {True: [], False: []}
+        by_adam: list[dict[str, Any]] = []
+        by_squares: list[dict[str, Any]] = []
         for unknown in self.task["unknowns"]:
-            group = {"params": [self.leaves[unknown["name"]]], "scale": unknown["scale"]}
-            groups[unknown["linear"] and "damping" in setting].append(group)
-        self.optimiser = self.adam(groups[False], lr=1.0, betas=BETAS, eps=EPSILON) if groups[False] else None
-        self.light = tr.optim.LeastSquares(groups[True], damping=setting["damping"]) if groups[True] else None
+            group = {"params": [self.leaves[unknown["name"]]]}
+            curvature, damping = ("light", "damping") if unknown["linear"] else ("signs", "signs")
+            if damping in setting:
+                by_squares.append({**group, "curvature": curvature, "damping": setting[damping]})
+                if curvature == "signs":
+                    by_squares[-1]["probes"] = setting.get("probes", 8)
+            else:
+                by_adam.append({**group, "scale": unknown["scale"]})
+        self.optimiser = self.adam(by_adam, lr=1.0, betas=BETAS, eps=EPSILON) if by_adam else None
+        self.squares = tr.optim.LeastSquares(by_squares) if by_squares else None
+        torch.manual_seed(self.seed)  # of the signs
         counts = {"spp": setting["spp"], "spp_grad": setting["spp_grad"], "sampler": setting["sampler"]}
         self.renderer = tr.Renderer(self.scene, **counts, **setting.get("renderer", {}))
 
     def _step(self, view: int, seed: int, rate: float) -> None:
         for leaf in self.leaves.values():
             leaf.grad = None
-        if self.light:
-            self.light.step(*self._compared(view, seed))
+        if self.squares:
+            self.squares.step(*self._compared(view, seed))
         else:
             self._loss(view, seed).backward()
         if self.optimiser:

@@ -13,8 +13,8 @@ from .peers import PeerError
 
 # In this order; the rate once more at the end, for others change what is best there.
 NUMBERS = ("rate", "samples", "block", "spp", "spp_grad", "spp_seen", "spp_shadows", "views", "smoothness", "grown")
-NUMBERS += ("damping", "halving", "rate")
-REAL = ("rate", "smoothness", "damping")  # those that need not be whole
+NUMBERS += ("damping", "signs", "probes", "halving", "rate")
+REAL = ("rate", "smoothness", "damping", "signs")  # those that need not be whole
 # Those that programs have besides "independent".
 SAMPLERS = {"torchrender": ("stratified", "sobol"), "mitsuba": ("stratified", "multijitter", "ldsampler")}
 # ... and other settings that are tried, by the name of the program.

@@ -74,6 +74,7 @@ class RenderFunction(UnbatchedFunction):
     def setup_context(ctx: Any, inputs: tuple[Any, ...], output: Any) -> None:
         call, *params = inputs
         ctx.call = call
+        ctx.ready = {}  # gradients by adjoint, see `backward_and_grads`
         # Hits are freed by whatever frees the saved tensors. (With torch.func this comes once for every level, of which
         # one differentiates.)
         kept = ()
@@ -93,6 +94,10 @@ class RenderFunction(UnbatchedFunction):
         saved = ctx.saved_tensors  # of which the last may be what keeps the hits alive
         if grad_image is None or not any(needed):
             return (None,) * (1 + len(needed))
+        if ctx.ready:  # unless a hook has made another one of it
+            found = ctx.ready.pop(_identity(grad_image), None)
+            if found is not None:
+                return None, *found
         return (None, *RenderVjpFunction.apply(ctx.call, needed, grad_image, *saved[: len(needed)]))
 
     @staticmethod
@@ -145,22 +150,81 @@ class RenderVjpFunction(DerivativeFunction):
     @staticmethod
     def forward(call: RenderCall, needed: tuple[bool, ...], adjoint: torch.Tensor, *params: torch.Tensor) -> Any:
         refuse_batches(adjoint)
-        call.check_indices()
-        # who shares samples out reads the adjoint on the CPU
-        place = torch.device("cpu") if call.adaptive_grad else call.place
-        adjoint = adjoint.detach().to(dtype=call.native.dtype, device=place).contiguous()
-        if call.passes > 1:
-            adjoint = adjoint / call.passes
-        grads = gradients_of(call.native, params, needed)
-        addresses = [0 if g is None else address(g) for g in grads]
-        all_stats = []
-        for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
-            if call.adaptive_grad:
-                config |= {"adaptive": True, "sample_offset": call.share.adaptive_offset()}
-            config |= {"fixed_sums": torch.are_deterministic_algorithms_enabled(), **_on_device(place)}
-            all_stats.append(call.native.call("render_vjp", list(params), config, address(adjoint), addresses))
-        call.finish("vjp", all_stats)
-        return with_parameters(grads, params)
+        return _vjps(call, [needed], [adjoint], params)[0]
+
+
+def _vjps(
+    call: RenderCall,
+    needed: Sequence[Sequence[bool]],
+    adjoints: Sequence[torch.Tensor],
+    params: Sequence[torch.Tensor],
+) -> list[tuple[torch.Tensor | None, ...]]:
+    """Gradients for each adjoint, of the parameters that it needs, by the same paths.
+
+    The first one needs all that others do.
+    """
+    call.check_indices()
+    # who shares samples out reads the adjoint on the CPU
+    place = torch.device("cpu") if call.adaptive_grad else call.place
+    adjoints = [a.detach().to(dtype=call.native.dtype, device=place).contiguous() for a in adjoints]
+    if call.passes > 1:
+        adjoints = [a / call.passes for a in adjoints]
+    grads = [gradients_of(call.native, params, each) for each in needed]
+    given = [address(a) for a in adjoints], [[0 if g is None else address(g) for g in each] for each in grads]
+    all_stats = []
+    for config in tracked(call.with_hits(call.configs(derivative=True)), "derivative", call.progress):
+        if call.adaptive_grad:
+            config |= {"adaptive": True, "sample_offset": call.share.adaptive_offset()}
+        config |= {"fixed_sums": torch.are_deterministic_algorithms_enabled(), **_on_device(place)}
+        all_stats.append(call.native.call("render_vjp", list(params), config, *given))
+    call.finish("vjp", all_stats)
+    return [with_parameters(each, params) for each in grads]
+
+
+def backward_and_grads(
+    image: torch.Tensor, adjoint: torch.Tensor, others: Sequence[tuple[Sequence[torch.Tensor], torch.Tensor]]
+) -> list[tuple[torch.Tensor | None, ...]]:
+    """``torch.autograd.backward(image, adjoint)`` and, of `others`, ``torch.autograd.grad(image, inputs, other)``.
+
+    Where the image is a rendering as it is, of one camera, all of it is by the same paths, which are traced once. The
+    gradient is None of an input that the image does not depend on.
+    """
+    node: Any = image.grad_fn
+    adjoints = [adjoint, *(other for _, other in others)]
+    apart = len({each.data_ptr() for each in adjoints}) == len(adjoints)
+    rendered = isinstance(node, RenderFunction._backward_cls) and image.output_nr == 0
+    if apart and rendered and all(each.shape == image.shape for each in adjoints):
+        _prepare_gradients(node, adjoint, others)
+    try:
+        found = [torch.autograd.grad(image, ins, other, retain_graph=True, allow_unused=True) for ins, other in others]
+        torch.autograd.backward(image, adjoint)
+    finally:
+        if rendered:
+            node.ready.clear()
+    return list(found)
+
+
+def _prepare_gradients(
+    node: Any, adjoint: torch.Tensor, others: Sequence[tuple[Sequence[torch.Tensor], torch.Tensor]]
+) -> None:
+    """Lays ready what the rendering's `backward` will be asked for."""
+    needed = node.needs_input_grad[1:]
+    leaves = [id(getattr(before, "variable", None)) for before, _ in node.next_functions]
+    asked, adjoints = [needed], [adjoint]
+    for inputs, other in others:
+        sought = {id(None), *map(id, inputs)}  # by way of what is no leaf anything may be
+        fewer = tuple(n and leaf in sought for n, leaf in zip(needed, leaves, strict=True))
+        if any(fewer):
+            asked.append(fewer)
+            adjoints.append(other)
+    if len(adjoints) > 1:
+        grads = _vjps(node.call, asked, adjoints, node.saved_tensors[: len(needed)])
+        node.ready = {_identity(each): found for each, found in zip(adjoints, grads, strict=True)}
+
+
+def _identity(tensor: torch.Tensor) -> tuple[int, int]:
+    """What another tensor of that time does not have, nor this one after an edit."""
+    return tensor.data_ptr(), tensor._version
 
 
 def dense_tangents(

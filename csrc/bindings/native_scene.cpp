@@ -85,23 +85,35 @@ public:
         return there(*rays, [&](auto &paths, const auto &tree) { return paths.render(primal, data_, tree, to); });
     }
 
-    RenderStats reverse(const Config &c, const ParameterValues &values, uintptr_t adjoint,
-                        const Addresses &gradients) override {
+    RenderStats reverse(const Config &c, const ParameterValues &values, const Addresses &adjoints,
+                        const std::vector<Addresses> &gradients) override {
         std::lock_guard<std::mutex> lock(mutex_);
         SceneRays *rays = updated(c, values);
-        DerivativeCall<S> d = reverse_call(data_, c.path, c.light, gradients);
-        d.adjoint = reinterpret_cast<const S *>(adjoint);
-        d.adaptive = c.adaptive, d.fixed_sums = c.fixed_sums;
         RenderCall<S> reverse = call(c);
         if (c.hits) reverse.kept_hits = c.hits->pass(c.hits_pass);
-        RenderStats stats = rays      ? there(*rays,
-                                              [&](auto &paths, const auto &tree) {
-                                             return c.light ? paths.reverse_light(reverse, data_, tree, d)
-                                                            : paths.reverse(reverse, data_, tree, d);
-                                              })
-                            : c.light ? trace_light_reverse<S>(reverse, d)
-                                      : render_reverse<S>(reverse, d);
-        add_gradients(data_, d, gradients, c.threads);
+        std::vector<DerivativeCall<S>> derivatives;
+        std::vector<DerivativeCall<S> *> all;
+        for (size_t k = 0; k < adjoints.size(); ++k) {
+            DerivativeCall<S> &d = derivatives.emplace_back(reverse_call(data_, c.path, c.light, gradients[k]));
+            d.adjoint = reinterpret_cast<const S *>(adjoints[k]);
+            d.adaptive = c.adaptive, d.fixed_sums = c.fixed_sums;
+        }
+        for (DerivativeCall<S> &d : derivatives) all.push_back(&d);
+        RenderStats stats;
+        if (!rays && !c.light && !c.adaptive && !c.path.stokes)
+            stats = render_reverse<S>(reverse, all);
+        else
+            for (DerivativeCall<S> &d : derivatives) {
+                stats.add_call(rays      ? there(*rays,
+                                                 [&](auto &paths, const auto &tree) {
+                                                return c.light ? paths.reverse_light(reverse, data_, tree, d)
+                                                               : paths.reverse(reverse, data_, tree, d);
+                                                 })
+                               : c.light ? trace_light_reverse<S>(reverse, d)
+                                         : render_reverse<S>(reverse, d));
+                if (stats.interrupted) break;
+            }
+        for (size_t k = 0; k < adjoints.size(); ++k) add_gradients(data_, derivatives[k], gradients[k], c.threads);
         return stats;
     }
 

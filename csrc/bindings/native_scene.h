@@ -50,8 +50,9 @@ public:
 
     // `image`, and `alpha` and `variance` where they are given.
     virtual RenderStats render(const Config &, const ParameterValues &, const Arrays &out) = 0;
-    virtual RenderStats reverse(const Config &, const ParameterValues &, uintptr_t adjoint,
-                                const Addresses &gradients) = 0;
+    // Adjoints of one image, each with gradients, of slots that the first one has gradients of.
+    virtual RenderStats reverse(const Config &, const ParameterValues &, const Addresses &adjoints,
+                                const std::vector<Addresses> &gradients) = 0;
     virtual RenderStats forward(const Config &, const ParameterValues &, const Addresses &tangents,
                                 uintptr_t image) = 0;
     // See PixelWeights.

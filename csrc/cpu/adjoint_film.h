@@ -5,16 +5,16 @@
 
 namespace tr {
 
-// d loss / d (sum of weighted radiances) of every wanted pixel, of that of the image: (n, numbers).
-template <class F>
-std::unique_ptr<Film> adjoint_film(const RenderCall<ScalarOf<F>> &call, const TileSchedule &schedule,
-                                   const ScalarOf<F> *given, RenderStats &stats) {
+// d loss / d (sum of weighted radiances) of every wanted pixel, of that of the image: (n, numbers). `weights`: the
+// pixels' sums of them, see sum_weights.
+template <class S>
+std::unique_ptr<Film> adjoint_film(const RenderCall<S> &call, const TileSchedule &schedule, const Film &weights,
+                                   const S *given) {
     const int values = call.numbers();
     auto adjoint = std::make_unique<Film>(schedule, values);
-    std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
-    for (size_t i = 0; i < schedule.n_results() && !stats.interrupted; ++i) {
+    for (size_t i = 0; i < schedule.n_results(); ++i) {
         size_t target = schedule.target_of(i);  // a pixel that was asked for twice has two results
-        double total = *weights->at(target);
+        double total = *weights.at(target);
         if (total == 0) continue;
         for (int c = 0; c < values; ++c)
             adjoint->at(target)[c] += double(given[i * size_t(values) + size_t(c)]) / total;

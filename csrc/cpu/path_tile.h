@@ -142,6 +142,18 @@ public:
         for_blocks([&](size_t block) { config_.stokes ? sweep_polarized(sink, block) : sweep_tape(sink, block); });
         wavefront.count_non_finite(sink);
     }
+    // Once for each of the sinks, with the adjoints that show(k) puts into the slots; not of polarised light.
+    template <class Show>
+    void sweep_each(std::vector<GradientSink<F>> &sinks, Show &&show) {
+        wavefront.tape.boundaries.resize(std::max(wavefront.tape.boundaries.size(), sinks.size()));
+        for_blocks([&](size_t block) {
+            for (size_t k = 0; k < sinks.size(); ++k) {
+                show(k);
+                sweep_levels(sinks[k], false, block, k);
+            }
+        });
+        for (GradientSink<F> &sink : sinks) wavefront.count_non_finite(sink);
+    }
 
 private:
     template <class Visit>

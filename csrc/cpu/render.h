@@ -117,6 +117,12 @@ struct RenderStats {
         bent_rays_met += other.bent_rays_met;
         seconds_trace += other.seconds_trace;
     }
+    // Of another call, in which nothing ran at the same time.
+    void add_call(const RenderStats &other) {
+        add(other);
+        seconds += other.seconds;
+        interrupted = interrupted || other.interrupted;
+    }
 };
 
 // Results for every wanted pixel, in rows or in the order of the list. `sums`, if not null, are those of earlier
@@ -148,10 +154,16 @@ void write_results(const RenderCall<S> &call, const TileSchedule &schedule, cons
 template <class S>
 RenderStats render_primal(const RenderCall<S> &call, const RenderOutput<S> &out);
 template <class S>
-RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative);
-template <class S>
 RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &derivative, S *image);
 
+// One pass of paths for adjoints of the same image, each a call; what any of them needs the first one needs, too. More
+// than one: not of polarised light, and none of them adaptive.
+template <class S>
+RenderStats render_reverse(const RenderCall<S> &call, const std::vector<DerivativeCall<S> *> &derivatives);
+template <class S>
+RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
+    return render_reverse(call, std::vector<DerivativeCall<S> *>{&derivative});
+}
 // The same by light tracing, without alpha and variance.
 template <class S>
 RenderStats trace_light(const RenderCall<S> &call, S *image, FilmSums *sums = nullptr);

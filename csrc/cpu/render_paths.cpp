@@ -1,4 +1,6 @@
 // Paths of the items of a schedule, and their derivatives.
+#include <cmath>
+
 #include "adjoint_film.h"
 #include "allocation.h"
 #include "path_tile.h"
@@ -59,44 +61,105 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
     return stats;
 }
 
+// One of the adjoints: its film, and what threads add up for it.
+template <class S>
+struct Pull {
+    DerivativeCall<S> &derivative;
+    std::unique_ptr<Film> film;
+    std::vector<GradientBuffers<S>> buffers;
+};
+
+// A tile of paths that are swept once for each of several adjoints. Those of a batch, where there is more than one, are
+// kept here, and the slots have one after the other.
 template <class F>
-RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call, DerivativeCall<ScalarOf<F>> &derivative) {
+class PullTile : public PathTile<F> {
     using S = ScalarOf<F>;
-    using Tile = PathTile<F>;
+    using Base = PathTile<F>;
+
+public:
+    PullTile(const RenderCall<S> &call, size_t capacity, const DerivativeCall<S> &derivative, size_t count)
+        : Base(call, capacity, &derivative), kept_(count > 1 ? count : 0) {
+        arena_.declare([&](Arena &arena) {
+            for (SpectrumColumn<S> &column : kept_) column.each([&](S *&array) { arena.array(array, capacity); });
+        });
+    }
+    // Of n slots, number k.
+    void keep(size_t k, size_t n) {
+        if (kept_.empty()) return;
+        for (int c = 0; c < SpectrumSize; ++c) std::copy_n(Base::slots.delta[c], n, kept_[k][c]);
+    }
+    void show(size_t k, size_t n) {
+        for (int c = 0; c < SpectrumSize; ++c) std::copy_n(kept_[k][c], n, Base::slots.delta[c]);
+    }
+    // Zero where all of them are.
+    void show_magnitude(size_t n) {
+        for (const SpectrumColumn<S> &column : kept_) {
+            const bool first = &column == kept_.data();
+            for (int c = 0; c < SpectrumSize; ++c) {
+                S *to = Base::slots.delta[c];
+                for (size_t i = 0; i < n; ++i) to[i] = (first ? S(0) : to[i]) + std::abs(column[c][i]);
+            }
+        }
+    }
+
+private:
+    Arena arena_;
+    std::vector<SpectrumColumn<S>> kept_;
+};
+
+template <class F>
+RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call,
+                          const std::vector<DerivativeCall<ScalarOf<F>> *> &derivatives) {
+    using S = ScalarOf<F>;
+    using Tile = PullTile<F>;
     RenderStats stats;
     {
         Stopwatch watch(stats.seconds);
         TileSchedule schedule = make_schedule(call);
         const int values = call.numbers();
-        if (derivative.adaptive) allocate(schedule, call.filter, derivative.adjoint, values);
+        const DerivativeCall<S> &first = *derivatives[0];
+        if (first.adaptive) allocate(schedule, call.filter, first.adjoint, values);
         const size_t capacity = 512;
-        const std::unique_ptr<Film> adjoint = adjoint_film<F>(call, schedule, derivative.adjoint, stats);
+        const std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
         if (stats.interrupted) return stats;
-        std::vector<GradientBuffers<S>> locals{size_t(call.threads)};
+        std::vector<Pull<S>> pulls;
+        for (DerivativeCall<S> *d : derivatives)
+            pulls.push_back({*d, adjoint_film(call, schedule, *weights, d->adjoint),
+                             std::vector<GradientBuffers<S>>(size_t(call.threads))});
         auto make = [&](int thread) {
-            locals[size_t(thread)].allocate(derivative, thread);
-            return std::make_unique<Tile>(call, capacity, &derivative);
+            for (Pull<S> &pull : pulls) pull.buffers[size_t(thread)].allocate(pull.derivative, thread);
+            return std::make_unique<Tile>(call, capacity, first, pulls.size());
         };
         run_tiles(
             schedule.n_items(), call, Assignment::Interleaved, stats, make,
             [&](Tile &tile, size_t item, int thread, const Stop &stop) {
                 const auto &slots = tile.slots;
-                std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, *adjoint, values);
+                std::vector<std::vector<FilmBlock>> blocks;
+                for (const Pull<S> &pull : pulls) blocks.push_back(adjoint_blocks(schedule, item, *pull.film, values));
                 size_t done = 0;  // paths of the item
                 for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
-                    collect_adjoints(call, blocks, spans, slots);
                     tile.begin(n);
-                    tile.pull_adjoints();
+                    for (size_t k = 0; k < pulls.size(); ++k) {
+                        collect_adjoints(call, blocks[k], spans, slots);
+                        tile.pull_adjoints();
+                        tile.keep(k, n);
+                    }
+                    tile.show_magnitude(n);
                     tile.start(n, true);
                     tile.wavefront.replay.begin(call.kept_hits, item, done, n, size_t(tile.splits(call.config)));
                     done += n;
                     tile.run(true, stop);
-                    GradientSink<F> sink = locals[size_t(thread)].template sink<F>(derivative);
-                    tile.sweep(sink);
+                    std::vector<GradientSink<F>> sinks;
+                    for (Pull<S> &pull : pulls)
+                        sinks.push_back(pull.buffers[size_t(thread)].template sink<F>(pull.derivative));
+                    if (sinks.size() == 1)
+                        tile.sweep(sinks[0]);
+                    else
+                        tile.sweep_each(sinks, [&](size_t k) { tile.show(k, n); });
                 });
             });
-        add_buffers(locals, derivative);
+        for (Pull<S> &pull : pulls) add_buffers(pull.buffers, pull.derivative);
     }
     return stats;
 }
@@ -112,13 +175,13 @@ RenderStats render_forward(const RenderCall<S> &call, const DerivativeCall<S> &d
     return splat_paths<PacketOf<S>>(call, &derivative, {{image}});
 }
 template <class S>
-RenderStats render_reverse(const RenderCall<S> &call, DerivativeCall<S> &derivative) {
-    return reverse_paths<PacketOf<S>>(call, derivative);
+RenderStats render_reverse(const RenderCall<S> &call, const std::vector<DerivativeCall<S> *> &derivatives) {
+    return reverse_paths<PacketOf<S>>(call, derivatives);
 }
 
-#define TR_INSTANTIATE(S)                                                               \
-    template RenderStats render_primal(const RenderCall<S> &, const RenderOutput<S> &); \
-    template RenderStats render_reverse(const RenderCall<S> &, DerivativeCall<S> &);    \
+#define TR_INSTANTIATE(S)                                                                                 \
+    template RenderStats render_primal(const RenderCall<S> &, const RenderOutput<S> &);                   \
+    template RenderStats render_reverse(const RenderCall<S> &, const std::vector<DerivativeCall<S> *> &); \
     template RenderStats render_forward(const RenderCall<S> &, const DerivativeCall<S> &, S *);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

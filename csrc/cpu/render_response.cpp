@@ -29,7 +29,9 @@ RenderStats response_reverse(const RenderCall<S> &call, const S *given, double *
     RenderStats stats;
     Stopwatch watch(stats.seconds);
     const TileSchedule schedule = make_schedule(call);
-    const std::unique_ptr<Film> adjoint = adjoint_film<F>(call, schedule, given, stats);
+    const std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
+    if (stats.interrupted) return stats;
+    const std::unique_ptr<Film> adjoint = adjoint_film(call, schedule, *weights, given);
     if (stats.interrupted) return stats;
     const int values = call.numbers();
     const size_t capacity = 512;

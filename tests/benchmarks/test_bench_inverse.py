@@ -116,7 +116,7 @@ def test_what_light_is_linear_in_is_found_by_least_squares(problem, tmp_path):
     loop.begin({**problem.setting, "spp": 8, "spp_grad": 8, "damping": 3.0}, seed=0)
     moved = {unknown.name: unknown.linear for unknown in task.unknowns}
     assert sum(moved.values()) == 1
-    by_light = [p for group in loop.light.param_groups for p in group["params"]]
+    by_light = [p for group in loop.squares.param_groups for p in group["params"]]
     by_adam = [p for group in loop.optimiser.param_groups for p in group["params"]] if loop.optimiser else []
     for name, linear in moved.items():
         assert any(loop.leaves[name] is p for p in (by_light if linear else by_adam))
@@ -126,6 +126,26 @@ def test_what_light_is_linear_in_is_found_by_least_squares(problem, tmp_path):
     with np.load(tmp_path / "found0.npz") as found:
         assert task.error(dict(found)) < 0.7 * start
         assert all((found[u.name] != u.start.astype(np.float32)).any() for u in task.unknowns)
+
+
+@pytest.mark.parametrize(("name", "steps", "of_adam"), [("material", 16, 32), ("smoke64", 8, 8)])
+def test_random_signs_need_fewer_steps_than_adam(name, steps, of_adam, tmp_path):
+    """Of any of five rates."""
+    problem = next(p for p in PROBLEMS if p.name == name)
+    task = problem.make(True)
+    task.target_spp = 64
+    task.write(tmp_path)
+    loop = OurLoop(str(tmp_path))
+
+    def error(count, **setting):
+        loop.begin({**problem.setting, "spp": 4, "spp_grad": 4, "halving": 1000, **setting}, seed=0)
+        loop.advance([count], str(tmp_path / "found"))
+        with np.load(tmp_path / "found0.npz") as found:
+            return task.error(dict(found))
+
+    found = error(steps, signs=10.0, damping=3.0)
+    assert loop.optimiser is None
+    assert 1.1 * found < min(error(of_adam, rate=rate) for rate in (0.0125, 0.025, 0.05, 0.1, 0.2))
 
 
 def test_steps_by_some_pixels_find_the_same(tmp_path):
