@@ -123,6 +123,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call,
         const std::unique_ptr<Film> weights = sum_weights<F>(call, schedule, stats);
         if (stats.interrupted) return stats;
         std::vector<Pull<S>> pulls;
+        pulls.reserve(derivatives.size());
         for (DerivativeCall<S> *d : derivatives)
             pulls.push_back({*d, adjoint_film(call, schedule, *weights, d->adjoint),
                              std::vector<GradientBuffers<S>>(size_t(call.threads))});
@@ -135,6 +136,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call,
             [&](Tile &tile, size_t item, int thread, const Stop &stop) {
                 const auto &slots = tile.slots;
                 std::vector<std::vector<FilmBlock>> blocks;
+                blocks.reserve(pulls.size());
                 for (const Pull<S> &pull : pulls) blocks.push_back(adjoint_blocks(schedule, item, *pull.film, values));
                 size_t done = 0;  // paths of the item
                 for_batches(slots, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
@@ -151,6 +153,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call,
                     done += n;
                     tile.run(true, stop);
                     std::vector<GradientSink<F>> sinks;
+                    sinks.reserve(pulls.size());
                     for (Pull<S> &pull : pulls)
                         sinks.push_back(pull.buffers[size_t(thread)].template sink<F>(pull.derivative));
                     if (sinks.size() == 1)

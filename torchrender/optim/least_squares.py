@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -16,6 +16,18 @@ UNSURE = 0.15  # of D's mean: what is no bound may be too small by chance where 
 STRAY = 0.01  # of a visit's mean light: entries that have much less were hardly visited
 
 _LINEAR = {1: "linear", 2: "bilinear", 3: "trilinear"}
+
+
+class _Visit(NamedTuple):
+    """What a step knows of one tensor. `light` is D in this visit, `received` its sum, from `lit` values."""
+
+    kind: Curvature
+    group: dict[str, Any]
+    parameter: torch.Tensor
+    gradient: torch.Tensor
+    light: torch.Tensor
+    received: float
+    lit: int
 
 
 class LeastSquares(torch.optim.Optimizer):
@@ -213,26 +225,19 @@ class LeastSquares(torch.optim.Optimizer):
                     light = kind.diagonal(parameter, *shares)
                     received = float(light.sum())
                     if received > 0:
-                        visits.append((group, parameter, gradient, light, received, lit))
-            changes = [self._direction(*visit) for visit in visits]
+                        visits.append(_Visit(kind, group, parameter, gradient, light, received, lit))
+            changes = [self._direction(visit) for visit in visits]
             longest = _longest(loss, visits, changes)
-            for (group, parameter, *_), change in zip(visits, changes, strict=True):
-                rate = group["lr"] if curvature_of(group).bounds else min(group["lr"], longest)
+            for (kind, group, parameter, *_), change in zip(visits, changes, strict=True):
+                rate = group["lr"] if kind.bounds else min(group["lr"], longest)
                 torch.sub(parameter, change, alpha=rate, out=change)
                 low, high = (_like(group[name], parameter) for name in ("low", "high"))
                 torch.clamp(change, low, high, out=parameter)
         return loss
 
-    def _direction(
-        self,
-        group: dict[str, Any],
-        parameter: torch.Tensor,
-        gradient: torch.Tensor,
-        light: torch.Tensor,
-        received: float,
-        lit: int,
-    ) -> torch.Tensor:
-        """The change of one tensor, g / D. `light` is D in this visit, `received` its sum, from `lit` values."""
+    def _direction(self, visit: _Visit) -> torch.Tensor:
+        """The gradient by D, of which a step is a part."""
+        kind, group, parameter, gradient, light, received, lit = visit
         state = self.state[parameter]
         if not state:
             state["light"] = torch.zeros_like(parameter)
@@ -247,21 +252,21 @@ class LeastSquares(torch.optim.Optimizer):
         whole = state["light"]
         whole.addcmul_(whole, visited, value=memory - 1).add_(light)
         damping = max(group["damping"] * state["pixel"], torch.finfo(parameter.dtype).tiny)
-        if not curvature_of(group).bounds:
+        if not kind.bounds:
             damping = max(damping, UNSURE * mean)
         return _shared(gradient, whole, damping, _dims_of(parameter, group["dims"]))
 
 
-def _longest(loss: torch.Tensor, visits: list[Any], changes: list[torch.Tensor]) -> float:
+def _longest(loss: torch.Tensor, visits: list[_Visit], changes: list[torch.Tensor]) -> float:
     """A length of steps that is safe where D is no bound, since it leaves out what parameters have in common.
 
     Along the change c a loss with the second derivative H falls by x g c - x^2 c H c / 2: at most by
     (g c)^2 / (2 c H c), where x = g c / (c H c). That is no more than L, for no loss is below 0, so that this x is at
     most 2 L / (g c). With half of it no part of the loss grows that is more than a quarter of all.
     """
-    if all(curvature_of(group).bounds for group, *_ in visits):
+    if all(visit.kind.bounds for visit in visits):
         return math.inf
-    slope = sum(float((gradient * change).sum()) for (_, _, gradient, *_), change in zip(visits, changes, strict=True))
+    slope = sum(float((visit.gradient * change).sum()) for visit, change in zip(visits, changes, strict=True))
     return float(loss) / slope if slope > 0 else math.inf
 
 
