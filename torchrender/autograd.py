@@ -191,9 +191,9 @@ def backward_and_grads(
     """
     node: Any = image.grad_fn
     adjoints = [adjoint, *(other for _, other in others)]
-    apart = len({each.data_ptr() for each in adjoints}) == len(adjoints)
+    apart = len(set(map(id, adjoints))) == len(adjoints)
     rendered = isinstance(node, RenderFunction._backward_cls) and image.output_nr == 0
-    if apart and rendered and all(each.shape == image.shape for each in adjoints):
+    if apart and rendered and all((each.shape, each.dtype) == (image.shape, image.dtype) for each in adjoints):
         _prepare_gradients(node, adjoint, others)
     try:
         found = [torch.autograd.grad(image, ins, other, retain_graph=True, allow_unused=True) for ins, other in others]
@@ -223,8 +223,8 @@ def _prepare_gradients(
 
 
 def _identity(tensor: torch.Tensor) -> tuple[int, int]:
-    """What another tensor of that time does not have, nor this one after an edit."""
-    return tensor.data_ptr(), tensor._version
+    """What another tensor of that time does not have, nor this one after an edit. The engine passes objects on."""
+    return id(tensor), tensor._version
 
 
 def dense_tangents(

@@ -172,6 +172,21 @@ def test_hooks_are_called():
         assert len(called) == 2
 
 
+def test_hooks_that_return_another_view_of_the_same_memory():
+    scene = tr.load_dict(ball_and_wall(height=6, width=6))
+    adjoint, other = adjoints_of(of_red(scene)[1], 2)
+    for hook in (lambda grad: grad.transpose(0, 1), lambda grad: grad[..., :1].expand_as(grad)):
+        red, image = of_red(scene)
+        image.register_hook(hook)
+        (expected,) = torch.autograd.grad(image, red, adjoint, retain_graph=True)
+        (expected_other,) = torch.autograd.grad(image, red, other)
+        red, image = of_red(scene)
+        red.grad = None
+        image.register_hook(hook)
+        ((found,),) = backward_and_grads(image, adjoint, [([red], other)])
+        torch.testing.assert_close([red.grad, found], [expected, expected_other])
+
+
 def test_tensors_that_are_saved_elsewhere():
     scene = tr.load_dict(ball_and_wall())
     with torch.autograd.graph.saved_tensors_hooks(lambda t: t.clone(), lambda t: t):

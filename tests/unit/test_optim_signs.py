@@ -115,6 +115,36 @@ def test_what_many_entries_of_a_pixel_have_in_common_does_not_explode(size, low)
     assert max(losses[3:]) < 0.1 * losses[0] and losses[-1] < 0.01 * losses[0]
 
 
+@pytest.mark.parametrize("misfit", [0.3, 3.0])
+@pytest.mark.parametrize("start", [1.02, 0.5])
+def test_a_loss_that_nothing_makes_smaller_does_not_hide_steps_that_are_too_long(misfit, start):
+    """The sums of a cube's entries along its axes beside what no cube has, a pattern of twice as fine pixels."""
+    truth = torch.rand(16, 16, 16, 1, generator=torch.Generator().manual_seed(0))
+    a = nn.Parameter(start * truth)
+    pattern = torch.ones(3, 32, 32, 1)
+    pattern[:, ::2] = -1
+
+    def pictures(values: torch.Tensor) -> torch.Tensor:
+        return torch.stack([values.mean(dim) for dim in range(3)]).repeat_interleave(2, 1).repeat_interleave(2, 2)
+
+    torch.manual_seed(0)
+    optimizer, errors = LeastSquares([a], curvature="signs", low=0.0), []
+    for _ in range(40):
+        optimizer.zero_grad()
+        optimizer.step(pictures(a), pictures(truth) + misfit * pattern)
+        errors.append(float((pictures(a) - pictures(truth)).detach().square().mean()))
+    before = float((pictures(start * truth) - pictures(truth)).square().mean())
+    assert max(errors) < 10 * before + 1e-3 and errors[-1] < max(0.01 * before, 1e-5)
+
+
+def test_squares_that_overflow_are_refused():
+    a = nn.Parameter(torch.full((2,), 0.5))
+    optimizer = LeastSquares([a], curvature="signs")
+    with pytest.raises(RuntimeError, match=r"D of the parameter of shape \(2,\) is not finite; no step was made"):
+        optimizer.step((a * 5e19)[:, None].expand(2, 3000) * 1.0, torch.full((2, 3000), (0.5 - 1e-7) * 5e19))
+    assert torch.equal(a, torch.full((2,), 0.5))
+
+
 @pytest.mark.parametrize("entries", [1, 100])
 def test_entries_that_many_pixels_show_do_not_jump(entries):
     """Squares of sums of many signs are sometimes next to nothing, and divided by."""

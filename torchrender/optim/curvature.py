@@ -78,8 +78,9 @@ class Signs:
 
     With random signs s it is the mean of the square of sum_p s_p w_p J_pt. Of `probes` such sums, whose signs are
     products with the rows of a Hadamard matrix, the squares' mean is without the products of values that follow each
-    other in the picture: the colours of a pixel, and of its neighbour (Bekas, Kokiopoulou and Saad, "An estimator for
-    the diagonal of a matrix", Applied Numerical Mathematics 57, 2007). What is noise in J is in it, too.
+    other in the picture, if `probes` is a power of two: the colours of a pixel, and of its neighbour (Bekas,
+    Kokiopoulou and Saad, "An estimator for the diagonal of a matrix", Applied Numerical Mathematics 57, 2007). What is
+    noise in J is in it, too.
     """
 
     probes: int

@@ -25,6 +25,7 @@ class _Visit(NamedTuple):
     group: dict[str, Any]
     parameter: torch.Tensor
     gradient: torch.Tensor
+    shares: list[torch.Tensor]
     light: torch.Tensor
     received: float
     lit: int
@@ -60,9 +61,9 @@ class LeastSquares(torch.optim.Optimizer):
         the diagonal of Gauss and Newton's matrix, is estimated with random signs s of the picture's values, since that
         is the mean of ``2 / n (sum_p s_p w_p J_pt)^2``, from `probes` such sums (Bekas, Kokiopoulou and Saad, "An
         estimator for the diagonal of a matrix", Applied Numerical Mathematics 57, 2007). It is no bound, for what a
-        pixel's parameters have in common is left out: hence steps of 0.3, or of L / (g . g/D) where that is less, with
-        which a quadratic loss falls by half of itself at most. It is noisy, too: hence more damping, and at least 0.15
-        of D's mean. The signs are of `torch.manual_seed`.
+        pixel's parameters have in common is left out: hence steps of 0.3, or less where that would go too far along
+        the line, by the same random sums or because a loss cannot fall by more than itself. It is noisy, too: hence
+        more damping, and at least 0.15 of D's mean. The signs are of `torch.manual_seed`.
 
     Two more things make steps of few samples useful. D is a sum over visits, in which each is worth `memory` of the
     next one, so that views of the same texel are averaged. And an entry of a texture or grid that has not had `damping`
@@ -88,7 +89,8 @@ class LeastSquares(torch.optim.Optimizer):
 
     * By light: what makes pictures darker or sharper. It is refused where that shows.
     * By signs: single numbers that all pixels show, such as one roughness or a pose. What is noise in J is in J^2, too,
-      which makes their steps short; Adam finds them sooner. Nor strong priors, whose losses are not in L.
+      which makes their steps short; Adam finds them sooner. Nor priors that are strong beside the loss, which do not
+      count in the length of steps: where pictures are right to the last digit, nothing moves.
     * Light by way of many reflections grows faster than in proportion. In closed bright rooms the loss jumps up and
       down; ``lr=0.3`` helps.
     * The last digits by one or two samples a pixel: the noise of a picture is in D, too, which by light leaves results
@@ -182,6 +184,7 @@ class LeastSquares(torch.optim.Optimizer):
 
         Args:
             image: a rendering whose graph leads to the parameters, any shape. The graph is freed: a rendering a step.
+                Hooks, and `retain_grad`, see the derivatives that D is made of, too.
             target: of the same shape. What is not finite may have the weight 0.
             weight: by which differences are multiplied, w; broadcasts to the picture. None: 1.
 
@@ -224,12 +227,14 @@ class LeastSquares(torch.optim.Optimizer):
                         )
                     light = kind.diagonal(parameter, *shares)
                     received = float(light.sum())
+                    if not math.isfinite(received):
+                        raise RuntimeError(f"D of {words(parameter)} is not finite; no step was made")
                     if received > 0:
-                        visits.append(_Visit(kind, group, parameter, gradient, light, received, lit))
+                        visits.append(_Visit(kind, group, parameter, gradient, shares, light, received, lit))
             changes = [self._direction(visit) for visit in visits]
-            longest = _longest(loss, visits, changes)
+            longest = {kind: _longest(kind, loss, visits, changes) for kind in adjoints}
             for (kind, group, parameter, *_), change in zip(visits, changes, strict=True):
-                rate = group["lr"] if kind.bounds else min(group["lr"], longest)
+                rate = min(group["lr"], longest[kind])
                 torch.sub(parameter, change, alpha=rate, out=change)
                 low, high = (_like(group[name], parameter) for name in ("low", "high"))
                 torch.clamp(change, low, high, out=parameter)
@@ -237,7 +242,7 @@ class LeastSquares(torch.optim.Optimizer):
 
     def _direction(self, visit: _Visit) -> torch.Tensor:
         """The gradient by D, of which a step is a part."""
-        kind, group, parameter, gradient, light, received, lit = visit
+        kind, group, parameter, gradient, _, light, received, lit = visit
         state = self.state[parameter]
         if not state:
             state["light"] = torch.zeros_like(parameter)
@@ -257,17 +262,22 @@ class LeastSquares(torch.optim.Optimizer):
         return _shared(gradient, whole, damping, _dims_of(parameter, group["dims"]))
 
 
-def _longest(loss: torch.Tensor, visits: list[_Visit], changes: list[torch.Tensor]) -> float:
-    """A length of steps that is safe where D is no bound, since it leaves out what parameters have in common.
+def _longest(kind: Curvature, loss: torch.Tensor, visits: list[_Visit], changes: list[torch.Tensor]) -> float:
+    """A length of the steps of a kind that is safe where D is no bound, since it leaves out what parameters share.
 
-    Along the change c a loss with the second derivative H falls by x g c - x^2 c H c / 2: at most by
-    (g c)^2 / (2 c H c), where x = g c / (c H c). That is no more than L, for no loss is below 0, so that this x is at
-    most 2 L / (g c). With half of it no part of the loss grows that is more than a quarter of all.
+    Along the change c a loss with the second derivative H falls by x g c - x^2 c H c / 2, most with x = g c / (c H c).
+    The signs estimate c H c as they do D. Where they are few, it is chance, but not that the fall, (g c)^2 / (2 c H c),
+    is no more than the loss L: x is at most 2 L / (g c), of which this has half.
     """
-    if all(visit.kind.bounds for visit in visits):
+    if kind.bounds:
         return math.inf
-    slope = sum(float((visit.gradient * change).sum()) for visit, change in zip(visits, changes, strict=True))
-    return float(loss) / slope if slope > 0 else math.inf
+    mine = [(visit, change) for visit, change in zip(visits, changes, strict=True) if visit.kind is kind]
+    slope = sum(float((visit.gradient * change).sum()) for visit, change in mine)
+    if slope <= 0:
+        return math.inf
+    products = [[float((share * change).sum()) for share in visit.shares] for visit, change in mine]
+    bend = sum(sum(of_one_sum) ** 2 for of_one_sum in zip(*products, strict=True))
+    return min(float(loss) / slope, slope / bend if bend > 0 else math.inf)
 
 
 def _compare(picture: torch.Tensor, target: Any, weight: Any) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
