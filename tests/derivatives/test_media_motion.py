@@ -8,6 +8,7 @@ whose motion these derivatives lack.
 
 from __future__ import annotations
 
+import media_scenes
 import media_truth as truth
 import numpy as np
 import pytest
@@ -325,3 +326,26 @@ def test_a_common_shift_changes_nothing(make):
     total = torch.stack(parts)
     assert float(total.abs().max()) > 0
     assert abs(float(total.sum())) < 1e-5 * float(total.abs().max()), total
+
+
+@pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
+@pytest.mark.parametrize("depth", [2, 12])
+@pytest.mark.parametrize(("dtype", "close"), [(torch.float32, 1e-3), (DOUBLE, 1e-9)], ids=str)
+def test_paths_that_end_in_glass(dtype, close, depth):
+    """No BSDF's direction is chosen at the last vertex, and none may come into derivatives, not even 0 times."""
+    view = tr.load_dict(media_scenes.SCENES["nested"]().scene, dtype=dtype)
+    names = ("glass.center", "sensor.x_fov", "glass.bsdf.eta", "box.vertex_positions")
+    leaves = view.train_only(*names)
+    settings = {"visibility": False, "integrator": tr.VolumetricPathTracer(max_depth=depth, rr_depth=100), "spp": 4}
+    image = tr.render(view, seed=3, nan="raise", **settings)
+    weights = torch.rand(image.shape, generator=torch.Generator().manual_seed(1), dtype=dtype)
+    gradients = torch.autograd.grad(image, leaves, weights)  # nothing is dropped
+    for name, leaf, gradient in zip(names, leaves, gradients, strict=True):
+        direction = torch.randn(leaf.shape, generator=torch.Generator().manual_seed(2), dtype=dtype)
+
+        def picture(value, name=name):
+            return tr.render(view, seed=3, nan="raise", params={name: value}, **settings)
+
+        _, tangent = torch.func.jvp(picture, (leaf.detach(),), (direction,))
+        found, expected = (tangent.detach() * weights).double().sum(), (gradient * direction).double().sum()
+        assert float(found) == pytest.approx(float(expected), rel=close)

@@ -242,10 +242,14 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     F eta = lanes(in.eta) * s.sample.eta, keep(1), throughput = max_component(survival);
     alive = alive && mask<F>(throughput > F(0));
     if (roulette) keep = play_roulette(throughput, eta, u_light.u[3], counted, alive);
-    if (c.tape)
+    if (c.tape) {
+        // (where no path goes on the sample is of parameters that were not loaded, and may be anything)
+        const Vec3<F> wo = select(alive, s.sample.wo, Vec3<F>{F(0), F(0), F(1)});
+        const I lobe = select(mask<I>(alive), s.sample.lobe, I(0));
         write_scattering(c, i, resolved, si, wi,
                          {s.light.point.emitter, s.light.point.at, s.wo_light, s.light_weight, s.light.distance,
-                          s.emitted, s.sample.wo, s.sample.lobe, select(alive, s.inverse_pdf * keep, F(0))});
+                          s.emitted, wo, lobe, select(alive, s.inverse_pdf * keep, F(0))});
+    }
     if (!any(alive)) return;
     Vec3<F> d = normalize(si.frame.to_world(resolved.mirror(s.sample.wo))), o = offset_origin(si.p, si.ng, d);
     PathState<F> next{o,
