@@ -62,9 +62,8 @@ class OurLoop(Loop):
             group = {"params": [self.leaves[unknown["name"]]]}
             curvature, damping = ("light", "damping") if unknown["linear"] else ("signs", "signs")
             if damping in setting:
-                by_squares.append({**group, "curvature": curvature, "damping": setting[damping]})
-                if curvature == "signs":
-                    by_squares[-1]["probes"] = setting.get("probes", 8)
+                probes = {name: setting[name] for name in ("probes",) if name in setting}
+                by_squares.append({**group, **probes, "curvature": curvature, "damping": setting[damping]})
             else:
                 by_adam.append({**group, "scale": unknown["scale"]})
         self.optimiser = self.adam(by_adam, lr=1.0, betas=BETAS, eps=EPSILON) if by_adam else None
