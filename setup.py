@@ -162,6 +162,11 @@ def flags_of(macros: str) -> list[str]:
     if "__clang__" in macros:
         return []
     flags = ["-fno-gnu-unique"]
+    if IS_X86:
+        # GCC fills and copies structures of 64 bytes to 8 KiB by `rep stos` and `rep movs`, which take tens of cycles
+        # to begin, and what follows cannot be forwarded to loads; packets are full of such structures.
+        by_vectors = "vector_loop:8192:noalign,libcall:-1:noalign"
+        flags += [f"-mmemset-strategy={by_vectors}", f"-mmemcpy-strategy={by_vectors}"]
     version = re.search(r"__GNUC__ (\d+)", macros)
     if version and int(version[1]) >= 11:
         # GCC 12 takes a function for one that does not read what it is given by reference, if all that it does is to

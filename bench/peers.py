@@ -27,6 +27,7 @@ class Known:
     python: str = ""  # where that environment's interpreter then is
     reads_arrays: bool = False  # cannot read the scenes' files
     keeps_kernels: bool = False  # compiles when it first renders, and keeps that for the next process
+    samplers: tuple[str, ...] = ()  # those of the scenes' files that take powers of four; none: it has no choice
     ourselves: bool = False  # another state of this renderer, which is asked for the same work with the same settings
 
 
@@ -38,6 +39,7 @@ KNOWN = {
     apt install libllvm19        # older ones crash; set DRJIT_LIBLLVM_PATH to its libLLVM.so.19.1""",
         python="mitsuba-env/bin/python",
         keeps_kernels=True,
+        samplers=("independent", "stratified", "multijitter", "ldsampler"),
     ),
     "redner": Known(
         "Redner",

@@ -1,4 +1,4 @@
-"""Error of images and gradients at equal time: every sampler of torchrender, and the peers, against one reference.
+"""Error of images and gradients at equal time: every sampler of torchrender and of its peers, against one reference.
 
 The reference is torchrender's, with `--reference` samples a pixel. Errors are root mean squares over pixels or texels
 and over rounds, relative to the reference's mean (image) or root mean square (gradient of mean(image * weight)). Each
@@ -12,7 +12,7 @@ import argparse
 import math
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +24,7 @@ import torchrender as tr
 from .arguments import counts_argument, peer_argument, positive
 from .measured import Measured, fit_line
 from .ours import Ours, chosen
-from .peers import Peer, Peers
+from .peers import KNOWN, Peer, Peers
 from .report import Result, Table
 from .rows import Row
 from .scene_arrays import load_peer
@@ -55,6 +55,7 @@ class Program:
 
     image: Estimate
     gradient: Estimate
+    begin: Callable[[], None] = lambda: None  # called before estimates that are measured
     errors: dict[str, dict[int, list[float]]] = field(default_factory=lambda: {"image": {}, "gradient": {}})
     seconds: dict[str, dict[int, list[float]]] = field(default_factory=lambda: {"image": {}, "gradient": {}})
 
@@ -70,8 +71,8 @@ def of_ours(row: Row, options: argparse.Namespace, sampler: str) -> Program:
     return Program(image, ours.gradient)
 
 
-def of_peer(peer: Peer, row: Row, options: argparse.Namespace, folder: Path) -> Program:
-    load_peer(peer, row, options.resolution, options.spp)
+def of_peer(peer: Peer, row: Row, options: argparse.Namespace, folder: Path, sampler: str | None) -> Program:
+    chosen_row = row if sampler is None else replace(row, arguments={**row.arguments, "sampler": sampler})
 
     def image(seed: int, spp: int) -> tuple[list[np.ndarray], float]:
         file = folder / "image.npy"
@@ -84,7 +85,13 @@ def of_peer(peer: Peer, row: Row, options: argparse.Namespace, folder: Path) -> 
         with np.load(file) as stored:
             return [stored[name] for name in stored.files], seconds
 
-    return Program(image, gradient)
+    def begin() -> None:
+        """The peer has one scene at a time, which nothing has touched yet when it is loaded."""
+        load_peer(peer, chosen_row, options.resolution, options.spp)
+        image(0, options.samples[0])
+        gradient(0, options.samples[0])
+
+    return Program(image, gradient, begin)
 
 
 @dataclass
@@ -144,9 +151,13 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
     references = references_of(row, options)
     with tempfile.TemporaryDirectory() as folder:
         programs = {f"ours, {sampler}": of_ours(row, options, sampler) for sampler in samplers()}
-        programs |= {peer.title: of_peer(peer, row, options, Path(folder)) for peer in peers}
+        for peer in peers:
+            for sampler in KNOWN[peer.name].samplers or (None,):
+                title = f"{peer.title}, {sampler}" if sampler else peer.title
+                programs[title] = of_peer(peer, row, options, Path(folder), sampler)
         for seed in range(options.warmup + options.rounds):
             for program in programs.values():
+                program.begin()
                 for kind, estimate in (("image", program.image), ("gradient", program.gradient)):
                     for spp in options.samples:
                         value, seconds = estimate(seed, spp)
@@ -184,6 +195,10 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> lis
 
 
 def run(options: argparse.Namespace) -> Result:
+    others = [count for count in options.samples if 4 ** round(math.log(count, 4)) != count]
+    for name, _ in options.peer:
+        if KNOWN[name].samplers and others:  # they would take more than they are asked for
+            raise SystemExit(f"--samples: {KNOWN[name].title}'s samplers take powers of four, got {others[0]}")
     torch.set_num_threads(options.threads)
     with Peers(options.peer, options.threads, options.renderer) as peers:
         rows = [entry for row in chosen(options) for entry in measure_row(row, peers, options)]

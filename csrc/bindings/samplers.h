@@ -21,6 +21,7 @@ template <class F>
 void draw_numbers(const PathConfig &config, uint32_t block, int numbers, size_t n, const uint32_t *pixels,
                   const uint32_t *samples, double *out) {
     constexpr size_t W = size_t(Lanes<F>::Width);
+    const uint32_t wanted = PairWanted | (numbers > 2 ? ThirdWanted : 0u) | (numbers > 3 ? FourthWanted : 0u);
     Arena arena;
     uint32_t *pixel, *sample;
     arena.declare([&](Arena &a) {
@@ -30,7 +31,8 @@ void draw_numbers(const PathConfig &config, uint32_t block, int numbers, size_t 
     std::copy_n(pixels, n, pixel);
     std::copy_n(samples, n, sample);
     for (size_t i = 0; i < n; i += W) {
-        Random4<F> r = draw4<F>(config, load_uint<F>(pixel + i), load_uint<F>(sample + i), block, numbers);
+        const PathNumbers<F> of(config, load_uint<F>(pixel + i), load_uint<F>(sample + i));
+        Random4<F> r = of.draw(block, wanted);
         for (size_t k = 0; k < std::min(W, n - i); ++k)
             for (size_t c = 0; c < 4; ++c) out[4 * (i + k) + c] = double(lane(r.u[c], int(k)));
     }

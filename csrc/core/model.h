@@ -59,6 +59,7 @@ enum ModelFlags : uint32_t {
     WrapsBsdfs = 1 << 5,       // resolved to one of those it contains, where a path meets it
     PerturbsNormals = 1 << 6,  // ... and turns the shading normal
     Disperses = 1 << 7,        // a texture turns its delta lobes, by wavelength
+    ChoosesLobe = 1 << 14,     // samples take a number besides those of a direction
     // emitters
     IsEnvironment = 1 << 8,      // light from all around, which the camera sees
     IsInfinite = 1 << 9,         // from infinitely far away

@@ -110,7 +110,8 @@ private:
     static constexpr uint32_t LightBlock = Base::PlaceBlock + 1;
     Random4<F> spread(uint64_t sample) const {
         const U high(uint32_t(sample >> 32)), low = U(uint32_t(sample)) + lane_index<F>();
-        return sobol4<F>(sequence_, call_.config.seed, call_.config.sensor, high, low, LightBlock, 4);
+        return sobol4<F>(sequence_, call_.config.seed, call_.config.sensor, SobolPlace<U>(sequence_, high, low),
+                         LightBlock, AllWanted);
     }
     void find_places(uint64_t first, uint32_t n) {
         numbers_.resize(n + W), chooses_.resize(n + W);

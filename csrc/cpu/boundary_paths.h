@@ -300,7 +300,7 @@ protected:
         const auto &slots = paths_.slots;
         if (slots.lens.x) return {S(0), S(0), slots.lens.x[slot], slots.lens.y[slot]};
         if (uses_lens(sensor()))
-            sample.choose_lens(draw4<S>(path_call_.config, slots.pixel[slot], slots.sample[slot], 0, 4));
+            sample.choose_lens(lens_numbers<S>(path_call_.config, slots.pixel[slot], slots.sample[slot]));
         return sample;
     }
     const Record &sensor() const { return scene_.sensors[call_.config.sensor]; }

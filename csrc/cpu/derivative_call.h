@@ -63,7 +63,8 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
     }
     for (size_t i = 0; i < count("emitter"); ++i) needs.emitter |= requires_.values("emitter", i);
     needs.black_light = needs.emitter || (needs.geometry && requires_.emitters_vary());
-    for (size_t i = 0; i < layout.shapes.size(); ++i) d.shapes.push_back(requires_.shape(i));
+    for (size_t i = 0; i < layout.shapes.size(); ++i)
+        d.shapes.push_back((requires_.shape(i) ? ShapeMoves : 0) | (requires_.shape_matrix(i) ? MatrixMoves : 0));
     d.geometry_sizes = requires_.geometry_sizes();
     d.matrices = uint32_t(data.n_constants());
     d.n_constants = data.n_constants() + 12 * layout.shapes.size();

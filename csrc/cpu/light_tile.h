@@ -85,6 +85,7 @@ private:
 
     void start(PathQueue<S> &queue, uint32_t n, bool recording) {
         queue.n = wavefront.shadows.n = 0;
+        wavefront.find_keys(n);
         if (recording) {
             add_level().ranges.assign(1, {EmissionKind, 0, n});
             wavefront.tape.reserve_last(n + 2 * W);
@@ -96,6 +97,7 @@ private:
     void step(const PathQueue<S> &current, PathQueue<S> &next, const PathStep &step, bool recording) {
         next.n = wavefront.shadows.n = 0;
         std::vector<KindRange> *ranges = recording ? &add_level().ranges : &ranges_;
+        wavefront.find_keys_of(EmitterBlock + BlocksPerScattering * step.scattering());
         // the last vertex, too, is connected and therefore sorted by its BSDF
         wavefront.sort({step.depth, step.split, true}, current, false, recording, *ranges);
         PathContext<F> c = wavefront.context(recording);

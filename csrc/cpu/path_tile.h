@@ -44,11 +44,13 @@ public:
     void begin(size_t n) {
         n_slots_ = uint32_t(n);
         wavefront.queues[0].n = 0;
+        wavefront.keys.common = false;
     }
 
     // Camera rays of the first n slots; in reverse mode paths whose adjoint is zero are not started.
     void start(size_t n, bool skip_zero_adjoint) {
         begin(n);
+        wavefront.find_keys(n);
         PathQueue<S> &queue = wavefront.queues[0];
         PathContext<F> c = wavefront.context(false);
         for (uint32_t i = 0; i < n_slots_; i += W)
@@ -243,6 +245,7 @@ private:
         next.n = shadows.n = 0;
         std::vector<KindRange> *ranges = &ranges_;
         if (recording) ranges = &wavefront.tape.add(parent_level, step.scatters).ranges;
+        wavefront.find_keys_of(EmitterBlock + BlocksPerScattering * step.scattering());
         wavefront.sort(step, current, true, recording, *ranges);
         PathContext<F> c = wavefront.context(recording);
         const HitColumns<S> &hits = wavefront.queries.hits;

@@ -67,7 +67,7 @@ struct DerivativeCall {
     GradientNeeds needs{true, true, true, true, true, {1, 1, 1, 1}};
     std::vector<int32_t> bsdfs;       // by bsdf: a parameter of it is differentiated
     std::vector<uint32_t> variables;  // by a BSDF's kind, see GradientNeeds; empty: all count
-    std::vector<int32_t> shapes;      // by shape: it moves, or its normals or coordinates do
+    std::vector<int32_t> shapes;      // by shape, see ShapeWants
     bool adaptive = false;            // reverse: more samples where the adjoint is larger, see allocation.h
     bool fixed_sums = false;          // reverse, on devices: gradients do not depend on any order
 

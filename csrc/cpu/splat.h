@@ -28,8 +28,9 @@ struct SplatAxis {
         F from = base + F(S(0.5 - reach)) - x;
         for (int k = 0; k < n; ++k) {
             F offset = from + F(S(k));
-            store(&weight[k][0], filter.weight(offset));
-            if (slopes) store(&slope[k][0], -filter.slope(offset));
+            F by_place(0);
+            store(&weight[k][0], slopes ? filter.weight(offset, by_place) : filter.weight(offset));
+            if (slopes) store(&slope[k][0], -by_place);
         }
         alignas(64) S f[W];
         store(&f[0], base);
@@ -85,14 +86,15 @@ public:
     template <class F>
     void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const Vector &value) {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
+        if (v.begin == v.end) return;
         int j = h.begin;
         const T a = value[0], b = value[1], c = value[2], d = value[3];
         const Four four{a, b, c, d, a, b, c, d, a, b, c, d, a, b, c, d};
         for (; j + 4 <= h.end; j += 4) {
             const T w0 = x.weight[j][i], w1 = x.weight[j + 1][i], w2 = x.weight[j + 2][i], w3 = x.weight[j + 3][i];
             const Four weight{w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, w3, w3, w3, w3};
-            for (int k = v.begin; k < v.end; ++k) {
-                T *to = reinterpret_cast<T *>(row_at(y.first[i] + k, x.first[i] + j));
+            T *to = reinterpret_cast<T *>(row_at(y.first[i] + v.begin, x.first[i] + j));
+            for (int k = v.begin; k < v.end; ++k, to += Stride * ptrdiff_t(rect_.width())) {
                 Four sum;
                 std::memcpy(&sum, to, sizeof(sum));
                 sum += four * T(y.weight[k][i]) * weight;
@@ -101,8 +103,8 @@ public:
         }
         for (; j < h.end; ++j) {
             const T weight = x.weight[j][i];
-            for (int k = v.begin; k < v.end; ++k)
-                row_at(y.first[i] + k, x.first[i])[j].v += value * T(y.weight[k][i]) * weight;
+            Texel *to = row_at(y.first[i] + v.begin, x.first[i] + j);
+            for (int k = v.begin; k < v.end; ++k, to += rect_.width()) to->v += value * T(y.weight[k][i]) * weight;
         }
     }
     // The derivative of it when the place moves.
@@ -121,16 +123,19 @@ public:
     void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Vector &sum, Vector &by_x, Vector &by_y) const {
         Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
         sum = by_x = by_y = Vector{};
-        for (int k = v.begin; k < v.end; ++k) {
-            const Texel *row = const_cast<SplatFilm *>(this)->row_at(y.first[i] + k, x.first[i]);
+        if (v.begin == v.end) return;
+        Vector all{}, all_x{}, all_y{};
+        Vector across[SplatAxis<F>::Most], slopes[SplatAxis<F>::Most];  // those of the row, in every component
+        for (int j = h.begin; j < h.end; ++j)
+            across[j] = Vector{} + T(x.weight[j][i]), slopes[j] = Vector{} + T(x.slope[j][i]);
+        const Texel *row = const_cast<SplatFilm *>(this)->row_at(y.first[i] + v.begin, x.first[i]);
+        for (int k = v.begin; k < v.end; ++k, row += rect_.width()) {
             Vector value{}, slope{};
-            for (int j = h.begin; j < h.end; ++j) {
-                value += row[j].v * T(x.weight[j][i]);
-                slope += row[j].v * T(x.slope[j][i]);
-            }
+            for (int j = h.begin; j < h.end; ++j) value += row[j].v * across[j], slope += row[j].v * slopes[j];
             T w = T(y.weight[k][i]);
-            sum += value * w, by_x += slope * w, by_y += value * T(y.slope[k][i]);
+            all += value * w, all_x += slope * w, all_y += value * T(y.slope[k][i]);
         }
+        sum = all, by_x = all_x, by_y = all_y;
     }
 
 private:

@@ -68,6 +68,7 @@ public:
     ShadowQueue<S> shadows;
     RayQueries<S> queries;
     Tape<S> tape;
+    CommonKeys keys;  // of the slots that a run begins with
     Diagnostics diagnostics;
     RenderStats stats;
     HitRecorder recorder;             // off unless begun before a run: keeps what its rays hit,
@@ -109,8 +110,17 @@ public:
                 recording ? &tape.last().columns : nullptr,
                 recorder.on(),
                 bender ? &bender->columns : nullptr,
-                recording && bsdfs_alone()};
+                recording && bsdfs_alone(),
+                &keys};
     }
+
+    // Of the first n slots, and of blocks 0 and 1.
+    void find_keys(size_t n) {
+        keys.of_batch(call_.config.sampler, slots.pixel.at, slots.sample.at, n);
+        find_keys_of(0);
+    }
+    // ... of this block and the next one.
+    void find_keys_of(uint32_t block) { keys.find(call_.config.seed, call_.config.sensor, block); }
 
     // See PathContext. Hits that are replayed belong to all rays.
     bool bsdfs_alone() const {

@@ -90,8 +90,9 @@ MediumNeeds GradientRequirements::medium(size_t index) const {
             values("phase", size_t(m.phase))};
 }
 
-bool GradientRequirements::shape(size_t index) const {
-    return moved_shapes_[index] || any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
+bool GradientRequirements::shape(size_t index) const { return moved_shapes_[index] || shape_matrix(index); }
+bool GradientRequirements::shape_matrix(size_t index) const {
+    return any_number("shape", index, {Kind::Transform, Kind::Point, Kind::Float});
 }
 
 bool GradientRequirements::camera(size_t sensor) const {

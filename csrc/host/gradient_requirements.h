@@ -31,6 +31,7 @@ public:
     bool camera(size_t sensor) const;
     // A shape, its normals or texture coordinates.
     bool shape(size_t index) const;
+    bool shape_matrix(size_t index) const;  // where it is, or its size
     // Anything that moves a ray, a hit or a look-up.
     bool motion(size_t sensor) const;
     // Whether what an emitter looks up changes when the place of the look-up does.

@@ -82,8 +82,9 @@ TR_TEST(samplers_take_any_number_of_samples) {
                 CHECK(uint64_t(sampler.columns.n) * sampler.rows.n >= sampler.all.n);
                 for (int64_t s : {first, first + count / 2, first + count - 1}) {
                     auto r = kind == SamplerKind::Sobol
-                                 ? sobol4<double>(sampler, ~0ull, 3, 0x80018005u, uint32_t(s), 4, 4)
-                                 : stratified4<double>(sampler, ~0ull, 3, 0x80018005u, uint32_t(s), 4, 4);
+                                 ? sobol4<double>(sampler, ~0ull, 3,
+                                                  SobolPlace<uint32_t>(sampler, 0x80018005u, uint32_t(s)), 4, AllWanted)
+                                 : stratified4<double>(sampler, ~0ull, 3, 0x80018005u, uint32_t(s), 4, AllWanted);
                     for (double u : r.u) CHECK(u >= 0 && u < 1);
                 }
             }
@@ -241,18 +242,73 @@ TR_TEST(packets_draw_the_same_random_numbers) {
     }
 }
 
+// Numbers do not depend on what else is wanted, nor on how their keys were found.
+TR_TEST(sobol_points_are_the_same_however_they_are_asked_for) {
+    using U = UIntOf<FloatPacket>;
+    const uint64_t seed = 0x123456789abcdefull;
+    for (int64_t count : {int64_t(1), int64_t(16), int64_t(300), int64_t(100000)}) {
+        const SamplerConfig sampler = make_sampler(SamplerKind::Sobol, 3, count);
+        // pixels of one tile, and samples of one pattern
+        uint32_t pixels[2 * TR_PACKET_WIDTH], samples[2 * TR_PACKET_WIDTH];
+        const uint32_t side = 1u << sampler.tile_bits, first = 0x80008000u + (side << 16) + 5 * side;
+        for (uint32_t i = 0; i < 2 * TR_PACKET_WIDTH; ++i) {
+            pixels[i] = first + i % side + (i / side % side << 16);
+            samples[i] = 3 + i % uint32_t(count);
+        }
+        CommonKeys keys;
+        keys.of_batch(sampler, pixels, samples, 2 * TR_PACKET_WIDTH);
+        CHECK(keys.common);
+        keys.find(seed, 2, 4);
+        CHECK(!keys(3) && keys(4) && keys(5) && !keys(6));
+        const SobolPlace<U> place(sampler, load_uint<FloatPacket>(pixels), load_uint<FloatPacket>(samples));
+        for (uint32_t block : {4u, 5u}) {
+            const auto all = sobol4<FloatPacket>(sampler, seed, 2, place, block, AllWanted);
+            for (uint32_t wanted = 1; wanted <= AllWanted; ++wanted) {
+                const auto some = sobol4<FloatPacket>(sampler, seed, 2, place, block, wanted),
+                           common = sobol4<FloatPacket>(sampler, seed, 2, place, block, wanted, keys(block));
+                for (int k = 0; k < 4; ++k) {
+                    const uint32_t bit = k < 2 ? PairWanted : k == 2 ? ThirdWanted : FourthWanted;
+                    for (int i = 0; i < TR_PACKET_WIDTH; ++i) {
+                        const float u = lane(some.u[k], i), v = lane(common.u[k], i);
+                        if (wanted & bit)
+                            CHECK(u == lane(all.u[k], i) && v == u);
+                        else
+                            CHECK(u != u && v != v);
+                    }
+                }
+            }
+        }
+        for (uint32_t *one : {&pixels[1], &samples[1]}) {  // beside the tile; of another pattern
+            const uint32_t kept = *one;
+            *one += one == &pixels[1] ? side : 1u << sampler.bits;
+            keys.of_batch(sampler, pixels, samples, 2 * TR_PACKET_WIDTH);
+            CHECK(!keys.common);
+            keys.find(seed, 2, 4);
+            CHECK(!keys(4));
+            *one = kept;
+        }
+        for (uint32_t y = 0; y < side; ++y)
+            for (uint32_t x = 0; x < side; ++x) {
+                uint32_t expected = 0;
+                for (int b = 0; b < sampler.tile_bits; ++b)
+                    expected |= (x >> b & 1) << (2 * b) | (y >> b & 1) << (2 * b + 1);
+                CHECK(morton_in_tile(first + x + (y << 16), sampler.tile_bits) == expected);
+            }
+    }
+}
+
 TR_TEST(packets_draw_the_same_numbers_from_samplers) {
     using U = UIntOf<FloatPacket>;
     for (int64_t count : {int64_t(1), int64_t(6), int64_t(70000)}) {
         SamplerConfig sampler = make_sampler(SamplerKind::Stratified, 0, count);
         U pixel = lane_index<FloatPacket>() * U(65537u) + U(0x80008000u), sample(uint32_t(count - 1));
-        auto strata = stratified4<FloatPacket>(sampler, 0x123456789abcdefull, 2, pixel, sample, 4, 4);
-        auto points = sobol4<FloatPacket>(sampler, 0x123456789abcdefull, 2, pixel, sample, 4, 4);
+        const uint64_t seed = 0x123456789abcdefull;
+        auto strata = stratified4<FloatPacket>(sampler, seed, 2, pixel, sample, 4, AllWanted);
+        auto points = sobol4<FloatPacket>(sampler, seed, 2, SobolPlace<U>(sampler, pixel, sample), 4, AllWanted);
         for (int i = 0; i < TR_PACKET_WIDTH; ++i) {
-            auto of = [&](auto f) {
-                return f(sampler, 0x123456789abcdefull, 2, lane(pixel, i), lane(sample, i), 4, 4);
-            };
-            auto one = of(&stratified4<float>), other = of(&sobol4<float>);
+            const uint32_t at = lane(pixel, i), number = lane(sample, i);
+            auto one = stratified4<float>(sampler, seed, 2, at, number, 4, AllWanted);
+            auto other = sobol4<float>(sampler, seed, 2, SobolPlace<uint32_t>(sampler, at, number), 4, AllWanted);
             for (int k = 0; k < 4; ++k) {
                 CHECK(lane(strata.u[k], i) == one.u[k]);
                 CHECK(lane(points.u[k], i) == other.u[k]);

@@ -261,6 +261,27 @@ def test_forward_and_reverse_mode_agree(name):
     assert result.forward != 0
 
 
+def test_what_is_left_out_for_one_parameter_alone_was_not_its_own():
+    """Under a field of heights: by the lamp's matrix, the field's, its heights and the floor's matrix, one or all."""
+    y, x = torch.meshgrid(torch.linspace(-1, 1, 9), torch.linspace(-1, 1, 9), indexing="ij")
+    heights = 0.02 * torch.sin(3 * x + 2 * y).double()
+    place = T.translate([0, 0.5, 0]) @ T.rotate([1, 0, 0], -90) @ T.scale([1.5, 1.5, 1])
+    field = {"type": "heightfield", "heights": heights, "to_world": place, "bsdf": GLASS}
+    scene = tr.load_dict(with_camera(ls.beam(), field=field), dtype=torch.float64)
+    names = ["light.to_world", "field.heights", "field.to_world", "floor.to_world"]
+    light = tr.ParticleTracer(max_depth=4, rr_depth=99)
+
+    def gradients(wanted: list[str]) -> list[torch.Tensor]:
+        leaves = {n: scene.get_parameter(n).detach().clone().requires_grad_() for n in wanted}
+        image = tr.render(scene, integrator=light, spp=16, seed=2, params=leaves)
+        return list(torch.autograd.grad((image * weight(image)).sum(), list(leaves.values())))
+
+    for name, together in zip(names, gradients(names), strict=True):
+        (alone,) = gradients([name])
+        torch.testing.assert_close(alone, together, rtol=1e-10, atol=1e-10 * float(together.abs().max()))
+        assert float(together.abs().max()) > 1e-3, name
+
+
 @pytest.mark.parametrize(
     "name",
     [

@@ -5,6 +5,7 @@ To rounding: what is differentiated decides which vertices stand beside each oth
 
 from __future__ import annotations
 
+import motion_scenes as ms
 import pytest
 import reference_scenes
 import torch
@@ -44,6 +45,17 @@ def scenes() -> dict[str, dict]:
     bitmap = {"type": "bitmap", "data": PATTERN, "raw": True}
     tinted = {"coloured": ball([0.6, 0.3, 0.2]), "textured": ball(bitmap)}
     tinted["nearest"] = ball({**bitmap, "filter_type": "nearest"})
+    # shapes whose matrices are left out where nobody differentiates them
+    brushed = {
+        "type": "roughconductor",
+        "alpha_u": 0.1,
+        "alpha_v": 0.4,
+        "eta": 0.2,
+        "k": 3.9,
+    }  # along a field's tangents
+    hills = ms.hills(brushed, ms.floor()["to_world"], 0.04)
+    tinted["hills"] = ms.scene(2, ms.above(), hills=hills, lamp=ms.lamp("rectangle"))
+    tinted["distances"] = ms.scene(3, ms.at_ball(), ball=ms.distances(ms.PLAIN), room=ms.black_room())
     return {**{name: reference_scenes.in_few_pixels(name, SIZE) for name in reference_scenes.SCENES}, **tinted}
 
 

@@ -16,6 +16,9 @@ namespace tr {
 enum class VertexArray { Positions, Normals, Texcoords };
 constexpr int VertexArrays = 3;
 
+// What of a shape is differentiated: it moves, or its normals or coordinates do; and its matrix among what moves it.
+enum ShapeWants : int32_t { ShapeMoves = 1, MatrixMoves = 2 };
+
 // The texels of a look-up, however many they are.
 template <class F>
 struct Taps {
@@ -42,7 +45,7 @@ public:
     TR_FACT(bool, forward, TR_FORWARD) = false;
     // The matrices of curved shapes, 12 numbers a shape, follow the block of small parameters, at `matrices`.
     uint32_t matrices = 0;
-    const int32_t *shape_wanted = nullptr;  // by shape
+    const int32_t *shape_wanted = nullptr;  // by shape, see ShapeWants
     uint32_t non_finite = 0;
     Wavelengths<F> waves;  // of the packet that is swept
 
@@ -99,11 +102,13 @@ public:
     // In forward mode: a number whose adjoint is one has this tangent.
     TR_LARGE void number_tangent(const F &d, const M &active);
 
-    TR_INLINE M wants_shape(const U &shape, const M &active) const {
-        return active && mask<F>(gather<I>(shape_wanted, shape, mask<I>(active)) != 0);
-    }
+    TR_INLINE M wants_shape(const U &shape, const M &active) const { return wants(shape, ShapeMoves, active); }
+    TR_INLINE M wants_matrix(const U &shape, const M &active) const { return wants(shape, MatrixMoves, active); }
 
 private:
+    TR_INLINE M wants(const U &shape, int32_t what, const M &active) const {
+        return active && mask<F>((gather<I>(shape_wanted, shape, mask<I>(active)) & what) != 0);
+    }
     template <class Point>
     TR_HD void any_texture(const Scene &, const I &id, const Point &at, const Spectrum<F> &g, const M &active);
     TR_HD M count_finite(const M &usable, const M &active);

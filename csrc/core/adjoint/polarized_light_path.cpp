@@ -65,8 +65,8 @@ TR_INLINE void sweep_polarized_emission(const SweepContext<F> &c, const LightSen
                                         GradientSink<F> &sink) {
     const SceneOf<F> &scene = c.scene;
     const GradientNeeds &needs = c.needs;
-    EmissionRecord<F> e{entry.v, entry.connection, Entries<F>(i)(tape.connection.emitter_kind), entry.v.beta};
-    VertexRecord<F> &v = e.v;
+    VertexRecord<F> v = entry.v;
+    EmissionRecord<F> e{v, entry.connection, Entries<F>(i)(tape.connection.emitter_kind), v.beta};
     const PolarizedLight<F> lamp = entry.lamp(c, active);
     const Vec3<F> to_camera = entry.emitted_to_camera(sensor), zero{F(0), F(0), F(0)};
     const Stokes<F> behind = seen_from_behind(column_behind<F>(tape, i)), film = entry.film(c, tape, i, to_camera);

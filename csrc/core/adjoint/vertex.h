@@ -82,8 +82,8 @@ struct ConnectionRecord {
 // the weight of the light that leaves along d.
 template <class F>
 struct EmissionRecord {
-    VertexRecord<F> v;
-    ConnectionRecord<F> connection;
+    const VertexRecord<F> &v;
+    const ConnectionRecord<F> &connection;
     IntOf<F> kind;
     Spectrum<F> radiance;
 };

@@ -24,7 +24,7 @@ struct AnisotropicDielectric : MicrofacetDielectric<AnisotropicDielectric> {
                                     "Rough dielectric interface, brushed.",
                                     fields,
                                     6,
-                                    HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric,
+                                    HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric | ChoosesLobe,
                                     "AnisotropicDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 

@@ -16,8 +16,12 @@ struct Dielectric {
     static constexpr int Eta = number_index(fields, "eta");
     static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
                          Transmittance = color_index(fields, "specular_transmittance");
-    static constexpr Model model = {
-        "bsdf", "dielectric", "Smooth dielectric interface.", fields, 3, HasDeltaLobes | Transmits | IsAsymmetric};
+    static constexpr Model model = {"bsdf",
+                                    "dielectric",
+                                    "Smooth dielectric interface.",
+                                    fields,
+                                    3,
+                                    HasDeltaLobes | Transmits | IsAsymmetric | ChoosesLobe};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
     static constexpr Polarization Polarizes = Polarization::Interface;
 

@@ -25,7 +25,7 @@ struct DispersiveDielectric {
                                     "Smooth dielectric interface that disperses.",
                                     fields,
                                     3,
-                                    HasDeltaLobes | Transmits | IsAsymmetric | Disperses,
+                                    HasDeltaLobes | Transmits | IsAsymmetric | Disperses | ChoosesLobe,
                                     "DispersiveDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");
     static constexpr Polarization Polarizes = Polarization::Interface;

@@ -42,8 +42,9 @@ struct Hair {
                          Azimuthal = number_index(fields, "azimuthal_roughness"),
                          Tilt = number_index(fields, "scale_tilt"), Eta = number_index(fields, "eta"),
                          Scale = number_index(fields, "scale");
-    static constexpr Model model = {"bsdf", "hair", "Hair and fur, on the surface of a fibre.",
-                                    fields, 10,     HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric};
+    static constexpr Model model = {
+        "bsdf", "hair", "Hair and fur, on the surface of a fibre.",
+        fields, 10,     HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric | ChoosesLobe};
     static constexpr int Albedo = -1;
     static constexpr bool Joint = true;
 

@@ -14,6 +14,7 @@
 //                                 Written for a scalar type T, it is its own derivative when T is a dual number
 //   pdf(params, wi, wo)           solid-angle density of the smooth part (0 for purely delta models)
 //   sample(params, wi, u0, u1, u2) -> BsdfSample
+//                                 u0 is a number only if the model ChoosesLobe, the others only if it HasSmoothLobes
 //   direction(params, wi, lobe)   models with delta lobes: where such a lobe sends wi
 //
 // or, where value and density are found together (`static constexpr bool Joint = true`), in place of pdf and sample
@@ -277,13 +278,17 @@ struct KernelsOf {
     TR_HD static void sample(const Parameters &at, const Vec3<F> &wi, const F &u0, const F &u1, const F &u2,
                              Transport transport, BsdfSample<F> &sample, Spectrum<F> &f) {
         auto params = unpack<M>(at);
+        constexpr bool chooses = M::model.is(ChoosesLobe);
         if constexpr (IsJoint<M>::value) {
+            static_assert(chooses && Smooth, "numbers are there for those who say that they take them");
             Vec3<F> wo = M::sample(params, wi, u0, u1, u2, transport);
             BsdfValue<F> value = M::eval_pdf(params, wi, wo, transport);
             sample = {wo, value.pdf, F(1), IntOf<F>(0), MaskOf<F>(false)};
             f = value.f;
         } else {
-            sample = M::sample(params, wi, u0, u1, u2);
+            // (what is not declared is not drawn, and shows)
+            const F none(NAN);
+            sample = M::sample(params, wi, chooses ? u0 : none, Smooth ? u1 : none, Smooth ? u2 : none);
             f = eval_model<M>(params, wi, sample.wo, sample.lobe, transport);
         }
     }

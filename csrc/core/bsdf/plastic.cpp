@@ -19,7 +19,7 @@ struct Plastic {
                          Specular = color_index(fields, "specular_reflectance");
     static constexpr int Nonlinear = choice_index(fields, "nonlinear");
     static constexpr Model model = {"bsdf", "plastic", "Smooth plastic, one-sided.",
-                                    fields, 4,         HasSmoothLobes | HasDeltaLobes};
+                                    fields, 4,         HasSmoothLobes | HasDeltaLobes | ChoosesLobe};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
     static constexpr Polarization Polarizes = Polarization::Coat;
 

@@ -22,8 +22,9 @@ struct PolarimetricPlastic {
     static constexpr int Diffuse = color_index(fields, "diffuse_reflectance"),
                          Specular = color_index(fields, "specular_reflectance");
     static constexpr int Distribution = choice_index(fields, "distribution");
-    static constexpr Model model = {
-        "bsdf", "pplastic", "Plastic of polarimetric acquisition, one-sided.", fields, 5, HasSmoothLobes, "PPlastic"};
+    static constexpr Model model = {"bsdf",    "pplastic", "Plastic of polarimetric acquisition, one-sided.",
+                                    fields,    5,          HasSmoothLobes | ChoosesLobe,
+                                    "PPlastic"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
     static constexpr Polarization Polarizes = Polarization::Coat;
 

@@ -59,8 +59,9 @@ struct Principled {
     static constexpr int SpecularRate = number_index(fields, "main_specular_sampling_rate");
     static constexpr int CoatRate = number_index(fields, "clearcoat_sampling_rate");
     static constexpr int Luminance = CoatRate + 1;  // behind the fields' numbers
-    static constexpr Model model = {"bsdf", "principled", "Principled BSDF of Burley.",
-                                    fields, 16,           HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric};
+    static constexpr Model model = {
+        "bsdf", "principled", "Principled BSDF of Burley.",
+        fields, 16,           HasSmoothLobes | FollowsTangent | Transmits | IsAsymmetric | ChoosesLobe};
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;
 

@@ -58,7 +58,7 @@ struct PrincipledThin {
                                     "Principled BSDF of a thin sheet.",
                                     fields,
                                     14,
-                                    HasSmoothLobes | FollowsTangent | Transmits,
+                                    HasSmoothLobes | FollowsTangent | Transmits | ChoosesLobe,
                                     "PrincipledThin"};
     static constexpr int Albedo = field_index(fields, "base_color");
     static constexpr int LuminanceOf = Albedo;

@@ -21,7 +21,7 @@ struct RednerMaterial {
                          Specular = color_index(fields, "specular_reflectance");
     static constexpr int Roughness = number_index(fields, "roughness");
     static constexpr Model model = {"bsdf",          "redner", "Diffuse and Blinn-Phong reflection, one-sided.",
-                                    fields,          3,        HasSmoothLobes,
+                                    fields,          3,        HasSmoothLobes | ChoosesLobe,
                                     "RednerMaterial"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
 

@@ -22,7 +22,7 @@ struct RoughDielectric : MicrofacetDielectric<RoughDielectric> {
                                     "Rough dielectric interface.",
                                     fields,
                                     5,
-                                    HasSmoothLobes | Transmits | IsAsymmetric,
+                                    HasSmoothLobes | Transmits | IsAsymmetric | ChoosesLobe,
                                     "RoughDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
 

@@ -24,8 +24,8 @@ struct RoughPlastic {
                          Specular = color_index(fields, "specular_reflectance");
     static constexpr int Distribution = choice_index(fields, "distribution"),
                          Nonlinear = choice_index(fields, "nonlinear");
-    static constexpr Model model = {"bsdf",         "roughplastic", "Rough plastic, one-sided.", fields, 6,
-                                    HasSmoothLobes, "RoughPlastic"};
+    static constexpr Model model = {
+        "bsdf", "roughplastic", "Rough plastic, one-sided.", fields, 6, HasSmoothLobes | ChoosesLobe, "RoughPlastic"};
     static constexpr int Albedo = field_index(fields, "diffuse_reflectance");
     static constexpr Polarization Polarizes = Polarization::Coat;
     static constexpr bool Tabulated = true;  // of what the coating lets through, see rough_transmittance.h

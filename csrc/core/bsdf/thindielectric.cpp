@@ -15,8 +15,9 @@ struct ThinDielectric {
     static constexpr int Eta = number_index(fields, "eta");
     static constexpr int Reflectance = color_index(fields, "specular_reflectance"),
                          Transmittance = color_index(fields, "specular_transmittance");
-    static constexpr Model model = {"bsdf", "thindielectric",          "Thin pane of glass.", fields,
-                                    3,      HasDeltaLobes | Transmits, "ThinDielectric"};
+    static constexpr Model model = {
+        "bsdf",          "thindielectric", "Thin pane of glass.", fields, 3, HasDeltaLobes | Transmits | ChoosesLobe,
+        "ThinDielectric"};
     static constexpr int Albedo = field_index(fields, "specular_transmittance");  // what goes through is most of it
     static constexpr Polarization Polarizes = Polarization::Pane;
 

@@ -35,9 +35,11 @@ struct DirectionalArea : OnShape<DirectionalAreaEmitter, F> {
 
     // A ray that moves with its surface.
     TR_HD static void emission_vjp(const Scene &scene, const EmissionRecord<F> &e, const NextVertex<F> &next,
-                                   const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &lanes,
+                                   const F &carried, const CoordinateAdjoint<F> &at, const Vec3<F> &, const M &all,
                                    GradientSink<F> &sink) {
         const VertexRecord<F> &v = e.v;
+        const M lanes = sink.wants_shape(v.light.at.shape, all);  // nothing else moves
+        if (!any(lanes)) return;
         Base::sweep_coordinates(scene, v, at, lanes, sink);
         HitAdjoint<F> hit;
         hit.p = next.ray.o;

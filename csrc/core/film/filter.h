@@ -98,6 +98,20 @@ public:
         return select(mask<F>(a < F(S<F>(radius_))), w, F(0));
     }
 
+    // Both at once, which share a Gaussian's exponential.
+    template <class F>
+    TR_INLINE F weight(const F &x, F &slope_of) const {
+        if (kind_ != FilterKind::Gaussian) {
+            slope_of = slope(x);
+            return weight(x);
+        }
+        F a = abs(x), e = exp(a * a * F(S<F>(scale_))), w = e - F(S<F>(end_));
+        auto inside = mask<F>(a < F(S<F>(radius_)));
+        slope_of = select(inside, x * e * F(S<F>(2 * scale_)), F(0));
+        w = select(inside, w, F(0));
+        return unsigned_ ? abs(w) : w;
+    }
+
     double integral(double a, double b) const {
         a = std::min(std::max(a, -radius_), radius_), b = std::min(std::max(b, -radius_), radius_);
         if (kind_ == FilterKind::Mitchell || kind_ == FilterKind::Lanczos) return quadrature(a, b);

@@ -10,7 +10,7 @@ TR_LARGE void start_paths(const PathContext<F> &c, ScalarOf<F> width, ScalarOf<F
     const bool lens = uses_lens(sensor);
     U slot = U(i) + lane_index<F>();
     auto active = mask<F>(slot < U(n_slots));
-    Random4<F> u = choose_position<F>(c.config, c.slots, lens, i);
+    Random4<F> u = choose_position<F>(c.config, c.slots, lens, i, c.keys);
     write(c.slots.alpha, i, F(0));
     write(c.slots.radiance, i, uniform_spectrum(F(0)));
     if (c.config.stokes) {

@@ -39,19 +39,39 @@ constexpr uint32_t BranchLevel = 0x00100000u;
 
 enum class ShadowPurpose : uint32_t { Vertex = 0, Differential = 1 };
 
-// The numbers of a block of a sample. Two of them are a point in the plane: the first two of the camera's (on the
-// film), the second and third of the others (on a light, or of a direction), whose first one chooses (a light, a lobe)
-// and is there if `count` is 3 at least; the last one if it is 4.
+// The numbers of a block of a sample that are wanted. Two of them, a pair, are a point in the plane: the first two of
+// the camera's (on the film), the second and third of the others (on a light, or of a direction), whose first one
+// chooses (a light, a lobe).
 template <class F>
-TR_INLINE Random4<F> draw4(const PathConfig &config, const UIntOf<F> &pixel, const UIntOf<F> &sample, uint32_t block,
-                           int count) {
-    if (config.sampler.kind == SamplerKind::Independent)
-        return random4<F>(config.seed, config.sensor, pixel, sample, block);
-    Random4<F> r = config.sampler.kind == SamplerKind::Sobol
-                       ? sobol4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, count)
-                       : stratified4<F>(config.sampler, config.seed, config.sensor, pixel, sample, block, count);
-    return block == 0 ? r : Random4<F>{{r.u[2], r.u[0], r.u[1], r.u[3]}};
-}
+class PathNumbers {
+    using U = UIntOf<F>;
+
+public:
+    U pixel, sample;
+
+    // `keys`: of Sobol' points, if the samples are of a batch that has them.
+    TR_INLINE PathNumbers(const PathConfig &config, const U &pixel, const U &sample, const CommonKeys *keys = nullptr)
+        : pixel(pixel), sample(sample), config_(config), keys_(keys) {
+        if (config.sampler.kind == SamplerKind::Sobol) place_ = SobolPlace<U>(config.sampler, pixel, sample);
+    }
+
+    TR_INLINE Random4<F> draw(uint32_t block, uint32_t wanted) const {
+        const SamplerConfig &sampler = config_.sampler;
+        if (wanted == 0) return Random4<F>{};
+        if (sampler.kind == SamplerKind::Independent)
+            return random4<F>(config_.seed, config_.sensor, pixel, sample, block);
+        Random4<F> r = sampler.kind == SamplerKind::Sobol
+                           ? sobol4<F>(sampler, config_.seed, config_.sensor, place_, block, wanted,
+                                       keys_ ? (*keys_)(block) : nullptr)
+                           : stratified4<F>(sampler, config_.seed, config_.sensor, pixel, sample, block, wanted);
+        return block == 0 ? r : Random4<F>{{r.u[2], r.u[0], r.u[1], r.u[3]}};
+    }
+
+private:
+    const PathConfig &config_;
+    const CommonKeys *keys_;
+    SobolPlace<U> place_;
+};
 
 // The wavelengths of a sample. Of colours in rgb there is nothing to choose.
 template <class F>

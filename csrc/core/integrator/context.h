@@ -29,6 +29,7 @@ struct PathContext {
     TR_FACT(const BentColumns<S> *, bent, nullptr) = nullptr;  // by entry of the queue; null: no medium bends light
     // Of the tape: nothing but values of BSDFs is differentiated, so that light counts from the first such vertex on.
     bool bsdfs_alone = false;
+    TR_FACT(const CommonKeys *, keys, nullptr) = nullptr;  // of Sobol' points, of this step; null: none are kept
 
     TR_INLINE bool differentiates(bool GradientNeeds::*what) const { return tape && needs->*what; }
     // How rays arrive: they move, or polarised light is turned about them.
@@ -37,20 +38,22 @@ struct PathContext {
 
 // The samples of a packet, and their random numbers.
 template <class F>
-struct PacketSamples {
-    UIntOf<F> pixel, sample;
-
-    TR_INLINE PacketSamples(const PathContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active) {
-        LaneSet<F> lanes(slot, active);
-        pixel = lanes(c.slots.pixel), sample = lanes(c.slots.sample);
-    }
-    TR_INLINE Random4<F> draw(const PathConfig &config, uint32_t block, int count) const {
-        return draw4<F>(config, pixel, sample, block, count);
-    }
+struct PacketSamples : PathNumbers<F> {
+    TR_INLINE PacketSamples(const PathContext<F> &c, const UIntOf<F> &slot, const MaskOf<F> &active)
+        : PacketSamples(c, LaneSet<F>(slot, active)) {}
     TR_INLINE Wavelengths<F> wavelengths(const PathConfig &config) const {
-        return wavelengths_of<F>(config, pixel, sample);
+        return wavelengths_of<F>(config, this->pixel, this->sample);
     }
+
+private:
+    TR_INLINE PacketSamples(const PathContext<F> &c, const LaneSet<F> &lanes)
+        : PathNumbers<F>(c.config, lanes(c.slots.pixel), lanes(c.slots.sample), c.keys) {}
 };
+
+// The numbers that a sample of a BSDF takes.
+TR_HD constexpr uint32_t numbers_of(const BsdfInfo &bsdf) {
+    return (bsdf.is(HasSmoothLobes) ? PairWanted : 0u) | (bsdf.is(ChoosesLobe) ? ThirdWanted : 0u);
+}
 
 // Lanes whose value is finite; the others are counted and the first one remembered.
 template <class F>

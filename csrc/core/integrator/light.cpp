@@ -74,8 +74,9 @@ TR_LARGE void start_light_paths(const PathContext<F> &c, const LightSensor<Scala
     using S = ScalarOf<F>;
     using U = UIntOf<F>;
     Entries<F> from(i);
-    U slot = U(i) + lane_index<F>(), pixel = from(c.slots.pixel), sample = from(c.slots.sample);
-    Random4<F> u = draw4<F>(c.config, pixel, sample, 0, 2), v = draw4<F>(c.config, pixel, sample, EmissionBlock, 3);
+    U slot = U(i) + lane_index<F>();
+    const PathNumbers<F> numbers(c.config, from(c.slots.pixel), from(c.slots.sample), c.keys);
+    Random4<F> u = numbers.draw(0, PairWanted), v = numbers.draw(EmissionBlock, PairWanted | ThirdWanted);
     F a = (F(IntOf<F>(from(c.slots.column))) + u.u[0]) * F(S(1) / sensor.camera.width);
     F b = (F(IntOf<F>(from(c.slots.row))) + u.u[1]) * F(S(1) / sensor.camera.height);
     write(c.slots.radiance, i, uniform_spectrum(F(0)));
@@ -200,8 +201,7 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
     orient(c, bsdf, si, active);
     Vec3<F> wi = resolved.mirror(si.frame.to_local(-ray.d));
     const uint32_t block = BlocksPerScattering * step.scattering();
-    Random4<F> u{};
-    if (goes_on) u = samples.draw(config, BsdfBlock + block, 3);
+    Random4<F> u = samples.draw(BsdfBlock + block, goes_on ? numbers_of(bsdf) : 0u);
     Connection<F> to{};
     if (bsdf.is(HasSmoothLobes) && sensor.meter < 0) to = connect(sensor.camera, si.p, M(false), active);
     if (config.hide_emitters) to.seen = to.seen && mask<F>(si.shape.emitter < 0);
@@ -223,7 +223,7 @@ TR_LARGE void shade_light_path(const PathContext<F> &c, const LightSensor<Scalar
     F throughput = max_component(survival), keep(1);
     alive = alive && mask<F>(throughput > F(0));
     if (roulette)
-        keep = play_roulette(throughput, F(1), samples.draw(config, EmitterBlock + block, 4).u[3], M(true), alive);
+        keep = play_roulette(throughput, F(1), samples.draw(EmitterBlock + block, FourthWanted).u[3], M(true), alive);
     if (c.tape) {
         OutgoingPacket<F> outgoing = passing<F>(select(alive, s.inverse_pdf * keep, F(0)));
         outgoing.wo_light = s.wo_camera, outgoing.light_weight = select(connected, to.importance, F(0));

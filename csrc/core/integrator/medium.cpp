@@ -231,8 +231,8 @@ TR_LARGE void shade_medium(const PathContext<F> &c, const PathStep &step, const 
     auto may = lanes.active && may_scatter<F>(config, path_depth);
     PacketSamples<F> samples(c, slot, lanes.active);
     const uint32_t block = BlocksPerScattering * uint32_t(step.depth);
-    Random4<F> u_light = samples.draw(config, EmitterBlock + block, 4);
-    Random4<F> u_phase = samples.draw(config, BsdfBlock + block, 3);
+    Random4<F> u_light = samples.draw(EmitterBlock + block, AllWanted);
+    Random4<F> u_phase = samples.draw(BsdfBlock + block, PairWanted | ThirdWanted);
     MediumScattering<F> s = scatter(c, samples.wavelengths(config), medium, p, d, u_light, u_phase, may);
     Spectrum<F> contribution = apply(pull(beta, s.albedo), s.emitted) * (s.phase_light * s.light_weight);
     auto lit = s.shadow_ray && finite(c, contribution, s.shadow_ray, Culprit::Medium, medium);
@@ -393,7 +393,8 @@ TR_LARGE void record_segment(const PathContext<F> &c, const MediumContext<F> &m,
     UIntOf<F> slot = lanes(in.slot);
     PacketSamples<F> samples(c, slot, lanes.active);
     Wavelengths<F> waves = samples.wavelengths(c.config);
-    Random4<F> u_light = samples.draw(c.config, EmitterBlock + BlocksPerScattering * uint32_t(step.depth), 4);
+    Random4<F> u_light =
+        samples.draw(EmitterBlock + BlocksPerScattering * uint32_t(step.depth), PairWanted | ThirdWanted);
     MediumScattering<F> s;
     for_each_distinct<F>(medium, may, [&](int32_t k, const MaskOf<F> &same) {
         const MediumInfo &info = c.scene.media[k];
@@ -429,8 +430,8 @@ TR_LARGE void start_branches(const PathContext<F> &c, const MediumContext<F> &m,
     if (!any(active)) return;
     Vec3<F> p = from(branch.p), d = from(branch.d), wo = d;
     F pdf(0);
-    Random4<F> u = draw4<F>(c.config, from(c.slots.pixel), from(c.slots.sample),
-                            BsdfBlock + BlocksPerScattering * (BranchLevel - 1), 3);
+    const PathNumbers<F> numbers(c.config, from(c.slots.pixel), from(c.slots.sample));
+    Random4<F> u = numbers.draw(BsdfBlock + BlocksPerScattering * (BranchLevel - 1), PairWanted | ThirdWanted);
     for_each_distinct<F>(from(branch.medium), active, [&](int32_t k, const MaskOf<F> &same) {
         const MediumInfo &info = c.scene.media[k];
         wo = select(same, sample_phase(c.scene, info.phase, p, d, u.u[0], u.u[1], u.u[2], same), wo);

@@ -10,7 +10,7 @@ template <class F>
 TR_LARGE ResolvedBsdf<F> resolve_hit(const PathContext<F> &c, const PacketSamples<F> &samples, Interaction<F> &si,
                                      const Vec3<F> &d, uint32_t scattering, bool viewed, const MaskOf<F> &active) {
     if (!c.scene.has_stacks) return resolve_bsdf<F>(c.scene, si.shape.bsdf, mask<F>(dot(si.frame.n, d) > F(0)), active);
-    Random4<F> u = samples.draw(c.config, BsdfBlock + BlocksPerScattering * scattering, 4);
+    Random4<F> u = samples.draw(BsdfBlock + BlocksPerScattering * scattering, FourthWanted);
     const int32_t *differentiated = c.differentiates(&GradientNeeds::bsdf) ? c.needs->bsdfs : nullptr;
     return resolve_stack(c.scene, samples.wavelengths(c.config), si, d, u.u[3], viewed, differentiated, active);
 }
@@ -111,8 +111,7 @@ TR_INLINE Scattering<F> scatter(const PathContext<F> &c, const Wavelengths<F> &w
     const bool first = step.depth == 0;
     F n_light(S(first ? c.config.emitter_samples : 1)), n_bsdf(S(first ? c.config.bsdf_samples : 1));
     Scattering<F> r;
-    if (bsdf.is(HasSmoothLobes) && c.scene.n_emitters > 0 && step.split < c.config.emitter_samples && any(lit))
-        sample_light(c, waves, bsdf, params, si, wi, resolved, u_light, n_light, n_bsdf, lit, r);
+    if (any(lit)) sample_light(c, waves, bsdf, params, si, wi, resolved, u_light, n_light, n_bsdf, lit, r);
     bsdf.sample(params, wi, u_bsdf.u[0], u_bsdf.u[1], u_bsdf.u[2], Transport::Radiance, r.sample, r.f);
     r.alive = active && mask<F>(r.sample.pdf > F(0)) && mask<F>(F(S(step.split)) < n_bsdf);
     r.inverse_pdf = select(r.alive, F(1) / select(r.alive, n_bsdf * r.sample.pdf, F(1)), F(0));
@@ -221,16 +220,18 @@ TR_LARGE void shade_surface(const PathContext<F> &c, int kind, const PathStep &s
     Vec3<F> wi = resolved.mirror(si.frame.to_local(-ray.d));
     const uint32_t block = BlocksPerScattering * step.scattering();
     const bool differentiates = c.differentiates(&GradientNeeds::bsdf);
-    M differentiated(false), lit = may;
+    const bool samples_lights =
+        bsdf.is(HasSmoothLobes) && c.scene.n_emitters > 0 && step.split < config.emitter_samples;
+    M differentiated(false), lit = may && M(samples_lights);
     if (differentiates) differentiated = is_differentiated(c, resolved, active);
     if (c.bsdfs_alone) {
         seen = select(mask<U>(differentiated), seen | SeenDifferentiated, seen);
         lit = lit && has_differentiated<F>(seen);
         if (any(differentiated)) write(c.tape->vertex.slot, i, slot_on_tape(c, slot, seen));
     }
-    Random4<F> u_light{};
-    if (roulette || any(lit)) u_light = samples.draw(config, EmitterBlock + block, roulette ? 4 : 3);
-    Random4<F> u_bsdf = samples.draw(config, BsdfBlock + block, 3);
+    const uint32_t of_light = (any(lit) ? PairWanted | ThirdWanted : 0u) | (roulette ? FourthWanted : 0u);
+    Random4<F> u_light = samples.draw(EmitterBlock + block, of_light);
+    Random4<F> u_bsdf = samples.draw(BsdfBlock + block, numbers_of(bsdf));
     Scattering<F> s = scatter(c, waves, bsdf, si, wi, resolved, step, seen, u_light, u_bsdf, may, lit);
     if (c.bent) leave_bending(c.scene, si, medium, resolved, active, s);
     push_light_ray(c, si, s, beta, slot, i, resolved.bsdf, medium, shadows);

@@ -55,6 +55,9 @@ inline SamplerConfig make_sampler(SamplerKind kind, int64_t first, int64_t count
 }
 #endif
 
+// Which of a block's four numbers are wanted: two that are a point in the plane, and two that are chosen by themselves.
+enum Wanted : uint32_t { PairWanted = 1, ThirdWanted = 2, FourthWanted = 4, AllWanted = 7 };
+
 // What tells the numbers that choose permutations and scrambles from those that are used themselves.
 constexpr uint32_t KeyBlocks = 1u << 31;
 

@@ -9,11 +9,11 @@
 
 namespace tr {
 
-// A pair, a number that is stratified by itself (not a number unless three are wanted), and one that is not. With one
+// A pair, a number that is stratified by itself (not a number unless it is wanted), and one that is not. With one
 // sample a pixel they are those of `random4`.
 template <class F>
 TR_NOINLINE Random4<F> stratified4(const SamplerConfig &sampler, uint64_t seed, uint32_t sensor, const UIntOf<F> &pixel,
-                                   const UIntOf<F> &sample, uint32_t block, int wanted) {
+                                   const UIntOf<F> &sample, uint32_t block, uint32_t wanted) {
     using U = UIntOf<F>;
     uint32_t k0 = uint32_t(seed), k1 = uint32_t(seed >> 32);
     U within;
@@ -28,14 +28,15 @@ TR_NOINLINE Random4<F> stratified4(const SamplerConfig &sampler, uint64_t seed, 
     U x = place(sampler.columns, permute(column, sampler.columns.n, key[2]), x_jitter);
     U y = place(sampler.all, stratum, jitter[1]);
     Random4<F> r{{unit_number<F>(x), unit_number<F>(y), F(NAN), unit_number<F>(jitter[3])}};
-    if (wanted > 2) r.u[2] = unit_number<F>(place(sampler.all, permute(within, sampler.all.n, key[3]), jitter[2]));
+    if (wanted & ThirdWanted)
+        r.u[2] = unit_number<F>(place(sampler.all, permute(within, sampler.all.n, key[3]), jitter[2]));
     return r;
 }
 
 #define TR_ELSEWHERE(S)                                                                                      \
     extern template Random4<PacketOf<S>> stratified4<PacketOf<S>>(const SamplerConfig &, uint64_t, uint32_t, \
                                                                   const UIntOf<PacketOf<S>> &,               \
-                                                                  const UIntOf<PacketOf<S>> &, uint32_t, int);
+                                                                  const UIntOf<PacketOf<S>> &, uint32_t, uint32_t);
 TR_FOR_EACH_PRECISION(TR_ELSEWHERE)
 #undef TR_ELSEWHERE
 
