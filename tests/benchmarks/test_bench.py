@@ -295,6 +295,8 @@ def test_variance(tmp_path):
     assert first["program"] == "ours, independent"
     assert first["relative to the first"] == 1
     assert 0 < first["error, 8 spp"] < first["error, 2 spp"] < 10  # a factor of 2, of 768 numbers in 2 rounds
+    with pytest.raises(SystemExit, match="Mitsuba's samplers take powers of four, got 2"):
+        run(tmp_path, "variance", *TINY, *options, "--peer", f"mitsuba={sys.executable}")
 
 
 def test_smoke(tmp_path, fake_peer):
