@@ -69,9 +69,11 @@ TR_INLINE void sweep_mesh_vertex(VertexArray array, const UIntOf<F> &vertex, con
     sink.vertex(array, i + 2u, g.z, active);
 }
 
-// Adjoints of the matrix of a curved shape.
+// Adjoints of the matrix of a curved shape, where they are wanted.
 template <class F>
-TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &active, GradientSink<F> &sink) {
+TR_INLINE void sweep_matrix(const UIntOf<F> &shape, const F (&g)[12], const MaskOf<F> &lanes, GradientSink<F> &sink) {
+    const MaskOf<F> active = sink.wants_matrix(shape, lanes);
+    if (!any(active)) return;
     IntOf<F> offset = IntOf<F>(shape * 12u + sink.matrices);
     for (int i = 0; i < 12; ++i) sink.scalar(offset + i, g[i], active);
 }

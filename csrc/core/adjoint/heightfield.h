@@ -59,8 +59,7 @@ TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const Surface
             q = select(glued, g.p + from_segment, q);
 
             auto wanted = lanes && any_wanted;
-            auto placed = sink.wants_matrix(at.shape, wanted);
-            if (any(placed)) {
+            if (any(sink.wants_matrix(at.shape, wanted))) {
                 const F row[3] = {q.x, q.y, q.z}, column[3] = {local.x, local.y, local.z}, ms[3] = {m.x, m.y, m.z},
                         ks[3] = {k_bar.x, k_bar.y, k_bar.z};
                 F determinant = select(glued, in.log_jacobian_bar, F(0)), matrix[12];  // d log det(M) = tr(M^-1 dM)
@@ -69,7 +68,7 @@ TR_NOINLINE Vec3<F> sweep_height_fields(const SceneView<S> &scene, const Surface
                         matrix[4 * i + j] = row[i] * column[j] - ms[i] * ks[j] + determinant * to_object[4 * j + i];
                     matrix[4 * i + 3] = row[i];
                 }
-                sweep_matrix<F>(at.shape, matrix, placed, sink);
+                sweep_matrix<F>(at.shape, matrix, wanted, sink);
             }
             if (any(wanted)) {
                 F z_bar = q.x * to_world[2] + q.y * to_world[6] + q.z * to_world[10];
@@ -97,8 +96,7 @@ TR_NOINLINE void sweep_height_positions(const SceneView<S> &scene, const Surface
                                           column[4] = {F(2) * at.b1 - F(1), F(2) * at.b2 - F(1), z, F(1)};
                                   F matrix[12];
                                   for (int i = 0; i < 12; ++i) matrix[i] = row[i / 4] * column[i % 4];
-                                  auto placed = sink.wants_matrix(at.shape, lanes);
-                                  if (any(placed)) sweep_matrix<F>(at.shape, matrix, placed, sink);
+                                  sweep_matrix<F>(at.shape, matrix, lanes, sink);
                                   F z_bar = p_bar.x * to_world[2] + p_bar.y * to_world[6] + p_bar.z * to_world[10];
                                   sweep_heights(heights, at.b1, at.b2, z_bar, F(0), F(0), lanes, sink);
                               });

@@ -120,8 +120,7 @@ TR_NOINLINE Vec3<F> sweep_sdf_grids(const SceneView<S> &scene, const SurfacePoin
             Vec3<F> local = p.local(grid);
             const F row[3] = {q.x, q.y, q.z}, column[4] = {local.x, local.y, local.z, F(1)};
             for (int i = 0; i < 12; ++i) matrix[i] = fmadd(row[i / 4], column[i % 4], matrix[i]);
-            auto placed = sink.wants_matrix(at.shape, wanted);
-            if (any(placed)) sweep_matrix<F>(at.shape, matrix, placed, sink);
+            sweep_matrix<F>(at.shape, matrix, wanted, sink);
             Footprint<F, 8> taps;
             for (int k = 0; k < 8; ++k) {
                 taps.texel[k] =

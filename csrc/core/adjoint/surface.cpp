@@ -58,8 +58,7 @@ TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at,
             for (int j = 0; j < 3; ++j) matrix[4 * i + j] = us[i] * lu[j] + vs[i] * lv[j];
             matrix[4 * i + 3] = F(0);
         }
-        auto moved = sink.wants_matrix(at.shape, lanes);
-        if (any(moved)) sweep_matrix<F>(at.shape, matrix, moved, sink);
+        sweep_matrix<F>(at.shape, matrix, lanes, sink);
     };
     if (any(field))
         each_shape<HeightView, F>(
