@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from typing import Any
 
 import torch
+
+from torchrender.scene.film import FILTERS
 
 from .arguments import peer_argument
 from .embree_alone import Pair
 from .measured import Measured, rounds
 from .ours import Ours, chosen
-from .peers import Peer, Peers
+from .peers import KNOWN, Peer, Peers
 from .report import Result, Table
 from .rows import Row
 from .scene_arrays import load_peer
@@ -19,6 +22,9 @@ from .scene_arrays import load_peer
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     peer_argument(parser)
+    parser.add_argument(
+        "--filter", choices=FILTERS, default="box", help="the scenes' reconstruction filter (default %(default)s)"
+    )
 
 
 def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tuple[dict[str, Any], dict[str, Any], str]:
@@ -67,14 +73,18 @@ def measure_row(row: Row, peers: list[Peer], options: argparse.Namespace) -> tup
 
 
 def run(options: argparse.Namespace) -> Result:
+    for name, _ in options.peer:
+        if KNOWN[name].reads_arrays and options.filter != "box":
+            raise SystemExit(f"--filter: {KNOWN[name].title} has box filters alone, got {options.filter}")
+    rows = [replace(row, arguments={**row.arguments, "rfilter": options.filter}) for row in chosen(options)]
     torch.set_num_threads(options.threads)
     with Peers(options.peer, options.threads, options.renderer) as peers:
-        measured = [measure_row(row, peers, options) for row in chosen(options)]
+        measured = [measure_row(row, peers, options) for row in rows]
         versions = {peer.key: peer.version for peer in peers}
         who = [""] + [f"{peer.title} " for peer in peers]
     title = (
-        f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, {options.threads} threads, "
-        f"medians of {options.rounds} alternating rounds"
+        f"{options.resolution}x{options.resolution}, {options.spp} spp, depth 5, {options.filter} filter, "
+        f"{options.threads} threads, medians of {options.rounds} alternating rounds"
     )
     notes = [
         "Image alone: without derivatives (torch.no_grad). Sum: forward and backward.",

@@ -26,14 +26,23 @@ constexpr double LargestRounding = 5e-7, LargestSkew = 1e-3;
 // Where rays meet a plane, all times `det` >= 0: nothing is divided until the nearest face is known.
 struct Meeting {
     F t, u, v, det;
+    Vec3<F> from;  // the plane's origin, the ray's
 
     template <class Plane>
     TR_INLINE Meeting(const Plane &p, const Rays &rays) {
-        Vec3<F> from{rays.o.x - F(p.origin[0]), rays.o.y - F(p.origin[1]), rays.o.z - F(p.origin[2])};
+        from = {rays.o.x - F(p.origin[0]), rays.o.y - F(p.origin[1]), rays.o.z - F(p.origin[2])};
         F along = product(p.n, rays.d), height = product(p.n, from);
         M below = mask<F>(along > F(0));
         det = abs(along);
         t = select(below, -height, height);
+    }
+    // Ahead of the ray, and before distance t_max / det_max; what a ray begins on is not hit.
+    TR_INLINE M ahead(const F &t_max, const F &det_max) const {
+        return mask<F>(t > F(0)) && mask<F>(t * det_max < t_max * det);
+    }
+    // Where in the plane.
+    template <class Plane>
+    TR_INLINE void place(const Plane &p, const Rays &rays) {
         u = fmadd(product(p.u, from), det, product(p.u, rays.d) * t);
         v = fmadd(product(p.v, from), det, product(p.v, rays.d) * t);
     }
@@ -43,7 +52,7 @@ struct Meeting {
     template <bool Parallelogram>
     TR_INLINE M inside() const {
         F low = det * F(-Margin), high = det - low;
-        M r = mask<F>(t > F(0)) && mask<F>(u >= low) && mask<F>(v >= low);  // what a ray begins on is not hit
+        M r = mask<F>(u >= low) && mask<F>(v >= low);
         if (Parallelogram) return r && mask<F>(u <= high) && mask<F>(v <= high);
         return r && mask<F>(u + v <= high);
     }
@@ -58,7 +67,10 @@ struct Nearest {
     TR_INLINE void test(const Planes &planes, const Rays &rays, uint32_t first) {
         for (size_t k = 0; k < planes.size(); ++k) {
             Meeting m(planes[k], rays);
-            M nearer = m.template inside<Parallelogram>() && mask<F>(m.t * det < t * m.det);
+            M nearer = m.ahead(t, det);
+            if (!any(nearer)) continue;  // of many rays that go the same way all, if they go away from a wall
+            m.place(planes[k], rays);
+            nearer = nearer && m.template inside<Parallelogram>();
             t = select(nearer, m.t, t);
             det = select(nearer, m.det, det);
             u = select(nearer, m.u, u);
@@ -191,7 +203,10 @@ void FaceList::occluded(const RayBatch &rays, uint8_t *hit, size_t n) const {
         auto test = [&](const auto &planes, auto parallelogram) {
             for (const Plane &plane : planes) {
                 Meeting m(plane, r);
-                open = open && !(m.inside<parallelogram>() && mask<F>(m.t < r.tmax * m.det));
+                M met = open && m.ahead(r.tmax, F(1));
+                if (!any(met)) continue;
+                m.place(plane, r);
+                open = open && !(met && m.inside<parallelogram>());
                 if (!any(open)) return;
             }
         };

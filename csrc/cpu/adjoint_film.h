@@ -23,26 +23,26 @@ std::unique_ptr<Film> adjoint_film(const RenderCall<S> &call, const TileSchedule
 }
 
 // The adjoints of the radiances of a batch.
-template <class S>
-void collect_adjoints(const RenderCall<S> &call, const std::vector<FilmBlock> &blocks, const std::vector<Span> &spans,
-                      const SlotColumns<S> &slots) {
+template <class F>
+void collect_adjoints(const RenderCall<ScalarOf<F>> &call, const std::vector<FilmBlock> &blocks,
+                      const std::vector<Span> &spans, const SlotColumns<ScalarOf<F>> &slots) {
+    using S = ScalarOf<F>;
     const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
     const SpectrumColumn<S> parts[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
     const int n_parts = call.config.stokes ? 4 : 1;
     for (const Span &span : spans)
-        for (size_t k = span.begin; k < span.end; ++k) {
+        for_film_places<F>(call.filter, slots, span.begin, span.end, [&](size_t k, const FilmPlace<F> &place) {
             if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
                 for (int p = 0; p < n_parts; ++p)
                     for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
-                continue;
+                return;
             }
             double d[4 * SpectrumSize] = {};
-            blocks[span.unit].collect(call.filter, int32_t(slots.row[k]), int32_t(slots.column[k]),
-                                      double(slots.film_y[k]), double(slots.film_x[k]), d);
+            blocks[span.unit].collect(place, d);
             for (int p = 0; p < n_parts; ++p)
                 for (int c = 0; c < SpectrumSize; ++c)
                     parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
-        }
+        });
 }
 
 }  // namespace tr

@@ -155,7 +155,7 @@ protected:
     // ------------------------------------------------------------------------------------------------------- sums
     // What a place on the film gets of the adjoint.
     void collect(S x, S y, double *to) const {
-        boundary_.film->collect(boundary_.filter, int(std::floor(y)), int(std::floor(x)), double(y), double(x), to);
+        for_film_place(boundary_.filter, x, y, [&](const FilmPlace<S> &place) { boundary_.film->collect(place, to); });
     }
     // Whether a pixel that is wanted may get something of it. (Beyond the part of the film that has samples nothing is
     // seen.)

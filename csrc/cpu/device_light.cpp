@@ -20,7 +20,7 @@ RenderCall<S> call_of_paths(const RenderCall<S> &call) {
 
 template <class S>
 SplatPlace place_of(const RenderCall<S> &call) {
-    return {call.filter, std::min(call.filter.reach(), MaxReach), call.crop, call.values};
+    return {call.filter, call.crop, call.values};
 }
 
 template <class S>

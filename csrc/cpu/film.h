@@ -4,8 +4,7 @@
 #include <stdexcept>
 #include <vector>
 
-#include "core/film/filter.h"
-#include "core/film/sums.h"
+#include "film_places.h"
 
 namespace tr {
 
@@ -51,10 +50,12 @@ struct FilmBlock {
     }
     const double *at(int y, int x) const { return const_cast<FilmBlock *>(this)->at(y, x); }
 
-    // Adds a sample of pixel (row, column), at film position (y, x) in pixels. (The position itself may have been
-    // rounded into the next pixel.)
-    void splat(const Filter &filter, int row, int column, double y, double x, const double *value) {
-        for_reached(filter, row, column, y, x, [&](double *p, double w) { add_sample(p, w, value, values, moments); });
+    // Adds a sample.
+    template <class F>
+    void splat(const FilmPlace<F> &place, const double *value) {
+        if (values == 4 && moments == 0)  // most are: three components and alpha
+            return for_reached(place, [&](double *p, double w) { add_sample(p, w, value, 4, 0); });
+        for_reached(place, [&](double *p, double w) { add_sample(p, w, value, values, moments); });
     }
 
     // The same for samples k .. end of one pixel with the box filter, whose values are in columns.
@@ -79,35 +80,49 @@ struct FilmBlock {
     }
 
     // Adds the weights alone of a sample that counts `times` times.
-    void add_weight(const Filter &filter, int row, int column, double y, double x, double times) {
-        for_reached(filter, row, column, y, x, [&](double *p, double w) { p[values] += w * times; });
+    template <class F>
+    void add_weight(const FilmPlace<F> &place, double times) {
+        for_reached(place, [&](double *p, double w) { p[values] += w * times; });
     }
 
     // The transposed of `splat`: what a sample gets of the numbers in the block.
-    void collect(const Filter &filter, int row, int column, double y, double x, double *to) const {
+    template <class F>
+    void collect(const FilmPlace<F> &place, double *to) const {
+        auto *block = const_cast<FilmBlock *>(this);
+        if (values == 3 && moments == 0) {
+            double sum[4] = {};  // as a vector, in which the sum of weights does not matter
+            block->for_reached(place, [&](const double *p, double w) {
+                for (int c = 0; c < 4; ++c) sum[c] += w * p[c];
+            });
+            std::copy_n(sum, 3, to);
+            return;
+        }
         for (int c = 0; c < values; ++c) to[c] = 0;
-        const_cast<FilmBlock *>(this)->for_reached(filter, row, column, y, x, [&](const double *p, double w) {
+        block->for_reached(place, [&](const double *p, double w) {
             for (int c = 0; c < values; ++c) to[c] += w * p[c];
         });
     }
 
 private:
-    template <class Visit>
-    void for_reached(const Filter &filter, int row, int column, double y, double x, Visit &&visit) {
-        int reach = filter.reach();
-        if (reach == 0) {
-            if (rect.contains(row, column)) visit(at(row, column), 1.0);
+    // visit(sums of a pixel, weight)
+    template <class F, class Visit>
+    void for_reached(const FilmPlace<F> &place, Visit &&visit) {
+        if (!place.axes) {
+            if (rect.contains(place.row, place.column)) visit(at(place.row, place.column), 1.0);
             return;
         }
-        double wx[2 * MaxReach + 1];
-        reach = std::min(reach, MaxReach);
-        int x0 = std::max(column - reach, rect.x0), x1 = std::min(column + reach, rect.x1 - 1);
-        for (int i = x0; i <= x1; ++i) wx[i - x0] = filter(i + 0.5 - x);
-        for (int j = std::max(row - reach, rect.y0); j <= std::min(row + reach, rect.y1 - 1); ++j) {
-            double wy = filter(j + 0.5 - y);
+        const SplatAxis<F> &x = place.axes->x, &y = place.axes->y;
+        const int lane = place.lane, x0 = x.first[lane], y0 = y.first[lane];
+        const int begin = std::max(0, rect.x0 - x0), end = std::min(x.n, rect.x1 - x0);
+        if (begin >= end) return;
+        for (int j = std::max(0, rect.y0 - y0); j < std::min(y.n, rect.y1 - y0); ++j) {
+            const double wy = double(y.weight[j][lane]);
             if (wy == 0) continue;
-            for (int i = x0; i <= x1; ++i)
-                if (wx[i - x0] != 0) visit(at(j, i), wy * wx[i - x0]);
+            double *p = at(y0 + j, x0 + begin);
+            for (int i = begin; i < end; ++i, p += channels()) {
+                const double wx = double(x.weight[i][lane]);
+                if (wx != 0) visit(p, wy * wx);
+            }
         }
     }
 };

@@ -51,7 +51,7 @@ RenderStats splat_paths(const RenderCall<ScalarOf<F>> &call, const DerivativeCal
                     for (int c = 0; c < pixel; ++c) columns[c] = parts[c / call.values][c % call.values];
                     columns[pixel] = slots.alpha.at;
                     for (const Span &span : spans)
-                        splat_span(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
+                        splat_span<F>(blocks[span.unit], call.filter, slots, span.begin, span.end, columns, values);
                 });
                 merge.push(item, std::move(blocks), stop);
             });
@@ -143,7 +143,7 @@ RenderStats reverse_paths(const RenderCall<ScalarOf<F>> &call,
                     if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
                     tile.begin(n);
                     for (size_t k = 0; k < pulls.size(); ++k) {
-                        collect_adjoints(call, blocks[k], spans, slots);
+                        collect_adjoints<F>(call, blocks[k], spans, slots);
                         tile.pull_adjoints();
                         tile.keep(k, n);
                     }

@@ -44,7 +44,7 @@ RenderStats response_reverse(const RenderCall<S> &call, const S *given, double *
                   for_batches(slots, call, schedule, item, capacity, stop,
                               [&](size_t n, const std::vector<Span> &spans) {
                                   if (call.filter.reach() > 0) choose_positions<F>(call.config, slots, n);
-                                  collect_adjoints(call, blocks, spans, slots);
+                                  collect_adjoints<F>(call, blocks, spans, slots);
                                   tile.start(n, true);
                                   tile.run(call.config.stokes, stop);
                                   if (call.config.stokes) tile.sweep_columns();

@@ -5,58 +5,13 @@
 #include <cstring>
 #include <vector>
 
-#include "film.h"
+#include "film_places.h"
+
+// How vectors are passed to functions does not matter where all are inlined.
+#pragma GCC diagnostic push
+#pragma GCC diagnostic ignored "-Wpsabi"
 
 namespace tr {
-
-// Weights of the pixels around places on the film, for W of them at once: pixel `first[i] + k` along an axis has
-// weight[k][i] and slope[k][i], the derivative of the weight by the place.
-template <class F>
-struct SplatAxis {
-    using S = ScalarOf<F>;
-    static constexpr int W = Lanes<F>::Width, Most = 2 * 64 + 1;
-    int n;
-    alignas(64) int32_t first[W];
-    alignas(64) S weight[Most][W], slope[Most][W];
-
-    SplatAxis() {}  // the tables are large
-
-    void set(const Filter &filter, const F &x, bool slopes) {
-        int reach = std::min(filter.reach(), (Most - 1) / 2);
-        n = 2 * reach + 1;
-        F base = floor(x);
-        F from = base + F(S(0.5 - reach)) - x;
-        for (int k = 0; k < n; ++k) {
-            F offset = from + F(S(k));
-            F by_place(0);
-            store(&weight[k][0], slopes ? filter.weight(offset, by_place) : filter.weight(offset));
-            if (slopes) store(&slope[k][0], -by_place);
-        }
-        alignas(64) S f[W];
-        store(&f[0], base);
-        for (int i = 0; i < W; ++i)  // places far away stay far away
-            first[i] = int32_t(std::min(std::max(f[i], S(-1e9)), S(1e9))) - reach;
-    }
-};
-
-// Both axes. `for_places` visits n places: visit(k, i), their weights being in lane i.
-template <class F>
-struct SplatAxes {
-    using S = ScalarOf<F>;
-    static constexpr size_t W = size_t(Lanes<F>::Width);
-    SplatAxis<F> x, y;
-
-    template <class Visit>
-    void for_places(const Filter &filter, const S *xs, const S *ys, size_t n, bool slopes, Visit &&visit) {
-        for (size_t k = 0; k < n; k += W) {
-            const size_t lanes = std::min(W, n - k);
-            alignas(64) S at_x[W] = {}, at_y[W] = {};
-            std::copy_n(xs + k, lanes, at_x), std::copy_n(ys + k, lanes, at_y);
-            x.set(filter, load<F>(at_x), slopes), y.set(filter, load<F>(at_y), slopes);
-            for (size_t i = 0; i < lanes; ++i) visit(k + i, int(i));
-        }
-    }
-};
 
 // Numbers of type T, those of a spectrum a pixel, of a rectangle of the film. They are kept in vectors, of which a
 // splat needs many and the compiler finds none by itself.
@@ -65,7 +20,6 @@ class SplatFilm {
 public:
     static constexpr int Stride = 4;  // a power of two; at least the components of a spectrum
     typedef T Vector __attribute__((vector_size(Stride * sizeof(T))));
-    typedef T Four __attribute__((vector_size(4 * Stride * sizeof(T))));  // of them
 
     explicit SplatFilm(const Rect &rect)
         : rect_(rect), sum_(size_t(std::max(0, rect.height())) * size_t(std::max(0, rect.width())), Texel{}) {}
@@ -81,61 +35,41 @@ public:
     size_t size() const { return sum_.size(); }
     const T *data() const { return reinterpret_cast<const T *>(sum_.data()); }  // (size, Stride)
 
-    // Adds `value` at lane i of two axes. Most of light tracing's time on the film goes here, hence four pixels at
-    // once.
+    // Adds `value` at lane i of two axes.
     template <class F>
     void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const Vector &value) {
-        Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        if (v.begin == v.end) return;
-        int j = h.begin;
-        const T a = value[0], b = value[1], c = value[2], d = value[3];
-        const Four four{a, b, c, d, a, b, c, d, a, b, c, d, a, b, c, d};
-        for (; j + 4 <= h.end; j += 4) {
-            const T w0 = x.weight[j][i], w1 = x.weight[j + 1][i], w2 = x.weight[j + 2][i], w3 = x.weight[j + 3][i];
-            const Four weight{w0, w0, w0, w0, w1, w1, w1, w1, w2, w2, w2, w2, w3, w3, w3, w3};
-            T *to = reinterpret_cast<T *>(row_at(y.first[i] + v.begin, x.first[i] + j));
-            for (int k = v.begin; k < v.end; ++k, to += Stride * ptrdiff_t(rect_.width())) {
-                Four sum;
-                std::memcpy(&sum, to, sizeof(sum));
-                sum += four * T(y.weight[k][i]) * weight;
-                std::memcpy(to, &sum, sizeof(sum));
-            }
-        }
-        for (; j < h.end; ++j) {
-            const T weight = x.weight[j][i];
-            Texel *to = row_at(y.first[i] + v.begin, x.first[i] + j);
-            for (int k = v.begin; k < v.end; ++k, to += rect_.width()) to->v += value * T(y.weight[k][i]) * weight;
-        }
+        for_columns(x, y, i, [&](auto columns, int j, Span rows, T *to) {
+            const auto across = columns.repeated(value) * columns.spread(x.weight, j, i);
+            for (int k = rows.begin; k < rows.end; ++k, to += row_stride())
+                columns.put(to, columns.get(to) + across * T(y.weight[k][i]));
+        });
     }
     // The derivative of it when the place moves.
     template <class F>
     void splat_motion(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, T dx, T dy, const Vector &value) {
-        Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        for (int k = v.begin; k < v.end; ++k) {
-            Texel *row = row_at(y.first[i] + k, x.first[i]);
-            for (int j = h.begin; j < h.end; ++j)
-                row[j].v +=
-                    value * (T(x.slope[j][i]) * T(y.weight[k][i]) * dx + T(x.weight[j][i]) * T(y.slope[k][i]) * dy);
-        }
+        for_columns(x, y, i, [&](auto columns, int j, Span rows, T *to) {
+            const auto all = columns.repeated(value);
+            const auto by_x = all * columns.spread(x.slope, j, i) * dx,
+                       by_y = all * columns.spread(x.weight, j, i) * dy;
+            for (int k = rows.begin; k < rows.end; ++k, to += row_stride())
+                columns.put(to, columns.get(to) + (by_x * T(y.weight[k][i]) + by_y * T(y.slope[k][i])));
+        });
     }
     // The transposed: sums of weights times numbers of the film, and their derivatives by the place.
     template <class F>
     void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Vector &sum, Vector &by_x, Vector &by_y) const {
-        Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
         sum = by_x = by_y = Vector{};
-        if (v.begin == v.end) return;
-        Vector all{}, all_x{}, all_y{};
-        Vector across[SplatAxis<F>::Most], slopes[SplatAxis<F>::Most];  // those of the row, in every component
-        for (int j = h.begin; j < h.end; ++j)
-            across[j] = Vector{} + T(x.weight[j][i]), slopes[j] = Vector{} + T(x.slope[j][i]);
-        const Texel *row = const_cast<SplatFilm *>(this)->row_at(y.first[i] + v.begin, x.first[i]);
-        for (int k = v.begin; k < v.end; ++k, row += rect_.width()) {
-            Vector value{}, slope{};
-            for (int j = h.begin; j < h.end; ++j) value += row[j].v * across[j], slope += row[j].v * slopes[j];
-            T w = T(y.weight[k][i]);
-            all += value * w, all_x += slope * w, all_y += value * T(y.slope[k][i]);
-        }
-        sum = all, by_x = all_x, by_y = all_y;
+        for_columns(x, y, i, [&](auto columns, int j, Span rows, const T *from) {
+            typename decltype(columns)::Values down{}, slopes_down{};
+            for (int k = rows.begin; k < rows.end; ++k, from += row_stride()) {
+                const auto value = columns.get(from);
+                down += value * T(y.weight[k][i]), slopes_down += value * T(y.slope[k][i]);
+            }
+            const auto across = columns.spread(x.weight, j, i);
+            sum += columns.total(down * across);
+            by_x += columns.total(down * columns.spread(x.slope, j, i));
+            by_y += columns.total(slopes_down * across);
+        });
     }
 
 private:
@@ -145,6 +79,60 @@ private:
     struct Span {
         int begin, end;
     };
+    // N pixels beside each other as one vector, which has to fit a register: of longer ones GCC keeps sums in memory.
+    template <int N>
+    struct Columns {
+        static_assert(N == 1 || N == 2);
+        typedef T Values __attribute__((vector_size(N * Stride * sizeof(T))));
+        static Values get(const T *from) {
+            Values r;
+            std::memcpy(&r, from, sizeof(r));
+            return r;
+        }
+        static void put(T *to, const Values &x) { std::memcpy(to, &x, sizeof(x)); }
+        static Values repeated(const Vector &x) {
+            if constexpr (N == 1)
+                return x;
+            else
+                return Values{x[0], x[1], x[2], x[3], x[0], x[1], x[2], x[3]};
+        }
+        template <class S, int W>
+        static Values spread(const S (*weight)[W], int j, int i) {
+            if constexpr (N == 1) {
+                return Values{} + T(weight[j][i]);
+            } else {
+                const T a = T(weight[j][i]), b = T(weight[j + 1][i]);
+                return Values{a, a, a, a, b, b, b, b};
+            }
+        }
+        static Vector total(const Values &x) {
+            if constexpr (N == 1) {
+                return x;
+            } else {
+                Vector half[2];
+                std::memcpy(half, &x, sizeof(x));
+                return half[0] + half[1];
+            }
+        }
+    };
+#if defined(__AVX__)
+    static constexpr int Beside = sizeof(T) == 4 ? 2 : 1;
+#else
+    static constexpr int Beside = 1;
+#endif
+    ptrdiff_t row_stride() const { return Stride * ptrdiff_t(rect_.width()); }
+    // The columns of the film that a place reaches, some at once: visit(columns, number of the first in the filter,
+    // rows, pointer to its numbers in the first row).
+    template <class F, class Visit>
+    void for_columns(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Visit &&visit) const {
+        const Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
+        if (v.begin == v.end || h.begin == h.end) return;
+        T *to =
+            reinterpret_cast<T *>(const_cast<SplatFilm *>(this)->row_at(y.first[i] + v.begin, x.first[i] + h.begin));
+        int j = h.begin;
+        for (; j + Beside <= h.end; j += Beside, to += Beside * Stride) visit(Columns<Beside>{}, j, v, to);
+        for (; j < h.end; ++j, to += Stride) visit(Columns<1>{}, j, v, to);
+    }
     static Span reached(int first, int n, int low, int high) {
         int begin = std::max(0, low - first);
         return {begin, std::max(begin, std::min(n, high - first))};
@@ -160,3 +148,5 @@ private:
 };
 
 }  // namespace tr
+
+#pragma GCC diagnostic pop

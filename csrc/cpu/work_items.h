@@ -44,22 +44,22 @@ private:
 };
 
 // Samples k .. end of a batch, whose values are in columns.
-template <class Columns, class S>
+template <class F, class Columns, class S>
 void splat_span(FilmBlock &block, const Filter &filter, const Columns &at, size_t k, size_t end, S *const *value,
                 int values) {
-    while (k < end) {
-        int row = int32_t(at.row[k]), column = int32_t(at.column[k]);
-        if (filter.reach() == 0) {
-            size_t begin = k;
+    if (filter.reach() == 0) {
+        while (k < end) {
+            const size_t begin = k;
             while (k < end && at.pixel[k] == at.pixel[begin]) ++k;
-            block.splat_pixel(row, column, begin, k, value);
-            continue;
+            block.splat_pixel(int32_t(at.row[begin]), int32_t(at.column[begin]), begin, k, value);
         }
-        double v[4 * SpectrumSize + 1];
-        for (int c = 0; c < values; ++c) v[c] = double(value[c][k]);
-        block.splat(filter, row, column, double(at.film_y[k]), double(at.film_x[k]), v);
-        ++k;
+        return;
     }
+    for_film_places<F>(filter, at, k, end, [&](size_t i, const FilmPlace<F> &place) {
+        double v[4 * SpectrumSize + 1];
+        for (int c = 0; c < values; ++c) v[c] = double(value[c][i]);
+        block.splat(place, v);
+    });
 }
 
 // A block for every unit of an item.
@@ -179,9 +179,10 @@ std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Til
                   for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                       choose_positions<F>(call.config, at, n);
                       for (const Span &span : spans)
-                          for (size_t k = span.begin; k < span.end; ++k)
-                              blocks[span.unit].add_weight(call.filter, int32_t(at.row[k]), int32_t(at.column[k]),
-                                                           double(at.film_y[k]), double(at.film_x[k]), span.weight);
+                          for_film_places<F>(call.filter, at, span.begin, span.end,
+                                             [&](size_t, const FilmPlace<F> &place) {
+                                                 blocks[span.unit].add_weight(place, span.weight);
+                                             });
                   });
                   merge.push(item, std::move(blocks), stop);
               });

@@ -56,11 +56,10 @@ struct AdjointGather {
     TR_HD void gather(uint32_t i, double *to) const {
         const auto row = int32_t(samples.row[i]), column = int32_t(samples.column[i]);
         if (reach == 0) return add(row, column, 1, to);
-        const double y = double(samples.film_y[i]), x = double(samples.film_x[i]);
         for (int32_t r = row - reach; r <= row + reach; ++r) {
-            const double wy = filter.weight<double>(r + 0.5 - y);
+            const auto wy = double(filter.weight_of(r, samples.film_y[i]));
             for (int32_t k = column - reach; wy != 0 && k <= column + reach; ++k) {
-                const double wx = filter.weight<double>(k + 0.5 - x);
+                const auto wx = double(filter.weight_of(k, samples.film_x[i]));
                 if (wx != 0) add(r, k, wy * wx, to);
             }
         }

@@ -176,9 +176,7 @@ struct FilmGather {
 private:
     TR_HD double weight_of(uint32_t k, int32_t y, int32_t x) const {
         if (reach == 0) return 1;
-        const double wx = filter.weight<double>(x + 0.5 - double(film_x[k])),
-                     wy = filter.weight<double>(y + 0.5 - double(film_y[k]));
-        return wy * wx;
+        return double(filter.weight_of(y, film_y[k])) * double(filter.weight_of(x, film_x[k]));
     }
 };
 

@@ -14,7 +14,6 @@ namespace tr {
 // The wanted rectangle of the film, and what of it a place reaches, as SplatAxes of the CPU.
 struct SplatPlace {
     Filter filter;
-    int32_t reach;
     Rect film;
     int32_t values;  // of a pixel
 
@@ -22,9 +21,9 @@ struct SplatPlace {
     // by the place.
     template <class S, class Visit>
     TR_HD void along(S at, int32_t low, int32_t high, Visit &&visit) const {
-        const S base = floor(at), from = base + (S(0.5) - S(reach)) - at;
-        const int32_t first = int32_t(min(max(base, S(-1e9)), S(1e9))) - reach;  // places far away stay far away
-        for (int32_t k = max(0, low - first), end = min(2 * reach + 1, high - first); k < end; ++k) {
+        const S base = filter.first_pixel(at), from = base + S(0.5) - at;
+        const int32_t first = int32_t(min(max(base, S(-1e9)), S(1e9)));  // places far away stay far away
+        for (int32_t k = max(0, low - first), end = min(filter.pixels(), high - first); k < end; ++k) {
             const S offset = from + S(k);
             visit(first + k, filter.weight(offset), -filter.slope(offset));
         }

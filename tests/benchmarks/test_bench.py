@@ -57,6 +57,7 @@ def test_an_unknown_benchmark_is_refused(capsys):
     "arguments",
     [
         ["table2", "--rounds", "0"],
+        ["table2", "--filter", "sharp"],
         ["table2", "--spp", "-1"],
         ["table2", "--resolution", "wide"],
         ["table2", "--json", "/no/such/folder/a.json"],

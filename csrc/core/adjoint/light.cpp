@@ -76,7 +76,8 @@ TR_NOINLINE void sweep_measurement(const SceneOf<F> &scene, const Pinhole<Scalar
                                    HitAdjoint<F> &hit, GradientSink<F> &sink) {
     hit.at.uv.x = select(active, hit.at.uv.x + connection.x_bar * F(film.width), hit.at.uv.x);
     hit.at.uv.y = select(active, hit.at.uv.y + connection.y_bar * F(film.height), hit.at.uv.y);
-    sweep_area(scene, v.at, v.p, connection.ng, -value, HitAdjoint<F>{}, active, sink);
+    HitAdjoint<F> nothing;
+    sweep_area(scene, v.at, v.p, connection.ng, -value, nothing, active, sink);
 }
 
 }  // namespace
@@ -84,7 +85,7 @@ TR_NOINLINE void sweep_measurement(const SceneOf<F> &scene, const Pinhole<Scalar
 template <class F>
 TR_LARGE Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, int kind,
                                             const VertexRecord<F> &v, const ConnectionRecord<F> &connection,
-                                            Spectrum<F> a, NextVertex<F> next, const GradientNeeds &needs,
+                                            Spectrum<F> a, NextVertex<F> &next, const GradientNeeds &needs,
                                             const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar,
                                             GradientSink<F> &sink) {
     const bool has_stack = scene.has_stacks, measured = sensor.meter >= 0;  // what arrives, not what is scattered
@@ -169,7 +170,8 @@ TR_LARGE void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf
     const EmitterFlags<F> flags(scene, e.kind);
     auto on_shape = lit && flags.has(IsOnShape);
     if (any(on_shape)) {
-        Vec3<F> o_bar = sweep_area(scene, v.light.at, v.p, v.p - origin, seen, HitAdjoint<F>{}, on_shape, sink);
+        HitAdjoint<F> nothing;
+        Vec3<F> o_bar = sweep_area(scene, v.light.at, v.p, v.p - origin, seen, nothing, on_shape, sink);
         origin_bar = select(on_shape, o_bar, zero);
     }
     auto infinite = active && flags.has(IsInfinite);
@@ -181,7 +183,7 @@ TR_LARGE void sweep_emission(const SceneOf<F> &scene, const LightSensor<ScalarOf
 #define TR_INSTANTIATE(F, S)                                                                                       \
     template Spectrum<F> sweep_light_scattering(const SceneView<S> &, const LightSensor<S> &, int,                 \
                                                 const VertexRecord<F> &, const ConnectionRecord<F> &, Spectrum<F>, \
-                                                NextVertex<F>, const GradientNeeds &, const MaskOf<F> &,           \
+                                                NextVertex<F> &, const GradientNeeds &, const MaskOf<F> &,         \
                                                 HitAdjoint<F> &, Vec3<F> &, GradientSink<F> &);                    \
     template void sweep_emission(const SceneView<S> &, const LightSensor<S> &, const EmissionRecord<F> &,          \
                                  const NextVertex<F> &, const GradientNeeds &, const MaskOf<F> &, GradientSink<F> &);

@@ -18,10 +18,11 @@ namespace tr {
 
 // One scattering vertex of this kind. Returns what the light that arrives along v.d brings, divided by its throughput
 // a, every connection being weighted with its adjoint; adds the adjoints of the hit and of the direction.
+// `next` is spent.
 template <class F>
 TR_LARGE Spectrum<F> sweep_light_scattering(const SceneOf<F> &scene, const LightSensor<ScalarOf<F>> &sensor, int kind,
                                             const VertexRecord<F> &v, const ConnectionRecord<F> &connection,
-                                            Spectrum<F> a, NextVertex<F> next, const GradientNeeds &needs,
+                                            Spectrum<F> a, NextVertex<F> &next, const GradientNeeds &needs,
                                             const MaskOf<F> &active, HitAdjoint<F> &hit, Vec3<F> &d_bar,
                                             GradientSink<F> &sink);
 

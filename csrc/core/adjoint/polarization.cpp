@@ -372,7 +372,7 @@ TR_LARGE F PolarizedVertex<F>::sweep(const SceneOf<F> &scene, int bsdf_kind, con
     const Vec3<F> zero{F(0), F(0), F(0)};
     ConnectionRecord<F> record;
     if (connection) record = connection->record;
-    const auto sweep_unpolarized = [&](const VertexRecord<F> &v, const Spectrum<F> &a, const NextVertex<F> &next) {
+    const auto sweep_unpolarized = [&](const VertexRecord<F> &v, const Spectrum<F> &a, NextVertex<F> &next) {
         return connection ? sweep_light_scattering(scene, connection->sensor, bsdf_kind, v, record, a, next, needs,
                                                    active, hit, d_bar, sink)
                           : sweep_scattering(scene, bsdf_kind, v, a, next, needs, active, hit, d_bar, sink);

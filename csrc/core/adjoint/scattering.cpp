@@ -109,7 +109,7 @@ TR_INLINE void sweep_connection(const SceneOf<F> &scene, const VertexRecord<F> &
 
 template <class F>
 TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
-                                      NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                                      NextVertex<F> &next, const GradientNeeds &needs, const MaskOf<F> &active,
                                       HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink) {
     const bool has_stack = scene.has_stacks;
     Spectrum<F> light_factor = apply(v.through, v.emitted) * v.light_weight;  // N = f_light * light_factor
@@ -155,15 +155,15 @@ TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const V
     return total;
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                         \
-    template struct BsdfAdjoint<F>;                                                                                  \
-    template void sweep_emitter(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Spectrum<F> &, \
-                                const GradientNeeds &, const MaskOf<F> &, CoordinateAdjoint<F> &, Vec3<F> &,         \
-                                GradientSink<F> &);                                                                  \
-    template Vec3<F> sweep_direct(const SceneView<S> &, const DirectAdjoint<F> &, const MaskOf<F> &,                 \
-                                  GradientSink<F> &);                                                                \
-    template Spectrum<F> sweep_scattering(const SceneView<S> &, int, const VertexRecord<F> &, Spectrum<F>,           \
-                                          NextVertex<F>, const GradientNeeds &, const MaskOf<F> &, HitAdjoint<F> &,  \
+#define TR_INSTANTIATE(F, S)                                                                                          \
+    template struct BsdfAdjoint<F>;                                                                                   \
+    template void sweep_emitter(const SceneView<S> &, const EmitterPoint<F> &, const Vec3<F> &, const Spectrum<F> &,  \
+                                const GradientNeeds &, const MaskOf<F> &, CoordinateAdjoint<F> &, Vec3<F> &,          \
+                                GradientSink<F> &);                                                                   \
+    template Vec3<F> sweep_direct(const SceneView<S> &, const DirectAdjoint<F> &, const MaskOf<F> &,                  \
+                                  GradientSink<F> &);                                                                 \
+    template Spectrum<F> sweep_scattering(const SceneView<S> &, int, const VertexRecord<F> &, Spectrum<F>,            \
+                                          NextVertex<F> &, const GradientNeeds &, const MaskOf<F> &, HitAdjoint<F> &, \
                                           Vec3<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -33,10 +33,10 @@ TR_LARGE Vec3<F> sweep_direct(const SceneOf<F> &scene, const DirectAdjoint<F> &g
                               GradientSink<F> &sink);
 
 // One scattering vertex of this kind; `a` is A_k. Returns N_k + f_k / (p_k q_k) R_{k+1}; adds the adjoints of the hit
-// and of the arriving ray's direction.
+// and of the arriving ray's direction. `next` is spent.
 template <class F>
 TR_LARGE Spectrum<F> sweep_scattering(const SceneOf<F> &scene, int kind, const VertexRecord<F> &v, Spectrum<F> a,
-                                      NextVertex<F> next, const GradientNeeds &needs, const MaskOf<F> &active,
+                                      NextVertex<F> &next, const GradientNeeds &needs, const MaskOf<F> &active,
                                       HitAdjoint<F> &hit, Vec3<F> &d_bar, GradientSink<F> &sink);
 
 // The BSDF of a vertex, towards the next vertex and towards what was connected: a light, or the camera of a light path.

@@ -226,7 +226,7 @@ TR_INLINE Vec3<F> sweep_curved(const SceneView<S> &scene, const SurfacePoint<F> 
 
 template <class F>
 TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                     const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active,
+                                     const Arrival<F> &in, HitAdjoint<F> &g, const MaskOf<F> &active,
                                      GradientSink<F> &sink) {
     ShapeLanes<F> shape(scene.shapes, at.shape, active);
     g.n = select(shape.has(FlipNormals), -g.n, g.n);
@@ -286,13 +286,13 @@ TR_LARGE void sweep_position(const SceneOf<F> &scene, const SurfacePoint<F> &at,
     }
 }
 
-#define TR_INSTANTIATE(F, S)                                                                                       \
-    template RayAdjoint<F> sweep_surface(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &,           \
-                                         const Arrival<F> &, HitAdjoint<F>, const MaskOf<F> &, GradientSink<F> &); \
-    template void sweep_position(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &, const Vec3<F> &,  \
-                                 const MaskOf<F> &, GradientSink<F> &);                                            \
-    template void sweep_partials(const SceneView<S> &, const SurfacePoint<F> &, const ShapeLanes<F> &,             \
-                                 const Vec3<F> &, const Vec3<F> &, const MaskOf<F> &, CoordinateAdjoint<F> &,      \
+#define TR_INSTANTIATE(F, S)                                                                                         \
+    template RayAdjoint<F> sweep_surface(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &,             \
+                                         const Arrival<F> &, HitAdjoint<F> &, const MaskOf<F> &, GradientSink<F> &); \
+    template void sweep_position(const SceneView<S> &, const SurfacePoint<F> &, const Vec3<F> &, const Vec3<F> &,    \
+                                 const MaskOf<F> &, GradientSink<F> &);                                              \
+    template void sweep_partials(const SceneView<S> &, const SurfacePoint<F> &, const ShapeLanes<F> &,               \
+                                 const Vec3<F> &, const Vec3<F> &, const MaskOf<F> &, CoordinateAdjoint<F> &,        \
                                  GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -10,11 +10,11 @@
 
 namespace tr {
 
-// Hands the adjoint of the point p to the surface; returns that of where the ray came from: of its origin and, where
-// attached or parallel, of its direction.
+// Hands the adjoint g of the point p to the surface, and spends it; returns that of where the ray came from: of its
+// origin and, where attached or parallel, of its direction.
 template <class F>
 TR_LARGE RayAdjoint<F> sweep_surface(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p,
-                                     const Arrival<F> &in, HitAdjoint<F> g, const MaskOf<F> &active,
+                                     const Arrival<F> &in, HitAdjoint<F> &g, const MaskOf<F> &active,
                                      GradientSink<F> &sink);
 
 // The same where only the position of a glued point counts.
@@ -29,11 +29,11 @@ TR_LARGE void sweep_partials(const SceneOf<F> &scene, const SurfacePoint<F> &at,
                              GradientSink<F> &sink);
 
 // The adjoint of |N.E| / |E|, E from a point that sees it to the point p of a surface, of area vector N; `log_bar` is
-// that of its logarithm. Sums up what the surface gets, `hit` being what comes besides, and returns the adjoint of the
-// other point. With the unit normal as E it is that of |N|.
+// that of its logarithm. Sums up what the surface gets, `hit` being what comes besides and is spent, and returns the
+// adjoint of the other point. With the unit normal as E it is that of |N|.
 template <class F>
 TR_INLINE Vec3<F> sweep_area(const SceneOf<F> &scene, const SurfacePoint<F> &at, const Vec3<F> &p, const Vec3<F> &E,
-                             const F &log_bar, HitAdjoint<F> hit, const MaskOf<F> &active, GradientSink<F> &sink) {
+                             const F &log_bar, HitAdjoint<F> &hit, const MaskOf<F> &active, GradientSink<F> &sink) {
     Vec3<F> zero{F(0), F(0), F(0)};
     Vec3<F> rest = E * (F(2) * log_bar / select(active, squared_norm(E), F(1)));  // J has |N.E| / |E|^3
     hit.p = hit.p + rest;

@@ -18,11 +18,11 @@ TR_INLINE Spectrum<F> branch_radiance(const SweepContext<F> &c, uint32_t level, 
 }
 
 // Of the ray to a vertex: straight, or bent by a medium, with what that does to light. `log_bar`: see Arrival;
-// `emitted_bar`: the adjoint of the logarithm of what is emitted at the vertex.
+// `emitted_bar`: the adjoint of the logarithm of what is emitted at the vertex. `hit` is spent.
 template <class F>
 TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape, uint32_t i,
                                       const VertexRecord<F> &v, const Vec3<F> &d_bar, const F &log_bar,
-                                      const F &emitted_bar, const BentLight<F> &light, HitAdjoint<F> hit,
+                                      const F &emitted_bar, const BentLight<F> &light, HitAdjoint<F> &hit,
                                       const MaskOf<F> &active, GradientSink<F> &sink) {
     if (!facts::Bends || !tape.bent.medium.at)
         return sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, active, sink);
@@ -31,8 +31,9 @@ TR_INLINE RayAdjoint<F> sweep_arrival(const SweepContext<F> &c, const TapeColumn
     const MaskOf<F> straight = active && mask<F>(bent.medium < 0);
     RayAdjoint<F> r{{F(0), F(0), F(0)}, {F(0), F(0), F(0)}};
     if (any(straight)) {
+        HitAdjoint<F> own = hit;
         const RayAdjoint<F> found =
-            sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), hit, straight, sink);
+            sweep_surface(c.scene, v.at, v.p, arrival_of(v, d_bar, log_bar), own, straight, sink);
         r = {select(straight, found.o, r.o), select(straight, found.d, r.d)};
     }
     for_each_bend<F>(c.scene, bent.medium, active, [&](const auto &medium, const MaskOf<F> &lanes) {
@@ -78,7 +79,7 @@ TR_LARGE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeCo
                                           const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
                                           const VertexRecord<F> &v, const NextVertex<F> &next,
                                           const SegmentPacket<F> &packet, const Spectrum<F> &delta,
-                                          const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> hit,
+                                          const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> &hit,
                                           Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
                                           const MaskOf<F> &active, GradientSink<F> &sink) {
     const Vec3<F> zero{F(0), F(0), F(0)};
@@ -282,7 +283,7 @@ TR_LARGE void sweep_light_vertex(const SweepContext<F> &c, const LightSensor<Sca
     template Spectrum<F> sweep_moving_segment(const SweepContext<F> &, const TapeColumns<S> &, const TapeColumns<S> *, \
                                               int, uint32_t, const VertexRecord<F> &, const NextVertex<F> &,           \
                                               const SegmentPacket<F> &, const Spectrum<F> &, const Spectrum<F> &,      \
-                                              const Spectrum<F> &, HitAdjoint<F>, Vec3<F>, const UIntOf<F> &,          \
+                                              const Spectrum<F> &, HitAdjoint<F> &, Vec3<F>, const UIntOf<F> &,        \
                                               const UIntOf<F> &, const MaskOf<F> &, GradientSink<F> &);
 TR_FOR_EACH_FLOAT(TR_INSTANTIATE)
 #undef TR_INSTANTIATE

@@ -117,14 +117,14 @@ TR_INLINE UIntOf<F> active_only(const UIntOf<F> &index, const MaskOf<F> &active)
 }
 
 // A vertex of a path through media that moves, and the segment that ends at it: what they hand to the one before, which
-// is otherwise as elsewhere. `hit` and `d_bar` are those of the vertex, `next` what came from behind, `arrived` the
-// radiance there and `branch` see sweep_segment. Returns the radiance at the segment's beginning.
+// is otherwise as elsewhere. `hit`, which is spent, and `d_bar` are those of the vertex, `next` what came from behind,
+// `arrived` the radiance there and `branch` see sweep_segment. Returns the radiance at the segment's beginning.
 template <class F>
 TR_LARGE Spectrum<F> sweep_moving_segment(const SweepContext<F> &c, const TapeColumns<ScalarOf<F>> &tape,
                                           const TapeColumns<ScalarOf<F>> *parents, int kind, uint32_t i,
                                           const VertexRecord<F> &v, const NextVertex<F> &next,
                                           const SegmentPacket<F> &packet, const Spectrum<F> &delta,
-                                          const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> hit,
+                                          const Spectrum<F> &arrived, const Spectrum<F> &branch, HitAdjoint<F> &hit,
                                           Vec3<F> d_bar, const UIntOf<F> &slot, const UIntOf<F> &parent,
                                           const MaskOf<F> &active, GradientSink<F> &sink);
 

@@ -11,6 +11,7 @@
 
 #include "../math/lanes.h"
 #include "../math/vector.h"
+#include "sums.h"
 
 namespace tr {
 
@@ -30,6 +31,8 @@ public:
           end_(std::exp(scale_ * radius_ * radius_)),
           // a tent narrower than a pixel reaches its own pixel only, but not all of it
           reach_(kind == FilterKind::Box ? 0 : std::max(1, int(std::ceil(radius_ - 0.5)))) {
+        const double reached = std::min(radius_, MaxReach + 0.5);
+        pixels_ = int(std::ceil(2 * reached)), first_ = 0.5 - reached;
         if (kind == FilterKind::CatmullRom) kind_ = FilterKind::Mitchell, parameter = 0, second = 0.5;
         const double b = parameter, c = second;
         const double inner[4] = {6 - 2 * b, 0, -18 + 12 * b + 6 * c, 12 - 9 * b - 6 * c};
@@ -39,6 +42,20 @@ public:
 
     // pixels on each side of the sample's own that a sample can reach; 0: the box, whose weights are 1
     int reach() const { return reach_; }
+
+    // How many pixels along an axis lie in the filter around a place, and the first of them.
+    TR_HD int pixels() const { return pixels_; }
+    template <class F>
+    TR_INLINE F first_pixel(const F &place) const {
+        return floor(place + F(S<F>(first_)));
+    }
+    // What a sample at `place` weighs in a pixel, in the numbers of SplatAxis.
+    template <class T>
+    TR_HD T weight_of(int32_t pixel, T place) const {
+        const T base = first_pixel(place);
+        const int32_t k = pixel - int32_t(base);
+        return k < 0 || k >= pixels_ ? T(0) : weight(base + T(0.5) - place + T(k));
+    }
 
     // The same filter without its sign: what it weights with are means of what is averaged.
     Filter magnitude() const {
@@ -183,7 +200,8 @@ private:
 
     FilterKind kind_;
     double radius_, scale_, end_;
-    int reach_;
+    int reach_, pixels_;
+    double first_;
     double inner_[4], outer_[4];  // coefficients of the cubics for |x| < 1 and 1 < |x| < 2, from the constant on
     bool unsigned_ = false;
 };

@@ -269,6 +269,19 @@ TR_INLINE void sincos(const drjit::Packet<T, N> &x, drjit::Packet<T, N> &s, drji
 }
 #endif
 
+#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX2)
+// Of every set of 8 lanes the numbers of those in it, in ascending order, a byte each.
+struct LaneOrders {
+    uint64_t of[256]{};
+    constexpr LaneOrders() {
+        for (int set = 0; set < 256; ++set)
+            for (int lane = 0, n = 0; lane < 8; ++lane)
+                if (set >> lane & 1) of[set] |= uint64_t(lane) << (8 * n++);
+    }
+};
+inline constexpr LaneOrders lane_orders;
+#endif
+
 // Writes the lanes of `x` that are set in `m` one after the other. The packet is compressed in a register and stored
 // whole: a compressing store to memory is microcoded on Zen 4. `p` therefore needs room for a full packet.
 template <class F, class T, class S>
@@ -289,6 +302,17 @@ TR_INLINE void store_compressed(S *p, const T &x, [[maybe_unused]] const MaskOf<
                     _mm512_storeu_si512((void *)p, _mm512_maskz_compress_epi32(k, x.m));
                 return;
             }
+        }
+#endif
+#if defined(DRJIT_X86_AVX2)
+        if constexpr (sizeof(T) == 32 && sizeof(S) == 4) {
+            const int set = _mm256_movemask_ps(drjit::mask_t<drjit::Packet<float, 8>>(m).m);
+            const __m256i order = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(int64_t(lane_orders.of[set])));
+            if constexpr (std::is_same_v<S, float>)
+                _mm256_storeu_ps((float *)p, _mm256_permutevar8x32_ps(x.m, order));
+            else
+                _mm256_storeu_si256((__m256i *)p, _mm256_permutevar8x32_epi32(x.m, order));
+            return;
         }
 #endif
         int n = 0;
