@@ -31,6 +31,7 @@ template <class S>
 GradientNeeds DeviceDerivative<S>::needs(Launcher &launcher, const DerivativeCall<S> &call) {
     GradientNeeds r = call.gradient_needs();
     if (r.bsdfs) bsdfs_.upload(launcher, call.bsdfs.data(), call.bsdfs.size()), r.bsdfs = bsdfs_.get();
+    if (r.boxes) boxes_.upload(launcher, r.boxes, size_t(r.n_boxes) * 6), r.boxes = boxes_.get();
     if (r.variables) {
         variables_.upload(launcher, call.variables.data(), call.variables.size());
         r.variables = variables_.get();

@@ -47,6 +47,7 @@ public:
 
 private:
     DeviceArray<int32_t> bsdfs_, shapes_, numbers_;
+    DeviceArray<float> boxes_;
     DeviceArray<uint32_t> variables_;
     DeviceArray<S> image_, tangents_, vertex_tangents_[VertexArrays];
     DeviceArray<double> adjoint_, constants_, sums_, vertices_[VertexArrays];

@@ -385,7 +385,7 @@ void DevicePaths<S>::step(const Work &work, const PathStep &at, PathQueue<S> &in
     if (volumetric) launcher_.run(FlyRays<S>{stage, media, in, at_.hits, rays, {tracking_.get()}}, n);
     sort_hits(stage, at, in, rays, n, ranges);
     ShadeHits<S> hits = shading(stage, at, in, out, ranges);
-    hits.last = !volumetric && depth >= 0 && at.depth + 2 >= depth;
+    hits.left = volumetric || depth < 0 ? 3 : std::min(std::max(depth - at.depth - 1, 1), 3);
     for (const int32_t kind : work.kinds) {
         hits.kind = kind;
         if (volumetric)

@@ -85,6 +85,7 @@ public:
                 std::swap(next, spare);
                 const bool last = config_.max_depth >= 0 && depth + 1 >= config_.max_depth;
                 if (last) keep_rays_to_lights(*current, recording);
+                if (config_.max_depth == depth + 2) keep_rays_to_bsdfs(*current, recording);
                 if (current->n == 0) break;
                 wavefront.trace(*current, false, !recording);
                 step(*current, *next, {depth, 0, !last}, recording, wavefront.tape.size() - 1);
@@ -299,6 +300,13 @@ private:
             if (bsdfs_alone) kept = kept && has_differentiated<F>(from(queue.seen));
             return wavefront.bender ? kept || mask<F>(from(queue.medium) >= 0) : kept;
         });
+    }
+
+    // Of the rays to vertices that scatter for the last time those that have a derivative.
+    void keep_rays_to_bsdfs(PathQueue<S> &queue, bool recording) {
+        const GradientNeeds &needs = wavefront.needs();
+        if (!recording || wavefront.recorder.on() || needs.n_boxes < 0 || !wavefront.bsdfs_alone()) return;
+        keep_entries<F>(queue, [&](uint32_t i) { return last_scattering_counts<F>(needs, queue, i); });
     }
 
     // ------------------------------------------------------------------------------------------------------ the sweep

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -65,16 +66,18 @@ struct DerivativeCall {
     Values<S> tangent{nullptr, nullptr};  // forward
     const S *vertex_tangent[VertexArrays] = {};
     GradientNeeds needs{true, true, true, true, true, {1, 1, 1, 1}};
-    std::vector<int32_t> bsdfs;       // by bsdf: a parameter of it is differentiated
-    std::vector<uint32_t> variables;  // by a BSDF's kind, see GradientNeeds; empty: all count
-    std::vector<int32_t> shapes;      // by shape, see ShapeWants
-    bool adaptive = false;            // reverse: more samples where the adjoint is larger, see allocation.h
-    bool fixed_sums = false;          // reverse, on devices: gradients do not depend on any order
+    std::vector<int32_t> bsdfs;               // by bsdf: a parameter of it is differentiated
+    std::optional<std::vector<float>> boxes;  // of shapes with such a BSDF, see SceneData::boxes_with
+    std::vector<uint32_t> variables;          // by a BSDF's kind, see GradientNeeds; empty: all count
+    std::vector<int32_t> shapes;              // by shape, see ShapeWants
+    bool adaptive = false;                    // reverse: more samples where the adjoint is larger, see allocation.h
+    bool fixed_sums = false;                  // reverse, on devices: gradients do not depend on any order
 
     GradientNeeds gradient_needs() const {
         GradientNeeds r = needs;
         r.bsdfs = r.bsdf ? bsdfs.data() : nullptr;
         r.variables = variables.empty() ? nullptr : variables.data();
+        if (boxes) r.boxes = boxes->data(), r.n_boxes = int32_t(boxes->size() / 6);
         return r;
     }
     // Of a forward sweep; those of reverse mode have buffers of their own (work_items.h).

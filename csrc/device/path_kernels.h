@@ -147,7 +147,7 @@ struct ShadeHits {
     PathStage<S> stage;
     PathStep step;
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
-    bool last;  // rays that go on are the last ones of their paths
+    int32_t left;  // vertices that rays which go on may find, at most 3; without a limit of depth 3
     PathQueue<S> in;
     HitColumns<S> hits;
     const uint32_t *sorted, *begin, *total;  // the last two by kind
@@ -171,7 +171,7 @@ struct ShadeHits {
         const LaneSet<S> lanes(sorted + i, 1);
         stage.with_context(in.slot[sorted[i]],
                            [&](const PathContext<S> &c) { do_shade(c, lanes, i, own, own_shadows); });
-        out_key[i] = own.n != i && (!last || last_counts(own, i)) ? Kept : Gone;
+        out_key[i] = own.n != i && counts(own, i) ? Kept : Gone;
         for (uint32_t k = first_shadow; k < first_shadow + Most; ++k) shadow_key[k] = k < own_shadows.n ? Kept : Gone;
     }
     TR_HD void shade(const PathContext<S> &c, const LaneSet<S> &lanes, uint32_t i, PathQueue<S> &own,
@@ -194,8 +194,11 @@ struct ShadeHits {
     }
 
 private:
-    // As PathTile::keep_rays_to_lights.
-    TR_HD bool last_counts(const PathQueue<S> &own, uint32_t i) const {
+    // As PathTile::keep_rays_to_lights and keep_rays_to_bsdfs.
+    TR_HD bool counts(const PathQueue<S> &own, uint32_t i) const {
+        if (left == 2 && stage.bsdfs_alone && stage.needs.n_boxes >= 0)
+            return last_scattering_counts<S>(stage.needs, own, i);
+        if (left != 1) return true;
         if (stage.bsdfs_alone && !has_differentiated<S>(own.seen[i])) return false;
         return stage.scene.n_light_boxes < 0 || last_ray_counts<S>(stage.scene, own, i);
     }

@@ -49,6 +49,7 @@ struct PathStage {
     void for_pointers(Visit &&visit) const {
         scene.for_pointers(visit), slots.for_arrays(visit), lost.for_pointers(visit);
         visit(slots.lens.x), visit(slots.lens.y), visit(needs.bsdfs), visit(needs.variables);
+        visit(needs.boxes);
         for_tape_arrays(tape, AllTapeParts, visit);
     }
 };

@@ -4,6 +4,7 @@
 
 #include <map>
 #include <memory>
+#include <optional>
 #include <vector>
 
 #include "../accel/accel.h"
@@ -115,6 +116,10 @@ public:
         table(&View::phase_tables, phase_tables_);
     }
 
+    // Of the shapes with a BSDF for which bsdfs[i] is not 0, itself or in one that holds it: six numbers each. None:
+    // there are many, or it is not known where they are.
+    std::optional<std::vector<float>> boxes_with(const std::vector<int32_t> &bsdfs) const;
+
     const SceneLayout &layout() const { return layout_; }
     // The name of an object: category "shape", "bsdf", ... and its index.
     const std::string &path(const char *category, int index) const {
@@ -209,6 +214,8 @@ private:
     double mean_of_tensor(int32_t slot);
     double mean_of_environment(int32_t slot);
     double power_of(const Record &record);
+    template <class B>
+    bool add_shape_box(size_t shape, int most_vertices, std::vector<B> &boxes) const;
     void update_light_boxes();
     void update_ball();
     void update_media(const std::vector<uint8_t> &dirty);

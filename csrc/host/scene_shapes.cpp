@@ -311,52 +311,7 @@ void SceneData<S>::update_sdf_grid(int shape, const S *values, bool changed, boo
     grid.set_matrices(matrices, matrices + 12);
 }
 
-// A ray that meets none of these boxes meets no light; they are larger than what rounding may shift.
-template <class S>
-void SceneData<S>::update_light_boxes() {
-    constexpr int Most = 8, MostVertices = 4096;
-    n_light_boxes_ = -1;
-    light_boxes_.clear();
-    if (layout_.environment >= 0) return;
-    auto add = [&](const std::vector<std::array<double, 3>> &points) {
-        double low[3], high[3], size = 0;
-        for (int k = 0; k < 3; ++k) {
-            low[k] = high[k] = points[0][size_t(k)];
-            for (const auto &p : points)
-                low[k] = std::min(low[k], p[size_t(k)]), high[k] = std::max(high[k], p[size_t(k)]);
-            size = std::max({size, std::abs(low[k]), std::abs(high[k])});
-        }
-        for (double *corner : {low, high})
-            for (int k = 0; k < 3; ++k) light_boxes_.push_back(S(corner[k] + (corner == low ? -1e-4 : 1e-4) * size));
-    };
-    for (size_t i = 0; i < shapes_.size(); ++i) {
-        if (shapes_[i].emitter < 0) continue;
-        if (light_boxes_.size() == 6 * Most) return;
-        std::vector<std::array<double, 3>> points;
-        if (shapes_[i].flags & IsCurved) {
-            const S *m = &matrices_[24 * i];  // corners of the unit cube
-            for (int c = 0; c < 8; ++c) {
-                points.emplace_back();
-                for (size_t r = 0; r < 3; ++r)
-                    points.back()[r] = double(m[4 * r]) * (c & 1 ? 1 : -1) + double(m[4 * r + 1]) * (c & 2 ? 1 : -1) +
-                                       double(m[4 * r + 2]) * (c & 4 ? 1 : -1) + double(m[4 * r + 3]);
-            }
-        }
-        for (const MeshSource &mesh : layout_.meshes) {
-            if (size_t(mesh.shape) != i) continue;
-            if (mesh.n_vertices > MostVertices) return;
-            for (int v = 0; v < mesh.n_vertices; ++v) {
-                const S *p = vertices_[size_t(mesh.first_vertex + v)].p;
-                points.push_back({double(p[0]), double(p[1]), double(p[2])});
-            }
-        }
-        add(points);
-    }
-    n_light_boxes_ = int(light_boxes_.size() / 6);
-}
-
 #define TR_INSTANTIATE(S)                                                                                   \
-    template void SceneData<S>::update_light_boxes();                                                       \
     template void SceneData<S>::update_shapes(const std::vector<const S *> &, const std::vector<uint8_t> &, \
                                               const std::vector<S> &, bool);
 TR_FOR_EACH_PRECISION(TR_INSTANTIATE)

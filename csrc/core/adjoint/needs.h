@@ -22,6 +22,9 @@ struct GradientNeeds {
     // By a BSDF's kind: its variables whose derivative counts for some record, a bit each; null: all of them. Of a call
     // in which nothing moves those are missing that move with a look-up: who sets `geometry` later sweeps no radiance.
     const uint32_t *variables = nullptr;
+    // Of shapes whose BSDFs are differentiated, see SceneData::boxes_with; -1: they are not known.
+    const float *boxes = nullptr;
+    int32_t n_boxes = -1;
     TR_HD bool numbers() const { return light_position || geometry; }  // adjoints that are sums over components
     TR_HD uint32_t variables_of(int kind) const { return variables ? variables[kind] : 0xffffffffu; }
 };

@@ -29,9 +29,9 @@ struct PreviousVertex {
     F pdf;  // of the ray's direction; 0 after a delta lobe and for camera rays, whose emission has weight 1
 };
 
-// Whether a ray passes through the box of a shape that emits, see SceneView::light_boxes.
-template <class F>
-TR_INLINE MaskOf<F> may_meet_light(const SceneOf<F> &scene, const Vec3<F> &o, const Vec3<F> &d) {
+// Whether a ray passes through one of n boxes.
+template <class B, class F>
+TR_INLINE MaskOf<F> may_meet(const B *boxes, int32_t n, const Vec3<F> &o, const Vec3<F> &d) {
     using S = ScalarOf<F>;
     MaskOf<F> r(false);
     const F *from[3] = {&o.x, &o.y, &o.z}, *along[3] = {&d.x, &d.y, &d.z};
@@ -40,11 +40,11 @@ TR_INLINE MaskOf<F> may_meet_light(const SceneOf<F> &scene, const Vec3<F> &o, co
         auto flat = mask<F>(abs(*along[k]) < F(S(1e-18)));
         inverse[k] = F(1) / select(flat, F(S(1e-18)), *along[k]);
     }
-    for (int32_t l = 0; l < scene.n_light_boxes; ++l) {
-        const S *box = scene.light_boxes + 6 * l;
+    for (int32_t l = 0; l < n; ++l) {
+        const B *box = boxes + 6 * l;
         F first(0), last = F(S(INFINITY));
         for (int k = 0; k < 3; ++k) {
-            F a = (F(box[k]) - *from[k]) * inverse[k], b = (F(box[3 + k]) - *from[k]) * inverse[k];
+            F a = (F(S(box[k])) - *from[k]) * inverse[k], b = (F(S(box[3 + k])) - *from[k]) * inverse[k];
             first = max(first, min(a, b));
             last = min(last, max(a, b));
         }

@@ -26,7 +26,17 @@ struct PathStep {
 template <class F>
 TR_INLINE MaskOf<F> last_ray_counts(const SceneOf<F> &scene, const PathQueue<ScalarOf<F>> &queue, uint32_t i) {
     Entries<F> from(i);
-    return may_meet_light(scene, from(queue.o), from(queue.d)) || mask<F>(from(queue.seen) == UIntOf<F>(0u));
+    const auto meets = may_meet(scene.light_boxes, scene.n_light_boxes, from(queue.o), from(queue.d));
+    return meets || mask<F>(from(queue.seen) == UIntOf<F>(0u));
+}
+// Whether the ray to the last vertex that scatters has a derivative by BSDFs alone: it does if a vertex before has one,
+// or if it may meet such a BSDF.
+template <class F>
+TR_INLINE MaskOf<F> last_scattering_counts(const GradientNeeds &needs, const PathQueue<ScalarOf<F>> &queue,
+                                           uint32_t i) {
+    Entries<F> from(i);
+    const auto meets = may_meet(needs.boxes, needs.n_boxes, from(queue.o), from(queue.d));
+    return meets || has_differentiated<F>(from(queue.seen));
 }
 
 // Where rays hit; lanes that are not active get any place there is.
