@@ -68,7 +68,7 @@ struct Nearest {
         for (size_t k = 0; k < planes.size(); ++k) {
             Meeting m(planes[k], rays);
             M nearer = m.ahead(t, det);
-            if (!any(nearer)) continue;  // of many rays that go the same way all, if they go away from a wall
+            if (!any(nearer)) continue;  // rays that are alike often leave a face behind, all of them
             m.place(planes[k], rays);
             nearer = nearer && m.template inside<Parallelogram>();
             t = select(nearer, m.t, t);

@@ -62,7 +62,9 @@ DerivativeCall<S> derivative_call(const SceneData<S> &data, const PathConfig &pa
         d.variables[size_t(kind)] |= requires_.variables(i, bsdf_kernels<PacketOf<S>>(kind), needs.geometry);
     }
     for (size_t i = 0; i < count("emitter"); ++i) needs.emitter |= requires_.values("emitter", i);
-    if (needs.bsdf && !needs.emitter && !needs.numbers() && !light) d.boxes = data.boxes_with(d.bsdfs);
+    const bool bsdfs_alone = needs.bsdf && !needs.emitter && !needs.numbers() && !needs.camera;  // see Wavefront
+    if (bsdfs_alone && !light && !path.volumetric && !path.stokes && path.max_depth > 2)
+        d.boxes = data.boxes_with(d.bsdfs);
     needs.black_light = needs.emitter || (needs.geometry && requires_.emitters_vary());
     for (size_t i = 0; i < layout.shapes.size(); ++i)
         d.shapes.push_back((requires_.shape(i) ? ShapeMoves : 0) | (requires_.shape_matrix(i) ? MatrixMoves : 0));

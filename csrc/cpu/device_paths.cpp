@@ -367,7 +367,7 @@ void DevicePaths<S>::sort_hits(const PathStage<S> &stage, const PathStep &at, Pa
 template <class S>
 ShadeHits<S> DevicePaths<S>::shading(const PathStage<S> &stage, const PathStep &at, const PathQueue<S> &in,
                                      const PathQueue<S> &out, const Sorted &ranges) const {
-    return {stage,        at,           MissKind, false,       in,          at_.hits,      sorted_.entry,
+    return {stage,        at,           MissKind, 3,           in,          at_.hits,      sorted_.entry,
             ranges.begin, ranges.total, out,      at_.shadows, at_.out_key, at_.shadow_key};
 }
 

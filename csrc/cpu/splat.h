@@ -5,6 +5,7 @@
 #include <cstring>
 #include <vector>
 
+#include "core/color/spectrum.h"
 #include "film_places.h"
 
 // How vectors are passed to functions does not matter where all are inlined.
@@ -59,7 +60,7 @@ public:
     template <class F>
     void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Vector &sum, Vector &by_x, Vector &by_y) const {
         sum = by_x = by_y = Vector{};
-        for_columns(x, y, i, [&](auto columns, int j, Span rows, const T *from) {
+        const_cast<SplatFilm *>(this)->for_columns(x, y, i, [&](auto columns, int j, Span rows, const T *from) {
             typename decltype(columns)::Values down{}, slopes_down{};
             for (int k = rows.begin; k < rows.end; ++k, from += row_stride()) {
                 const auto value = columns.get(from);
@@ -124,11 +125,10 @@ private:
     // The columns of the film that a place reaches, some at once: visit(columns, number of the first in the filter,
     // rows, pointer to its numbers in the first row).
     template <class F, class Visit>
-    void for_columns(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Visit &&visit) const {
+    void for_columns(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Visit &&visit) {
         const Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
         if (v.begin == v.end || h.begin == h.end) return;
-        T *to =
-            reinterpret_cast<T *>(const_cast<SplatFilm *>(this)->row_at(y.first[i] + v.begin, x.first[i] + h.begin));
+        T *to = reinterpret_cast<T *>(row_at(y.first[i] + v.begin, x.first[i] + h.begin));
         int j = h.begin;
         for (; j + Beside <= h.end; j += Beside, to += Beside * Stride) visit(Columns<Beside>{}, j, v, to);
         for (; j < h.end; ++j, to += Stride) visit(Columns<1>{}, j, v, to);

@@ -147,7 +147,7 @@ struct ShadeHits {
     PathStage<S> stage;
     PathStep step;
     TR_MODEL_FACT(int32_t, kind, TR_BSDF_KIND);
-    int32_t left;  // vertices that rays which go on may find, at most 3; without a limit of depth 3
+    int32_t left;  // how many vertices more a path may have, rays that go on finding the first; 3: so many, or more
     PathQueue<S> in;
     HitColumns<S> hits;
     const uint32_t *sorted, *begin, *total;  // the last two by kind

@@ -5,6 +5,7 @@
 #include <thread>
 
 #include "cpu/allocation.h"
+#include "cpu/splat.h"
 #include "cpu/work_items.h"
 #include "harness.h"
 
@@ -314,6 +315,57 @@ TR_TEST(filters_are_splatted_and_collected_alike) {
     check_splats<double>(1e-14);
     check_splats<float>(4e-6);
     check_splats<PacketOf<float>>(4e-6);
+}
+
+// Of light paths, anywhere on the film and beside it, against the filter itself.
+template <class F>
+void check_splat_film(double tolerance) {
+    using S = ScalarOf<F>;
+    constexpr int N = 40;
+    std::mt19937 random(7);
+    std::uniform_real_distribution<double> uniform(0, 1);
+    SplatAxes<F> axes;
+    for (const Filter &filter : {tent, Filter(FilterKind::Tent, 1.5), Filter(FilterKind::Gaussian, 0.5),
+                                 Filter(FilterKind::Mitchell, 1.0 / 3, 1.0 / 3), Filter(FilterKind::Lanczos, 3)}) {
+        const Rect rect{-2, 5, 9, 12};
+        S xs[N], ys[N];
+        for (int i = 0; i < N; ++i) xs[i] = S(1 + 15 * uniform(random)), ys[i] = S(-6 + 19 * uniform(random));
+        axes.for_places(filter, xs, ys, N, true, [&](size_t i, int lane) {
+            using Film = SplatFilm<S>;
+            Film splatted(rect), moved(rect), adjoint(rect);
+            typename Film::Vector value{S(uniform(random)), S(uniform(random)), S(-1), S(0)}, sum, by_x, by_y;
+            const S dx = S(uniform(random)), dy = S(-0.5);
+            for (int y = rect.y0; y < rect.y1; ++y)
+                for (int x = rect.x0; x < rect.x1; ++x)
+                    for (int c = 0; c < 3; ++c) adjoint.at(y, x)[c] = S(uniform(random));
+            splatted.splat(axes.x, axes.y, lane, value);
+            moved.splat_motion(axes.x, axes.y, lane, dx, dy, value);
+            adjoint.collect(axes.x, axes.y, lane, sum, by_x, by_y);
+            double expected[3][3] = {};  // sum, by_x, by_y
+            for (int y = rect.y0; y < rect.y1; ++y)
+                for (int x = rect.x0; x < rect.x1; ++x) {
+                    const double u = x + 0.5 - double(xs[i]), v = y + 0.5 - double(ys[i]), w = filter(u) * filter(v),
+                                 wx = -filter.slope(u) * filter(v), wy = -filter(u) * filter.slope(v);
+                    for (int c = 0; c < 3; ++c) {
+                        CHECK_NEAR(splatted.at(y, x)[c], w * double(value[c]), tolerance);
+                        CHECK_NEAR(moved.at(y, x)[c], (wx * double(dx) + wy * double(dy)) * double(value[c]),
+                                   tolerance);
+                        const double a = double(adjoint.at(y, x)[c]);
+                        expected[0][c] += w * a, expected[1][c] += wx * a, expected[2][c] += wy * a;
+                    }
+                }
+            for (int c = 0; c < 3; ++c) {
+                CHECK_NEAR(sum[c], expected[0][c], 20 * tolerance);
+                CHECK_NEAR(by_x[c], expected[1][c], 20 * tolerance);
+                CHECK_NEAR(by_y[c], expected[2][c], 20 * tolerance);
+            }
+        });
+    }
+}
+TR_TEST(light_is_splatted_and_collected_alike) {
+    check_splat_film<double>(1e-13);
+    check_splat_film<float>(2e-5);
+    check_splat_film<PacketOf<float>>(2e-5);
 }
 
 TR_TEST(an_exception_on_any_thread_is_the_callers) {

@@ -19,6 +19,7 @@ from emulated import (
     hills,
     scene_of_materials,
 )
+from small_things import THING, small_things
 
 import torchrender as tr
 
@@ -45,6 +46,15 @@ def test_grids_of_distances(device, normals):
     chosen = differentiable(scene)
     assert {"glass.grid", "metal.grid", "metal.to_world"} <= set(chosen)
     check_gradients(device, scene, chosen, visibility=False, spp=8)
+
+
+@pytest.mark.parametrize("depth", [2, 3, 4])
+def test_rays_that_pass_small_things_by(device, depth):
+    """Those to the last vertex that scatters, where no vertex before has a derivative."""
+    scene = tr.load_dict(small_things(True))
+    scene.train_only(THING)
+    integrator = tr.PathTracer(max_depth=depth, rr_depth=100)
+    check_gradients(device, scene, {THING: scene.get_parameter(THING)}, integrator=integrator)
 
 
 @pytest.mark.parametrize("only", ["everything", "bsdfs"])

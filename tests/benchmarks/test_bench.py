@@ -82,6 +82,17 @@ def test_a_peer_that_does_not_start_ends_the_program(capsys):
     assert "/no/such/python" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["gaussian", "lanczos"])
+def test_table2_with_another_filter(tmp_path, name):
+    result = run(tmp_path, "table2", *TINY, "--only", "Cornell", "--filter", name)
+    assert f"{name} filter" in result["tables"][0]["title"]
+
+
+def test_redner_has_box_filters_alone():
+    with pytest.raises(SystemExit, match="--filter: Redner has box filters alone, got tent"):
+        main(["table2", *TINY, "--filter", "tent", "--peer", "redner=python"])
+
+
 def test_a_scene_that_does_not_exist_is_refused():
     with pytest.raises(SystemExit, match="no scene's name contains 'bunny'"):
         main(["table2", *TINY, "--only", "bunny"])

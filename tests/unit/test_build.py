@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import platform
 import pty
 import re
 import shutil
@@ -149,3 +150,19 @@ def test_steps_of_make(goals, steps, tmp_path):
     assert done.returncode == 0, done.stderr
     lines = [line for line in done.stdout.splitlines() if line.startswith("torchrender ")]
     assert lines == [f"torchrender {step}" for step in steps]
+
+
+# Files that between them use what core/math says of packets in a way of its own for each instruction set.
+OF_PACKETS = ("tests/test_math.cpp", "cpu/render_light.cpp", "core/integrator/surface.cpp", "accel/face_list.cpp")
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="other processors have one instruction set")
+@pytest.mark.parametrize("isa", ["v2", "avx2", "avx512"])
+def test_sources_are_valid_for_every_instruction_set(isa):
+    """A machine builds for its own one; wheels have all."""
+    settings = {"__name__": "setup", "__file__": str(ROOT / "setup.py")}
+    exec((ROOT / "setup.py").read_text().rsplit("\nsetup(", 1)[0], settings)
+    command = [*settings["find_compiler"](), *settings["compile_flags"](isa, False), "-fsyntax-only"]
+    for source in OF_PACKETS:
+        done = subprocess.run([*command, str(ROOT / "csrc" / source)], capture_output=True, text=True, timeout=300)
+        assert done.returncode == 0, done.stderr

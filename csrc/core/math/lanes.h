@@ -269,7 +269,7 @@ TR_INLINE void sincos(const drjit::Packet<T, N> &x, drjit::Packet<T, N> &s, drji
 }
 #endif
 
-#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX2)
+#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX2) && !defined(DRJIT_X86_AVX512)
 // Of every set of 8 lanes the numbers of those in it, in ascending order, a byte each.
 struct LaneOrders {
     uint64_t of[256]{};
@@ -303,8 +303,7 @@ TR_INLINE void store_compressed(S *p, const T &x, [[maybe_unused]] const MaskOf<
                 return;
             }
         }
-#endif
-#if defined(DRJIT_X86_AVX2)
+#elif defined(DRJIT_X86_AVX2)
         if constexpr (sizeof(T) == 32 && sizeof(S) == 4) {
             const int set = _mm256_movemask_ps(drjit::mask_t<drjit::Packet<float, 8>>(m).m);
             const __m256i order = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(int64_t(lane_orders.of[set])));
