@@ -128,12 +128,8 @@ lint: $(VENV)/.installed
 	@$(VENV)/bin/clang-format --dry-run -Werror $(CXX_FILES)
 
 # Clang's front end and clang-tidy: a second compiler reads the native code, in packets of four. See csrc/.clang-tidy.
-TIDY_FLAGS = -std=c++17 -Wall -Wextra -msse4.2 -mpopcnt -DTR_ISA=v2 -DTR_PACKET_WIDTH=4 -Icsrc \
-  -isystem $(shell $(PY) -c "import drjit; print(drjit.__path__[0])" 2>/dev/null)/include
-
 tidy: $(VENV)/.installed
-	@find csrc/core csrc/accel csrc/device csrc/host csrc/cpu -name '*.cpp' | sort | \
-	  xargs -P "$$(nproc)" -n 4 sh -c '$(VENV)/bin/clang-tidy --quiet "$$@" -- $(TIDY_FLAGS)' tidy
+	@.ci/tidy "$(abspath $(VENV))"
 
 format: $(VENV)/.installed
 	$(PY) -m ruff check --fix .

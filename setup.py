@@ -328,7 +328,9 @@ class Ninja:
                     return process.wait(pause)
                 except subprocess.TimeoutExpired:
                     passed = time.monotonic() - started
-                    print(f"torchrender: still compiling, {passed:.0f} s so far", file=sys.stderr, flush=True)
+                    # in one write, between whose text and newline Ninja says nothing
+                    sys.stderr.write(f"torchrender: still compiling, {passed:.0f} s so far\n")
+                    sys.stderr.flush()
 
 
 @contextlib.contextmanager

@@ -24,7 +24,7 @@ from emulated import (
 )
 
 import torchrender as tr
-from torchrender.cuda.check import Check
+from torchrender.cuda import check as check_of_cards
 
 pytestmark = pytest.mark.filterwarnings("ignore::torchrender.MissingTermWarning")
 DOUBLE = torch.float64
@@ -108,8 +108,12 @@ def test_gradcheck(device):
     assert torch.autograd.gradcheck(image, values, check_forward_ad=True)
 
 
-def test_the_check_of_cards(device, tmp_path):
-    """Its step of double precision, with the emulated device for a card."""
-    check = Check("emulated", tmp_path / "found.json", "", ("double",))
+def test_the_check_of_cards(device, tmp_path, monkeypatch):
+    """Its step of double precision, with the emulated device for a card, which takes long for as large pictures."""
+    rooms = check_of_cards.rooms()
+    for room in rooms.values():
+        room["sensor"]["film"] |= {"width": 24, "height": 24}
+    monkeypatch.setattr(check_of_cards, "rooms", lambda: rooms)
+    check = check_of_cards.Check("emulated", tmp_path / "found.json", "", ("double",))
     check.step("double", check.double)
     assert check.good and 0 < max(check.report["double"]["off by"].values()) < 1e-10

@@ -10,6 +10,7 @@ import threading
 import time
 from pathlib import Path
 
+import fresh_python
 import pytest
 import torch
 
@@ -35,11 +36,13 @@ exec(SCENE, namespace)
 make = namespace["make"]
 
 
-def python(code: str, timeout: float = 120) -> str:
-    """What `code`, which may use ``make()``, prints in a fresh interpreter."""
-    done = subprocess.run(
-        [sys.executable, "-c", SCENE + code], cwd=ROOT, capture_output=True, text=True, timeout=timeout
-    )
+def python(code: str, timeout: int = 120, spawns: bool = False) -> str:
+    """What `code`, which may use ``make()``, prints in a process of its own; what spawns others is an interpreter."""
+    if spawns:
+        command = [sys.executable, "-c", SCENE + code]
+        done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=timeout)
+    else:
+        done = fresh_python.run(SCENE + code, timeout=timeout)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -185,7 +188,7 @@ def test_data_loader_workers(context):
         pytest.skip("no fork here")
     code = """
 import sys
-sys.path.insert(0, "tests/api")
+sys.path[:0] = ["tests/api", "tests/helpers"]
 if __name__ == "__main__":
     from test_layer_processes import Views
     scene = make()
@@ -196,7 +199,7 @@ if __name__ == "__main__":
         Views(scene), batch_size=2, num_workers=workers, multiprocessing_context=CONTEXT)
     print(torch.equal(torch.cat(list(loader)), here))
 """.replace("CONTEXT", repr(context))
-    assert python(code) == "True\n"
+    assert python(code, spawns=context == "spawn") == "True\n"
 
 
 def test_gradients_and_shared_memory_in_forked_processes():
@@ -298,5 +301,5 @@ for it in tr.progress(range(2), desc="training"):
     tr.render(scene, spp=4, passes=2).sum().backward()
 tr.render(scene, sensor=[0, 0], spp=4)
 """
-    done = subprocess.run([sys.executable, "-c", SCENE + code], cwd=ROOT, capture_output=True, text=True)
+    done = fresh_python.run(SCENE + code)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

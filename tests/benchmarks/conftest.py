@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
+import fresh_python
 import pytest
 
 FAKE_SERVER = """
@@ -88,3 +91,11 @@ def fake_peer(tmp_path, monkeypatch):
     server = tmp_path / "fake_server.py"
     server.write_text(FAKE_SERVER.format(folder=str(peers.FOLDER)))
     monkeypatch.setitem(peers.KNOWN, "mitsuba", dataclasses.replace(peers.KNOWN["mitsuba"], server=str(server)))
+
+
+@pytest.fixture
+def forks(monkeypatch):
+    """Processes that measure something are forks of one that has torch: seconds less for each of them."""
+    from bench import fresh
+
+    monkeypatch.setattr(fresh, "subprocess", SimpleNamespace(run=fresh_python.interpreter))

@@ -262,7 +262,7 @@ def test_coldstart(tmp_path):
     assert all(0 < part < 60 for part in parts)
 
 
-def test_memory(tmp_path, fake_peer):
+def test_memory(tmp_path, fake_peer, forks):
     options = [
         "--only",
         "sphere, texture 1024",
@@ -384,7 +384,7 @@ def test_slab(tmp_path, fake_peer):
     assert other["not finite, image"] == 6
 
 
-def test_volume_gradients(tmp_path, fake_peer):
+def test_volume_gradients(tmp_path, fake_peer, forks):
     options = ["--size", "8", "--seeds", "4", "--reference", "64", "--differences", "2", "--rounds", "1"]
     result = run(tmp_path, "volume_gradients", *TINY, *options, "--peer", f"mitsuba={sys.executable}")
     time, variance, bias, memory = (table["rows"] for table in result["tables"])
@@ -410,7 +410,7 @@ def test_media_are_not_redners(tmp_path, fake_peer, monkeypatch, capsys):
     assert "Mitsuba has no participating media" in capsys.readouterr().err
 
 
-def test_caustics(tmp_path, fake_peer, capsys):
+def test_caustics(tmp_path, fake_peer, forks, capsys):
     options = ["--size", "16", "--spp-grad", "2", "--seeds", "3", "--peer", f"mitsuba={sys.executable}"]
     time, memory, check = (table["rows"] for table in run(tmp_path, "caustics", *TINY, *options)["tables"])
     assert [row["program"] for row in time] == ["ours", "Mitsuba"]
@@ -473,7 +473,7 @@ def test_rays(tmp_path):
         assert row["best Mrays/s"] == pytest.approx(1e3 / row[f"{row['best']} ns"]["median"])
 
 
-def test_gradient_index(tmp_path):
+def test_gradient_index(tmp_path, forks):
     options = [
         "--resolution",
         "8",

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
+import fresh_python
 import numpy as np
 import pytest
 
@@ -175,8 +175,8 @@ def test_wrong_arguments(arguments, message, capsys):
 
 def test_all_scenes_of_the_tests_are_found():
     options = {"folder": "", "tests": str(same.ROOT / "tests"), "dtypes": [], "only": "no such", "quick": True}
-    command = [sys.executable, str(same.PROGRAM), json.dumps(options)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    done = fresh_python.interpreter([sys.executable, str(same.PROGRAM), json.dumps(options)])
+    assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["lost"] == []
 
 
@@ -218,5 +218,5 @@ def test_modules_of_tests_are_found_and_may_import_what_is_not_there(tmp_path):
         "assert TABLE['a'] == 3 and TABLE['place'].matrix[0, 0] == 2, TABLE\n"
         "try:\n    import no_such_module\nexcept ImportError:\n    print('fine')\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], cwd=same.ROOT, capture_output=True, text=True)
+    done = fresh_python.run(code)
     assert (done.stdout, done.returncode) == ("fine\n", 0), done.stderr

@@ -12,11 +12,14 @@ import sys
 import time
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
+import fresh_python
 import numpy as np
 import pytest
 import torch
 
+from bench import fuzz
 from bench.fuzz import hunt
 from bench.fuzz_inputs import KINDS
 from bench.fuzz_worker import dicts, files, verdict
@@ -123,8 +126,9 @@ work(make, read, (ValueError, OSError), int(sys.argv[2]), int(sys.argv[3]), floa
 
 
 @pytest.fixture
-def faulty(tmp_path):
+def faulty(tmp_path, monkeypatch):
     """The command of a worker that has every fault."""
+    monkeypatch.setattr(fuzz, "subprocess", SimpleNamespace(run=fresh_python.interpreter))
     program = tmp_path / "faulty.py"
     program.write_text(f"import sys\nsys.path.insert(0, {str(ROOT)!r})\n{FAULTY}")
     return [sys.executable, str(program)]

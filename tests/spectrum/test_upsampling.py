@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import functools
 import itertools
-import subprocess
-import sys
 
+import fresh_python
 import pytest
 import torch
 
@@ -165,4 +164,5 @@ def test_the_table_may_be_made_inside_of_a_transform():
         "again = torch.autograd.functional.jacobian(sp.upsample, x)\n"
         "assert torch.allclose(first, again, rtol=1e-10, atol=1e-10)\n"
     )
-    subprocess.run([sys.executable, "-c", program], check=True, timeout=120)
+    done = fresh_python.run(program)
+    assert done.returncode == 0, done.stderr

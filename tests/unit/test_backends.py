@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
+import fresh_python
 import pytest
 
 import torchrender as tr
 from torchrender import backends
 
-ROOT = Path(__file__).resolve().parents[2]
 RENDER = (
     "import torchrender as tr; s = tr.load_dict({'type': 'scene', 'a': {'type': 'perspective', 'film': {'type': "
     "'hdrfilm', 'width': 4, 'height': 4}}, 'sky': {'type': 'constant'}}); i = tr.render(s, spp=1, seed=0); "
@@ -20,16 +19,8 @@ RENDER = (
 )
 
 
-def run(code: str, **environment: str) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        env={**os.environ, **environment},
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+def run(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    return fresh_python.run(code, {**os.environ, **environment})
 
 
 def test_one_core_is_used():

@@ -12,6 +12,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import fresh_python
 import pytest
 import small_scene
 import torch
@@ -32,13 +33,7 @@ extern "C" int nvrtcVersion(int *major, int *minor) { return *major = 12, *minor
 """
 
 
-def python(code: str, **environment: str) -> str:
-    variables = {k: v for k, v in os.environ.items() if not k.startswith("TORCHRENDER_")} | environment
-    done = subprocess.run(
-        [sys.executable, "-c", code], cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+VARIABLES = {k: v for k, v in os.environ.items() if not k.startswith("TORCHRENDER_")}
 
 
 @pytest.fixture
@@ -141,7 +136,9 @@ for moved in (False, True):
     print(os.waitpid(child, 0)[1])
 print(torch.equal(tr.ray_intersect(scene, o, d).t, first.t))
 """
-    out = python(code, TORCHRENDER_BACKEND="emulated").splitlines()
+    done = fresh_python.run(code, VARIABLES | {"TORCHRENDER_BACKEND": "emulated"})
+    assert done.returncode == 0, done.stderr
+    out = done.stdout.splitlines()
     assert out == ["[0, 1, -1] [True, True, False] True emulated", "True", "0", "0", "True"]
 
 
@@ -186,7 +183,11 @@ for version in ("11080", "12020"):
 """
     none = f"has {ALONE}; scene.to('cuda') or TORCHRENDER_BACKEND=cuda chooses it; "
     nvrtc = f"NVRTC 12.8 at {library}"
-    out = python(code, LD_LIBRARY_PATH=str(tmp_path), TORCHRENDER_NVRTC=str(library)).splitlines()
+    variables = VARIABLES | {"LD_LIBRARY_PATH": str(tmp_path), "TORCHRENDER_NVRTC": str(library)}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, env=variables, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    out = done.stdout.splitlines()
     old = "the NVIDIA driver is made for CUDA 11.8, expected at least 12.0; install driver 525 or newer"
     assert out == [f"{none}{old}; there is {nvrtc}", f"{none}there is an NVIDIA driver for CUDA 12.2; there is {nvrtc}"]
 

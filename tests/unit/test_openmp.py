@@ -57,8 +57,8 @@ def test_equal_numbers_by_own_threads(own_threads, threads):
 
 def test_a_team_that_is_too_small_is_filled_up():
     """OpenMP gives fewer threads than it is asked for where it may not have more."""
-    found = {}
-    for limit in ("1", "2", "64"):
+    found = {"none": f"{[float(x.double().sum()).hex() for x in numbers(3)]}\n"}
+    for limit in ("1", "2"):
         done = subprocess.run(
             [sys.executable, "-c", PROGRAM],
             env=os.environ | {"OMP_THREAD_LIMIT": limit},
