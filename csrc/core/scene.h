@@ -196,12 +196,11 @@ TR_INLINE Spectrum<F> constant_spectrum(const Values<S> &values, const Wavelengt
     return r;
 }
 
-// The index of the first number of cdf[offset .. offset + n) that is larger than u; n - 1 if none is.
+// The first of low .. high, whose number behind cdf[offset] is larger than u; `high` if none is.
 template <class F, class S>
-TR_INLINE UIntOf<F> search_cdf(const S *cdf, const UIntOf<F> &offset, const UIntOf<F> &n, const F &u,
-                               const MaskOf<F> &active) {
+TR_INLINE UIntOf<F> search_cdf_between(const S *cdf, const UIntOf<F> &offset, UIntOf<F> low, UIntOf<F> high, const F &u,
+                                       const MaskOf<F> &active) {
     using U = UIntOf<F>;
-    U low(0u), high = n - 1u;
     auto open = mask<F>(low < high) && active;
     while (any(open)) {
         U middle = (low + high) >> 1;
@@ -211,6 +210,12 @@ TR_INLINE UIntOf<F> search_cdf(const S *cdf, const UIntOf<F> &offset, const UInt
         open = mask<F>(low < high) && active;
     }
     return low;
+}
+// ... of all n.
+template <class F, class S>
+TR_INLINE UIntOf<F> search_cdf(const S *cdf, const UIntOf<F> &offset, const UIntOf<F> &n, const F &u,
+                               const MaskOf<F> &active) {
+    return search_cdf_between<F>(cdf, offset, UIntOf<F>(0u), n - 1u, u, active);
 }
 
 }  // namespace tr

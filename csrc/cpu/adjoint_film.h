@@ -30,19 +30,18 @@ void collect_adjoints(const RenderCall<ScalarOf<F>> &call, const std::vector<Fil
     const bool box = call.filter.reach() == 0;  // asks for pixels only, whose samples follow each other
     const SpectrumColumn<S> parts[] = {slots.delta, slots.delta_q, slots.delta_u, slots.delta_v};
     const int n_parts = call.config.stokes ? 4 : 1;
-    for (const Span &span : spans)
-        for_film_places<F>(call.filter, slots, span.begin, span.end, [&](size_t k, const FilmPlace<F> &place) {
-            if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
-                for (int p = 0; p < n_parts; ++p)
-                    for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
-                return;
-            }
-            double d[4 * SpectrumSize] = {};
-            blocks[span.unit].collect(place, d);
+    for_film_places<F>(call.filter, slots, spans, [&](const Span &span, size_t k, const FilmPlace<F> &place) {
+        if (box && k > span.begin && slots.pixel[k] == slots.pixel[k - 1]) {
             for (int p = 0; p < n_parts; ++p)
-                for (int c = 0; c < SpectrumSize; ++c)
-                    parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
-        });
+                for (int c = 0; c < SpectrumSize; ++c) parts[p][c][k] = parts[p][c][k - 1];
+            return;
+        }
+        double d[4 * SpectrumSize] = {};
+        blocks[span.unit].collect(place, d);
+        for (int p = 0; p < n_parts; ++p)
+            for (int c = 0; c < SpectrumSize; ++c)
+                parts[p][c][k] = c < call.values ? S(d[p * call.values + c] * span.weight) : S(0);
+    });
 }
 
 }  // namespace tr

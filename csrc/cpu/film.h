@@ -1,6 +1,7 @@
 // The film: the sum of samples into blocks of pixels.
 #pragma once
 
+#include <cstring>
 #include <stdexcept>
 #include <vector>
 
@@ -50,15 +51,48 @@ struct FilmBlock {
     }
     const double *at(int y, int x) const { return const_cast<FilmBlock *>(this)->at(y, x); }
 
+    // Most are of three components and alpha.
+    static constexpr int Usual = 4;
+    typedef double UsualValues __attribute__((vector_size(Usual * sizeof(double))));
+    bool is_usual() const { return values == Usual && moments == 0; }
+
     // Adds a sample.
     template <class F>
     void splat(const FilmPlace<F> &place, const double *value) {
-        if (values == 4 && moments == 0)  // most are: three components and alpha
-            return for_reached(place, [&](double *p, double w) { add_sample(p, w, value, 4, 0); });
+        if (is_usual()) return for_reached(place, [&](double *p, double w) { add_sample(p, w, value, Usual, 0); });
         for_reached(place, [&](double *p, double w) { add_sample(p, w, value, values, moments); });
     }
 
-    // The same for samples k .. end of one pixel with the box filter, whose values are in columns.
+    // The same for lanes begin to end of a usual film, which are a run of samples: the same sums. All values are
+    // finite, those that a sample does not reach getting 0 of it.
+    template <class F>
+    void splat_run(const SplatAxes<F> &axes, int begin, int end, const UsualValues *value) {
+        for_run(axes, begin, end, [&](double *p, const double *w) {
+            UsualValues sum;
+            std::memcpy(&sum, p, sizeof(sum));
+            double total = p[Usual];
+            for (int i = begin; i < end; ++i) sum += w[i] * value[i], total += w[i];
+            std::memcpy(p, &sum, sizeof(sum));
+            p[Usual] = total;
+        });
+    }
+
+    // Adds the weights alone of a sample that counts `times` times.
+    template <class F>
+    void add_weight(const FilmPlace<F> &place, double times) {
+        for_reached(place, [&](double *p, double w) { p[values] += w * times; });
+    }
+    // ... of a run of samples that count once: the same sums.
+    template <class F>
+    void add_weights(const SplatAxes<F> &axes, int begin, int end) {
+        for_run(axes, begin, end, [&](double *p, const double *w) {
+            double total = p[values];
+            for (int i = begin; i < end; ++i) total += w[i];
+            p[values] = total;
+        });
+    }
+
+    // Adds samples k .. end of one pixel with the box filter, whose values are in columns.
     template <class S>
     void splat_pixel(int row, int column, size_t k, size_t end, S *const *value) {
         if (!rect.contains(row, column)) return;
@@ -77,12 +111,6 @@ struct FilmBlock {
                 q[2 * moments + c] += v * v;
             }
         if (moments) q[3 * moments] += double(end - k);
-    }
-
-    // Adds the weights alone of a sample that counts `times` times.
-    template <class F>
-    void add_weight(const FilmPlace<F> &place, double times) {
-        for_reached(place, [&](double *p, double w) { p[values] += w * times; });
     }
 
     // The transposed of `splat`: what a sample gets of the numbers in the block.
@@ -104,6 +132,26 @@ struct FilmBlock {
     }
 
 private:
+    // visit(sums of a pixel, weights of all lanes) of what lanes begin to end reach. Pixel by pixel sums stay in
+    // registers, where those of single samples wait for memory that was written just before.
+    template <class F, class Visit>
+    void for_run(const SplatAxes<F> &axes, int begin, int end, Visit &&visit) {
+        constexpr int W = Lanes<F>::Width;
+        const RunWeights<F> x(axes.x, begin, end), y(axes.y, begin, end);
+        const int left = std::max(x.first, rect.x0), right = std::min(x.first + x.n, rect.x1);
+        if (left >= right) return;
+        for (int row = std::max(y.first, rect.y0); row < std::min(y.first + y.n, rect.y1); ++row) {
+            const auto &wy = y.weight[row - y.first];
+            double *p = at(row, left);
+            for (int column = left; column < right; ++column, p += channels()) {
+                const auto &wx = x.weight[column - x.first];
+                alignas(64) double w[W];
+                for (int i = 0; i < W; ++i) w[i] = double(wy[i]) * double(wx[i]);
+                visit(p, w);
+            }
+        }
+    }
+
     // visit(sums of a pixel, weight)
     template <class F, class Visit>
     void for_reached(const FilmPlace<F> &place, Visit &&visit) {

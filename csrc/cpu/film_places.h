@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <cstdlib>
 
 #include "core/film/filter.h"
 #include "core/film/sums.h"
@@ -22,26 +23,32 @@ struct SplatAxis {
 
     void set(const Filter &filter, const F &x, bool slopes) {
         n = filter.pixels();
-        const F base = filter.first_pixel(x), from = base + F(S(0.5)) - x;
+        const auto at = filter.reached(x);
         for (int k = 0; k < n; ++k) {
-            F offset = from + F(S(k));
+            const F offset = at.offset(k);
             F by_place(0);
             store(&weight[k][0], slopes ? filter.weight(offset, by_place) : filter.weight(offset));
             if (slopes) store(&slope[k][0], -by_place);
         }
         alignas(64) S f[W];
-        store(&f[0], base);
+        store(&f[0], at.first);
         for (int i = 0; i < W; ++i)  // places far away stay far away
             first[i] = int32_t(std::min(std::max(f[i], S(-1e9)), S(1e9)));
     }
 };
 
-// Both axes. `for_places` visits n places: visit(k, i), their weights being in lane i.
+// Both axes. `for_places` visits n places: visit(k, i), their weights being in lane i; `for_packets` packets of them:
+// visit(k, n), those of places k to k + n being in the first n lanes.
 template <class F>
 struct SplatAxes {
     using S = ScalarOf<F>;
     static constexpr size_t W = size_t(Lanes<F>::Width);
     SplatAxis<F> x, y;
+
+    // Whether lane i may follow lane `begin` in RunWeights.
+    bool near(int begin, int i) const {
+        return std::abs(x.first[i] - x.first[begin]) <= 1 && std::abs(y.first[i] - y.first[begin]) <= 1;
+    }
 
     static F load_some(const S *from, size_t lanes) {
         if (lanes == W) return load<F>(from);
@@ -50,11 +57,38 @@ struct SplatAxes {
         return load<F>(some);
     }
     template <class Visit>
-    void for_places(const Filter &filter, const S *xs, const S *ys, size_t n, bool slopes, Visit &&visit) {
+    void for_packets(const Filter &filter, const S *xs, const S *ys, size_t n, bool slopes, Visit &&visit) {
         for (size_t k = 0; k < n; k += W) {
             const size_t lanes = std::min(W, n - k);
             x.set(filter, load_some(xs + k, lanes), slopes), y.set(filter, load_some(ys + k, lanes), slopes);
+            visit(k, lanes);
+        }
+    }
+    template <class Visit>
+    void for_places(const Filter &filter, const S *xs, const S *ys, size_t n, bool slopes, Visit &&visit) {
+        for_packets(filter, xs, ys, n, slopes, [&](size_t k, size_t lanes) {
             for (size_t i = 0; i < lanes; ++i) visit(k + i, int(i));
+        });
+    }
+};
+
+// The weights of lanes begin to end in all pixels along an axis that one of them reaches; 0 where another does not. No
+// lane begins more than a pixel before or behind the first of them.
+template <class F>
+struct RunWeights {
+    static constexpr int Most = SplatAxis<F>::Most + 2;
+    int first, n;
+    alignas(64) ScalarOf<F> weight[Most][Lanes<F>::Width];  // of pixel first + k, by lane
+
+    RunWeights(const SplatAxis<F> &axis, int begin, int end) {
+        const auto range = std::minmax_element(axis.first + begin, axis.first + end);
+        first = *range.first, n = *range.second - first + axis.n;
+        const IntOf<F> before = load<IntOf<F>>(axis.first) - first;
+        for (int k = 0; k < n; ++k) {
+            F w(0);
+            for (int j = std::max(0, k - axis.n + 1); j <= std::min(k, n - axis.n); ++j)
+                w = select(mask<F>(before == j), load<F>(axis.weight[k - j]), w);
+            store(&weight[k][0], w);
         }
     }
 };
@@ -80,6 +114,21 @@ void for_film_places(const Filter &filter, const Columns &at, size_t begin, size
     SplatAxes<F> axes;
     axes.for_places(filter, at.film_x.at + begin, at.film_y.at + begin, end - begin, false,
                     [&](size_t k, int lane) { visit(begin + k, place(begin + k, &axes, lane)); });
+}
+// Samples k .. end of columns, with a filter that is not a box: run(first, axes, begin, end) of runs of samples that
+// are near each other, lanes begin to end, sample `first` being in lane 0; one(k, place) of those that are not worth a
+// run.
+template <class F, class Columns, class Run, class One>
+void for_film_runs(const Filter &filter, const Columns &at, size_t k, size_t end, Run &&run, One &&one) {
+    constexpr int LeastRun = 2;  // a run visits more pixels than its samples, and has all lanes' weights there
+    SplatAxes<F> axes;
+    axes.for_packets(filter, at.film_x.at + k, at.film_y.at + k, end - k, false, [&](size_t from, size_t n) {
+        for (int begin = 0, next; begin < int(n); begin = next) {
+            for (next = begin + 1; next < int(n) && axes.near(begin, next);) ++next;
+            if (next - begin >= LeastRun && run(k + from, axes, begin, next)) continue;
+            for (int i = begin; i < next; ++i) one(k + from + size_t(i), FilmPlace<F>{0, 0, &axes, i});
+        }
+    });
 }
 // visit(place) of one alone.
 template <class S, class Visit>

@@ -35,16 +35,12 @@ void splat_first_hits(const RenderCall<ScalarOf<F>> &call, const TileSchedule &s
                 for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                     hits.trace(config, n, false);
                     fill(hits, n);
-                    const auto splat = [&](FilmBlock &block, size_t k, const FilmPlace<F> &place) {
+                    for_film_places<F>(filter, at, spans, [&](const Span &span, size_t k, const FilmPlace<F> &place) {
                         double v[MaxAovChannels + 1];
                         for (int c = 0; c < layout.n; ++c) v[c] = double(hits.value[c][k]);
                         v[layout.n] = hits.is_hit(k) ? 1 : 0;
-                        block.splat(place, v);
-                    };
-                    for (const Span &span : spans)
-                        for_film_places<F>(filter, at, span.begin, span.end, [&](size_t k, const FilmPlace<F> &place) {
-                            splat(blocks[span.unit], k, place);
-                        });
+                        blocks[span.unit].splat(place, v);
+                    });
                 });
                 merge.push(item, std::move(blocks), stop);
             });
@@ -154,27 +150,23 @@ RenderStats adjoint_aovs(const RenderCall<ScalarOf<F>> &call, const AovOutput<Sc
                 buffers[size_t(thread)].allocate(derivative, thread);
                 return std::make_unique<Tile>(call, layout, capacity);
             };
-            run_tiles(
-                schedule.n_items(), call, Assignment::Interleaved, stats, make,
-                [&](Tile &hits, size_t item, int thread, const Stop &stop) {
-                    const auto &at = hits.samples;
-                    std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, layout.n);
-                    for_batches(
-                        at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
-                            hits.trace(config, n, false);
-                            const auto collect = [&](const FilmBlock &block, size_t k, const FilmPlace<F> &place) {
-                                double v[MaxAovChannels];
-                                block.collect(place, v);
-                                for (int c = 0; c < layout.n; ++c) hits.value[c][k] = S(v[c]);
-                            };
-                            for (const Span &span : spans)
-                                for_film_places<F>(
-                                    filter, at, span.begin, span.end,
-                                    [&](size_t k, const FilmPlace<F> &place) { collect(blocks[span.unit], k, place); });
-                            GradientSink<F> sink = buffers[size_t(thread)].template sink<F>(derivative);
-                            hits.sweep(n, derivative.gradient_needs(), sink);
-                        });
-                });
+            run_tiles(schedule.n_items(), call, Assignment::Interleaved, stats, make,
+                      [&](Tile &hits, size_t item, int thread, const Stop &stop) {
+                          const auto &at = hits.samples;
+                          std::vector<FilmBlock> blocks = adjoint_blocks(schedule, item, adjoint, layout.n);
+                          for_batches(
+                              at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
+                                  hits.trace(config, n, false);
+                                  for_film_places<F>(filter, at, spans,
+                                                     [&](const Span &span, size_t k, const FilmPlace<F> &place) {
+                                                         double v[MaxAovChannels];
+                                                         blocks[span.unit].collect(place, v);
+                                                         for (int c = 0; c < layout.n; ++c) hits.value[c][k] = S(v[c]);
+                                                     });
+                                  GradientSink<F> sink = buffers[size_t(thread)].template sink<F>(derivative);
+                                  hits.sweep(n, derivative.gradient_needs(), sink);
+                              });
+                      });
         }
         if (!stats.interrupted) add_buffers(buffers, derivative);
     }

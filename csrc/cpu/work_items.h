@@ -55,10 +55,30 @@ void splat_span(FilmBlock &block, const Filter &filter, const Columns &at, size_
         }
         return;
     }
-    for_film_places<F>(filter, at, k, end, [&](size_t i, const FilmPlace<F> &place) {
-        double v[4 * SpectrumSize + 1];
-        for (int c = 0; c < values; ++c) v[c] = double(value[c][i]);
-        block.splat(place, v);
+    if (!block.is_usual())
+        return for_film_places<F>(filter, at, k, end, [&](size_t i, const FilmPlace<F> &place) {
+            double v[4 * SpectrumSize + 1];
+            for (int c = 0; c < values; ++c) v[c] = double(value[c][i]);
+            block.splat(place, v);
+        });
+    using Values = FilmBlock::UsualValues;
+    const auto get = [&](size_t i, Values &v) {
+        v = Values{double(value[0][i]), double(value[1][i]), double(value[2][i]), double(value[3][i])};
+    };
+    const auto run = [&](size_t first, const SplatAxes<F> &axes, int begin, int last) {
+        Values v[Lanes<F>::Width], nothing{};
+        for (int i = begin; i < last; ++i) get(first + size_t(i), v[i]), nothing += v[i] - v[i];
+        for (int c = 0; c < FilmBlock::Usual; ++c)
+            if (nothing[c] != 0) return false;  // not finite
+        block.splat_run(axes, begin, last, v);
+        return true;
+    };
+    for_film_runs<F>(filter, at, k, end, run, [&](size_t i, const FilmPlace<F> &place) {
+        Values v;
+        get(i, v);
+        double numbers[FilmBlock::Usual];
+        std::memcpy(numbers, &v, sizeof(v));
+        block.splat(place, numbers);
     });
 }
 
@@ -93,6 +113,14 @@ struct Span {
     uint32_t begin, end;
     double weight;
 };
+
+// visit(span, k, place) for the samples of all spans.
+template <class F, class Columns, class Visit>
+void for_film_places(const Filter &filter, const Columns &at, const std::vector<Span> &spans, Visit &&visit) {
+    for (const Span &span : spans)
+        for_film_places<F>(filter, at, span.begin, span.end,
+                           [&](size_t k, const FilmPlace<F> &place) { visit(span, k, place); });
+}
 
 // Calls body(n, spans) for batches of an item's paths, whose identities are set.
 template <class S, class Columns, class Body>
@@ -178,11 +206,17 @@ std::unique_ptr<Film> sum_weights(const RenderCall<ScalarOf<F>> &call, const Til
                   std::vector<FilmBlock> blocks = blocks_of(schedule, item, 0);
                   for_batches(at, call, schedule, item, capacity, stop, [&](size_t n, const std::vector<Span> &spans) {
                       choose_positions<F>(call.config, at, n);
-                      for (const Span &span : spans)
-                          for_film_places<F>(call.filter, at, span.begin, span.end,
-                                             [&](size_t, const FilmPlace<F> &place) {
-                                                 blocks[span.unit].add_weight(place, span.weight);
-                                             });
+                      for (const Span &span : spans) {
+                          FilmBlock &block = blocks[span.unit];
+                          for_film_runs<F>(
+                              call.filter, at, span.begin, span.end,
+                              [&](size_t, const SplatAxes<F> &axes, int begin, int last) {
+                                  if (span.weight != 1) return false;
+                                  block.add_weights(axes, begin, last);
+                                  return true;
+                              },
+                              [&](size_t, const FilmPlace<F> &place) { block.add_weight(place, span.weight); });
+                      }
                   });
                   merge.push(item, std::move(blocks), stop);
               });

@@ -21,11 +21,12 @@ struct SplatPlace {
     // by the place.
     template <class S, class Visit>
     TR_HD void along(S at, int32_t low, int32_t high, Visit &&visit) const {
-        const S base = filter.first_pixel(at), from = base + S(0.5) - at;
-        const int32_t first = int32_t(min(max(base, S(-1e9)), S(1e9)));  // places far away stay far away
+        const auto reached = filter.reached(at);
+        const int32_t first = int32_t(min(max(reached.first, S(-1e9)), S(1e9)));  // places far away stay far away
         for (int32_t k = max(0, low - first), end = min(filter.pixels(), high - first); k < end; ++k) {
-            const S offset = from + S(k);
-            visit(first + k, filter.weight(offset), -filter.slope(offset));
+            S slope(0);
+            const S weight = filter.weight(reached.offset(k), slope);
+            visit(first + k, weight, -slope);
         }
     }
     // visit(number of the pixel, weight, slope along x, along y)

@@ -4,7 +4,7 @@
 #include <cstddef>
 #include <vector>
 
-#include "../core/scene.h"
+#include "../core/emitter/cells.h"
 
 namespace tr {
 
@@ -13,16 +13,23 @@ namespace tr {
 template <class S>
 double build_cdf(const double *weights, size_t n, S *cdf);
 
-// Tables of core/emitter/cells.h: cells of the weights weight(row, column), rows weighted by factor(row) besides.
+// A table of core/emitter/cells.h, of table_size(n) numbers; returns the total.
+template <class S>
+double build_cell_table(const double *weights, size_t n, S *table);
+
+// Tables of a grid: cells of the weights weight(row, column), rows weighted by factor(row) besides, appended.
 template <class S, class Weight, class Factor>
-void build_cells(int rows, int columns, S *marginal, S *conditional, Weight &&weight, Factor &&factor) {
-    std::vector<double> cells(static_cast<size_t>(columns)), of_row(static_cast<size_t>(rows));
-    for (int i = 0; i < rows; ++i) {
-        for (int j = 0; j < columns; ++j) cells[size_t(j)] = weight(i, j);
-        of_row[size_t(i)] =
-            factor(i) * build_cdf(cells.data(), cells.size(), conditional + size_t(i) * size_t(columns));
+void build_cells(int rows, int columns, std::vector<S> &marginal, std::vector<S> &conditional, Weight &&weight,
+                 Factor &&factor) {
+    const size_t n_rows = size_t(rows), n_columns = size_t(columns), stride = table_size(uint32_t(columns));
+    const size_t first_row = marginal.size(), first_cell = conditional.size();
+    marginal.resize(first_row + table_size(uint32_t(rows))), conditional.resize(first_cell + n_rows * stride);
+    std::vector<double> cells(n_columns), of_row(n_rows);
+    for (size_t i = 0; i < n_rows; ++i) {
+        for (size_t j = 0; j < n_columns; ++j) cells[j] = weight(int(i), int(j));
+        of_row[i] = factor(int(i)) * build_cell_table(cells.data(), n_columns, &conditional[first_cell + i * stride]);
     }
-    build_cdf(of_row.data(), of_row.size(), marginal);
+    build_cell_table(of_row.data(), n_rows, &marginal[first_row]);
 }
 
 // The luminance of what value(wavelength in nm above FirstWavelength) is, under daylight.
@@ -51,8 +58,8 @@ double luminance_of(const S *c, int channels) {
 template <class S>
 struct EnvironmentTables {
     int columns = 0, rows = 0;
-    std::vector<S> marginal;     // of rows
-    std::vector<S> conditional;  // of the columns in each row
+    std::vector<S> marginal;     // table of rows
+    std::vector<S> conditional;  // tables of the columns in each row
     std::vector<S> texels;       // a copy of what they were made from
 
     void build(const TensorView<S> &data);

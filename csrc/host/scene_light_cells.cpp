@@ -137,9 +137,8 @@ void SceneData<S>::make_light_cells(size_t emitter, const Record &texture) {
     if (!(total > 0) || !std::isfinite(total)) return;
     const double scale = (1 - UniformShare) * double(weights.size()) / total;
     const size_t first_row = cell_marginal_.size(), first_cell = cell_conditional_.size();
-    cell_marginal_.resize(first_row + size_t(y.cells)), cell_conditional_.resize(first_cell + weights.size());
     build_cells(
-        y.cells, x.cells, &cell_marginal_[first_row], &cell_conditional_[first_cell],
+        y.cells, x.cells, cell_marginal_, cell_conditional_,
         [&](int i, int j) { return weights[size_t(i) * size_t(x.cells) + size_t(j)] * scale + UniformShare; },
         [](int) { return 1.0; });
     light_cells_[emitter] = {y.cells, x.cells, int32_t(first_row), int32_t(first_cell)};

@@ -265,6 +265,14 @@ TR_TEST(items_are_neither_tiny_nor_many) {
     CHECK((last.chunk + last.chunks) * ChunkSize == int64_t(1) << 32);
 }
 
+const Filter wide_filters[] = {tent,
+                               Filter(FilterKind::Tent, 0.3),
+                               Filter(FilterKind::Tent, 1),
+                               Filter(FilterKind::Gaussian, 0.5),
+                               Filter(FilterKind::Gaussian, 3),
+                               Filter(FilterKind::Mitchell, 1.0 / 3, 1.0 / 3),
+                               Filter(FilterKind::Lanczos, 3)};
+
 // In lanes of F, to so many roundings.
 template <class F>
 void check_splats(double tolerance) {
@@ -272,8 +280,9 @@ void check_splats(double tolerance) {
     constexpr size_t N = 50;
     std::mt19937 random(5);
     std::uniform_real_distribution<double> uniform(0, 1);
-    for (const Filter &filter : {box, tent, Filter(FilterKind::Tent, 0.3), Filter(FilterKind::Gaussian, 0.5),
-                                 Filter(FilterKind::Mitchell, 1.0 / 3, 1.0 / 3), Filter(FilterKind::Lanczos, 3)}) {
+    std::vector<Filter> filters(std::begin(wide_filters), std::end(wide_filters));
+    filters.push_back(box);
+    for (const Filter &filter : filters) {
         FilmBlock a, b;
         const Rect rect{10, 20, 16, 27};
         a.reset(rect, 2);
@@ -317,6 +326,68 @@ TR_TEST(filters_are_splatted_and_collected_alike) {
     check_splats<PacketOf<float>>(4e-6);
 }
 
+// Samples that are near each other are splatted together: the same numbers, added in the same order. Several samples of
+// a pixel, one a pixel in a row, and anywhere; blocks that end between them; one that is not finite and spoils no pixel
+// that it does not reach.
+template <class F>
+void check_runs() {
+    using S = ScalarOf<F>;
+    constexpr int Usual = FilmBlock::Usual;
+    constexpr size_t N = 75;
+    std::mt19937 random(3);
+    std::uniform_real_distribution<S> uniform(0, 1);
+    for (const Filter &filter : wide_filters)
+        for (int order = 0; order < 4; ++order) {
+            FilmBlock together, apart, weights, single;
+            const Rect rect{3, 4, 9, 12};
+            for (FilmBlock *block : {&together, &apart}) block->reset(rect, Usual);
+            for (FilmBlock *block : {&weights, &single}) block->reset(rect, 0);
+            SampleBatch<S> batch(N);
+            const auto &at = batch.columns;
+            std::vector<S> values[Usual];
+            S *columns[Usual];
+            for (int c = 0; c < Usual; ++c) {
+                for (size_t i = 0; i < N; ++i) values[c].push_back(uniform(random));
+                columns[c] = values[c].data();
+            }
+            if (order == 3) values[1][40] = INFINITY;
+            for (uint32_t i = 0; i < N; ++i) {
+                at.row[i] = order == 1 ? i / 15 + 3 : order == 2 ? uint32_t(random() % 16) : i / 25 + 4;
+                at.column[i] = order == 1 ? i % 15 : order == 2 ? uint32_t(random() % 16) : i / 9 + 3;
+                at.film_y[i] = S(at.row[i]) + uniform(random), at.film_x[i] = S(at.column[i]) + uniform(random);
+            }
+            at.film_y[40] = S(at.row[40]) + S(0.5), at.film_x[40] = S(at.column[40]) + S(0.5);  // in all filters
+            splat_span<F>(together, filter, at, 2, N, columns, Usual);
+            int runs = 0;
+            for_film_runs<F>(
+                filter, at, 2, N,
+                [&](size_t, const SplatAxes<F> &axes, int begin, int end) {
+                    weights.add_weights(axes, begin, end);
+                    return ++runs > 0;
+                },
+                [&](size_t, const FilmPlace<F> &place) { weights.add_weight(place, 1); });
+            for_film_places<F>(filter, at, 2, N, [&](size_t i, const FilmPlace<F> &place) {
+                double v[Usual];
+                for (int c = 0; c < Usual; ++c) v[c] = double(values[c][i]);
+                apart.splat(place, v);
+                single.add_weight(place, 1);
+            });
+            CHECK((runs > 0) == (Lanes<F>::Width > 4 && order != 2) || Lanes<F>::Width == 4);
+            CHECK(weights.sum == single.sum);
+            int touched = 0, bad = 0;
+            for (size_t i = 0; i < apart.sum.size(); ++i) {
+                CHECK(together.sum[i] == apart.sum[i]);
+                touched += apart.sum[i] != 0, bad += !std::isfinite(apart.sum[i]);
+            }
+            CHECK(touched > 0 && (bad > 0) == (order == 3));
+        }
+}
+TR_TEST(runs_of_samples_are_splatted_as_single_ones) {
+    check_runs<double>();
+    check_runs<float>();
+    check_runs<PacketOf<float>>();
+}
+
 // Of light paths, anywhere on the film and beside it, against the filter itself.
 template <class F>
 void check_splat_film(double tolerance) {
@@ -325,8 +396,7 @@ void check_splat_film(double tolerance) {
     std::mt19937 random(7);
     std::uniform_real_distribution<double> uniform(0, 1);
     SplatAxes<F> axes;
-    for (const Filter &filter : {tent, Filter(FilterKind::Tent, 1.5), Filter(FilterKind::Gaussian, 0.5),
-                                 Filter(FilterKind::Mitchell, 1.0 / 3, 1.0 / 3), Filter(FilterKind::Lanczos, 3)}) {
+    for (const Filter &filter : wide_filters) {
         const Rect rect{-2, 5, 9, 12};
         S xs[N], ys[N];
         for (int i = 0; i < N; ++i) xs[i] = S(1 + 15 * uniform(random)), ys[i] = S(-6 + 19 * uniform(random));

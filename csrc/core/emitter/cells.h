@@ -1,32 +1,73 @@
 // Densities over the unit square that are constant in each cell of a grid: a row is chosen, then a column in it, and
 // what is left of the two numbers is the place in the cell. Pharr, Jakob and Humphreys, "Physically Based Rendering",
 // section 12.5. Tables: csrc/host/distribution.h.
+//
+// Which of n cells a number u of [0, 1) chooses, cumulative probabilities say, and a guide behind them where to look
+// (Chen and Asau, "On Generating Random Variates from an Empirical Distribution", AIIE Transactions 6(2), 1974): for
+// each of n_buckets(n) equal parts of the unit interval, and for its end, the first cell that may be meant. There are a
+// power of two of them, so that the part of u is exact; cells have exact
+// numbers in single precision up to 2^24 of them.
 #pragma once
 
 #include "../scene.h"
 
 namespace tr {
 
+// The largest power of two that is at most half of n, or 1.
+template <class U>
+TR_INLINE U n_buckets(const U &n) {
+    U bits = max(n >> 1, U(1u));
+    bits = bits | (bits >> 1), bits = bits | (bits >> 2), bits = bits | (bits >> 4);
+    bits = bits | (bits >> 8), bits = bits | (bits >> 16);
+    return bits - (bits >> 1);
+}
+// Numbers of a table of n cells.
+template <class U>
+TR_INLINE U table_size(const U &n) {
+    return n + n_buckets(n) + U(1u);
+}
+
+// A table, or one a lane.
+template <class F>
+struct CellTable {
+    using U = UIntOf<F>;
+    using I = IntOf<F>;
+    const ScalarOf<F> *at;
+    U first, n;
+
+    TR_INLINE U find(const F &u, const MaskOf<F> &active) const {
+        const U buckets = n_buckets(n);
+        const U bucket = min(U(I(u * F(I(buckets)))), buckets - 1u);
+        F range[2];
+        gather_rows<F>(at, first + n + bucket, active, range);
+        return search_cdf_between<F>(at, first, U(I(range[0])), U(I(range[1])), u, active);
+    }
+    // The probability of cell i, and of those before it.
+    TR_INLINE F mass(const U &i, const MaskOf<F> &active, F &before) const {
+        F up_to[2];
+        gather_rows<F>(at, first + max(i, U(1u)) - 1u, active, up_to);
+        auto is_first = mask<F>(i == 0u);
+        before = select(is_first, F(0), up_to[0]);
+        return select(is_first, up_to[0], up_to[1]) - before;
+    }
+};
+
 // A grid in tables that several may share; lanes may have different ones.
 template <class F>
 struct CellGrid {
     using U = UIntOf<F>;
-    const ScalarOf<F> *marginal, *conditional;  // cumulative: of rows, of the columns in each
-    U rows, columns, first_row, first_cell;     // where they begin in the tables
+    const ScalarOf<F> *marginal, *conditional;  // tables of rows, of the columns in each
+    U rows, columns, first_row, first_cell;     // where they begin
 
+    TR_INLINE CellTable<F> of_rows() const { return {marginal, first_row, rows}; }
+    TR_INLINE CellTable<F> of_columns(const U &row) const {
+        return {conditional, first_cell + row * table_size(columns), columns};
+    }
     // Probability of a cell.
     TR_INLINE F mass(const U &row, const U &column, const MaskOf<F> &active) const {
-        F of_row = step(marginal, first_row, row, active);
-        return of_row * step(conditional, first_cell + row * columns, column, active);
-    }
-
-    static TR_INLINE F before(const ScalarOf<F> *cdf, const U &first, const U &i, const MaskOf<F> &active) {
-        return select(mask<F>(i > 0u), gather<F>(cdf, first + max(i, U(1u)) - 1u, active), F(0));
-    }
-
-private:
-    static TR_INLINE F step(const ScalarOf<F> *cdf, const U &first, const U &i, const MaskOf<F> &active) {
-        return gather<F>(cdf, first + i, active) - before(cdf, first, i, active);
+        F before;
+        F of_row = of_rows().mass(row, active, before);
+        return of_row * of_columns(row).mass(column, active, before);
     }
 };
 
@@ -37,21 +78,17 @@ struct SampledCell {
     F across, down, mass;
 
     TR_INLINE SampledCell(const CellGrid<F> &grid, const F &by_row, const F &by_column, const MaskOf<F> &active) {
-        F of_row, of_column;
-        row = find(grid.marginal, grid.first_row, grid.rows, by_row, active, of_row, down);
-        column = find(grid.conditional, grid.first_cell + row * grid.columns, grid.columns, by_column, active,
-                      of_column, across);
-        mass = of_row * of_column;
+        mass = choose(grid.of_rows(), by_row, active, row, down);
+        mass = mass * choose(grid.of_columns(row), by_column, active, column, across);
     }
 
 private:
-    static TR_INLINE UIntOf<F> find(const ScalarOf<F> *cdf, const UIntOf<F> &first, const UIntOf<F> &n, const F &u,
-                                    const MaskOf<F> &active, F &mass, F &fraction) {
-        UIntOf<F> i = search_cdf<F>(cdf, first, n, u, active);
-        F before = CellGrid<F>::before(cdf, first, i, active);
-        mass = gather<F>(cdf, first + i, active) - before;
+    static TR_INLINE F choose(const CellTable<F> &table, const F &u, const MaskOf<F> &active, UIntOf<F> &i,
+                              F &fraction) {
+        i = table.find(u, active);
+        F before, mass = table.mass(i, active, before);
         fraction = max(F(0), min((u - before) / max(mass, F(1e-20)), F(1)));
-        return i;
+        return mass;
     }
 };
 

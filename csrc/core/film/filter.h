@@ -31,8 +31,8 @@ public:
           end_(std::exp(scale_ * radius_ * radius_)),
           // a tent narrower than a pixel reaches its own pixel only, but not all of it
           reach_(kind == FilterKind::Box ? 0 : std::max(1, int(std::ceil(radius_ - 0.5)))) {
-        const double reached = std::min(radius_, MaxReach + 0.5);
-        pixels_ = int(std::ceil(2 * reached)), first_ = 0.5 - reached;
+        const double within = std::min(radius_, MaxReach + 0.5);
+        pixels_ = int(std::ceil(2 * within)), first_ = 0.5 - within;
         if (kind == FilterKind::CatmullRom) kind_ = FilterKind::Mitchell, parameter = 0, second = 0.5;
         const double b = parameter, c = second;
         const double inner[4] = {6 - 2 * b, 0, -18 + 12 * b + 6 * c, 12 - 9 * b - 6 * c};
@@ -43,18 +43,25 @@ public:
     // pixels on each side of the sample's own that a sample can reach; 0: the box, whose weights are 1
     int reach() const { return reach_; }
 
-    // How many pixels along an axis lie in the filter around a place, and the first of them.
+    // The pixels along an axis that lie in the filter around a place: how many, and the first of them.
     TR_HD int pixels() const { return pixels_; }
     template <class F>
-    TR_INLINE F first_pixel(const F &place) const {
-        return floor(place + F(S<F>(first_)));
+    struct Reached {
+        F first, from;
+        // from the place to the centre of pixel `first + k`
+        TR_INLINE F offset(int k) const { return from + F(ScalarOf<F>(k)); }
+    };
+    template <class F>
+    TR_INLINE Reached<F> reached(const F &place) const {
+        const F first = floor(place + F(S<F>(first_)));
+        return {first, first + F(S<F>(0.5)) - place};
     }
-    // What a sample at `place` weighs in a pixel, in the numbers of SplatAxis.
+    // What a sample at `place` weighs in a pixel.
     template <class T>
     TR_HD T weight_of(int32_t pixel, T place) const {
-        const T base = first_pixel(place);
-        const int32_t k = pixel - int32_t(base);
-        return k < 0 || k >= pixels_ ? T(0) : weight(base + T(0.5) - place + T(k));
+        const Reached<T> at = reached(place);
+        const int32_t k = pixel - int32_t(at.first);
+        return k < 0 || k >= pixels_ ? T(0) : weight(at.offset(k));
     }
 
     // The same filter without its sign: what it weights with are means of what is averaged.
@@ -77,7 +84,7 @@ public:
                 w = F(1) - a * F(S<F>(1 / radius_));
                 break;
             case FilterKind::Gaussian:
-                w = exp(a * a * F(S<F>(scale_))) - F(S<F>(end_));
+                w = gaussian(x) - F(S<F>(end_));
                 break;
             case FilterKind::Lanczos: {
                 F u = a * F(S<F>(Pi));
@@ -101,7 +108,7 @@ public:
                 w = mulsign(F(S<F>(-1 / radius_)), x);
                 break;
             case FilterKind::Gaussian:
-                w = x * exp(a * a * F(S<F>(scale_))) * F(S<F>(2 * scale_));
+                w = x * gaussian(x) * F(S<F>(2 * scale_));
                 break;
             case FilterKind::Lanczos: {
                 const F narrow(S<F>(1 / radius_));
@@ -122,8 +129,8 @@ public:
             slope_of = slope(x);
             return weight(x);
         }
-        F a = abs(x), e = exp(a * a * F(S<F>(scale_))), w = e - F(S<F>(end_));
-        auto inside = mask<F>(a < F(S<F>(radius_)));
+        F e = gaussian(x), w = e - F(S<F>(end_));
+        auto inside = mask<F>(abs(x) < F(S<F>(radius_)));
         slope_of = select(inside, x * e * F(S<F>(2 * scale_)), F(0));
         w = select(inside, w, F(0));
         return unsigned_ ? abs(w) : w;
@@ -145,6 +152,10 @@ private:
     template <class F>
     using S = ScalarOf<F>;
 
+    template <class F>
+    TR_INLINE F gaussian(const F &x) const {
+        return exp(x * x * F(S<F>(scale_)));
+    }
     template <class F>
     TR_INLINE F cubic(const F &a) const {
         F w[2];
