@@ -5,8 +5,7 @@
 // Which of n cells a number u of [0, 1) chooses, cumulative probabilities say, and a guide behind them where to look
 // (Chen and Asau, "On Generating Random Variates from an Empirical Distribution", AIIE Transactions 6(2), 1974): for
 // each of n_buckets(n) equal parts of the unit interval, and for its end, the first cell that may be meant. There are a
-// power of two of them, so that the part of u is exact; cells have exact
-// numbers in single precision up to 2^24 of them.
+// power of two of them, so that the part of u is exact. Numbers of cells are, in single precision, up to 2^24.
 #pragma once
 
 #include "../scene.h"
