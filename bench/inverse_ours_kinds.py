@@ -108,6 +108,7 @@ class OurHeights(Grids, OurLoop):
 
     def _values(self) -> dict[str, np.ndarray]:
         heights = self.smoothing.from_differential(self.leaves[LENS].detach())
+        heights = heights.clamp(*self.bounds[LENS])  # beyond which smoothing, and what undoes it, may round
         return {LENS: tr.optim.resample(heights, self.start[LENS].shape, "clamp").numpy()}
 
 

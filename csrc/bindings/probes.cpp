@@ -28,9 +28,10 @@ void for_sides(const SceneOf<F> &scene, int bsdf, const Vec3<F> &wi, const Vec2<
         throw std::invalid_argument(
             "bsdf: a mixture, a mask or a normal map is met by chance or at a surface; probe what is nested in it");
     const TexturedPoint<F> at{{UIntOf<F>(0u), UIntOf<F>(0u), uv.x, uv.y}, uv};
+    const MaskOf<F> behind = mask<F>(wi.z < F(0));
     for (bool back : {false, true}) {
         ProbedSide<F> side;
-        side.lanes = active && (mask<F>(wi.z < F(0)) == MaskOf<F>(back));
+        side.lanes = active && (back ? behind : !behind);
         if (!any(side.lanes)) continue;
         ResolvedBsdf<F> r = resolve_bsdf<F>(scene, IntOf<F>(bsdf), MaskOf<F>(back), side.lanes);
         const int32_t leaf = first_lane(r.bsdf, side.lanes);

@@ -138,15 +138,13 @@ private:
     void for_run(const SplatAxes<F> &axes, int begin, int end, Visit &&visit) {
         constexpr int W = Lanes<F>::Width;
         const RunWeights<F> x(axes.x, begin, end), y(axes.y, begin, end);
-        const int left = std::max(x.first, rect.x0), right = std::min(x.first + x.n, rect.x1);
-        if (left >= right) return;
-        for (int row = std::max(y.first, rect.y0); row < std::min(y.first + y.n, rect.y1); ++row) {
-            const auto &wy = y.weight[row - y.first];
-            double *p = at(row, left);
-            for (int column = left; column < right; ++column, p += channels()) {
-                const auto &wx = x.weight[column - x.first];
+        const FilterSpan h(x.first, x.n, rect.x0, rect.x1), v(y.first, y.n, rect.y0, rect.y1);
+        if (h.empty()) return;
+        for (int j = v.begin; j < v.end; ++j) {
+            double *p = at(y.first + j, x.first + h.begin);
+            for (int k = h.begin; k < h.end; ++k, p += channels()) {
                 alignas(64) double w[W];
-                for (int i = 0; i < W; ++i) w[i] = double(wy[i]) * double(wx[i]);
+                for (int i = 0; i < W; ++i) w[i] = double(y.weight[j][i]) * double(x.weight[k][i]);
                 visit(p, w);
             }
         }
@@ -161,14 +159,14 @@ private:
         }
         const SplatAxis<F> &x = place.axes->x, &y = place.axes->y;
         const int lane = place.lane, x0 = x.first[lane], y0 = y.first[lane];
-        const int begin = std::max(0, rect.x0 - x0), end = std::min(x.n, rect.x1 - x0);
-        if (begin >= end) return;
-        for (int j = std::max(0, rect.y0 - y0); j < std::min(y.n, rect.y1 - y0); ++j) {
+        const FilterSpan h(x0, x.n, rect.x0, rect.x1), v(y0, y.n, rect.y0, rect.y1);
+        if (h.empty()) return;
+        for (int j = v.begin; j < v.end; ++j) {
             const double wy = double(y.weight[j][lane]);
             if (wy == 0) continue;
-            double *p = at(y0 + j, x0 + begin);
-            for (int i = begin; i < end; ++i, p += channels()) {
-                const double wx = double(x.weight[i][lane]);
+            double *p = at(y0 + j, x0 + h.begin);
+            for (int k = h.begin; k < h.end; ++k, p += channels()) {
+                const double wx = double(x.weight[k][lane]);
                 if (wx != 0) visit(p, wy * wx);
             }
         }

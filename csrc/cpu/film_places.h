@@ -9,6 +9,15 @@
 
 namespace tr {
 
+// Numbers begin .. end, of n along an axis from pixel `first` on, of pixels that lie in low .. high.
+struct FilterSpan {
+    int begin, end;
+
+    FilterSpan(int first, int n, int low, int high) : begin(std::max(0, low - first)), end(std::min(n, high - first)) {}
+    bool empty() const { return begin >= end; }
+    bool operator==(const FilterSpan &other) const { return begin == other.begin && end == other.end; }
+};
+
 // Weights of the pixels around places on the film, for W of them at once: pixel `first[i] + k` along an axis has
 // weight[k][i] and slope[k][i], the derivative of the weight by the place.
 template <class F>
@@ -32,8 +41,8 @@ struct SplatAxis {
         }
         alignas(64) S f[W];
         store(&f[0], at.first);
-        for (int i = 0; i < W; ++i)  // places far away stay far away
-            first[i] = int32_t(std::min(std::max(f[i], S(-1e9)), S(1e9)));
+        for (int i = 0; i < W; ++i)  // places far away stay far away, and those that are no numbers are
+            first[i] = int32_t(std::min(std::max(S(-1e9), f[i]), S(1e9)));
     }
 };
 

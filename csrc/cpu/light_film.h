@@ -23,7 +23,10 @@ size_t n_parts(const RenderCall<S> &call) {
 }
 template <class T, class S>
 std::vector<SplatFilm<T>> empty_films(const RenderCall<S> &call) {
-    return std::vector<SplatFilm<T>>(n_parts(call), SplatFilm<T>(call.crop));
+    std::vector<SplatFilm<T>> films;
+    films.reserve(n_parts(call));
+    for (size_t p = 0; p < n_parts(call); ++p) films.emplace_back(call.crop);
+    return films;
 }
 
 // What sums over all paths are multiplied with, by row and column: the image is the average that the path tracer takes
@@ -33,22 +36,28 @@ template <class S>
 class LightScale {
 public:
     LightScale(const RenderCall<S> &call, int64_t spp)
-        : call_(call),
-          paths_(double(spp) * call.film_height * call.film_width),
-          measured_(call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind) {}
+        : paths_(double(spp) * call.film_height * call.film_width),
+          rows_(within(call, call.film_height)),
+          columns_(within(call, call.film_width)) {}
 
     double operator()(int row, int column) const {
-        return 1 / (paths_ * within(row, call_.film_height) * within(column, call_.film_width));
+        return 1 / (paths_ * rows_[size_t(row)] * columns_[size_t(column)]);
     }
 
 private:
-    double within(int pixel, int size) const {
-        double center = pixel + 0.5;
-        return measured_ ? call_.filter.integral(-center, size - center) : call_.filter.integral(-INFINITY, INFINITY);
+    // What of the filter around each pixel along an axis counts.
+    static std::vector<double> within(const RenderCall<S> &call, int size) {
+        std::vector<double> r(size_t(size), call.filter.integral(-INFINITY, INFINITY));
+        if (call.scene->sensors[call.config.sensor].kind == IrradianceMeterKind)
+            for (int pixel = 0; pixel < size; ++pixel) {
+                const double center = pixel + 0.5;
+                r[size_t(pixel)] = call.filter.integral(-center, size - center);
+            }
+        return r;
     }
-    const RenderCall<S> &call_;
+
     double paths_;
-    bool measured_;
+    std::vector<double> rows_, columns_;
 };
 
 // The wanted pixels in the order of the results: visit(result, y, x).

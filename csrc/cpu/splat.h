@@ -8,10 +8,6 @@
 #include "core/color/spectrum.h"
 #include "film_places.h"
 
-// How vectors are passed to functions does not matter where all are inlined.
-#pragma GCC diagnostic push
-#pragma GCC diagnostic ignored "-Wpsabi"
-
 namespace tr {
 
 // Numbers of type T, those of a spectrum a pixel, of a rectangle of the film. They are kept in vectors, of which a
@@ -39,7 +35,7 @@ public:
     // Adds `value` at lane i of two axes.
     template <class F>
     void splat(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, const Vector &value) {
-        for_columns(x, y, i, [&](auto columns, int j, Span rows, T *to) {
+        for_columns(x, y, i, [&](auto columns, int j, FilterSpan rows, T *to) {
             const auto across = columns.repeated(value) * columns.spread(x.weight, j, i);
             for (int k = rows.begin; k < rows.end; ++k, to += row_stride())
                 columns.put(to, columns.get(to) + across * T(y.weight[k][i]));
@@ -48,7 +44,7 @@ public:
     // The derivative of it when the place moves.
     template <class F>
     void splat_motion(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, T dx, T dy, const Vector &value) {
-        for_columns(x, y, i, [&](auto columns, int j, Span rows, T *to) {
+        for_columns(x, y, i, [&](auto columns, int j, FilterSpan rows, T *to) {
             const auto all = columns.repeated(value);
             const auto by_x = all * columns.spread(x.slope, j, i) * dx,
                        by_y = all * columns.spread(x.weight, j, i) * dy;
@@ -60,7 +56,7 @@ public:
     template <class F>
     void collect(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Vector &sum, Vector &by_x, Vector &by_y) const {
         sum = by_x = by_y = Vector{};
-        const_cast<SplatFilm *>(this)->for_columns(x, y, i, [&](auto columns, int j, Span rows, const T *from) {
+        const_cast<SplatFilm *>(this)->for_columns(x, y, i, [&](auto columns, int j, FilterSpan rows, const T *from) {
             typename decltype(columns)::Values down{}, slopes_down{};
             for (int k = rows.begin; k < rows.end; ++k, from += row_stride()) {
                 const auto value = columns.get(from);
@@ -76,9 +72,6 @@ public:
 private:
     struct Texel {  // an attribute of its member's type would be lost in a template's argument
         Vector v;
-    };
-    struct Span {
-        int begin, end;
     };
     // N pixels beside each other as one vector, which has to fit a register: of longer ones GCC keeps sums in memory.
     template <int N>
@@ -126,16 +119,18 @@ private:
     // rows, pointer to its numbers in the first row).
     template <class F, class Visit>
     void for_columns(const SplatAxis<F> &x, const SplatAxis<F> &y, int i, Visit &&visit) {
-        const Span h = reached(x.first[i], x.n, rect_.x0, rect_.x1), v = reached(y.first[i], y.n, rect_.y0, rect_.y1);
-        if (v.begin == v.end || h.begin == h.end) return;
+        const FilterSpan h(x.first[i], x.n, rect_.x0, rect_.x1), v(y.first[i], y.n, rect_.y0, rect_.y1);
+        if (v.empty() || h.empty()) return;
         T *to = reinterpret_cast<T *>(row_at(y.first[i] + v.begin, x.first[i] + h.begin));
         int j = h.begin;
+        // All of a filter of radius 2, such as the usual Gaussian: loops over rows are unrolled.
+        const FilterSpan usual(0, 4, 0, 4);
+        if (h == usual && v == usual) {
+            for (; j < 4; j += Beside, to += Beside * Stride) visit(Columns<Beside>{}, j, usual, to);
+            return;
+        }
         for (; j + Beside <= h.end; j += Beside, to += Beside * Stride) visit(Columns<Beside>{}, j, v, to);
         for (; j < h.end; ++j, to += Stride) visit(Columns<1>{}, j, v, to);
-    }
-    static Span reached(int first, int n, int low, int high) {
-        int begin = std::max(0, low - first);
-        return {begin, std::max(begin, std::min(n, high - first))};
     }
     // Column x of a row; it may lie beside the film, where nothing is touched.
     Texel *row_at(int y, int x) {
@@ -148,5 +143,3 @@ private:
 };
 
 }  // namespace tr
-
-#pragma GCC diagnostic pop

@@ -91,7 +91,7 @@ void Tracker<F>::walk_components(const MediumInfo &medium, const TrackedQueue<S>
         // tentative collisions, once they are most of what is left to do
         if (any(stopped) && (count(stopped) * 2 >= count(walking || stopped))) {
             collisions += uint64_t(count(stopped));
-            M above;
+            M above(false);
             walking = walking || s.collide(scene_, medium, estimator, stopped, above);
             if (any(above)) exceeded += uint64_t(count(above));
             stopped = M(false);

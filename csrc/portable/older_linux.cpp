@@ -3,6 +3,7 @@
 // been there always; the linker takes these, which nobody else sees. Linked with TORCHRENDER_PORTABLE=1 alone
 // (setup.py).
 #include <pthread.h>
+#include <sys/stat.h>
 
 #include <condition_variable>
 #include <cstdint>
@@ -12,8 +13,10 @@
 
 #if defined(__x86_64__)
 #define TR_FIRST_GLIBC "GLIBC_2.2.5"
+#define TR_STAT_VERSION 1
 #elif defined(__aarch64__)
 #define TR_FIRST_GLIBC "GLIBC_2.17"
+#define TR_STAT_VERSION 0
 #endif
 
 // What `name` was in the first glibc of this processor, as first_`name`.
@@ -32,6 +35,7 @@ TR_FIRST(void *, dlsym, void *, const char *);
 TR_FIRST(int, dlclose, void *);
 TR_FIRST(char *, dlerror, void);
 TR_FIRST(int, pthread_mutex_trylock, pthread_mutex_t *);
+TR_FIRST(int, __xstat, int, const char *, struct stat *);
 
 extern "C" {
 
@@ -46,6 +50,9 @@ void *dlsym(void *library, const char *name) noexcept { return first_dlsym(libra
 int dlclose(void *library) noexcept { return first_dlclose(library); }
 char *dlerror() noexcept { return first_dlerror(); }
 int pthread_mutex_trylock(pthread_mutex_t *mutex) noexcept { return first_pthread_mutex_trylock(mutex); }
+
+// glibc 2.33: was inline before, and the kernel's structure has a number.
+int stat(const char *path, struct stat *state) noexcept { return first___xstat(TR_STAT_VERSION, path, state); }
 
 // glibc 2.30: waits until a time of any clock. Before, that of the system alone.
 int pthread_cond_clockwait(pthread_cond_t *condition, pthread_mutex_t *mutex, clockid_t clock, const timespec *until) {
@@ -77,15 +84,18 @@ void release_reference(void *pointer) {
     first_destroy(pointer);
     *static_cast<void **>(pointer) = nullptr;
 }
+
+// libstdc++ of GCC 12: a newer version of condition_variable::wait, which its headers may declare differently.
+void wait_on(std::condition_variable *self,
+             std::unique_lock<std::mutex> &lock) __asm__("_ZNSt18condition_variable4waitERSt11unique_lockISt5mutexE");
+
+void wait_on(std::condition_variable *self, std::unique_lock<std::mutex> &lock) {
+    pthread_cond_wait(self->native_handle(), lock.mutex()->native_handle());
+}
 }
 
 namespace std {
 
 void __throw_bad_array_new_length() { throw bad_array_new_length(); }  // GCC 11
-
-// GCC 12: a newer version of it.
-void condition_variable::wait(unique_lock<mutex> &lock) noexcept {
-    pthread_cond_wait(native_handle(), lock.mutex()->native_handle());
-}
 
 }  // namespace std

@@ -139,7 +139,7 @@ size_t n_values(const SceneData<S> &scene, const Settings &s) {
 template <class S>
 std::vector<S> render(const SceneData<S> &scene, const Settings &s, RenderStats *stats = nullptr) {
     std::vector<S> image(n_values(scene, s)), alpha(size_t(s.height * s.width));
-    RenderStats result = render_primal<S>(make_call(scene, s), {image.data(), alpha.data()});
+    RenderStats result = render_primal<S>(make_call(scene, s), {{image.data(), alpha.data()}});
     if (stats) *stats = result;
     return image;
 }

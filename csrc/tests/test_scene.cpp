@@ -257,7 +257,7 @@ TR_TEST(parts_add_up) {
     s.spp = 12;
     RenderCall<float> call = make_call(scene, s);
     std::vector<float> whole(size_t(s.height * s.width * 3)), parts(whole.size());
-    render_primal<float>(call, {whole.data()});
+    render_primal<float>(call, {{whole.data()}});
     FilmSums sums;
     RenderOutput<float> out{{parts.data()}};
     out.sums = &sums;

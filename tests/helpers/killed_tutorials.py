@@ -50,11 +50,10 @@ def runs(process: int) -> bool:
 def killed_after_a_checkpoint(name: str, folder: Path, settings: dict) -> None:
     """Run a tutorial in a process of its own, without diagrams, and kill that when it has left a checkpoint."""
     code = (
-        f"import sys; sys.path[:0] = [{str(TUTORIALS)!r}, {str(ROOT)!r}]\n"
-        "import pathlib, matplotlib.figure\n"
-        "matplotlib.figure.Figure.savefig = lambda _, path, **__: pathlib.Path(path).touch()\n"
-        f"import json, torch, {name}; torch.set_num_threads({torch.get_num_threads()})\n"
-        f"{name}.run(pathlib.Path({str(folder)!r}), **json.loads({json.dumps(settings)!r}))"
+        f"import sys; sys.path[:0] = [{str(TUTORIALS)!r}, {str(ROOT)!r}, {os.path.dirname(__file__)!r}]\n"
+        f"import json, pathlib, torch, {name}; from killed_tutorials import without_diagrams\n"
+        f"torch.set_num_threads({torch.get_num_threads()})\n"
+        f"with without_diagrams(): {name}.run(pathlib.Path({str(folder)!r}), **json.loads({json.dumps(settings)!r}))"
     )
 
     def kill(process: int) -> None:

@@ -10,6 +10,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -153,6 +154,80 @@ def test_steps_of_make(goals, steps, tmp_path):
     assert lines == [f"torchrender {step}" for step in steps]
 
 
+def settings_of_build() -> dict[str, Any]:
+    """What setup.py defines, which builds nothing here."""
+    settings: dict[str, Any] = {"__name__": "setup", "__file__": str(ROOT / "setup.py")}
+    exec((ROOT / "setup.py").read_text().rsplit("\nsetup(", 1)[0], settings)
+    return settings
+
+
+@pytest.mark.parametrize(
+    ("there", "used"),
+    [
+        ({"g++": "12"}, "g++"),
+        ({"g++": "12", "clang++": "13.0.1"}, "g++"),
+        ({"clang++": "13.0.1"}, "clang++"),
+        ({"g++": "12", "clang++": "17.0.6"}, "clang++"),
+        ({"g++": "12", "clang++": "14.0.6", "clang++-16": "16.0.6", "clang++-21": "21.1.0"}, "clang++-21"),
+        ({"g++": "12", "clang++": "no headers"}, "g++"),
+        ({"g++": "12", "clang++-19": "19.1.7, no headers", "clang++-18": "18.1.8"}, "clang++-18"),
+        ({"g++": "12", "clang++": "cannot run"}, "g++"),
+    ],
+)
+def test_a_recent_clang_is_used_before_gcc(there, used, tmp_path, monkeypatch):
+    for name, version in there.items():
+        fails = int("no headers" in version)
+        shell = "/no/shell" if version == "cannot run" else "/bin/sh"
+        text = f'#!{shell}\n[ "$1" != -dumpversion ] || {{ echo {version}; exit 0; }}\nexit {fails}\n'
+        (tmp_path / name).write_text(text)
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    find_compiler = settings_of_build()["find_compiler"]
+    assert find_compiler("scalar") == [used]
+    if "g++" in there:  # clang may lack the sanitizers' libraries
+        assert find_compiler("scalar", sanitize=True) == find_compiler("avx512") == ["g++"]
+    monkeypatch.setenv("CXX", f"{next(iter(there))} -pipe")
+    assert find_compiler("scalar") == [next(iter(there)), "-pipe"]
+
+
+def test_another_version_of_the_compiler_compiles_everything_again(project):
+    says = 'case "$1" in\n        -dM) echo "#define __VERSION__ \\"clang 19 (1~deb)\\""; exit 0 ;;'
+    text = COMPILER.replace("sleep 0.2", "").replace('case "$1" in', says)
+    (project / "compiler").write_text(text)
+    built(project)
+    assert built(project) == []
+    (project / "compiler").write_text(text.replace("clang 19", "clang 20"))
+    assert built(project)[0].startswith("torchrender: compiling 4 files")
+
+
+def test_clang_is_told_where_its_precompiled_header_is(project):
+    """It looks for none in the folders of -I."""
+    says = COMPILER.replace('case "$1" in', 'case "$1" in\n        -dM) echo "#define __clang__ 1"; exit 0 ;;')
+    (project / "compiler").write_text(says)
+    built(project)
+    (header,) = project.rglob("*.gch")
+    lines = next((project / "build").rglob("build.ninja")).read_text().splitlines()
+    sources = [i for i, line in enumerate(lines) if line.startswith("build ") and ".cpp" in line]
+    compiled = [next(line for line in lines[i:] if line.startswith("  flags = ")) for i in sources]
+    assert len(compiled) == len(SOURCES) and all(f"-include-pch {header} " in flags for flags in compiled)
+
+
+@pytest.mark.skipif(platform.system() != "Linux" or not shutil.which("objdump"), reason="needs objdump, on Linux")
+def test_what_older_linux_lacks_is_known():
+    """What the modules need that is newer than manylinux_2_28 has to be in csrc/portable, for wheels."""
+    oldest = {"GLIBC_2": 28, "GLIBCXX_3.4": 25, "CXXABI_1.3": 11}
+    known = (ROOT / "csrc" / "portable" / "older_linux.cpp").read_text()
+    modules = [str(path) for path in (ROOT / "torchrender").glob("_core_*.so")]
+    assert modules
+    table = subprocess.run(["objdump", "-T", *modules], capture_output=True, text=True, check=True).stdout
+    needed = re.findall(r"\*UND\*.*\((\w+(?:\.\d)?)\.(\d+)[.\d]*\)\s+(\w+)$", table, re.MULTILINE)
+    assert len(needed) > 100
+    for name in {name for library, number, name in needed if int(number) > oldest.get(library, 1000)}:
+        word = re.sub(r"^_ZSt\d+(\w+)v$", r"\1", name)  # a function of the namespace std
+        assert re.search(rf'[ *]{word}\(| {word} =|"{word}"', known), name
+
+
 # Files that between them use what core/math says of packets in a way of its own for each instruction set.
 OF_PACKETS = ("tests/test_math.cpp", "cpu/render_light.cpp", "core/integrator/surface.cpp", "accel/face_list.cpp")
 
@@ -161,9 +236,15 @@ OF_PACKETS = ("tests/test_math.cpp", "cpu/render_light.cpp", "core/integrator/su
 @pytest.mark.parametrize("isa", ["v2", "avx2", "avx512"])
 def test_sources_are_valid_for_every_instruction_set(isa):
     """A machine builds for its own one; wheels have all."""
-    settings = {"__name__": "setup", "__file__": str(ROOT / "setup.py")}
-    exec((ROOT / "setup.py").read_text().rsplit("\nsetup(", 1)[0], settings)
-    command = [*settings["find_compiler"](), *settings["compile_flags"](isa, False), "-fsyntax-only", "-x", "c++", "-"]
+    settings = settings_of_build()
+    command = [
+        *settings["find_compiler"](isa),
+        *settings["compile_flags"](isa, False),
+        "-fsyntax-only",
+        "-x",
+        "c++",
+        "-",
+    ]
     together = "\n".join(f'#include "{source}"' for source in OF_PACKETS)  # what they include is read once
     done = subprocess.run(command, input=together, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
