@@ -20,8 +20,8 @@ Commands
     python setup.py check_tools             only says whether everything that a build needs is there
 
 Environment
-    CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++"; default: clang++ if there is a recent
-                               one and nothing is sanitized, else g++) and further flags
+    CXX, CXXFLAGS, LDFLAGS     the compiler (may hold arguments, "ccache g++"; default: a recent clang++ if there is
+                               one, but for AVX-512 and sanitizers g++) and further flags
     MAX_JOBS                   number of compilers at once (default: number of processors)
     TORCHRENDER_BUILD_ISA      comma-separated list of instruction sets, to build less: "native" is the best one of
                                this machine's processor, which is what the Makefile asks for (scalar, which has
@@ -38,6 +38,7 @@ from __future__ import annotations
 
 import contextlib
 import filecmp
+import functools
 import importlib.util
 import os
 import platform
@@ -124,6 +125,7 @@ def selected_isas() -> list[str]:
 # --- tools -----------------------------------------------------------------------------------------------------------
 
 
+@functools.cache
 def recent_clangs() -> list[str]:
     """Newest first. Debian's packages have a number in the name, and a plain `clang++` that may be older."""
     versions = {}
@@ -144,9 +146,9 @@ def find_compiler(isa: str, sanitize: bool = False) -> list[str]:
     hint = "sudo apt install g++ (Debian, Ubuntu) or sudo dnf install gcc-c++ (Fedora)"
     if not commands:
         fail(f"there is no C++ compiler (looked for {', '.join(candidates)}); install one with: {hint}.")
+    probe = "#include <optional>\nint main() { if constexpr (true) return std::optional<int>(0).value(); }\n"
     reasons = []
     for command in commands:
-        probe = "#include <optional>\nint main() { if constexpr (true) return std::optional<int>(0).value(); }\n"
         probed = [*command, "-std=c++17", *ISA_FLAGS[isa], "-fsyntax-only", "-x", "c++", "-"]
         done = subprocess.run(probed, input=probe, capture_output=True, text=True)
         if done.returncode == 0:

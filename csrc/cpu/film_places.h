@@ -41,7 +41,7 @@ struct SplatAxis {
         }
         alignas(64) S f[W];
         store(&f[0], at.first);
-        for (int i = 0; i < W; ++i)  // places far away stay far away, and those that are no numbers are
+        for (int i = 0; i < W; ++i)  // places far away stay so; what is no number lies far away
             first[i] = int32_t(std::min(std::max(S(-1e9), f[i]), S(1e9)));
     }
 };
