@@ -51,7 +51,7 @@ class ShadowTile : public BoundaryFolds<F> {
     const bool pilot_;
     PathTile<F> ends_;
     ShadowLights<F> lights_;
-    ShadowEdgeColumns<S> at_;
+    ShadowEdgeColumns<S> at_, shared_;  // of the samples, and of the edges that their paths get
     std::vector<V> carried_;            // of connections to vertices
     std::vector<S> numbers_, chooses_;  // by slot, for a piece, and for what the light chooses
     const SamplerConfig sequence_ = make_sampler(SamplerKind::Sobol, 0, LargestPattern);
@@ -62,7 +62,7 @@ public:
           pilot_(boundary.part == BoundaryPart::Pilot),
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
-        arena_.allocate(Base::Capacity + 2 * W, at_);
+        arena_.allocate(Base::Capacity + 2 * W, at_, shared_);
         this->keep_lens(ends_.slots);
     }
 
@@ -87,7 +87,8 @@ public:
         if (pilot_) return tell(first, n);
         if (pieces) return tell_pieces(first);
         settle(first, n, 0, ends_.slots, sink, true);
-        if (!deep) return;
+        if (!deep || edges_.empty()) return;
+        share_edges(n);
         u_.resize(n), inverse_.resize(n);
         for (uint32_t k = 0; k < n; ++k) u_[k] = double(this->number(k, 0));
         // those that are close to S get more of it
@@ -261,6 +262,28 @@ private:
         }
     }
 
+    // Every path gets one of the edges that are left, at random, and all about as many: past most of the edges of an
+    // object under a sky there is nothing, and what the paths' vertices see of the others is rare and large.
+    void share_edges(uint32_t n) {
+        const size_t left = edges_.size();
+        const uint32_t shift = this->bits(0, Base::PlaceBlock).bits[0];
+        const std::vector<Edge> given = std::move(edges_);
+        edges_.resize(n);
+        std::vector<const void *> from;
+        at_.for_arrays([&](auto *array) { from.push_back(array); });
+        for (uint32_t k = 0; k < n; ++k) {
+            edges_[k] = given[(k + size_t(shift)) % left];
+            edges_[k].weight = edges_[k].weight * S(double(left) / n);
+        }
+        size_t column = 0;
+        shared_.for_arrays([&](auto *array) {
+            const auto *of_slot = static_cast<decltype(array)>(const_cast<void *>(from[column++]));
+            for (uint32_t k = 0; k < n; ++k) array[k] = of_slot[edges_[k].slot];
+        });
+        for (uint32_t k = 0; k < n; ++k) edges_[k].slot = k;
+        std::swap(at_, shared_);
+    }
+
     void see_from_vertices(uint32_t n) {
         std::vector<S> r(n, S(0));
         for (uint32_t k = 0; k < n; ++k) anchors_.d.set(k, {S(0), S(0), S(1)});
@@ -353,10 +376,11 @@ private:
                           value = found.f * radiance;
         const bool first = depth == 0;
         if (first) density = density * F(S(boundary_.in_view));
-        density = density / this->beside_lights(from(at_.b_distance));
+        const F cosine = dot(ng, d);
+        density = density / this->beside_lights(from(at_.b_distance), cosine, found.pdf);
         F n_light(S(first ? call_.config.emitter_samples : 1)), n_bsdf(S(first ? call_.config.bsdf_samples : 1));
         F mis = select(mask<F>(density > F(0)), power_heuristic(n_light * density, n_bsdf * found.pdf), F(-1));
-        F ratio = abs(dot(ng, c)) / max(abs(dot(ng, d)), F(S(1e-6)));
+        F ratio = abs(dot(ng, c)) / max(abs(cosine), F(S(1e-6)));
         meets = meets && is_finite(value) && mask<F>(found.pdf > F(0));
         for (int k = 0; k < SpectrumSize; ++k) scatter_lanes<F>(at_.value[k], slot, value[k], meets);
         if (this->polarized())

@@ -274,8 +274,9 @@ protected:
     OutlineAnchor anchor(uint32_t slot) {
         OutlineAnchor a{};
         a.p = single(place_of(slot)), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
-        const V ng = anchors_.ng.get(slot);
-        a.ng = single(dot(ng, anchors_.n.get(slot)) < 0 ? -ng : ng);
+        // on the side that it is seen from, which that of an interpolated normal may not be
+        const V ng = anchors_.ng.get(slot), arriving = level_of(slot).columns.arrival.d.get(anchors_.entry[slot]);
+        a.ng = single(dot(ng, arriving) > 0 ? -ng : ng);
         a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
         a.parallel = false, a.own = int32_t(point_of(slot).shape), a.still = still(vertex_moves(slot));
         return a;

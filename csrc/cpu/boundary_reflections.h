@@ -189,7 +189,9 @@ private:
                     for (Spectrum<S> &part : row.at) part = part * geometry;
             }
             // what lights find, too: what a smooth vertex, or the camera, sees, and not too close to it
-            const S pdf = anchors_.pdf[x.slot] * this->beside_lights(x.r);
+            const S pdf =
+                anchors_.pdf[x.slot] *
+                this->beside_lights(x.r, dot(anchors_.ng.get(x.slot), anchors_.d.get(x.slot)), anchors_.pdf[x.slot]);
             if (anchors_.level[x.slot] == 0)
                 x.density = pdf / S(boundary_.in_view);
             else

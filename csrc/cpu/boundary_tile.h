@@ -87,10 +87,13 @@ protected:
 
     // By how much samples of vertices count less beside those of lights where the outline is close to the surface: a
     // vertex is seldom found there, and what it brings grows as one over the distance; a light finds such places as
-    // often as others.
+    // often as others. They count more where a BSDF that scatters from there, with this density, is grazed by the
+    // light, at this cosine of the surface itself: a light seldom finds such places, and what it brings is one over the
+    // cosine, which with interpolated normals has no bound.
     template <class T>
-    T beside_lights(const T &distance) const {
-        return distance / (distance + T(S(5 * boundary_.near)));
+    T beside_lights(const T &distance, const T &cosine, const T &pdf) const {
+        const T grazed = max(T(S(0.3 * Pi)) * pdf / max(abs(cosine), T(S(1e-6))), T(S(1)));
+        return distance / (distance + T(S(5 * boundary_.near))) * grazed * grazed;
     }
 
     // Rays of these lengths, at most 2 Capacity, where queries find them.

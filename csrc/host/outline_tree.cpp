@@ -8,8 +8,8 @@ namespace tr {
 
 namespace {
 
-constexpr float Grazing = 0.02f;  // the least share of what is at the face's horizon, which hardly moves before it
-constexpr float Any = 0.05f;      // share of choices that leave nothing out
+constexpr float Grazing = 0.1f;  // the least share of what is at the face's horizon, which hardly moves before it
+constexpr float Any = 0.05f;     // share of choices that leave nothing out
 using V = Vec3<float>;
 using F = PacketOf<float>;
 using M = MaskOf<F>;
