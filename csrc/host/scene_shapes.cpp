@@ -25,7 +25,7 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     auto changed = [&](int32_t offset, int n) {
         return first || !std::equal(&constants_[size_t(offset)], &constants_[size_t(offset)] + n, &old[size_t(offset)]);
     };
-    bool rebuild = first;
+    bool rebuild = first, moves = false;  // what Embree keeps, and what it asks for
     for (const MeshSource &mesh : layout_.meshes) {
         if (mesh.radii >= 0) {
             rebuild |= update_curve(mesh, params, dirty, first);
@@ -41,12 +41,16 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         bool moved = false;
         if (shapes_[size_t(i)].flags & IsHeightField) {
             size_t slot = size_t(shapes_[size_t(i)].heights);
-            update_heights(i, params[slot], first || dirty[slot], changed(field[HeightFieldModel::ToWorld], 12));
+            const bool differs = first || dirty[slot], placed = changed(field[HeightFieldModel::ToWorld], 12);
+            update_heights(i, params[slot], differs, placed);
+            moves |= differs || placed;
             continue;
         }
         if (shapes_[size_t(i)].flags & IsSdfGrid) {
             size_t slot = size_t(shapes_[size_t(i)].heights);
-            update_sdf_grid(i, params[slot], first || dirty[slot], changed(field[SdfGridModel::ToWorld], 12));
+            const bool differs = first || dirty[slot], placed = changed(field[SdfGridModel::ToWorld], 12);
+            update_sdf_grid(i, params[slot], differs, placed);
+            moves |= differs || placed;
             continue;
         }
         if (shapes_[size_t(i)].flags & IsSphere)
@@ -60,7 +64,8 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
         update_quadric(i);
         rebuild = true;
     }
-    if (rebuild || geometry_version_ == 0) geometry_version_ = ++geometry_versions;
+    // (of a scene that has taken over another one's shapes it is 0)
+    if (rebuild || moves || geometry_version_ == 0) geometry_version_ = ++geometry_versions;
     if (rebuild) accel_->commit(rebuilt_);
 }
 

@@ -6,10 +6,12 @@ address of one ends the process. In deterministic mode, so that gradients do not
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import card
 import pytest
+import sdf_grids
 import small_scene
 import torch
 from light_scenes import texels
@@ -233,6 +235,28 @@ def test_edges_that_move(device):
         assert scene.statistics["visibility"]["silhouettes"]["samples"] > 0
     check_equal(*(gradient[:1] for gradient in found))
     check_close(*found)  # the CPU's threads add in any order
+
+
+def test_grids_and_fields(device):
+    """Their numbers are the host's, too, which makes trees of them, and again where they change or move."""
+    paper = {"type": "ref", "id": "paper"}
+    place = tr.Transform.translate([0.1, -0.6, 0.9]) @ tr.Transform.scale(0.8)
+    grid = sdf_grids.shape(sdf_grids.dented((5, 6, 7), 0.02).float(), to_world=place, bsdf=paper)
+    heights = 0.1 * torch.rand(9, 8, generator=torch.Generator().manual_seed(5))
+    to_world = tr.Transform.translate([-0.7, -0.7, 0.6]) @ tr.Transform.scale(0.5)
+    field = {"type": "heightfield", "heights": heights, "to_world": to_world, "bsdf": paper}
+    names = ("grid.grid", "field.heights", "grid.to_world", PAPER)
+    found = []
+    for scene in scenes(described(grid=grid, field=field)):
+        first = image_and_gradients(scene, names, visibility=False)
+        with torch.no_grad():
+            scene.get_parameter("grid.grid").add_(0.01), scene.get_parameter("field.heights").mul_(1.2)
+            second = tr.render(scene, **SETTINGS)
+            scene.get_parameter("grid.to_world").mul_(1.1), scene.get_parameter("field.to_world").mul_(1.1)
+        found.append([*first, second, *image_and_gradients(scene, names, visibility=False)])
+        assert torch.equal(found[-1][6].detach(), tr.render(copy.deepcopy(scene), **SETTINGS).detach())
+    check_equal(*found)
+    assert not torch.equal(found[0][0], found[0][5])
 
 
 def test_voxels(device):
