@@ -51,7 +51,7 @@ class ShadowTile : public BoundaryFolds<F> {
     const bool pilot_;
     PathTile<F> ends_;
     ShadowLights<F> lights_;
-    ShadowEdgeColumns<S> at_, shared_;  // of the samples, and of the edges that their paths get
+    ShadowEdgeColumns<S> at_;
     std::vector<V> carried_;            // of connections to vertices
     std::vector<S> numbers_, chooses_;  // by slot, for a piece, and for what the light chooses
     const SamplerConfig sequence_ = make_sampler(SamplerKind::Sobol, 0, LargestPattern);
@@ -62,7 +62,7 @@ public:
           pilot_(boundary.part == BoundaryPart::Pilot),
           ends_(path_call_, Base::Capacity, &derivative),
           lights_(scene_, pilot_) {
-        arena_.allocate(Base::Capacity + 2 * W, at_, shared_);
+        arena_.allocate(Base::Capacity + 2 * W, at_);
         this->keep_lens(ends_.slots);
     }
 
@@ -152,7 +152,6 @@ private:
     void find_edges(uint64_t first, uint32_t n) {
         edges_.clear(), rays_.clear();
         for (uint32_t k = 0; k < n; ++k) {
-            at_.s.set(k, {S(0), S(0), S(0)});  // slots without an edge choose vertices, too
             const EmitterKernels<F> &light = lights_.kernels(at_, k);
             const bool on_shape = light.is(IsOnShape);
             Edge x{};
@@ -262,26 +261,21 @@ private:
         }
     }
 
-    // Every path gets one of the edges that are left, at random, and all about as many: past most of the edges of an
-    // object under a sky there is nothing, and what the paths' vertices see of the others is rare and large.
+    // Every path gets one of the edges that are left, a random one, and every edge about as many paths: past most edges
+    // of an object under a sky there is nothing, and what the paths' vertices see of the others is rare and large.
     void share_edges(uint32_t n) {
-        const size_t left = edges_.size();
+        const std::vector<Edge> left = std::move(edges_);
         const uint32_t shift = this->bits(0, Base::PlaceBlock).bits[0];
-        const std::vector<Edge> given = std::move(edges_);
         edges_.resize(n);
-        std::vector<const void *> from;
-        at_.for_arrays([&](auto *array) { from.push_back(array); });
         for (uint32_t k = 0; k < n; ++k) {
-            edges_[k] = given[(k + size_t(shift)) % left];
-            edges_[k].weight = edges_[k].weight * S(double(left) / n);
+            edges_[k] = left[(k + size_t(shift)) % left.size()];
+            edges_[k].weight = edges_[k].weight * S(double(left.size()) / n);
         }
-        size_t column = 0;
-        shared_.for_arrays([&](auto *array) {
-            const auto *of_slot = static_cast<decltype(array)>(const_cast<void *>(from[column++]));
-            for (uint32_t k = 0; k < n; ++k) array[k] = of_slot[edges_[k].slot];
+        at_.for_arrays([&](auto *array) {
+            const std::vector<std::decay_t<decltype(*array)>> of(array, array + n);
+            for (uint32_t k = 0; k < n; ++k) array[k] = of[edges_[k].slot];
         });
         for (uint32_t k = 0; k < n; ++k) edges_[k].slot = k;
-        std::swap(at_, shared_);
     }
 
     void see_from_vertices(uint32_t n) {

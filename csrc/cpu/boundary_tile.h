@@ -85,14 +85,14 @@ protected:
         return square / (square + boundary_.near * boundary_.near);
     }
 
-    // By how much samples of vertices count less beside those of lights where the outline is close to the surface: a
-    // vertex is seldom found there, and what it brings grows as one over the distance; a light finds such places as
-    // often as others. They count more where a BSDF that scatters from there, with this density, is grazed by the
-    // light, at this cosine of the surface itself: a light seldom finds such places, and what it brings is one over the
-    // cosine, which with interpolated normals has no bound.
+    // What the density of vertices' samples counts beside that of lights' ones. Less where the outline is close to the
+    // surface: a vertex is seldom found there, and what it brings grows as one over the distance; a light finds such
+    // places as often as others. More where light grazes the surface, at this cosine, and the BSDF, of this density, is
+    // of a normal that does not: a light seldom finds such places, and what it brings is one over the cosine.
     template <class T>
     T beside_lights(const T &distance, const T &cosine, const T &pdf) const {
-        const T grazed = max(T(S(0.3 * Pi)) * pdf / max(abs(cosine), T(S(1e-6))), T(S(1)));
+        const T shaded = min(T(S(Pi)) * pdf, T(S(1)));  // the cosine to the normal, where a BSDF is diffuse
+        const T grazed = max(T(S(0.3)) * shaded / max(abs(cosine), T(S(1e-4))), T(S(1)));
         return distance / (distance + T(S(5 * boundary_.near))) * grazed * grazed;
     }
 

@@ -15,7 +15,7 @@ namespace tr {
 
 // Where it is looked from: a point or, `parallel`, along the unit vector p. Light is scattered towards d about like
 // (1 - share) max(0, n.d) + share / (1 + k (1 - axis.d) / 2)^2, and less close to the horizon of the face whose normal
-// is ng, on its side; n = 0: alike in all directions. What is on the curved shape `own` sees no outline of it.
+// is ng, on the side of ng; n = 0: alike in all directions. What is on the curved shape `own` sees no outline of it.
 // `still`: the weight of outlines that rest.
 struct OutlineAnchor {
     Vec3<float> p, n, axis, ng;
