@@ -245,14 +245,15 @@ def test_grids_and_fields(device):
     heights = 0.1 * torch.rand(9, 8, generator=torch.Generator().manual_seed(5))
     to_world = tr.Transform.translate([-0.7, -0.7, 0.6]) @ tr.Transform.scale(0.5)
     field = {"type": "heightfield", "heights": heights, "to_world": to_world, "bsdf": paper}
-    names = ("grid.grid", "field.heights", "grid.to_world", PAPER)
+    names, bigger = ("grid.grid", "field.heights", "grid.to_world", PAPER), torch.tensor([1.1, 1.1, 1.1, 1.0])[:, None]
     found = []
     for scene in scenes(described(grid=grid, field=field)):
         first = image_and_gradients(scene, names, visibility=False)
         with torch.no_grad():
             scene.get_parameter("grid.grid").add_(0.01), scene.get_parameter("field.heights").mul_(1.2)
             second = tr.render(scene, **SETTINGS)
-            scene.get_parameter("grid.to_world").mul_(1.1), scene.get_parameter("field.to_world").mul_(1.1)
+            for name in ("grid.to_world", "field.to_world"):
+                scene.get_parameter(name).mul_(bigger.to(scene.device))
         found.append([*first, second, *image_and_gradients(scene, names, visibility=False)])
         assert torch.equal(found[-1][6].detach(), tr.render(copy.deepcopy(scene), **SETTINGS).detach())
     check_equal(*found)
