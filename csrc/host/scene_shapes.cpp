@@ -39,17 +39,15 @@ void SceneData<S>::update_shapes(const std::vector<const S *> &params, const std
     for (int i = 0; i < int(shapes_.size()); ++i) {
         const int32_t *field = records[size_t(i)].field;
         bool moved = false;
-        if (shapes_[size_t(i)].flags & IsHeightField) {
-            size_t slot = size_t(shapes_[size_t(i)].heights);
-            const bool differs = first || dirty[slot], placed = changed(field[HeightFieldModel::ToWorld], 12);
-            update_heights(i, params[slot], differs, placed);
-            moves |= differs || placed;
-            continue;
-        }
-        if (shapes_[size_t(i)].flags & IsSdfGrid) {
-            size_t slot = size_t(shapes_[size_t(i)].heights);
-            const bool differs = first || dirty[slot], placed = changed(field[SdfGridModel::ToWorld], 12);
-            update_sdf_grid(i, params[slot], differs, placed);
+        if (shapes_[size_t(i)].flags & (IsHeightField | IsSdfGrid)) {
+            const bool grid = shapes_[size_t(i)].flags & IsSdfGrid;
+            const size_t slot = size_t(shapes_[size_t(i)].heights);
+            const bool differs = first || dirty[slot],
+                       placed = changed(field[grid ? SdfGridModel::ToWorld : HeightFieldModel::ToWorld], 12);
+            if (grid)
+                update_sdf_grid(i, params[slot], differs, placed);
+            else
+                update_heights(i, params[slot], differs, placed);
             moves |= differs || placed;
             continue;
         }

@@ -28,9 +28,9 @@ LAMP = {
 SKY = {"type": "constant"}
 
 
-def scene_of(depth: int, eye: list[float], **objects) -> tr.Scene:
+def scene_of(depth: int, **objects) -> tr.Scene:
     film = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
-    to_world = T.look_at(eye, [0, 0, 0], [0, 1, 0])
+    to_world = T.look_at([0, 1, 4], [0, 0, 0], [0, 1, 0])
     camera = {"type": "perspective", "fov": 40, "to_world": to_world, "film": film}
     return tr.load_dict(
         {"type": "scene", "integrator": {"type": "path", "max_depth": depth}, "camera": camera, **objects}
@@ -68,7 +68,7 @@ def second_moment(x: torch.Tensor) -> float:
 
 def test_light_that_grazes_interpolated_normals(monkeypatch):
     """Light finds a place where it grazes a face seldom, and weighs one over the cosine there if the normals do not."""
-    scene = scene_of(2, [0, 1, 4], ball=crumpled_ball(0.05, smooth=True), light=LAMP)
+    scene = scene_of(2, ball=crumpled_ball(0.05, smooth=True), light=LAMP)
     x = weights(monkeypatch, scene, "ball.vertex_positions", "shadows", "reflections")
     assert math.sqrt(second_moment(x)) < 60 * float(x.mean(1).sum())
 
@@ -77,9 +77,7 @@ def test_vertices_share_the_edges_that_are_left(monkeypatch):
     """Under a sky there is nothing past most edges of an object; what the vertices of all paths see of the others."""
     ball = crumpled_ball(0.2, smooth=False)
     camera, both = (
-        second_moment(
-            weights(monkeypatch, scene_of(depth, [0, 1, 4], ball=ball, light=SKY), "ball.vertex_positions", "shadows")
-        )
+        second_moment(weights(monkeypatch, scene_of(depth, ball=ball, light=SKY), "ball.vertex_positions", "shadows"))
         for depth in (2, 4)
     )
     assert camera < both < 2.2 * camera
@@ -95,7 +93,7 @@ def test_light_comes_from_where_a_surface_is_seen_from(monkeypatch):
         return {"type": "rectangle", "to_world": T.translate([0, y, 1]) @ T.scale(0.3), "bsdf": GREY}
 
     def found(**more) -> float:
-        scene = scene_of(2, [0, 1, 4], floor=mesh, square=square(0.5), light=SKY, **more)
+        scene = scene_of(2, floor=mesh, square=square(0.5), light=SKY, **more)
         return second_moment(weights(monkeypatch, scene, "square.to_world", "reflections", count=1 << 16))
 
     plate = {"type": "rectangle", "to_world": T.translate([0, -0.2, 0]) @ T.rotate([1, 0, 0], 90) @ T.scale(3)}
