@@ -6,15 +6,12 @@
 #include "arena.h"
 #include "boundary_call.h"
 #include "core/adjoint/polarization.h"
+#include "core/boundary/samples.h"
 
 namespace tr {
 
-// By slot: the vertex of the path that was chosen, how it scatters, and the adjoint of its place. By number, up to
-// three a slot: points that are glued to surfaces.
+// By number, up to three a slot: points that are glued to surfaces.
 // clang-format off
-#define TR_ANCHOR_COLUMNS(X) \
-    X(Index, level) X(Index, entry) X(Vector, n) X(Vector, axis) X(Vector, ng) X(Number, k) X(Number, share) \
-    X(Vector, d) X(Spectrum, f) X(Number, pdf) X(Vector, p_bar)
 #define TR_GLUED_COLUMNS(X) X(Index, slot) X(Point, at) X(Vector, p) X(Vector, p_bar)
 // clang-format on
 // By slot: the place on the lens, of `distant`, which sees a point through one of them.
@@ -22,10 +19,6 @@ namespace tr {
 template <class S>
 struct LensColumns {
     TR_COLUMNS(TR_LENS_COLUMNS)
-};
-template <class S>
-struct AnchorColumns {
-    TR_COLUMNS(TR_ANCHOR_COLUMNS)
 };
 template <class S>
 struct GluedColumns {
@@ -51,10 +44,6 @@ struct RowColumns {
 // One for each of them.
 template <class S>
 using StokesRows = std::array<Stokes<S>, 4>;
-
-constexpr uint32_t NoVertex = 0xFFFFFFFFu;
-// How far beyond the rim of interpolated normals a ray passes, in widths of it.
-constexpr double BeyondRim = 1.05;
 
 // A sink of single numbers, beside that of packets.
 template <class F>

@@ -13,7 +13,7 @@ template <class F>
 class OutputTile : public SightTile<F> {
     using Base = SightTile<F>;
     using Base::boundary_, Base::call_, Base::paths_, Base::scene_, Base::sights_, Base::rays_, Base::W;
-    using typename Base::M, typename Base::OutlineRay, typename Base::S, typename Base::Sight, typename Base::U,
+    using typename Base::M, typename Base::Ray, typename Base::S, typename Base::Sight, typename Base::U,
         typename Base::V;
 
     AovContext<F> context_;
@@ -60,9 +60,10 @@ private:
         const size_t n = std::min(size_t(W), rays_.size() - i);
         const auto &slots = paths_.slots;
         for (size_t k = 0; k < n; ++k) {
-            const OutlineRay &ray = rays_[i + k];
+            const Ray &ray = rays_[i + k];
             const Sight &sight = sights_[(i + k) / 2];
-            const CameraSample<S> place = this->lens_of(sight.slot);
+            CameraSample<S> place = this->samples_.lens_of(this->sample_of(sight.slot));
+            if (slots.lens.x) place.lens_x = slots.lens.x[sight.slot], place.lens_y = slots.lens.y[sight.slot];
             film[0].at[k] = slots.film_x[sight.slot], film[1].at[k] = slots.film_y[sight.slot];
             lens[0].at[k] = place.lens_x, lens[1].at[k] = place.lens_y;
             o.set(k, ray.met_from), d.set(k, ray.d), first.set(k, ray.o);

@@ -7,7 +7,7 @@
 #include <cmath>
 
 #include "boundary_columns.h"
-#include "core/adjoint/revisit.h"
+#include "core/boundary/anchors.h"
 #include "path_tile.h"
 
 namespace tr {
@@ -36,8 +36,11 @@ protected:
         return r;
     }
     const RenderCall<S> path_call_;
+    const BoundaryView<S> view_;
+    const OutlineSamples<S> samples_{scene_, path_call_.config, view_};
     PathTile<F> paths_;
     AnchorColumns<S> anchors_;
+    TowardsColumns<S> towards_;               // by slot, from these
     RowColumns<S> leaving_[4], arriving_[4];  // at chosen vertices, for what leaves these, and for what arrives from d
 
 public:
@@ -48,8 +51,9 @@ public:
           boundary_(boundary),
           scene_(*call.scene),
           path_call_(without_lights(call, boundary.part)),
+          view_(view_of(call, boundary)),
           paths_(path_call_, Capacity, &derivative) {
-        arena_.allocate(Capacity + 2 * W, anchors_);
+        anchor_arena_.allocate(Capacity + 2 * W, anchors_), towards_arena_.allocate(Capacity + 2 * W, towards_);
         if (polarized())
             row_arena_.allocate(Capacity + 2 * W, leaving_[0], leaving_[1], leaving_[2], leaving_[3], arriving_[0],
                                 arriving_[1], arriving_[2], arriving_[3]);
@@ -77,13 +81,10 @@ protected:
     // Which samples the slots are: `first` .. `first` + n of the call.
     void identify(uint64_t first, uint32_t n) {
         auto &slots = paths_.slots;
-        const double each = double(boundary_.n_cells) / boundary_.samples;  // cells that a sample stands for
         for (uint32_t k = 0; k < n; ++k) {
-            const uint64_t sample = boundary_.first + first + k;
-            slots.pixel[k] = uint32_t(sample), slots.sample[k] = uint32_t(sample >> 32);
-            const double u = double(uniform_of<S>(bits(k, PlaceBlock).bits[1]));
-            const double at = (double(sample % uint64_t(boundary_.samples)) + u) * each;
-            const int64_t *cell = boundary_.cells + 2 * std::min(size_t(at), boundary_.n_cells - 1);
+            const OutlineSample sample(boundary_.first + first + k);
+            slots.pixel[k] = sample.low, slots.sample[k] = sample.high;
+            const int64_t *cell = samples_.cell(sample);
             slots.column[k] = uint32_t(int32_t(cell[0])), slots.row[k] = uint32_t(int32_t(cell[1]));
         }
         std::fill_n(anchors_.level.at, n, NoVertex);
@@ -98,17 +99,9 @@ protected:
         }
         paths_.run(true, stop, 0, false, boundary_.glued);
     }
-    // Random numbers of a sample that paths do not use: two for choices (0, 1), and a seed.
-    static constexpr uint32_t OutlineBlock = 0x60000000u, PlaceBlock = OutlineBlock + 1;
-    RandomBits4<S> bits(uint32_t slot, uint32_t block = OutlineBlock) const {
-        return random_bits4<S>(call_.config.seed, call_.config.sensor, paths_.slots.pixel[slot],
-                               paths_.slots.sample[slot], UIntOf<S>(block));
-    }
-    S number(uint32_t slot, int which) const { return uniform_of<S>(bits(slot).bits[which]); }
-    uint64_t tree_seed(uint32_t slot) const {
-        const RandomBits4<S> r = bits(slot);
-        return uint64_t(r.bits[2]) << 32 | r.bits[3];
-    }
+    OutlineSample sample_of(uint32_t slot) const { return {paths_.slots.pixel[slot], paths_.slots.sample[slot]}; }
+    RandomBits4<S> bits(uint32_t slot, uint32_t block) const { return samples_.bits(sample_of(slot), block); }
+    S number(uint32_t slot, int which) const { return samples_.number(sample_of(slot), which); }
 
     // Calls visit(level, range) for the vertices that scatter smoothly.
     template <class Visit>
@@ -127,7 +120,6 @@ protected:
     void choose_vertices(uint32_t n, const std::vector<double> &u, std::vector<double> &inverse,
                          std::vector<double> &total, Factor &&factor) {
         Tape<S> &tape = paths_.wavefront.tape;
-        const size_t values = size_t(call_.values);
         std::vector<double> before(n, 0);
         total.assign(n, 0);
         auto each = [&](auto &&visit) {
@@ -135,10 +127,9 @@ protected:
                 const TapeColumns<S> &columns = tape[int(l)].columns;
                 const auto &v = columns.vertex;
                 for (uint32_t e = range.begin; e < range.begin + range.count; ++e) {
-                    double weight = 0;
-                    for (size_t c = 0; c < values; ++c) weight += std::fabs(double(v.beta[int(c)][e]));
-                    weight *= factor(columns.arrival.p.get(e), v.slot[e]);
-                    if (weight > 0 && std::isfinite(weight)) visit(v.slot[e], l, e, weight);
+                    const double weight =
+                        vertex_weight(v, e, call_.values, factor(columns.arrival.p.get(e), v.slot[e]));
+                    if (weight > 0) visit(v.slot[e], l, e, weight);
                 }
             });
         };
@@ -170,32 +161,26 @@ protected:
     }
     void find_lobes() {
         for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            ScatteringLobe<F> lobe = scattering_lobe<F>(scene_, waves_of(slot, active), kind, columns, i, active);
-            put(anchors_.n, slot, lobe.n, active), put(anchors_.axis, slot, lobe.axis, active);
-            scatter_lanes<F>(anchors_.k.at, slot, lobe.k, active);
-            scatter_lanes<F>(anchors_.share.at, slot, lobe.share, active);
+            tr::find_lobes<F>(scene_, waves_of(slot, active), kind, columns, i, slot, active, anchors_);
         });
     }
     void find_normals() {
         for_chosen([&](const TapeColumns<S> &columns, int, uint32_t i, const U &slot, const M &active) {
-            put(anchors_.ng, slot, geometric_normal<F>(scene_, columns, i, active), active);
+            tr::find_normals<F>(scene_, columns, i, slot, active, anchors_);
         });
     }
     // f and pdf from d; of polarised light also the rows for what arrives from there.
     void scatter_chosen() {
         for_chosen([&](const TapeColumns<S> &columns, int kind, uint32_t i, const U &slot, const M &active) {
-            Gathered<F> from(slot, active);
-            Vec3<F> d = from(anchors_.d);
             const Wavelengths<F> waves = waves_of(slot, active);
-            BsdfValue<F> value =
-                scatter_towards<F>(scene_, waves, kind, columns, i, d, paths_.wavefront.needs(), active);
-            for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(anchors_.f[c], slot, value.f[c], active);
-            scatter_lanes<F>(anchors_.pdf.at, slot, value.pdf, active);
+            const GradientNeeds &needs = paths_.wavefront.needs();
+            tr::scatter_chosen<F>(scene_, waves, kind, columns, i, slot, active, needs, towards_);
+            Gathered<F> from(slot, active);
+            const Vec3<F> d = from(towards_.d);
             for (int part = 0; polarized() && part < 4; ++part) {
                 const RowColumns<S> &of = leaving_[part];
                 const Stokes<F> leaving{{from(of.i), from(of.q), from(of.u), from(of.v)}, from(of.axis)};
-                put(arriving_[part], slot,
-                    row_towards<F>(scene_, waves, kind, columns, i, d, leaving, paths_.wavefront.needs(), active),
+                put(arriving_[part], slot, row_towards<F>(scene_, waves, kind, columns, i, d, leaving, needs, active),
                     active);
             }
         });
@@ -251,39 +236,11 @@ protected:
         return false;
     }
     TapeLevel<S> &level_of(uint32_t slot) { return paths_.wavefront.tape[int(anchors_.level[slot])]; }
-    V place_of(uint32_t slot) { return level_of(slot).columns.arrival.p.get(anchors_.entry[slot]); }
-    SurfacePoint<S> point_of(uint32_t slot) {
-        const auto &at = level_of(slot).columns.vertex.at;
-        const uint32_t e = anchors_.entry[slot];
-        return {at.shape[e], at.primitive[e], at.b1[e], at.b2[e]};
-    }
-    static Vec3<float> single(const V &v) { return {float(v.x), float(v.y), float(v.z)}; }
-    // The weight of outlines that rest, as what moves or rests sees them: they count to the latter where light of what
-    // moves ends there.
-    static float still(bool moves) { return moves ? 1.f : 0.05f; }
-    // Whether a vertex moves: with its shape, or because one before it does.
-    bool vertex_moves(uint32_t slot) {
-        Tape<S> &tape = paths_.wavefront.tape;
-        uint32_t e = anchors_.entry[slot];
-        for (int l = int(anchors_.level[slot]); l >= 0; l = tape[l].parent_level) {
-            if (boundary_.moves[tape[l].columns.vertex.at.shape[e]]) return true;
-            e = tape[l].columns.vertex.parent[e];
-        }
-        return false;
-    }
-    OutlineAnchor anchor(uint32_t slot) {
-        OutlineAnchor a{};
-        a.p = single(place_of(slot)), a.n = single(anchors_.n.get(slot)), a.axis = single(anchors_.axis.get(slot));
-        // on the side that it is seen from, which that of an interpolated normal may not be
-        const V ng = anchors_.ng.get(slot), arriving = level_of(slot).columns.arrival.d.get(anchors_.entry[slot]);
-        a.ng = single(dot(ng, arriving) > 0 ? -ng : ng);
-        a.k = float(anchors_.k[slot]), a.share = float(anchors_.share[slot]);
-        a.parallel = false, a.own = int32_t(point_of(slot).shape), a.still = still(vertex_moves(slot));
-        return a;
+    TapeVertex<S, Tape<S>> vertex(uint32_t slot) {
+        return {paths_.wavefront.tape, anchors_.level[slot], anchors_.entry[slot]};
     }
 
     // ------------------------------------------------------------------------------------------------- the camera
-    bool is_distant() const { return sensor().kind == kind_of_model<Distant>(Sensors{}); }
     // Where the camera sees what a slot stands for, `place`; that is kept of a lens, too, if it was not drawn.
     void keep_place(const SlotColumns<S> &slots, uint32_t slot, const CameraSample<S> &place) {
         slots.film_x[slot] = place.x, slots.film_y[slot] = place.y;
@@ -291,59 +248,38 @@ protected:
     }
     // Of slots whose places are kept, see there.
     void keep_lens(SlotColumns<S> &slots) {
-        if (!is_distant()) return;
+        if (!samples_.is_distant()) return;
         lens_arena_.allocate(Capacity + 2 * W, lens_);
         slots.lens = lens_.lens;
         for (uint32_t k = 0; k < Capacity + 2 * W; ++k) lens_.lens.x[k] = lens_.lens.y[k] = 0;
     }
-    CameraSample<S> lens_of(uint32_t slot) const {
-        CameraSample<S> sample{S(0), S(0)};
-        const auto &slots = paths_.slots;
-        if (slots.lens.x) return {S(0), S(0), slots.lens.x[slot], slots.lens.y[slot]};
-        if (uses_lens(sensor()))
-            sample.choose_lens(lens_numbers<S>(path_call_.config, slots.pixel[slot], slots.sample[slot]));
-        return sample;
-    }
-    const Record &sensor() const { return scene_.sensors[call_.config.sensor]; }
-
-    // Area perpendicular to a camera ray along d, at that distance from where it comes from, of what a pixel sees.
-    S pixel_area(const CameraSample<S> &place, const V &d, S distance) const {
-        const S width = S(call_.film_width), height = S(call_.film_height);
-        if (is_pinhole(sensor())) {
-            const Perspective::FilmPoint<S, S> film(scene_, sensor(), place.x, place.y, width, height);
-            const S cosine = rsqrt(squared_norm(film.direction()));
-            return distance * distance * cosine * cosine * cosine * 4 * film.slope * film.rise / (width * height);
-        }
-        if (is_distant()) {
-            const S radius = DistantBase<S>(scene_, sensor()).radius;
-            return S(Pi) * radius * radius;
-        }
-        const S step = S(0.05);
-        auto end = [&](S x, S y) {
-            CameraSample<S> moved = place;
-            moved.x += x, moved.y += y;
-            const CameraRay<S> ray = camera_ray<S>(scene_, sensor(), moved, width, height);
-            return ray.center + ray.ray.d * distance;
-        };
-        const V x = (end(step, 0) - end(-step, 0)) * (1 / (2 * step)),
-                y = (end(0, step) - end(0, -step)) * (1 / (2 * step));
-        return std::fabs(dot(cross(x, y), d));
-    }
-
-    static void put(const VectorColumn<S> &column, const U &slot, const Vec3<F> &v, const M &active) {
-        scatter_lanes<F>(column.x, slot, v.x, active), scatter_lanes<F>(column.y, slot, v.y, active);
-        scatter_lanes<F>(column.z, slot, v.z, active);
-    }
-
     static void put(const RowColumns<S> &to, const U &slot, const Stokes<F> &row, const M &active) {
         const SpectrumColumn<S> columns[] = {to.i, to.q, to.u, to.v};
         for (int k = 0; k < 4; ++k)
             for (int c = 0; c < SpectrumSize; ++c) scatter_lanes<F>(columns[k][c], slot, row.at[k][c], active);
-        put(to.axis, slot, row.axis, active);
+        scatter_vector<F>(to.axis, slot, row.axis, active);
     }
 
 private:
-    Arena arena_, row_arena_, lens_arena_;
+    static BoundaryView<S> view_of(const RenderCall<S> &call, const BoundaryCall<S> &given) {
+        return {given.outlines->table(),
+                given.pieces->view(),
+                given.samples,
+                given.cells,
+                given.n_cells,
+                given.first,
+                given.total,
+                given.near,
+                given.in_view,
+                given.glued,
+                S(call.film_width),
+                S(call.film_height),
+                call.crop,
+                call.samples,
+                given.filter.reach()};
+    }
+
+    Arena anchor_arena_, towards_arena_, row_arena_, lens_arena_;
     LensColumns<S> lens_;
 };
 

@@ -19,10 +19,9 @@ class BoundaryTile : public BoundaryPaths<F> {
 protected:
     using Paths = BoundaryPaths<F>;
     using Paths::anchors_, Paths::boundary_, Paths::call_, Paths::of_part, Paths::parts, Paths::path_call_,
-        Paths::paths_, Paths::polarized, Paths::scene_, Paths::W;
+        Paths::paths_, Paths::polarized, Paths::samples_, Paths::scene_, Paths::W;
     using typename Paths::M, typename Paths::S, typename Paths::U, typename Paths::V;
 
-    const Outlines<S> outlines_;
     PathTile<F> light_;
     GluedColumns<S> glued_;
 
@@ -30,9 +29,7 @@ public:
     using Paths::Capacity;
 
     BoundaryTile(const RenderCall<S> &call, const BoundaryCall<S> &boundary, const DerivativeCall<S> &derivative)
-        : Paths(call, boundary, derivative),
-          outlines_(*call.scene, *boundary.outlines),
-          light_(call, 2 * Capacity, nullptr) {
+        : Paths(call, boundary, derivative), light_(call, 2 * Capacity, nullptr) {
         glued_arena_.allocate(3 * Capacity + 2 * W, glued_);
     }
 
@@ -44,61 +41,11 @@ public:
 
 protected:
     // ---------------------------------------------------------------------------------------------- rays and light
-    struct OutlineRay {
-        V o, d;
-        SurfacePoint<S> at{NoHit, 0, 0, 0};  // what it meets, once that is known
-        S t = S(INFINITY);
-        V met_from{};  // where it was when it met that, beyond emitters that it has passed
-    };
-    // From a point (of a surface with this normal) past b, beside it on the side of the unit vector `across`.
-    static OutlineRay beside(const V &origin, const V &ng, const V &b, const V &across, S room, S reach, S rim) {
-        const V at = b + across * (side_of(length(b - origin), b, room, reach) + rim),
-                o = offset_origin(origin, ng, unit(at - origin));
-        return {o, unit(at - o)};
-    }
-    static S side_of(S distance, const V &b, S room, S reach) {
-        return std::max(std::min(distance * S(0x1p-17), room / 8), least_side(b, distance, reach));
-    }
-    // How far beside b rays can be told apart that begin at a distance, and pass triangles that reach so far: they are
-    // traced in single precision, and Embree's robust test takes what is up to 12 * 2^-24 of a triangle's extent beside
-    // it, as was measured.
-    static S least_side(const V &b, S distance, S reach) {
-        return S(0x1p-24) * (8 * (max_abs(b) + distance) + 24 * reach);
-    }
-    static S length(const V &v) { return std::sqrt(dot(v, v)); }
-    static V unit(const V &v) { return v * (1 / std::max(length(v), S(1e-30))); }
-
-    // Nothing is before an outline's point, r away, on the free side (a sphere is met before its contour on the other);
-    // beside creases rays have to meet the crease's own faces. t: what rays on the side of -n and of n meet.
-    static bool is_open(S front, S r, const S (&t)[2], S tolerance) {
-        for (int side = 0; side < 2; ++side) {
-            const bool free = side == 0 ? front >= 0 : front <= 0;
-            if (free && t[side] < r * (1 - tolerance)) return false;
-            if (front == 0 && !(std::fabs(t[side] - r) < S(5e-3) * r)) return false;
-        }
-        return true;
-    }
-
-    // The share of what a point gets from another, at a distance, that samples from lights find.
-    double apart(double distance) const {
-        const double square = distance * distance;
-        return square / (square + boundary_.near * boundary_.near);
-    }
-
-    // What the density of vertices' samples counts beside that of lights' ones. Less where the outline is close to the
-    // surface: a vertex is seldom found there, and what it brings grows as one over the distance; a light finds such
-    // places as often as others. More where light grazes the surface, at this cosine, and the BSDF, of this density, is
-    // of a normal that does not: a light seldom finds such places, and what it brings is one over the cosine.
-    template <class T>
-    T beside_lights(const T &distance, const T &cosine, const T &pdf) const {
-        const T shaded = min(T(S(Pi)) * pdf, T(S(1)));  // the cosine to the normal, where a BSDF is diffuse
-        const T grazed = max(T(S(0.3)) * shaded / max(abs(cosine), T(S(1e-4))), T(S(1)));
-        return distance / (distance + T(S(5 * boundary_.near))) * grazed * grazed;
-    }
+    using Ray = OutlineRay<S>;
 
     // Rays of these lengths, at most 2 Capacity, where queries find them.
     template <class Length>
-    PathQueue<S> &fill(const std::vector<OutlineRay> &rays, Length &&length) {
+    PathQueue<S> &fill(const std::vector<Ray> &rays, Length &&length) {
         PathQueue<S> &queue = light_.wavefront.queues[0];
         for (size_t k = 0; k < rays.size(); ++k)
             queue.o.set(k, rays[k].o), queue.d.set(k, rays[k].d), queue.length[k] = length(k);
@@ -108,26 +55,24 @@ protected:
         queries().intersect(rays_of(queue), n, coherent);
         light_.wavefront.stats.closest_rays += n;
     }
-    void intersect(std::vector<OutlineRay> &rays) {
+    void intersect(std::vector<Ray> &rays) {
         trace(fill(rays, [](size_t) { return S(INFINITY); }), rays.size(), false);
         keep_hits(rays);
     }
-    void keep_hits(std::vector<OutlineRay> &rays) {
+    void keep_hits(std::vector<Ray> &rays) {
         for (size_t i = 0; i < rays.size(); ++i) keep_hit(i, rays[i]);
     }
     // What the ray in a place of the queue has met.
-    void keep_hit(size_t i, OutlineRay &ray) {
+    void keep_hit(size_t i, Ray &ray) {
         const HitColumns<S> &hits = queries().hits;
-        ray.at = {hits.at.shape[i], hits.at.primitive[i], hits.at.b1[i], hits.at.b2[i]};
-        ray.t = ray.at.shape == NoHit ? S(INFINITY) : hits.t[i];
-        ray.met_from = light_.wavefront.queues[0].o.get(i);
+        ray.meet(hits.at.get(i), hits.t[i], light_.wavefront.queues[0].o.get(i));
     }
     RayQueries<S> &queries() { return light_.wavefront.queries; }
 
     // Radiance, at the wavelengths of their samples, along rays behind `depth` vertices, into the slots of `light_`, of
     // polarised light on axes that are the film's; `traced`: their hits are known; pdf: with which density their
     // directions are sampled beside lights, 0 where they alone find the light; `seen`: see PathQueue.
-    void look_up(const std::vector<OutlineRay> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
+    void look_up(const std::vector<Ray> &rays, const std::vector<S> &lengths, const std::vector<S> &pdf,
                  const std::vector<uint32_t> &key, const std::vector<uint32_t> &seen, int depth, bool traced,
                  const Stop &stop) {
         const uint32_t n = uint32_t(rays.size());
@@ -159,15 +104,6 @@ protected:
     // What a place on the film gets of the adjoint.
     void collect(S x, S y, double *to) const {
         for_film_place(boundary_.filter, x, y, [&](const FilmPlace<S> &place) { boundary_.film->collect(place, to); });
-    }
-    // Whether a pixel that is wanted may get something of it. (Beyond the part of the film that has samples nothing is
-    // seen.)
-    bool near_film(S x, S y) const {
-        const S reach = S(boundary_.filter.reach());
-        const Rect &there = call_.samples;
-        if (!(x >= S(there.x0) && x < S(there.x1) && y >= S(there.y0) && y < S(there.y1))) return false;
-        return x >= S(call_.crop.x0) - reach && x < S(call_.crop.x1) + reach && y >= S(call_.crop.y0) - reach &&
-               y < S(call_.crop.y1) + reach;
     }
     // The number that the film's adjoint of a place makes of jumps, by part.
     template <class Jump>
@@ -212,24 +148,14 @@ protected:
             for (int c = 0; c < call_.values; ++c) *value++ = double(of_part(slots, part).radiance[c][slot]);
     }
 
-    // Of a slot; what moves with a surface is handed on by sweep_glued().
-    void add_to_outline(uint32_t slot, int32_t element, S s, const V &p, const V &p_bar, PointSink<F> &sink) {
-        outlines_.spread(
-            element, s, p,
-            [&](uint32_t shape, uint32_t index, S share) {
-                if (sink.wants(shape)) sink.vertex(index, p_bar * share);
-            },
-            [&](uint32_t shape, const V &local) {
-                if (sink.wants(shape)) sink.matrix(shape, local, p_bar);
-            },
-            [&](const SurfacePoint<S> &at) { add_glued(slot, at, p, p_bar); });
-    }
+    // Of a slot; handed on by sweep_glued().
     void add_glued(uint32_t slot, const SurfacePoint<S> &at, const V &p, const V &p_bar) {
         const uint32_t k = glued_.n++;
         glued_.slot[k] = slot;
-        glued_.at.shape[k] = at.shape, glued_.at.primitive[k] = at.primitive;
-        glued_.at.b1[k] = at.b1, glued_.at.b2[k] = at.b2;
-        glued_.p.set(k, p), glued_.p_bar.set(k, p_bar);
+        glued_.at.set(k, at), glued_.p.set(k, p), glued_.p_bar.set(k, p_bar);
+    }
+    auto glue_to(uint32_t slot) {
+        return [this, slot](const SurfacePoint<S> &at, const V &p, const V &p_bar) { add_glued(slot, at, p, p_bar); };
     }
     // Hands on the adjoints of points that are glued to lights or, of glued samples, to surfaces; derivatives go to
     // these slots.

@@ -2,12 +2,14 @@
 #pragma once
 
 #include <cmath>
+#include <numeric>
 #include <vector>
 
+#include "core/boundary/outline_points.h"
 #include "core/sensor/camera.h"
+#include "host/outline_set.h"
 #include "host/parallel.h"
 #include "outline_pieces.h"
-#include "outline_points.h"
 #include "render.h"
 
 namespace tr {
@@ -17,31 +19,31 @@ class OutlineCandidates {
 protected:
     using V = Vec3<S>;
     const SceneView<S> &scene_;
-    const OutlineSet &set_;
+    const OutlineTable &table_;
+    const OutlineTree &tree_;
     const Outlines<S> outlines_;
     const int threads_;
 
     OutlineCandidates(const SceneView<S> &scene, const OutlineSet &set, int threads)
-        : scene_(scene), set_(set), outlines_(scene, set), threads_(threads) {}
+        : scene_(scene), table_(set.table()), tree_(set.tree()), outlines_(scene, set.table()), threads_(threads) {}
 
-    using Elements = OutlineLeaves::Elements;
-    using Weights = float[OutlineTree::Wide];
+    using Elements = OutlineLeaf;
+    using Weights = float[OutlineWide];
 
     // The pieces of all elements that may be outlines: cut(leaf, elements, weights, pieces) appends those of a leaf,
     // but for those of no weight, with their lengths, which are not added up yet. `still`: the weight of those that
     // rest. With `creases` these count, too.
     template <class Cut>
     OutlinePieces cut_all(const OutlineView<S> &view, float still, bool creases, Cut &&cut) const {
-        const OutlineTree &tree = set_.tree();
         const Vec3<float> o{float(view.origin.x), float(view.origin.y), float(view.origin.z)};
         OutlinePieces r;
-        collect(tree.n_leaves(), r, [&](size_t leaf, OutlinePieces &to) {
-            tree.if_outlines(leaf, o, view.parallel, float(view.beside), still > 0,
-                             [&](const auto &all, auto &rounding) {
-                                 alignas(64) Weights weights;
-                                 if (find_candidates(all, rounding, o, view, still, creases, weights))
-                                     cut(leaf, all, weights, to);
-                             });
+        collect(tree_.n_leaves(), r, [&](size_t leaf, OutlinePieces &to) {
+            tree_.if_outlines(leaf, o, view.parallel, float(view.beside), still > 0,
+                              [&](const auto &all, auto &rounding) {
+                                  alignas(64) Weights weights;
+                                  if (find_candidates(all, rounding, o, view, still, creases, weights))
+                                      cut(leaf, all, weights, to);
+                              });
         });
         return r;
     }
@@ -74,10 +76,10 @@ protected:
         to.cdf.push_back(length);
     }
     static void add_leaf(size_t leaf, const Weights &lengths, OutlinePieces &to) {
-        const double sum = std::accumulate(lengths, lengths + OutlineTree::Wide, 0.0);
+        const double sum = std::accumulate(lengths, lengths + OutlineWide, 0.0);
         if (!(sum > 0)) return;
         add(-1 - int32_t(to.leaves.size()), S(0), S(1), sum, to);
-        to.leaves.emplace_back(leaf, lengths);
+        to.leaves.push_back(leaf_piece(leaf, lengths));
     }
     static void scatter(int32_t element, double length, OutlinePieces &to) {
         constexpr int n = 64;
@@ -86,12 +88,12 @@ protected:
 
 private:
     // Whether elements can be outlines or creases from there: weights; false if none can.
-    static bool find_candidates(const Elements &all, const OutlineLeaves::Rounding &rounding, const Vec3<float> &o,
+    static bool find_candidates(const Elements &all, const LeafRounding &rounding, const Vec3<float> &o,
                                 const OutlineView<S> &view, float still, bool creases, Weights &weights) {
         using F = PacketOf<float>;
         using M = MaskOf<F>;
         bool some = false;
-        for (size_t i = 0; i < OutlineTree::Wide; i += size_t(Lanes<F>::Width)) {
+        for (size_t i = 0; i < OutlineWide; i += size_t(Lanes<F>::Width)) {
             const F given = load<F>(&all.weight[i]), bend = load<F>(&all.bend[i]);
             const F weight = select(mask<F>(given > F(0)), F(1), select(mask<F>(given < F(0)), F(still), F(0)));
             const Vec3<F> from{F(o.x), F(o.y), F(o.z)}, d = view.parallel ? from : load_vector<F>(all.a, i) - from;
@@ -114,7 +116,7 @@ private:
 template <class S>
 class OutlineCutter : OutlineCandidates<S> {
     using Base = OutlineCandidates<S>;
-    using Base::outlines_, Base::scene_, Base::set_;
+    using Base::outlines_, Base::scene_, Base::table_;
     using typename Base::Elements, typename Base::V, typename Base::Weights;
     static constexpr S Pixels = 16;                // length of a piece on the film
     static constexpr S DistantPixels = 64;         // what counts as so many, of `distant`, whose one pixel sees all
@@ -146,11 +148,11 @@ public:
         OutlinePieces r = this->cut_all({origin_, parallel_, lens_}, glued_ ? 0.25f : 0.f, !glued_, cut);
         for (int32_t s = 0; s < scene_.n_shapes; ++s) {
             const ShapeInfo &info = scene_.shapes[s];
-            if ((info.flags & IsCurved) || !(info.flags & HasNormals) || !set_.moves(uint32_t(s))) continue;
+            if ((info.flags & IsCurved) || !(info.flags & HasNormals) || !table_.moves(uint32_t(s))) continue;
             this->collect(size_t(info.n_faces), r, [&](size_t k, OutlinePieces &to) {
                 const uint32_t face = uint32_t(info.face_offset) + uint32_t(k);
                 if (Rim<S>(scene_, face, origin_, parallel_).possible(lens_))
-                    this->cut(int32_t(set_.element_of_face(face)), RimWeight, to);
+                    this->cut(int32_t(table_.element_of_face(face)), RimWeight, to);
             });
         }
         return r;
@@ -217,7 +219,7 @@ private:
         using M = MaskOf<F>;
         constexpr size_t W = size_t(Lanes<F>::Width);
         alignas(64) Weights lengths;
-        for (size_t i = 0; i < OutlineTree::Wide; i += W) {
+        for (size_t i = 0; i < OutlineWide; i += W) {
             const OnFilm<F> at = ends_on_film<F>(all, i);
             const F weight = convert<F>(load<PacketOf<float>>(&weights[i]));
             const M some = mask<F>(weight > F(0)), edge = !all.template are<F>(OutlineElement::Round, i);
@@ -241,7 +243,7 @@ private:
         const OnFilm<S> whole = on_film(element, S(0), S(1), 8);
         if (!(whole.length > 0 || lens_ > 0)) return;
         int n = int(std::min(std::ceil(whole.length / Pixels), S(Most)));
-        if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
+        if (table_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n);
             add(element, begin, end, on_film(element, begin, end, 2), weight, to);

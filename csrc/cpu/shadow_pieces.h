@@ -5,9 +5,9 @@
 
 #include <atomic>
 
+#include "core/boundary/shadow_lights.h"
 #include "core/state/queues.h"
 #include "outline_cutter.h"
-#include "shadow_lights.h"
 
 namespace tr {
 
@@ -24,7 +24,7 @@ struct ShadowPieces {
 template <class S>
 class ShadowCutter : OutlineCandidates<S> {
     using Base = OutlineCandidates<S>;
-    using Base::outlines_, Base::scene_, Base::set_;
+    using Base::outlines_, Base::scene_, Base::table_;
     using typename Base::V;
     static constexpr size_t MostLights = 8, MostEdges = size_t(1) << 16;  // beyond which looking at all takes long
     static constexpr S Nearest = 4;
@@ -38,7 +38,7 @@ public:
 
     ShadowPieces cut() const {
         ShadowPieces r;
-        if (set_.n_edges() > MostEdges || size_t(scene_.n_emitters) > MostLights) return r;
+        if (table_.n_edges > MostEdges || size_t(scene_.n_emitters) > MostLights) return r;
         r.of.resize(size_t(scene_.n_emitters));
         for (int32_t i = 0; i < scene_.n_emitters; ++i)
             if (scene_.emitter_pmf[i] > 0) r.of[size_t(i)] = cut_one(i);
@@ -60,10 +60,10 @@ private:
         std::atomic<bool> close{false};
         OutlinePieces r = this->cut_all(
             light.view, still, false, [&](size_t, const auto &all, const auto &weights, OutlinePieces &to) {
-                for (size_t k = 0; k < OutlineTree::Wide; ++k) {
+                for (size_t k = 0; k < OutlineWide; ++k) {
                     if (!(weights[k] > 0)) continue;
                     const int32_t element = all.index[k];
-                    if (set_.shape_of_element(scene_, size_t(element)) == uint32_t(light.shape)) continue;
+                    if (table_.shape_of_element(scene_, size_t(element)) == uint32_t(light.shape)) continue;
                     if (!cut_element(light.view, element, weights[k], to)) close = true;
                 }
             });
@@ -137,7 +137,7 @@ private:
         const S whole = length(view, element, S(0), S(1), 8, far);
         if (!far) return false;
         int n = int(std::min(std::ceil(whole / Angle), S(Most)));
-        if (set_.is_curve(size_t(element))) n = std::max(n, Fewest);
+        if (table_.is_curve(size_t(element))) n = std::max(n, Fewest);
         for (int i = 0; i < n; ++i) {
             const S begin = S(i) / S(n), end = S(i + 1) / S(n), piece = length(view, element, begin, end, 2, far);
             if (piece > 0) Base::add(element, begin, end, double(weight) * double(piece), to);

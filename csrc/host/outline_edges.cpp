@@ -75,7 +75,8 @@ bool OutlineSet::find(const SceneView<S> &scene, int threads, const std::functio
         meshes_.push_back({uint32_t(info.face_offset), uint32_t(s)});
         n_faces = std::max(n_faces, size_t(info.face_offset) + size_t(info.n_faces));
     }
-    std::sort(meshes_.begin(), meshes_.end(), [](const Mesh &a, const Mesh &b) { return a.face < b.face; });
+    std::sort(meshes_.begin(), meshes_.end(),
+              [](const OutlineMesh &a, const OutlineMesh &b) { return a.face < b.face; });
     if (3 * n_faces >= Flag) throw std::length_error("outlines: more than 715 million triangles");
     // Calls visit(face, its indices); false if it was interrupted.
     auto each_face = [&](auto &&visit) {
@@ -161,20 +162,23 @@ bool OutlineSet::find(const SceneView<S> &scene, int threads, const std::functio
         for (int32_t k = OutlineCurve::LowerRim; k <= OutlineCurve::RightLine && (flags & IsCylinder); ++k)
             curves_.push_back({s, k});
     }
+    refresh_table();
     return found_ = true;
 }
 
 template <class S>
 void OutlineSet::gather(const SceneView<S> &scene, int threads) {
-    around_.resize(n_edges());
+    around_.resize(begin_.size() - 1);
+    refresh_table();
     for_ranges(n_edges(), threads, [&](size_t begin, size_t end, int) {
         for (size_t edge = begin; edge < end; ++edge) {
-            const size_t n = count(edge);
-            const HalfEdge first = half(scene, edge, 0), second = half(scene, edge, n > 1 ? 1 : 0);
+            const size_t n = table_.count(edge);
+            const HalfEdge first = table_.half(scene, edge, 0), second = table_.half(scene, edge, n > 1 ? 1 : 0);
             bool split = false;
             for (size_t k = 1; k < n && !split; ++k) {
-                const HalfEdge other = half(scene, edge, k);
-                split = other.v0 != first.v0 || other.v1 != first.v1 || shape_of(other) != shape_of(first);
+                const HalfEdge other = table_.half(scene, edge, k);
+                split =
+                    other.v0 != first.v0 || other.v1 != first.v1 || table_.shape_of(other) != table_.shape_of(first);
             }
             auto flagged = [](uint32_t vertex, bool flag) { return vertex | (flag ? Flag : 0); };
             around_[edge] = {{flagged(first.v0, n != 2), flagged(first.v1, split), flagged(first.third, first.turned),

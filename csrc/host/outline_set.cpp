@@ -92,8 +92,22 @@ bool OutlineSet::update(const SceneView<S> &scene, const uint8_t *moves, uint64_
     else
         plant(scene, threads);
     tree_.build(threads);
+    refresh_table();
     version_ = version;
     return true;
+}
+
+void OutlineSet::refresh_table() {
+    table_ = {corners_.data(),
+              begin_.data(),
+              around_.data(),
+              meshes_.data(),
+              curves_.data(),
+              moves_.data(),
+              uint32_t(begin_.size() - 1),
+              uint32_t(meshes_.size()),
+              uint32_t(curves_.size()),
+              tree_.view()};
 }
 
 // Every element by itself.
@@ -103,7 +117,7 @@ void OutlineSet::plant(const SceneView<S> &scene, int threads) {
     std::vector<Extent> things(size());
     for_ranges(size(), threads, [&](size_t begin, size_t end, int) {
         for (size_t i = begin; i < end; ++i) {
-            if (is_edge(i)) {
+            if (table_.is_edge(i)) {
                 const V a = place(around_[i].all[0]), b = place(around_[i].all[1]), p = (a + b) * 0.5f;
                 things[i] = {{p.x, p.y, p.z}, norm(b - a)};
             } else {
@@ -116,16 +130,17 @@ void OutlineSet::plant(const SceneView<S> &scene, int threads) {
     for_ranges(
         tree_.n_leaves(), threads,
         [&](size_t begin, size_t end, int) {
-            OutlineLeaves::Elements elements_of_leaf;
+            OutlineLeaf elements_of_leaf;
             for (size_t leaf = begin; leaf < end; ++leaf) {
                 uint32_t edges[OutlineTree::Wide], curves[OutlineTree::Wide];
                 size_t n = 0, n_curves = 0;
                 for (size_t k = leaf * OutlineTree::Wide; n + n_curves < OutlineTree::Wide && k < size(); ++k) {
                     const uint32_t i = uint32_t(order[k]);
-                    (is_edge(i) ? edges[n++] : curves[n_curves++]) = i;
+                    (table_.is_edge(i) ? edges[n++] : curves[n_curves++]) = i;
                 }
                 put_edges(scene, edges, n, elements_of_leaf);
-                for (size_t k = 0; k < n_curves; ++k) elements_of_leaf.set(n + k, curve_element(scene, curves[k]));
+                for (size_t k = 0; k < n_curves; ++k)
+                    set_element(elements_of_leaf, n + k, curve_element(scene, curves[k]));
                 tree_.set(leaf, elements_of_leaf);
             }
         },
@@ -192,7 +207,7 @@ void OutlineSet::plant_many(const SceneView<S> &scene, int threads) {
     for_ranges(
         tree_.n_leaves() - first, threads,
         [&](size_t begin, size_t end, int) {
-            OutlineLeaves::Elements elements_of_leaf;
+            OutlineLeaf elements_of_leaf;
             uint32_t edges[Wide];
             for (size_t leaf = begin; leaf < end; ++leaf) {
                 // what the next ones are made of is on its way meanwhile
@@ -211,12 +226,11 @@ void OutlineSet::plant_many(const SceneView<S> &scene, int threads) {
 }
 
 template <class S>
-void OutlineSet::put_edges(const SceneView<S> &scene, const uint32_t *edges, size_t n,
-                           OutlineLeaves::Elements &to) const {
+void OutlineSet::put_edges(const SceneView<S> &scene, const uint32_t *edges, size_t n, OutlineLeaf &to) const {
     using F = PacketOf<float>;
     using U = UIntOf<F>;
     using M = MaskOf<F>;
-    constexpr size_t Wide = OutlineLeaves::Wide;
+    constexpr size_t Wide = OutlineWide;
     alignas(64) uint32_t all[Wide];
     alignas(64) float moves[Wide] = {}, flat[Wide] = {};
     if (n < Wide) {
@@ -232,10 +246,10 @@ void OutlineSet::put_edges(const SceneView<S> &scene, const uint32_t *edges, siz
         std::fill_n(moves, Wide, float(moves_[shape] != 0)), std::fill_n(flat, Wide, float(is_flat(shape)));
     }
     for (size_t k = 0; k < n && meshes_.size() > 1; ++k) {
-        const uint32_t shape = shape_of(half(scene, edges[k], 0));
+        const uint32_t shape = table_.shape_of(table_.half(scene, edges[k], 0));
         bool moving = moves_[shape] != 0;
-        for (size_t i = 1, faces = is_split(edges[k]) ? count(edges[k]) : 0; i < faces; ++i)
-            moving |= moves_[shape_of(half(scene, edges[k], i))] != 0;
+        for (size_t i = 1, faces = table_.is_split(edges[k]) ? table_.count(edges[k]) : 0; i < faces; ++i)
+            moving |= moves_[table_.shape_of(table_.half(scene, edges[k], i))] != 0;
         moves[k] = moving, flat[k] = is_flat(shape);
     }
     for (size_t i = 0; i < Wide; i += size_t(Lanes<F>::Width)) {
@@ -274,15 +288,15 @@ void OutlineSet::put_edges(const SceneView<S> &scene, const uint32_t *edges, siz
 
 template <class S>
 OutlineElement OutlineSet::edge_element(const SceneView<S> &scene, size_t edge) const {
-    OutlineLeaves::Elements one;
+    OutlineLeaf one;
     const uint32_t number = uint32_t(edge);
     put_edges(scene, &number, 1, one);
-    return one.get(0);
+    return element_of(one, 0);
 }
 
 template <class S>
 OutlineElement OutlineSet::curve_element(const SceneView<S> &scene, size_t element) const {
-    const OutlineCurve &c = curve(element);
+    const OutlineCurve &c = table_.curve(element);
     const S *m = scene.shape_matrices + 24 * size_t(c.shape);
     auto column = [&](size_t i) { return V{float(m[i]), float(m[4 + i]), float(m[8 + i])}; };
     const V x = column(0), y = column(1), z = column(2), place = column(3);

@@ -2,376 +2,158 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <stdexcept>
+
+#include "parallel.h"
 
 namespace tr {
 
 namespace {
 
-constexpr float Grazing = 0.1f;  // the least share of what is at the face's horizon, which hardly moves before it
-constexpr float Any = 0.05f;     // share of choices that leave nothing out
 using V = Vec3<float>;
-using F = PacketOf<float>;
-using M = MaskOf<F>;
-constexpr size_t W = size_t(Lanes<F>::Width);
 constexpr float pi = float(Pi);
-static_assert(OutlineTree::Wide % W == 0);
 
-// Numbers of a counter (Steele et al., "Fast Splittable Pseudorandom Number Generators", 2014).
-struct Numbers {
-    uint64_t state;
-    uint64_t bits() {
-        uint64_t z = (state += 0x9E3779B97F4A7C15ull);
-        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9ull;
-        z = (z ^ (z >> 27)) * 0x94D049BB133111EBull;
-        return z ^ (z >> 31);
-    }
-    double uniform() { return double(bits() >> 11) * 0x1p-53; }
-    float single() { return float(bits() >> 40) * 0x1p-24f; }
-};
-
-Vec3<F> widen(const V &v) { return {F(v.x), F(v.y), F(v.z)}; }
-
-// What only weighs choices may be rough: roots and quotients as the processor estimates them, to 2^-14, and the greater
-// and the lesser of numbers, without regard to what is not a number.
-#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
-TR_INLINE F rough_rsqrt(const F &x) { return F(_mm512_rsqrt14_ps(x.m)); }
-TR_INLINE F rough_rcp(const F &x) { return F(_mm512_rcp14_ps(x.m)); }
-TR_INLINE F greater(const F &x, const F &y) { return F(_mm512_max_ps(x.m, y.m)); }
-TR_INLINE F lesser(const F &x, const F &y) { return F(_mm512_min_ps(x.m, y.m)); }
-#else
-TR_INLINE F rough_rsqrt(const F &x) { return rsqrt(x); }
-TR_INLINE F rough_rcp(const F &x) { return F(1) / x; }
-TR_INLINE F greater(const F &x, const F &y) { return max(x, y); }
-TR_INLINE F lesser(const F &x, const F &y) { return min(x, y); }
-#endif
-TR_INLINE F rough_sqrt(const F &x) { return x * rough_rsqrt(greater(x, F(1e-30f))); }
-
-float weight_of(float given, const OutlineAnchor &from) { return given < 0 ? -given * from.still : given; }
-
-// What about is scattered towards directions around the unit vector d, within an angle.
-TR_INLINE F scattered(const OutlineAnchor &from, const Vec3<F> &d, const F &cos_angle, const F &sin_angle) {
-    auto nearest = [&](const V &axis) {  // cosine of the least angle to `axis`
-        const F c = greater(F(-1), lesser(F(1), dot(widen(axis), d)));
-        const F turned = c * cos_angle + rough_sqrt(greater(F(0), F(1) - c * c)) * sin_angle;
-        return select(mask<F>(c >= cos_angle), F(1), turned);
-    };
-    F cosine(1), grazing(1);
-    if (squared_norm(from.n) > 0) {
-        cosine = greater(F(0), nearest(from.n));
-        grazing = greater(F(Grazing), lesser(F(1), nearest(from.ng) * rough_rcp(greater(cosine, F(1e-6f)))));
-    }
-    if (from.share <= 0) return cosine * grazing;
-    // with a tail, as lobes of rough surfaces have
-    const F lobe = rough_rcp(F(1) + (F(1) - nearest(from.axis)) * F(0.5f * from.k));
-    return (cosine * F(1 - from.share + 0.02f * from.share) +
-            select(mask<F>(cosine > F(0)), lobe * lobe * F(from.share), F(0))) *
-           grazing;
+V unit(const V &a) {
+    const float length = norm(a);
+    return length > 0 ? a * (1 / length) : V{0, 0, 1};
 }
-
-// Sums of numbers up to each; in a register where there is one, since what is stored piecewise is slow to load.
-void add_up(const float (&each)[OutlineTree::Wide], float (&sum)[OutlineTree::Wide]) {
-#if TR_HAS_PACKETS && defined(DRJIT_X86_AVX512)
-    const __m512i zero = _mm512_setzero_si512();
-    __m512 v = _mm512_loadu_ps(each);
-    auto add = [&](__m512i shifted) { v = _mm512_add_ps(v, _mm512_castsi512_ps(shifted)); };
-    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 15));
-    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 14));
-    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 12));
-    add(_mm512_alignr_epi32(_mm512_castps_si512(v), zero, 8));
-    _mm512_storeu_ps(sum, v);
-#else
-    std::partial_sum(each, each + OutlineTree::Wide, sum);
-#endif
-}
-
-// Sixteen weights, none of them negative, added up.
-struct Weights {
-    static constexpr size_t Wide = OutlineTree::Wide;
-    alignas(64) float each[Wide], sum[Wide];
-
-    float total() const { return sum[Wide - 1]; }
-    // False if they are all zero. What is not finite counts as that.
-    bool add_up() {
-        for (size_t i = 0; i < Wide; i += W) {
-            const F w = load<F>(&each[i]);
-            store(&each[i], select(mask<F>(w > F(0)) && mask<F>(w < F(1e30f)), w, F(0)));
-        }
-        tr::add_up(each, sum);
-        return total() > 0;
-    }
-    // In proportion to the weights, for u in [0, 1).
-    size_t pick(float u) const {
-        const F at(u * total());
-        int k = 0;
-        for (size_t i = 0; i < Wide; i += W) k += count(mask<F>(load<F>(&sum[i]) <= at));
-        for (k = std::min(k, int(Wide) - 1); !(each[k] > 0); --k) {}  // by rounding
-        return size_t(k);
-    }
-    // The same, but some of the time all that are not zero alike: the number among all children, for that of the
-    // parent; returns its probability.
-    float choose(float u, size_t &number) const {
-        const size_t k = u < Any ? pick_any(u / Any) : pick((u - Any) / (1 - Any));
-        number = number * Wide + k;
-        return (1 - Any) * each[k] / total() + Any / float(positive());
-    }
-    // All that are not zero alike.
-    size_t pick_any(float u) const {
-        size_t at = size_t(u * float(positive())), k = 0;
-        for (; k + 1 < Wide; ++k)
-            if (each[k] > 0 && at-- == 0) break;
-        return k;
-    }
-    int positive() const {
-        int n = 0;
-        for (size_t i = 0; i < Wide; i += W) n += count(mask<F>(load<F>(&each[i]) > F(0)));
-        return n;
-    }
-};
 
 }  // namespace
 
-// Of the edges of a leaf: a place along each, what it is chosen in proportion to, and that over the place's density.
-struct OutlineTree::Candidates {
-    Weights weights;
-    alignas(64) float s[Wide], target[Wide];
-};
+OutlineTreeView OutlineTree::view() const {
+    OutlineTreeView r{leaves_.view(), {}, int32_t(levels_.size())};
+    if (levels_.size() > size_t(OutlineTreeView::MostLevels)) throw std::length_error("outlines: too many edges");
+    for (size_t l = 0; l < levels_.size(); ++l) r.levels[l] = levels_[l].data();
+    return r;
+}
 
-bool OutlineTree::importance(const Nodes &nodes, const OutlineAnchor &from, float (&to)[Wide], float (&near)[Wide]) {
-    auto inverse_square = [](const F &x) {
-        const F r = rough_rsqrt(greater(x, F(1e-30f)));
-        return r * r;
+void OutlineTree::resize(size_t n_elements, size_t n_rounded) {
+    leaves_.resize(n_elements, n_rounded);
+    const size_t n = n_leaves();
+    levels_.resize(n > 0 ? 1 : 0);
+    if (n == 0) return;
+    levels_[0].resize((n + Wide - 1) / Wide);
+    levels_[0].back() = {};
+}
+
+void OutlineTree::set(size_t leaf, const OutlineElement *elements, size_t n) {
+    OutlineLeaf all{};
+    std::fill_n(all.index, Wide, -1);
+    for (size_t k = 0; k < n; ++k) set_element(all, k, elements[k]);
+    set(leaf, all);
+}
+
+void OutlineTree::set(size_t leaf, const OutlineLeaf &all) {
+    const LeafBox box = box_of(all);
+    leaves_.set(leaf, all, box);
+    put(node_of(all, box), levels_[0][leaf / Wide], leaf % Wide);
+}
+
+void OutlineTree::build(int threads) {
+    constexpr size_t few = 256;
+    while (!levels_.empty() && levels_.back().size() > 1) {
+        const std::vector<OutlineNodes> &below = levels_.back();
+        std::vector<OutlineNodes> level((below.size() + Wide - 1) / Wide);
+        for_ranges(
+            below.size(), threads,
+            [&](size_t begin, size_t end, int) {
+                for (size_t i = begin; i < end; ++i) put(united(below[i]), level[i / Wide], i % Wide);
+            },
+            few);
+        levels_.push_back(std::move(level));
+    }
+}
+
+// Whether some face below may be seen from p and another not: with the unit axis and the half angle of the cone, and
+// the ball's centre at the vector c, normals times vectors to p are not closer to zero than the cosine of the largest
+// angle between them times |c|, but for the radius.
+bool OutlineTree::may_have_outlines(size_t leaf, const V &p, bool parallel, float margin, bool resting) const {
+    const OutlineNodes &nodes = levels_[0][leaf / Wide];
+    const size_t k = leaf % Wide;
+    if (!(nodes.flux[k] > 0) && !(resting && nodes.still[k] > 0)) return false;
+    if (!(nodes.cosine[k] > 0)) return true;
+    const V c = parallel ? p : lane_of(nodes.center, k) - p;
+    const float radius = parallel ? 0.f : nodes.radius[k], distance = norm(c);
+    const float along = std::fabs(dot(lane_of(nodes.axis, k), c)),
+                across = std::sqrt(std::max(0.f, distance * distance - along * along));
+    const float least = along * nodes.cosine[k] - across * nodes.sine[k] - radius;
+    return !(least > margin + 1e-4f * (distance + radius));
+}
+
+void OutlineTree::put(const Node &node, OutlineNodes &to, size_t k) {
+    put_lane(node.center, to.center, k), put_lane(node.axis, to.axis, k);
+    to.radius[k] = node.radius, to.cosine[k] = node.cosine, to.sine[k] = node.sine, to.flux[k] = node.flux,
+    to.still[k] = node.still;
+}
+
+OutlineTree::Node OutlineTree::node_of(const OutlineLeaf &leaf, const LeafBox &box) {
+    using F = PacketOf<float>;
+    using M = MaskOf<F>;
+    constexpr size_t W = size_t(Lanes<F>::Width);
+    auto every = [](auto &&visit) {
+        for (size_t i = 0; i < Wide; i += W) visit(i);
     };
-    bool some = false;
-    for (size_t i = 0; i < Wide; i += W) {
-        const F flux = load<F>(&nodes.flux[i]) + load<F>(&nodes.still[i]) * F(from.still),
-                radius = from.parallel ? F(0) : load<F>(&nodes.radius[i]);
-        const Vec3<F> d = from.parallel ? widen(from.p) : load_vector<F>(nodes.center, i) - widen(from.p);
-        const F squared = squared_norm(d), r2 = radius * radius;
-        const M counts = mask<F>(flux > F(0)), outside = mask<F>(squared > r2);
-        const F inverse = rough_rsqrt(greater(squared, F(1e-30f)));
-        const F sin_angle = lesser(radius * inverse, F(1)), cos_angle = rough_sqrt(F(1) - sin_angle * sin_angle);
-        const Vec3<F> direction = d * inverse;
-        // all faces are seen from one side if the axis is further than both angles from across
-        const F cone = load<F>(&nodes.cosine[i]), spread = load<F>(&nodes.sine[i]);
-        const F cosine = cone * cos_angle - spread * sin_angle, sine = spread * cos_angle + cone * sin_angle;
-        const M bounded = mask<F>(cone > F(0)) && mask<F>(cosine > F(0));
-        const M none = bounded && mask<F>(abs(dot(load_vector<F>(nodes.axis, i), direction)) > sine);
-        // where normals and directions spread less than in all directions, more of what may be an outline is one
-        const F narrow = select(bounded, lesser(F(50), rough_rsqrt(greater(sine * sine, F(1e-30f)))), F(1));
-        const F r = flux * narrow * inverse * inverse * scattered(from, direction, cos_angle, sin_angle);
-        store(&to[i], select(counts, select(outside, select(none, F(0), r), flux * inverse_square(r2)), F(0)));
-        const M close = counts && mask<F>(squared < F(2.f) * r2);
-        if (!any(close)) continue;
-        // what it may be, if all of it is where the ball comes closest
-        if (!some) std::fill_n(near, Wide, 0.f);
-        some = true;
-        const F gap = greater(F(0), squared * inverse - radius);
-        store(near + i, select(close && !none, flux * inverse_square(gap * gap + F(0.01f) * r2), F(0)));
-    }
-    return some;
+    bool any_direction = false;
+    F moving(0), resting(0);
+    Vec3<F> normals{F(0), F(0), F(0)};
+    every([&](size_t i) {
+        const F weight = load<F>(&leaf.weight[i]);
+        const M counts = mask<F>(weight != F(0)), edge = leaf.are<F>(OutlineElement::Edge, i),
+                round = leaf.are<F>(OutlineElement::Round, i);
+        const Vec3<F> a = load_vector<F>(leaf.a, i), b = load_vector<F>(leaf.b, i);
+        // an edge is an outline from the share of directions between its faces
+        const F angle = select(edge, sqrt(F(2) * load<F>(&leaf.bend[i])) * F(1 / pi), F(1));
+        const F length = select(round, F(2 * pi) * b.x, sqrt(squared_norm(b - a)) * max(angle, F(1e-4f)));
+        moving = moving + select(mask<F>(weight > F(0)), weight * length, F(0));
+        resting = resting - select(mask<F>(weight < F(0)), weight * length, F(0));
+        any_direction |= any(counts && !edge);
+        normals = normals + select(counts, load_vector<F>(leaf.n0, i) + load_vector<F>(leaf.n1, i), {F(0), F(0), F(0)});
+    });
+    Node node;
+    node.flux = sum_of(moving), node.still = sum_of(resting);
+    if (!(node.flux + node.still > 0)) return node;
+    node.center = (box.low + box.high) * 0.5f;
+    node.radius = norm(box.high - box.low) * 0.5f * 1.00001f;
+    node.axis = unit({sum_of(normals.x), sum_of(normals.y), sum_of(normals.z)});
+    F cosine(1);
+    every([&](size_t i) {
+        const Vec3<F> axis{F(node.axis.x), F(node.axis.y), F(node.axis.z)};
+        const F both = min(dot(axis, load_vector<F>(leaf.n0, i)), dot(axis, load_vector<F>(leaf.n1, i)));
+        cosine = select(mask<F>(load<F>(&leaf.weight[i]) != F(0)), min(both, cosine), cosine);
+    });
+    node.cosine = any_direction ? -1.f : least_of(cosine);
+    node.cosine = node.cosine > 0 ? std::max(0.f, node.cosine - 1e-4f) : -1.f;
+    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
+    return node;
 }
 
-float OutlineTree::curve_target(const Elements &leaf, size_t k, const OutlineAnchor &from) {
-    if (leaf.shape[k] == from.own) return 0;
-    const V a = lane_of(leaf.a, k) - from.p;
-    const float r = leaf.b[0][k], length = weight_of(leaf.weight[k], from) * 2 * pi * r;
-    if (from.parallel) return length;
-    const float squared = dot(a, a), distance = std::sqrt(squared);
-    float seen = 1;
-    if (distance > r) {
-        const float sine = r / distance;
-        alignas(64) float all[W];
-        store(&all[0], scattered(from, widen(a * (1 / distance)), F(std::sqrt(1 - sine * sine)), F(sine)));
-        seen = all[0];
+OutlineTree::Node OutlineTree::united(const OutlineNodes &children) {
+    V low{INFINITY, INFINITY, INFINITY}, high{-INFINITY, -INFINITY, -INFINITY}, sum{0, 0, 0};
+    Node node;
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
+        const V c = lane_of(children.center, k);
+        const float r = children.radius[k];
+        low = {std::min(low.x, c.x - r), std::min(low.y, c.y - r), std::min(low.z, c.z - r)};
+        high = {std::max(high.x, c.x + r), std::max(high.y, c.y + r), std::max(high.z, c.z + r)};
+        sum = sum + lane_of(children.axis, k);
+        node.flux += children.flux[k], node.still += children.still[k];
     }
-    return length / std::max(squared, r * r) * seen;
-}
-
-// A place along each of the edges from one random number, in proportion to sin / r^2 where that varies: with l along
-// the line from its point next to `from`, h away, the integral of h / r^3 is l / (h r).
-void OutlineTree::propose(size_t number, const OutlineAnchor &from, float u, Candidates &to) const {
-    Elements space;
-    Rounding rounding;
-    const Elements &leaf = leaves_.get(number, space, rounding);
-    bool curves = false;
-    for (size_t i = 0; i < Wide; i += W) {
-        const Vec3<F> p = widen(from.p), along = load_vector<F>(leaf.b, i) - load_vector<F>(leaf.a, i);
-        const Vec3<F> a = from.parallel ? p : load_vector<F>(leaf.a, i) - p;
-        F s(u), spread(1);  // one over the density of s
-        if (!from.parallel) {
-            const F squared = greater(squared_norm(along), F(1e-30f)), inverse = rsqrt(squared);
-            const F length = squared * inverse, l0 = dot(a, along) * inverse, l1 = l0 + length;
-            const F h2 = greater(squared_norm(cross(a, along)) * inverse * inverse, F(1e-30f));
-            const F x0 = l0 * rsqrt(l0 * l0 + h2), dx = l1 * rsqrt(l1 * l1 + h2) - x0, x = x0 + dx * F(u);
-            const F l = x * sqrt(h2 / greater(F(1e-12f), (F(1) - x) * (F(1) + x)));
-            const F r2 = l * l + h2;
-            const M varies = mask<F>(dx > F(0.01f)) && mask<F>(l > l0) && mask<F>(l < l1);
-            s = select(varies, (l - l0) * inverse, s);
-            spread = select(varies, dx * r2 * sqrt(r2) * inverse / h2, spread);
-        }
-        const Vec3<F> d = from.parallel ? p : a + along * s;
-        const F given = load<F>(&leaf.weight[i]), bend = load<F>(&leaf.bend[i]);
-        const F weight = select(mask<F>(given < F(0)), given * F(-from.still), given);
-        const F n0 = dot(load_vector<F>(leaf.n0, i), d), n1 = dot(load_vector<F>(leaf.n1, i), d),
-                distance2 = squared_norm(d), inverse = rough_rsqrt(greater(distance2, F(1e-30f)));
-        const M unknown =
-            mask<F>(lesser(abs(n0), abs(n1)) <= distance2 * inverse * F(rounding.normal) + F(rounding.place));
-        const M in0 = mask<F>(n0 < F(0)), in1 = mask<F>(n1 < F(0)), outline = (in0 && !in1) || (in1 && !in0) || unknown;
-        const F crease = select(leaf.are<F>(OutlineElement::Crease, i), greater(F(0.05f), lesser(bend, F(1))), F(0));
-        F kept = weight * select(outline || leaf.are<F>(OutlineElement::Always, i), F(1), crease);
-        const F r = kept * rough_sqrt(squared_norm(cross(d, along))) * inverse * inverse * inverse *
-                    scattered(from, d * inverse, F(1), F(0));
-        const M round = leaf.are<F>(OutlineElement::Round, i);
-        curves |= any(round);
-        const F target = select(mask<F>(kept > F(0)) && !round, r, F(0));
-        store(&to.s[i], s), store(&to.target[i], target), store(&to.weights.each[i], target * spread);
+    if (!(node.flux + node.still > 0)) return node;
+    node.center = (low + high) * 0.5f;
+    node.axis = unit(sum);
+    float angle = 0;  // the half angle that holds all cones
+    for (size_t k = 0; k < Wide; ++k) {
+        if (!(children.flux[k] + children.still[k] > 0)) continue;
+        node.radius = std::max(node.radius, norm(lane_of(children.center, k) - node.center) + children.radius[k]);
+        const float between = std::acos(std::clamp(dot(node.axis, lane_of(children.axis, k)), -1.f, 1.f));
+        angle = std::max(angle, children.cosine[k] > 0 ? between + std::acos(std::min(children.cosine[k], 1.f)) : pi);
     }
-    for (size_t k = 0; curves && k < Wide; ++k)
-        if (leaf.kind[k] == OutlineElement::Round && leaf.weight[k] != 0)
-            to.s[k] = u, to.weights.each[k] = to.target[k] = curve_target(leaf, k, from);
-}
-
-// Nodes that have been looked into. Those that are near, of which no estimate is good, are replaced by their children,
-// those first that may be most important: Conty Estevez and Kulla's adaptive splitting, up to a number of nodes. What
-// is left is one distribution over nodes and, of leaves that were split, edges, with places along them that `draw`
-// chooses.
-class OutlineTree::Front {
-public:
-    Front(const OutlineTree &tree, const OutlineAnchor &from) : tree_(tree), from_(from) {
-        add(int(tree.levels_.size()) - 1, 0);
-        while (n_ <= Splits && n_near_ > 0) {
-            Near *most = std::max_element(near_, near_ + n_near_, [](auto &a, auto &b) { return a.most < b.most; });
-            const Near chosen = *most;
-            *most = near_[--n_near_];
-            Group &group = groups_[chosen.group];
-            group.nodes.weights.each[chosen.k] = 0;
-            add(group.level - 1, group.number * Wide + chosen.k);
-        }
-        for (size_t g = 0; g < n_; ++g)
-            if (groups_[g].level >= 0) groups_[g].add_up();
-    }
-
-    void draw(float u) {
-        total_ = 0, positive_ = 0;
-        for (size_t g = 0; g < n_; ++g) {
-            Group &group = groups_[g];
-            if (group.level < 0) {
-                tree_.propose(group.number, from_, u, group.nodes);
-                group.add_up();
-            }
-            if (group.positive > 0) total_ += group.nodes.weights.total(), positive_ += group.positive;
-        }
-    }
-
-    // A node of the level, or an edge of a leaf at level -1; false if there is none.
-    bool pick(float u, Place &to) const {
-        if (!(total_ > 0)) return false;
-        const bool even = u < Any;
-        float left = even ? u / Any * float(positive_) : (u - Any) / (1 - Any) * total_, all = 0;
-        const Group *found = nullptr;
-        for (const Group *g = groups_; g < groups_ + n_; ++g) {
-            if (g->positive == 0) continue;
-            if (found && left < all) break;
-            if (found) left -= all;
-            found = g, all = even ? float(g->positive) : g->nodes.weights.total();
-        }
-        const float at = std::clamp(left / all, 0.f, 1 - 0x1p-24f);
-        const Weights &weights = found->nodes.weights;
-        const size_t k = even ? weights.pick_any(at) : weights.pick(at);
-        to.level = found->level, to.index = found->number * Wide + k, to.weight = weights.each[k];
-        if (to.level < 0) to.s = found->nodes.s[k], to.target = found->nodes.target[k];
-        to.probability = (1 - Any) * weights.each[k] / total_ + Any / float(positive_);
-        return true;
-    }
-
-private:
-    static constexpr size_t Splits = 32, MostNear = 128;
-    struct Group {
-        Candidates nodes;  // of which nodes have weights alone
-        int level, positive;
-        size_t number;
-
-        void add_up() { positive = nodes.weights.add_up() ? nodes.weights.positive() : 0; }
-    };
-    struct Near {
-        float most;
-        uint16_t group, k;
-    };
-    void add(int level, size_t number) {
-        Group &g = groups_[n_++];
-        g.level = level, g.number = number;
-        if (level < 0) return;
-        alignas(64) float near[Wide];
-        if (!importance(tree_.levels_[size_t(level)][number], from_, g.nodes.weights.each, near)) return;
-        for (size_t k = 0; k < Wide; ++k)
-            if (near[k] > 0 && n_near_ < MostNear) near_[n_near_++] = {near[k], uint16_t(n_ - 1), uint16_t(k)};
-    }
-
-    const OutlineTree &tree_;
-    const OutlineAnchor &from_;
-    Group groups_[Splits + 1];
-    Near near_[MostNear];
-    size_t n_ = 0, n_near_ = 0;
-    float total_ = 0;
-    int positive_ = 0;
-};
-
-void OutlineTree::choose(const OutlineAnchor &from, uint64_t seed, size_t descents, OutlineChoice *choices,
-                         size_t n) const {
-    std::fill_n(choices, n, OutlineChoice{-1, 0, 0});
-    if (levels_.empty() || n == 0) return;
-    Front front(*this, from);
-    Numbers numbers{seed};
-    const float u = numbers.single();
-    for (size_t j = 0; j < n; ++j) {
-        front.draw((float(j) + u) / float(n));
-        choices[j] = choose_below(front, from, numbers.bits(), descents);
-    }
-}
-
-OutlineChoice OutlineTree::choose_below(const Front &front, const OutlineAnchor &from, uint64_t seed,
-                                        size_t descents) const {
-    OutlineChoice choice{-1, 0, 0};
-    Numbers numbers{seed};
-    Place places[MostDescents];
-    const float u = numbers.single();  // spread evenly over what the front has
-    for (size_t i = 0; i < descents; ++i)
-        if (!front.pick((float(i) + u) / float(descents), places[i])) return choice;
-    Candidates candidates;
-    Weights &weights = candidates.weights;
-    alignas(64) float near[Wide];
-    // level by level, so that descents do not wait for each other
-    for (size_t l = levels_.size() - 1; l-- > 0;)
-        for (size_t i = 0; i < descents; ++i) {
-            Place &place = places[i];
-            if (place.level != int(l) + 1 || !(place.probability > 0)) continue;
-            importance(levels_[l][place.index], from, weights.each, near);
-            place.probability *= weights.add_up() ? weights.choose(numbers.single(), place.index) : 0;
-            place.level = int(l);
-            if (l == 0) leaves_.prefetch(place.index);
-        }
-    double sum = 0;
-    float target = 0;
-    for (size_t i = 0; i < descents; ++i) {
-        Place &place = places[i];
-        if (place.level == 0 && place.probability > 0) {
-            const size_t leaf = place.index;
-            propose(leaf, from, numbers.single(), candidates);
-            if (!weights.add_up()) continue;
-            const size_t k = weights.pick(numbers.single());
-            place.index = leaf * Wide + k, place.probability *= weights.each[k] / weights.total();
-            place.weight = weights.each[k], place.s = candidates.s[k], place.target = candidates.target[k];
-        }
-        if (!(place.probability > 0)) continue;
-        const double share = double(place.weight) / double(place.probability);
-        sum += share;
-        if (numbers.uniform() * sum >= share) continue;
-        choice.element = leaves_.index(place.index / Wide, place.index % Wide);
-        choice.s = place.s, target = place.target;
-    }
-    if (choice.element >= 0) choice.inverse_density = float(sum / (double(descents) * double(target)));
-    return choice;
+    node.radius *= 1.00001f;
+    angle += 1e-3f;
+    node.cosine = angle < pi / 2 ? std::cos(angle) : -1.f;
+    node.sine = std::sqrt(std::max(0.f, 1 - node.cosine * node.cosine));
+    return node;
 }
 
 }  // namespace tr

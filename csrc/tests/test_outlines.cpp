@@ -4,9 +4,10 @@
 #include <random>
 
 #include "accel/embree_library.h"
+#include "core/boundary/outline_choice.h"
+#include "core/boundary/outline_rims.h"
 #include "core/sensor/camera.h"
 #include "cpu/outline_pieces.h"
-#include "cpu/outline_rims.h"
 #include "host/morton_order.h"
 #include "host/outline_set.h"
 #include "scene_builder.h"
@@ -83,8 +84,8 @@ TR_TEST(edges_of_a_cube) {
         int sharp = 0, split = 0;
         for (size_t i = 0; i < set.size(); ++i) {
             const OutlineElement e = set.element(scene.view(), i);
-            CHECK(e.index == int32_t(i) && e.moves == (e.weight > 0) && set.count(i) == 2);
-            sharp += e.bend > 0.5f, split += set.is_split(size_t(e.index));
+            CHECK(e.index == int32_t(i) && e.moves == (e.weight > 0) && set.table().count(i) == 2);
+            sharp += e.bend > 0.5f, split += set.table().is_split(size_t(e.index));
             CHECK((e.weight > 0) == (e.bend > 0.5f));  // not the diagonals of its sides
             const Vec3<float> middle = (e.a + e.b) * 0.5f - Vec3<float>{0.5f, 0.5f, 0.5f};
             if (e.bend > 0.5f) CHECK(dot(e.n0, middle) > 0 && dot(e.n1, middle) > 0);
@@ -97,7 +98,7 @@ TR_TEST(edges_of_a_cube) {
             for (size_t leaf = 0; leaf < set.tree().n_leaves(); ++leaf)
                 set.tree().if_outlines(leaf, from, false, 0, false, [&](const auto &elements, const auto &) {
                     for (size_t k = 0; k < OutlineTree::Wide; ++k) {
-                        const OutlineElement e = elements.get(k);
+                        const OutlineElement e = element_of(elements, k);
                         n += e.weight > 0 && (dot(e.n0, e.a - from) > 0) != (dot(e.n1, e.a - from) > 0);
                     }
                 });
@@ -144,9 +145,9 @@ TR_TEST(edges_of_a_large_mesh_in_any_order) {
         outlines = 0;
         for (size_t i = 0; i < set.n_edges(); ++i) {
             const OutlineElement e = set.element(scene.view(), i);
-            CHECK((e.kind == OutlineElement::Always) == (set.count(i) == 1));
+            CHECK((e.kind == OutlineElement::Always) == (set.table().count(i) == 1));
             const float s0 = dot(e.n0, e.a - from), s1 = dot(e.n1, e.a - from);
-            if (set.count(i) != 1 && (s0 > 0) == (s1 > 0)) continue;
+            if (set.table().count(i) != 1 && (s0 > 0) == (s1 > 0)) continue;
             ++outlines;
             CHECK(offered[i]);
         }
@@ -177,15 +178,15 @@ TR_TEST(pieces_are_chosen_with_their_density) {
     };
     append({7, 0.25f, 0.5f}, 0.3), append({7, 0.75f, 1}, 0.1), expected[7] = 0.5;
     float lengths[OutlineTree::Wide] = {0, 2, 1e-9f, 0.5f, 0, 0, 0, 3};
-    pieces.leaves.emplace_back(1, lengths);
+    pieces.leaves.push_back(leaf_piece(1, lengths));
     append({-1, 0, 1}, 2), append({3, 0, 1}, 0.2), expected[3] = 1;
     float last[OutlineTree::Wide] = {0, 0, 0, 0, 0, 0, 0, 1};
-    pieces.leaves.emplace_back(2, last);
+    pieces.leaves.push_back(leaf_piece(2, last));
     append({-2, 0, 1}, 0.4);
     for (size_t i : {17, 18, 19, 23, 39}) expected[i] = 1;
     std::vector<double> sum(n), places(n);
     for (size_t k = 0; k < rounds; ++k) {
-        const OutlinePieces::Place at = pieces.choose((double(k) + 0.5) / rounds, tree);
+        const OutlinePlace at = pieces.view().choose((double(k) + 0.5) / rounds, tree.view());
         CHECK(at.element >= 0 && size_t(at.element) < n && at.s >= 0 && at.s < 1 && at.inverse_density > 0);
         sum[size_t(at.element)] += at.inverse_density / rounds;
         places[size_t(at.element)] += at.s * at.inverse_density / rounds;
@@ -195,7 +196,8 @@ TR_TEST(pieces_are_chosen_with_their_density) {
         const double middle = i == 7 ? (0.375 + 0.875) / 2 : 0.5;
         CHECK_NEAR(places[i], middle * expected[i], 5e-3);
     }
-    CHECK(pieces.choose(0, tree).element == 7 && pieces.choose(1 - 0x1p-53, tree).element == 39);
+    CHECK(pieces.view().choose(0, tree.view()).element == 7);
+    CHECK(pieces.view().choose(1 - 0x1p-53, tree.view()).element == 39);
 }
 
 // The sum over choices of one over the density of an element is the length of its parameter's interval, which is 1.
@@ -242,8 +244,8 @@ TR_TEST(the_tree_chooses_with_its_density) {
         constexpr int at_once = 4;
         for (int r = 0; r < rounds; r += at_once) {
             OutlineChoice choices[at_once];
-            tree.choose(from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel), parallel ? 2 : 8, choices,
-                        at_once);
+            choose_outlines(tree.view(), from, uint64_t(r) * 0xD1342543DE82EF95ull + uint64_t(parallel),
+                            parallel ? 2 : 8, choices, at_once);
             for (const OutlineChoice &c : choices) {
                 CHECK(c.element >= 0 && c.s >= 0 && c.s < 1);
                 sum[size_t(c.element)] += c.inverse_density,

@@ -13,10 +13,9 @@
 
 #include <algorithm>
 #include <cmath>
-#include <vector>
 
-#include "core/shape/heightfield.h"
-#include "host/outline_set.h"
+#include "../shape/heightfield.h"
+#include "outline_table.h"
 
 namespace tr {
 
@@ -34,7 +33,7 @@ class FieldOutline {
 
 public:
     // As rays from `origin`, or along the unit vector of this name if `parallel`, see it.
-    FieldOutline(const SceneView<S> &scene, const OutlineCurve &curve, const P &origin, bool parallel)
+    TR_HD FieldOutline(const SceneView<S> &scene, const OutlineCurve &curve, const P &origin, bool parallel)
         : heights_(scene, uint32_t(curve.shape)),
           matrix_(scene.shape_matrices + 24 * size_t(curve.shape)),
           curve_(curve),
@@ -44,7 +43,7 @@ public:
     }
 
     // Whether there may be a contour: not where slopes are too small for one.
-    bool possible() const {
+    TR_HD bool possible() const {
         const HeightBounds &b = curve_.bounds;
         const double x = std::fabs(origin_.x) + (parallel_ ? 0 : 1), y = std::fabs(origin_.y) + (parallel_ ? 0 : 1);
         const double above = parallel_ ? origin_.z : origin_.z - double(b.high),
@@ -52,7 +51,7 @@ public:
         return !(std::max(above, below) > double(b.slope_x) * x + double(b.slope_y) * y);
     }
 
-    FieldPoint<S> at(S s) const {
+    TR_HD FieldPoint<S> at(S s) const {
         switch (curve_.kind) {
             case OutlineCurve::FieldBorder:
                 return border(double(s));
@@ -70,21 +69,21 @@ private:
     const bool parallel_;
     V origin_;
 
-    bool linear() const { return heights_.linear; }
-    V towards(const V &x) const { return parallel_ ? origin_ * -1.0 : origin_ - x; }
-    static P single(const V &v) { return {S(v.x), S(v.y), S(v.z)}; }
-    static double sign(double x) { return double(x > 0) - double(x < 0); }
+    TR_HD bool linear() const { return heights_.linear; }
+    TR_HD V towards(const V &x) const { return parallel_ ? origin_ * -1.0 : origin_ - x; }
+    TR_HD static P single(const V &v) { return {S(v.x), S(v.y), S(v.z)}; }
+    TR_HD static double sign(double x) { return double(x > 0) - double(x < 0); }
 
     struct Local {
         V x;
         double u, v, uu, uv, vv;  // derivatives of the height
     };
-    Local local(double u, double v) const {
+    TR_HD Local local(double u, double v) const {
         const HeightPoint<S> h = height_at<S>(heights_, S(u), S(v), true);
         return {
             {2 * u - 1, 2 * v - 1, double(h.z)}, double(h.u), double(h.v), double(h.uu), double(h.uv), double(h.vv)};
     }
-    FieldPoint<S> point(const Local &at, const V &along, const V &hiding, bool valid, double room) const {
+    TR_HD FieldPoint<S> point(const Local &at, const V &along, const V &hiding, bool valid, double room) const {
         FieldPoint<S> r;
         r.p = transform_point(matrix_, single(at.x)), r.along = transform_vector(matrix_, single(along));
         r.hiding = transform_vector(matrix_, single(hiding));
@@ -102,7 +101,7 @@ private:
     };
     // Calls visit(cell) for those where g may have a root, of the line of constant v (across = 1) or u (0).
     template <class Visit>
-    void for_cells(int across, double fixed, Visit &&visit) const {
+    TR_HD void for_cells(int across, double fixed, Visit &&visit) const {
         const int n = across == 1 ? heights_.columns : heights_.rows,
                   m = across == 1 ? heights_.rows : heights_.columns;
         const HeightAxis<double> axis(fixed, m, linear());
@@ -137,7 +136,7 @@ private:
             h[3] = value(i + 3, axis.weight), slope[3] = value(i + 3, axis.slope);
         }
     }
-    void to_powers(const double (&c)[4], double (&a)[4]) const {
+    TR_HD void to_powers(const double (&c)[4], double (&a)[4]) const {
         if (linear()) {
             a[0] = c[1], a[1] = c[2] - c[1], a[2] = a[3] = 0;
             return;
@@ -146,13 +145,13 @@ private:
         a[2] = (c[0] - 2 * c[1] + c[2]) / 2, a[3] = (c[3] - c[0] + 3 * (c[1] - c[2])) / 6;
     }
     // Not where the numbers of the Bernstein basis have one sign.
-    static bool may_vanish(const double (&q)[4]) {
+    TR_HD static bool may_vanish(const double (&q)[4]) {
         const double b1 = q[0] + q[1] / 3, b2 = b1 + (q[1] + q[2]) / 3, b3 = q[0] + q[1] + q[2] + q[3];
         return !((q[0] > 0 && b1 > 0 && b2 > 0 && b3 > 0) || (q[0] < 0 && b1 < 0 && b2 < 0 && b3 < 0));
     }
     // Calls visit(cell, a, b) for every part of a line between zeros of the slope of g where that changes its sign.
     template <class Visit>
-    void for_roots(int across, double fixed, Visit &&visit) const {
+    TR_HD void for_roots(int across, double fixed, Visit &&visit) const {
         for_cells(across, fixed, [&](const Cell &cell) {
             double ends[4] = {cell.low, cell.high, 0, 0};
             int n = 1;
@@ -169,12 +168,12 @@ private:
                 if ((cell.value(ends[k]) > 0) != (cell.value(ends[k + 1]) > 0)) visit(cell, ends[k], ends[k + 1]);
         });
     }
-    int count(int across, double fixed) const {
+    TR_HD int count(int across, double fixed) const {
         int n = 0;
         for_roots(across, fixed, [&](const Cell &, double, double) { ++n; });
         return n;
     }
-    static double root(const Cell &cell, double a, double b) {
+    TR_HD static double root(const Cell &cell, double a, double b) {
         const bool rising = cell.value(b) > 0;
         for (int i = 0; i < 60 && a < b; ++i) {
             const double f = (a + b) / 2;
@@ -184,7 +183,7 @@ private:
         return (a + b) / 2;
     }
 
-    FieldPoint<S> contour(S s) const {
+    TR_HD FieldPoint<S> contour(S s) const {
         FieldPoint<S> none{};
         if (!possible()) return none;
         const int across = s < S(0.5) ? 1 : 0;
@@ -193,12 +192,23 @@ private:
             Cell cell;
             double a, b;
         };
-        thread_local std::vector<Part> parts;
-        parts.clear();
-        for_roots(across, fixed, [&](const Cell &cell, double a, double b) { parts.push_back({cell, a, b}); });
-        if (parts.empty()) return none;
-        const int n = across == 1 ? heights_.columns : heights_.rows;
-        const Part &part = parts[size_t(hash(s) * double(parts.size()))];
+        // few lines meet a contour more often; of those its parts are found once more
+        constexpr int few = 8;
+        Part parts[few];
+        int n_parts = 0;
+        for_roots(across, fixed, [&](const Cell &cell, double a, double b) {
+            if (n_parts < few) parts[n_parts] = {cell, a, b};
+            ++n_parts;
+        });
+        if (n_parts == 0) return none;
+        const int n = across == 1 ? heights_.columns : heights_.rows, chosen = int(hash(s) * double(n_parts));
+        Part part = parts[std::min(chosen, few - 1)];
+        if (chosen >= few) {
+            int at = 0;
+            for_roots(across, fixed, [&](const Cell &cell, double a, double b) {
+                if (at++ == chosen) part = {cell, a, b};
+            });
+        }
         const double f = root(part.cell, part.a, part.b), free = (part.cell.index + 0.5 + f) / n;
         const double u = across == 1 ? free : fixed, v = across == 1 ? fixed : free;
         const Local at = local(u, v);
@@ -207,21 +217,21 @@ private:
         V along{-2 * g_v, 2 * g_u, at.v * g_u - at.u * g_v};
         const double curvature = g_u * w.x + g_v * w.y;
         // by the lengths of the frame, which have the same ratio as those of the world
-        const double here = double(parts.size()), there = std::max(1, count(1 - across, across == 1 ? u : v));
+        const double here = double(n_parts), there = std::max(1, count(1 - across, across == 1 ? u : v));
         const double by_u = std::fabs(g_u) / (across == 1 ? here : there),  // lines of constant v
             by_v = std::fabs(g_v) / (across == 1 ? there : here), density = (by_u + by_v) / 2;
         along = along * (1 / density);
         return point(at, along, {0, 0, sign(curvature)}, density > 0 && curvature != 0, INFINITY);
     }
     // In [0, 1), of the bits of a number that has been used (Murmur3's mixing of them).
-    static double hash(S s) {
+    TR_HD static double hash(S s) {
         uint32_t x = uint32_t(int64_t(double(s) * 0x1p32));
         x ^= x >> 16, x *= 0x85EBCA6Bu, x ^= x >> 13, x *= 0xC2B2AE35u, x ^= x >> 16;
         return double(x) * 0x1p-32;
     }
 
     // --------------------------------------------------------------------------------------------- borders and creases
-    FieldPoint<S> border(double s) const {
+    TR_HD FieldPoint<S> border(double s) const {
         const int side = std::min(3, int(4 * s));
         const double t = 4 * s - side, end = side % 2;
         const bool first = side < 2;  // u is constant
@@ -232,7 +242,7 @@ private:
     }
 
     // The lines where bilinear patches meet.
-    FieldPoint<S> crease(double s) const {
+    TR_HD FieldPoint<S> crease(double s) const {
         const int lines = heights_.columns + heights_.rows, line = std::min(lines - 1, int(s * lines));
         const double t = s * lines - line;
         const bool first = line < heights_.columns;  // u is constant

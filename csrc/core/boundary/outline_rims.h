@@ -14,7 +14,7 @@
 #include <algorithm>
 #include <cmath>
 
-#include "core/scene.h"
+#include "../scene.h"
 
 namespace tr {
 
@@ -35,7 +35,7 @@ class Rim {
 public:
     // Of a face of a mesh with normals, as rays from `origin`, or along the unit vector of this name if `parallel`, see
     // it.
-    Rim(const SceneView<S> &scene, uint32_t face, const V &origin, bool parallel)
+    TR_HD Rim(const SceneView<S> &scene, uint32_t face, const V &origin, bool parallel)
         : parallel_(parallel), origin_(origin) {
         const auto *rows = reinterpret_cast<const VertexRow<S> *>(scene.vertices);
         for (size_t i = 0; i < 3; ++i) {
@@ -45,7 +45,7 @@ public:
     }
 
     // Whether there may be one, from somewhere not further away from the origin than `beside`.
-    bool possible(S beside) const {
+    TR_HD bool possible(S beside) const {
         bool above = false, below = false;
         for (size_t i = 0; i < 3; ++i) {
             const S margin = beside * std::sqrt(dot(n_[i], n_[i]));
@@ -57,7 +57,7 @@ public:
         return above && below;
     }
 
-    RimPoint<S> at(S s) const {
+    TR_HD RimPoint<S> at(S s) const {
         const S g[3] = {coefficient(0, 0), coefficient(1, 1), coefficient(2, 2)};
         size_t a = 0;
         for (size_t i = 1; i < 3; ++i)
@@ -85,7 +85,7 @@ public:
         r.slope = x_t * (1 / g_t), r.along = (x_s - r.slope * g_s) * speed;
         const V across = cross(r.w, r.along);
         r.room = std::fabs(dot(across, x_t)) * std::min(t, 1 - t) / std::sqrt(dot(across, across));
-        r.reach = std::max({max_abs(p_[0] - r.p), max_abs(p_[1] - r.p), max_abs(p_[2] - r.p)});
+        r.reach = std::max(std::max(max_abs(p_[0] - r.p), max_abs(p_[1] - r.p)), max_abs(p_[2] - r.p));
         r.valid = g_t != 0 && std::isfinite(dot(r.along, r.along));
         return r;
     }
@@ -94,14 +94,14 @@ private:
     bool parallel_;
     V origin_, p_[3], n_[3];
 
-    V towards(const V &p) const { return parallel_ ? -origin_ : origin_ - p; }
+    TR_HD V towards(const V &p) const { return parallel_ ? -origin_ : origin_ - p; }
     // Of the quadratic form.
-    S coefficient(size_t i, size_t j) const {
+    TR_HD S coefficient(size_t i, size_t j) const {
         const S g = dot(n_[i], towards(p_[j]));
         return i == j ? g : (g + dot(n_[j], towards(p_[i]))) / 2;
     }
     // Of the quadratic polynomial with these Bernstein coefficients, in (0, 1): the one, the first or the second.
-    static S root(S A, S B, S C, bool second, bool once) {
+    TR_HD static S root(S A, S B, S C, bool second, bool once) {
         // with u = t / (1 - t): C u^2 + 2 B u + A = 0
         const S square = B * B - A * C;
         if (!(square >= 0)) return S(-1);

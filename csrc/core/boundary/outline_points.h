@@ -4,7 +4,7 @@
 
 #include <cmath>
 
-#include "core/adjoint/gradient_sink.h"
+#include "../adjoint/gradient_sink.h"
 #include "outline_fields.h"
 #include "outline_rims.h"
 
@@ -34,11 +34,11 @@ class Outlines {
     using V = Vec3<S>;
 
 public:
-    Outlines(const SceneView<S> &scene, const OutlineSet &set) : scene_(scene), set_(set) {}
+    Outlines(const SceneView<S> &scene, const OutlineTable &set) : scene_(scene), set_(set) {}
 
     // At the parameter s of an element, as rays from `origin`, or along the unit vector of this name if `parallel`, see
     // it.
-    OutlinePoint<S> point(int32_t element, S s, const V &origin, bool parallel) const {
+    TR_HD OutlinePoint<S> point(int32_t element, S s, const V &origin, bool parallel) const {
         if (set_.is_face(size_t(element))) {
             const RimPoint<S> found = rim_point(element, s, origin, parallel);
             return {found.p, found.along, found.valid, S(0), found.room / 8, S(0), found.reach};
@@ -47,7 +47,7 @@ public:
                                              : curve_point(set_.curve(size_t(element)), s, origin, parallel);
     }
     // Its place alone.
-    V place(int32_t element, S s, const V &origin, bool parallel) const {
+    TR_HD V place(int32_t element, S s, const V &origin, bool parallel) const {
         if (set_.is_face(size_t(element))) {
             const RimPoint<S> found = rim_point(element, s, origin, parallel);
             return found.valid ? found.p : V{S(NAN), S(NAN), S(NAN)};
@@ -62,56 +62,61 @@ public:
     }
 
     // Of an element that is a face.
-    RimPoint<S> rim_point(int32_t element, S s, const V &origin, bool parallel) const {
+    TR_HD RimPoint<S> rim_point(int32_t element, S s, const V &origin, bool parallel) const {
         return Rim<S>(scene_, set_.face(size_t(element)), origin, parallel).at(s);
     }
 
     // Whether it is one of a height field.
-    bool is_of_field(int32_t element) const {
+    TR_HD bool is_of_field(int32_t element) const {
         return set_.is_curve(size_t(element)) && set_.curve(size_t(element)).of_field();
     }
 
     // Whether it is scattered over one, wherever its parameter is; and whether some of that may be seen from there, as
     // an outline or, with `creases`, as one of these.
-    bool is_scattered(int32_t element) const {
+    TR_HD bool is_scattered(int32_t element) const {
         return is_of_field(element) && set_.curve(size_t(element)).kind != OutlineCurve::FieldBorder;
     }
-    bool may_be_seen(int32_t element, const OutlineView<S> &view, bool creases) const {
+    TR_HD bool may_be_seen(int32_t element, const OutlineView<S> &view, bool creases) const {
         const OutlineCurve &curve = set_.curve(size_t(element));
         if (view.beside > 0 || (creases && curve.kind == OutlineCurve::FieldCreases)) return true;
         return FieldOutline<S>(scene_, curve, view.origin, view.parallel).possible();
     }
 
-    // Hands the adjoint of a point that is not of a rim on: `vertex(shape, index, share)` for every vertex of an edge,
-    // `matrix(shape, local)` of a quadric, `surface(at)` of a height field.
-    template <class Vertex, class Matrix, class Surface>
-    void spread(int32_t element, S s, const V &p, Vertex &&vertex, Matrix &&matrix, Surface &&surface) const {
+    // Hands the adjoint of a point that is not of a rim on: to a sink, vertices of an edge and the matrix of a quadric,
+    // those that it wants; to glue(at, p, p_bar) that of a height field, which moves with its surface.
+    template <class Sink, class Glue>
+    TR_HD void spread(int32_t element, S s, const V &p, const V &p_bar, Sink &sink, Glue &&glue) const {
         if (!set_.is_edge(size_t(element))) {
             const uint32_t shape = uint32_t(set_.curve(size_t(element)).shape);
             const V local = transform_point(scene_.shape_matrices + 24 * shape + 12, p);
-            if (!is_of_field(element)) return matrix(shape, local);
-            return surface(SurfacePoint<S>{shape, 0, (local.x + 1) / 2, (local.y + 1) / 2});
+            if (is_of_field(element))
+                glue(SurfacePoint<S>{shape, 0, (local.x + 1) / 2, (local.y + 1) / 2}, p, p_bar);
+            else if (sink.wants(shape))
+                sink.matrix(shape, local, p_bar);
+            return;
         }
         const size_t n = set_.count(size_t(element));
         for (size_t k = 0; k < n; ++k) {  // copies of a vertex share its motion
             const HalfEdge h = set_.half(scene_, size_t(element), k);
-            const uint32_t shape = set_.shape_of(h);
-            vertex(shape, h.v0, (S(1) - s) / S(n));
-            vertex(shape, h.v1, s / S(n));
+            if (!sink.wants(set_.shape_of(h))) continue;
+            sink.vertex(h.v0, p_bar * ((S(1) - s) / S(n)));
+            sink.vertex(h.v1, p_bar * (s / S(n)));
         }
     }
 
 private:
     const SceneView<S> &scene_;
-    const OutlineSet &set_;
+    const OutlineTable &set_;
 
-    const VertexRow<S> &vertex(uint32_t i) const { return reinterpret_cast<const VertexRow<S> *>(scene_.vertices)[i]; }
-    V position(uint32_t i) const { return vec(vertex(i).p); }
-    V normal(uint32_t i) const { return vec(vertex(i).n); }
-    static V vec(const S *a) { return {a[0], a[1], a[2]}; }
-    static S sign(S x) { return S(x > 0) - S(x < 0); }
+    TR_HD const VertexRow<S> &vertex(uint32_t i) const {
+        return reinterpret_cast<const VertexRow<S> *>(scene_.vertices)[i];
+    }
+    TR_HD V position(uint32_t i) const { return vec(vertex(i).p); }
+    TR_HD V normal(uint32_t i) const { return vec(vertex(i).n); }
+    TR_HD static V vec(const S *a) { return {a[0], a[1], a[2]}; }
+    TR_HD static S sign(S x) { return S(x > 0) - S(x < 0); }
 
-    OutlinePoint<S> edge_point(size_t edge, S s, const V &origin, bool parallel) const {
+    TR_HD OutlinePoint<S> edge_point(size_t edge, S s, const V &origin, bool parallel) const {
         const size_t n = set_.count(edge);
         const HalfEdge first = set_.half(scene_, edge, 0);
         const V a = position(first.v0), b = position(first.v1);
@@ -127,7 +132,7 @@ private:
             r.room = std::min(r.room, std::abs(side) * inverse * share(third, s, r, towards, parallel));
             r.reach = std::max(r.reach, max_abs(third - r.p));
         }
-        r.reach = std::max({r.reach, max_abs(a - r.p), max_abs(b - r.p)});
+        r.reach = std::max(std::max(r.reach, max_abs(a - r.p)), max_abs(b - r.p));
         const bool flat = !(scene_.shapes[set_.shape_of(first)].flags & HasNormals), both = right && left;
         r.valid = !both || set_.is_split(edge) || flat;
         r.front = both ? S(0) : S(right) - S(left);
@@ -136,7 +141,7 @@ private:
     }
 
     // The share of its height that a triangle has at a place on its base, the edge from a, as rays see it.
-    static S share(const V &third, S s, const OutlinePoint<S> &r, const V &towards, bool parallel) {
+    TR_HD static S share(const V &third, S s, const OutlinePoint<S> &r, const V &towards, bool parallel) {
         const S square = dot(towards, towards), depth = dot(third - r.p, towards);
         const V beside = parallel ? third - r.p : (third - r.p + towards) * (square / (square + depth)) - towards;
         const V along = r.along - towards * (dot(r.along, towards) / square);
@@ -147,7 +152,7 @@ private:
     // How far across rays, on faces that are seen, interpolated normals look away from where these come from. There a
     // surface is black although it is seen. That ends at a line on the face, which moves about like the edge, and what
     // is beyond is what the edge's motion uncovers.
-    S rim(size_t edge, S s, const V &towards, const V &a, const V &across, S inverse) const {
+    TR_HD S rim(size_t edge, S s, const V &towards, const V &a, const V &across, S inverse) const {
         for (size_t k = 0; k < set_.count(edge); ++k) {
             const HalfEdge h = set_.half(scene_, edge, k);
             const V out = cross(position(h.v1) - a, position(h.third) - a);
@@ -162,7 +167,7 @@ private:
         return 0;
     }
 
-    OutlinePoint<S> field_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
+    TR_HD OutlinePoint<S> field_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
         const FieldPoint<S> found = FieldOutline<S>(scene_, curve, origin, parallel).at(s);
         const S *m = scene_.shape_matrices + 24 * size_t(curve.shape);
         OutlinePoint<S> r;
@@ -173,7 +178,7 @@ private:
         return r;
     }
 
-    OutlinePoint<S> curve_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
+    TR_HD OutlinePoint<S> curve_point(const OutlineCurve &curve, S s, const V &origin, bool parallel) const {
         if (curve.of_field()) return field_point(curve, s, origin, parallel);
         const S *m = scene_.shape_matrices + 24 * size_t(curve.shape);
         const V o = parallel ? transform_vector(m + 12, origin) : transform_point(m + 12, origin);
